@@ -124,7 +124,8 @@ def passes_of(renderer: Any, casts: bool) -> float:
     from clsco.engine.renderer import expose
 
     if casts:
-        renderer.scene.session.kept.clear()
+        session = renderer.scene.session
+        (session.cache if hasattr(session, "cache") else session.kept).clear()  # as older versions call it
     before = time.process_time()
     expose([renderer], 0)
     renderer.scene.session.queue.finish()

@@ -58,9 +58,9 @@ def _is_shown(total: int, quiet: bool) -> bool:
 
 @contextmanager
 def _bar(
-    total: int, quiet: bool, what: str, beside: Callable[[float, float], str] | None
+    total: int, quiet: bool, what: str, after_bar: Callable[[float, float], str] | None
 ) -> Iterator[Callable[[], object]]:
-    """beside: what stands after the bar, of what is done and the seconds since it began."""
+    """after_bar: what stands after the bar, of what is done and the seconds since it began."""
     if not _is_shown(total, quiet):
         yield lambda: None
         return
@@ -70,14 +70,14 @@ def _bar(
     from rich.text import Text
 
     columns: list[ProgressColumn] = [TextColumn(what), BarColumn(), MofNCompleteColumn(), Elapsed()]
-    if beside is not None:
-        shown = beside
+    if after_bar is not None:
+        shown = after_bar
 
-        class Beside(ProgressColumn):
+        class AfterBar(ProgressColumn):
             def render(self, task: Task) -> Text:
                 return Text(shown(task.completed, task.elapsed or 0.0))
 
-        columns.append(Beside())
+        columns.append(AfterBar())
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task(what, total=total)
         yield lambda: bar.advance(task)

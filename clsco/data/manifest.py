@@ -74,7 +74,7 @@ class Identity:
     def differences(self, record: Mapping[str, Any]) -> list[str]:
         """Messages on the entries in which another record differs: "seed must be 1, as in the set; got 2"."""
         return [
-            f"{name.replace('_', ' ')} must be {_shown(value)}, as in the set; got {_shown(record.get(name))}"
+            f"{name.replace('_', ' ')} must be {_shortened(value)}, as in the set; got {_shortened(record.get(name))}"
             for name, value in self.record().items()
             if record.get(name) != value
         ]
@@ -316,6 +316,6 @@ def _files_of(data: bytes) -> Sequence[str]:
         return ()
 
 
-def _shown(value: Any) -> str:
+def _shortened(value: Any) -> str:
     text = value if isinstance(value, str) else json.dumps(value)
     return text if len(text) <= 64 else f"{text[:61]}..."

@@ -34,7 +34,7 @@ from clsco.plan.request import Request
 from clsco.scene.model import Scene
 from clsco.scene.sweep import Sweep
 
-KEPT_BYTES = 2**28  # on the device, and as many on the host
+CACHE_BYTES = 2**28  # on the device, and as many on the host
 MEASURED = ("depth", "coc", "flow")
 MOST_MEASURED = 4096  # pixels of an array of which quantiles are taken
 QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
@@ -101,8 +101,8 @@ class Renderer:
 
     def __init__(self, device: Device, arrays: tuple[str, ...], precision: str) -> None:
         self.device = device
-        self.session = session_on(device).beside(KEPT_BYTES)
-        self.files = InputFiles(KEPT_BYTES)
+        self.session = session_on(device).with_cache(CACHE_BYTES)
+        self.files = InputFiles(CACHE_BYTES)
         truth = tuple(ATTRIBUTES[name] for name in arrays if name != "color")
         self.request = Request(truth, precision=precision)
         self._before: Scene | None = None

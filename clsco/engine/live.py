@@ -60,7 +60,7 @@ class Live:
 
     def __init__(self, device: DeviceLike = None, *, keep: int | str = "512MiB") -> None:
         limit = parse_size(keep, "keep")
-        self.session = session_for(device).beside(limit)
+        self.session = session_for(device).with_cache(limit)
         self.files = InputFiles(limit)
         self._lock = threading.Lock()
         self._warming: list[threading.Thread] = []
@@ -158,8 +158,8 @@ class Live:
             thread.join()
         self._warming.clear()
         self.session.settle()
-        self.session.kept.clear()
-        self.files.kept.clear()
+        self.session.cache.clear()
+        self.files.cache.clear()
 
     def __enter__(self) -> Self:
         return self

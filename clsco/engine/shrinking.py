@@ -23,14 +23,14 @@ class Shrinking(Generic[F]):
     limit : Limit
     fit : callable
         Makes what fits a limit.
-    taken : callable
+    size : callable
         Bytes of it on the device.
     """
 
     def __init__(
-        self, session: Session, limit: Limit, fit: Callable[[Limit], F], taken: Callable[[F], int]
+        self, session: Session, limit: Limit, fit: Callable[[Limit], F], size: Callable[[F], int]
     ) -> None:  # fmt: skip
-        self.session, self.limit, self.fit, self.taken = session, limit, fit, taken
+        self.session, self.limit, self.fit, self.size = session, limit, fit, size
         self.fitting = fit(limit)
 
     def run(self, work: Callable[[F], T]) -> T:
@@ -41,7 +41,7 @@ class Shrinking(Generic[F]):
                 with self.session.reporting():
                     return work(self.fitting)
             except DeviceError as error:
-                total = min(self.limit.total, self.taken(self.fitting)) // 2
+                total = min(self.limit.total, self.size(self.fitting)) // 2
                 self.limit = replace(self.limit, total=total, given=False)
                 before, self.fitting = self.fitting, self.fit(self.limit)
                 if not error.short_of_memory or self.fitting == before:

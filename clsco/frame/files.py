@@ -88,11 +88,11 @@ def _write_dpt(path: Path, shot: Shot, wanted: TruthFile) -> None:
 
 def _write_cam(path: Path, shot: Shot, _wanted: TruthFile) -> None:
     (frame,) = shot.views
-    write_whole(path, cam_bytes(pinhole(_shown(path, shot), frame.index, eye_of(frame))))
+    write_whole(path, cam_bytes(pinhole(_scene_of(path, shot), frame.index, eye_of(frame))))
 
 
 def _write_colmap(folder: Path, shot: Shot, _wanted: TruthFile) -> None:
-    scene = _shown(folder, shot)
+    scene = _scene_of(folder, shot)
     shown: dict[Eye, str] = {"left": "left" if scene.stereo else "", "right": "right"}
     texts = colmap_texts((f"{_stem(index, shown[eye])}.png", camera) for index, eye, camera in all_pinholes(scene))
     with together(writable_folder(folder), "model") as made:
@@ -100,7 +100,7 @@ def _write_colmap(folder: Path, shot: Shot, _wanted: TruthFile) -> None:
             write_whole(made / name, content)
 
 
-def _shown(path: Path, shot: Shot) -> Scene:
+def _scene_of(path: Path, shot: Shot) -> Scene:
     if shot.scene is None:
         refuse(path, "needs the scene of the frame", "none")
     return shot.scene

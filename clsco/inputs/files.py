@@ -13,6 +13,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.cache import Cache
 from clsco.files import transfer as transfer_curves
 from clsco.files.array_cache import ArrayCache, user_cache
 from clsco.files.atomic import sha256
@@ -30,13 +31,12 @@ from clsco.inputs.textures import (
     radiance_of,
     require_suffix,
 )
-from clsco.kept import Kept
 from clsco.resources import code_digest
 from clsco.scene.arrays import ArrayInput
 from clsco.scene.model import DepthMap, Scene
 from clsco.scene.texture_keys import is_drawn
 
-KEPT_BYTES = 2**29  # a depth map of 8192 x 8192
+CACHE_BYTES = 2**29  # a depth map of 8192 x 8192
 MOST_BYTES = 2**31  # of a file whose content is looked at before its header is
 SETTLED_NS = 10**8  # a file that has changed less than so long ago may change again with the same times
 V = TypeVar("V")
@@ -66,8 +66,8 @@ class InputFiles:
     array in memory.
     """
 
-    def __init__(self, limit: int = KEPT_BYTES) -> None:
-        self.kept = Kept(limit)
+    def __init__(self, limit: int = CACHE_BYTES) -> None:
+        self.cache = Cache(limit)
         self._digests: dict[str, tuple[tuple[int, ...], str]] = {}
 
     def textures(self, scene: Scene) -> tuple[Texture, ...]:
@@ -104,7 +104,7 @@ class InputFiles:
         if content is None:
             return load_texture(source, transfer, size)
         key = ("texture", content, transfer, size)
-        found = self.kept.get(
+        found = self.cache.get(
             key,
             lambda: self._texture(source, transfer, size, key),
             lambda texture: texture.radiance.nbytes,
@@ -169,7 +169,7 @@ class InputFiles:
         kinds = item.depth_kind, item.no_depth, scene.fill.method == "none"
         numbers = item.unit, item.scale, item.baseline, item.offset, *kinds
         seen = (picture, scene.image.transfer) if item.soft_edges == "assign" else None
-        return self.kept.get(
+        return self.cache.get(
             ("inverse depth", content, numbers, seen, scene.camera.model_dump_json()),
             lambda: map_values(scene, item, self.depth(source), known),
             lambda values: values.inverse_depth.nbytes,
@@ -189,8 +189,8 @@ class InputFiles:
         content = self._content(source)
         if content is None or isinstance(source, ArrayInput):  # its scene keeps an array anyway
             return read()
-        beyond = self.kept.limit + 1  # what was read from a file that has just changed is not kept
-        return self.kept.get((what, content), read, lambda v: size(v) if self._content(source) == content else beyond)
+        beyond = self.cache.limit + 1  # what was read from a file that has just changed is not kept
+        return self.cache.get((what, content), read, lambda v: size(v) if self._content(source) == content else beyond)
 
     def _content(self, source: Source) -> Hashable | None:
         """Key of an array, or of a file's content and how it is read; None where there is none, as of a pipe."""

@@ -49,15 +49,15 @@ def lent(session: Session, array: NDArray[Any]) -> cl.Buffer:
         raise failure(session.device, f"have memory for a buffer of {array.nbytes} bytes", error) from error
 
 
-def upload_kept(session: Session, array: NDArray[Any], place: Hashable) -> cl.Buffer:
+def upload_cached(session: Session, array: NDArray[Any], place: Hashable) -> cl.Buffer:
     """`upload` of an array that nobody ever changes: once, as long as the session keeps it, and no other array in its
     place."""
     key = ("array", place)
     for _ in range(2):
-        buffer, owner = session.kept.get(key, lambda: (upload(session, array), array), lambda pair: pair[1].nbytes)
+        buffer, owner = session.cache.get(key, lambda: (upload(session, array), array), lambda pair: pair[1].nbytes)
         if owner is array:
             return buffer
-        session.kept.forget(key)
+        session.cache.forget(key)
     return upload(session, array)  # another thread works with another array of the same place
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 SMALLEST = 2**16  # bytes, of what is worth keeping
 LARGE = 2**22  # bytes, from which a block holds at least one page of 2 MiB
-KEPT_BYTES = 2**27  # of blocks that nobody uses
+SPARE_BYTES = 2**27  # of blocks that nobody uses
 SLACK = 4  # a block is used again for what takes at most 1 / SLACK less
 CLASSES = 8  # sizes of blocks per octave: a block is at most 1 / CLASSES larger than what is asked for
 
@@ -31,7 +31,7 @@ class Pages:
         Most bytes of blocks that nobody uses; those given back longest ago go to the system.
     """
 
-    def __init__(self, limit: int = KEPT_BYTES) -> None:
+    def __init__(self, limit: int = SPARE_BYTES) -> None:
         self.limit = limit
         self._lock = threading.Lock()
         self._back: deque[mmap.mmap] = deque()  # given back by finalizers, which may run amid what holds the lock

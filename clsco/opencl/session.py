@@ -15,14 +15,14 @@ from typing import Self, TypeAlias
 
 import pyopencl as cl
 
+from clsco.cache import Cache
 from clsco.errors import CanceledError, DeviceError
-from clsco.kept import Kept
 from clsco.opencl import pocl_cache as poclcache
 from clsco.opencl import pocl_cpu as poclcpu
 from clsco.opencl.device import Device, _not_forked, choose, described, failure
 from clsco.opencl.pace import Pace
 
-KEPT_BYTES = 2**28
+CACHE_BYTES = 2**28
 _TIMED = cl.command_queue_properties.PROFILING_ENABLE
 
 DeviceLike: TypeAlias = str | cl.Device | cl.Context | cl.CommandQueue | None
@@ -66,7 +66,7 @@ class Session:
         _not_forked()
         self.device = device
         self.lock = threading.RLock()
-        self.kept = Kept(KEPT_BYTES)
+        self.cache = Cache(CACHE_BYTES)
         """Buffers that are filled once: textures, tables, what rays hit, by what they contain."""
         self.canceled = threading.Event()
         """Set to have what works here end at its next step; see `go_on`."""
@@ -91,10 +91,10 @@ class Session:
         except cl.Error as error:
             raise failure(device, "open a context and a queue", error) from error
 
-    def beside(self, kept: int) -> Session:
-        """A session in the same queue, with the same programs, that keeps up to so many bytes of buffers of its own."""
+    def with_cache(self, limit: int) -> Session:
+        """A session in the same queue, with the same programs, and a cache of at most `limit` bytes of buffers."""
         found = copy(self)
-        found.kept, found.canceled, found.progress = Kept(kept), threading.Event(), Progress()
+        found.cache, found.canceled, found.progress = Cache(limit), threading.Event(), Progress()
         return found
 
     def unwatched(self) -> Session:
@@ -141,7 +141,7 @@ class Session:
         """Wait for the queue and let go of the programs; the context goes when its last buffer does."""
         with self.lock:
             self.queue.finish()
-            self.kept.clear()
+            self.cache.clear()
             self.compiled.clear()
             self.pace.clear()
             self.programs.clear()

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from clsco.constants import GROUP_COLUMNS, GROUP_ROWS, TAP_LANES
 from clsco.frame.strips import BAND, Grid
-from clsco.opencl.buffers import empty, mapped, upload, upload_kept
+from clsco.opencl.buffers import empty, mapped, upload, upload_cached
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Program, Session
 from clsco.optics.psf_grid import NEAR
@@ -267,8 +267,8 @@ class TableBlur(FrameSum, ABC):
         session = target.session
         self.tables = [
             (
-                upload_kept(session, table.intervals, (table.place, "intervals")),
-                upload_kept(session, table.coefficients, (table.place, "coefficients")),
+                upload_cached(session, table.intervals, (table.place, "intervals")),
+                upload_cached(session, table.coefficients, (table.place, "coefficients")),
             )
             for table in self.weights
             if table is not None

@@ -10,7 +10,7 @@ import pyopencl as cl
 from clsco.constants import COLUMN_STEP, ROW_TILE, WIDE_LANES
 from clsco.frame.strips import BAND, Grid
 from clsco.opencl import pace
-from clsco.opencl.buffers import download_into, empty, filled_with, upload_kept
+from clsco.opencl.buffers import download_into, empty, filled_with, upload_cached
 from clsco.opencl.program import kernel, launch_whole
 from clsco.passes.blur import UNITS_PER_TAP, Events, TableBlur, Target
 from clsco.plan.buffers import MOST_IN_ONE_SUM, Sizes, band_scratch, bands_at_a_time
@@ -33,7 +33,7 @@ class Gather(TableBlur):
         session, table = target.session, self.weights[0]
         alike = {"taps": table.taps, "outlines": table.outlines}
         self.alike = tuple(
-            upload_kept(session, array, (table.place, name)) if array.size else None for name, array in alike.items()
+            upload_cached(session, array, (table.place, name)) if array.size else None for name, array in alike.items()
         )
         # Rows of sources after which sums go on to the frame, 0 where they are short.
         self.group = max(MOST_IN_ONE_SUM // (2 * spec.reach + 1), 1) if "part" in sizes else 0

@@ -121,8 +121,8 @@ class PlacedScene:
     def texture(self) -> cl.Buffer:
         """The textures: float (textures, channels, rows, columns), then mipmaps of those that lie on surfaces."""
         if self._texture is None:
-            key, kept = self.content, self.session.kept
-            self._texture = self._planes() if key is None else kept.get(key, self._planes, lambda planes: planes.size)
+            key, cache = self.content, self.session.cache
+            self._texture = self._planes() if key is None else cache.get(key, self._planes, lambda planes: planes.size)
         return self._texture
 
     def _planes(self) -> cl.Buffer:

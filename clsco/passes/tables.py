@@ -12,8 +12,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from clsco import constants
+from clsco.cache import Cache
 from clsco.files.array_cache import ArrayCache, user_cache
-from clsco.kept import Kept
 from clsco.opencl.pages import SMALLEST, in_pages, trim
 from clsco.opencl.session import Session
 from clsco.optics import polygon, psf_blocks, psf_grid
@@ -25,7 +25,7 @@ from clsco.plan.methods import BlurSpec
 from clsco.resources import code_digest
 from clsco.scene.model import Psf
 
-KEPT_BYTES = 2**27  # of tables in this process
+CACHE_BYTES = 2**27  # of tables in this process
 BLOCK_BYTES = 2**25  # of blocks in this process
 JOINED_BYTES = 2**24  # up to which a table grows by the radii of other renderings
 R = TypeVar("R", PsfTable, WeightBlock)
@@ -42,8 +42,8 @@ class TableStore:
         Most bytes of tables; those used longest ago go.
     """
 
-    def __init__(self, disk: ArrayCache, limit: int = KEPT_BYTES) -> None:
-        self.disk, self.blocks, self.limit = disk, Kept(BLOCK_BYTES), limit
+    def __init__(self, disk: ArrayCache, limit: int = CACHE_BYTES) -> None:
+        self.disk, self.blocks, self.limit = disk, Cache(BLOCK_BYTES), limit
         self._lock = threading.Lock()
         self._tables: OrderedDict[Hashable, PsfTable] = OrderedDict()
 
@@ -123,7 +123,7 @@ def tables_of(spec: BlurSpec, session: Session) -> tuple[PsfTable, PsfTable | No
 def forget_others(session: Session) -> None:
     """Let go of what earlier calls have left on the device, before one whose memory is limited: tables are then those
     that it has planned."""
-    session.kept.clear()
+    session.cache.clear()
     shared_tables().clear(blocks=False)
 
 

@@ -97,7 +97,7 @@ class KeptHits:
 
         if key.textures is None:
             return made()
-        return self.session.kept.get(("hits", key), made, lambda _: sum(sizes.values()))
+        return self.session.cache.get(("hits", key), made, lambda _: sum(sizes.values()))
 
 
 @dataclass
@@ -176,10 +176,10 @@ class Tracer:
         assert work.group is not None
         if self.hits is None:
             value, depth = buffers["value"], buffers.get("depth")
-            args = (*head, share, *self._shown(work), source, value, label, statistics)
+            args = (*head, share, *self._appearance(work), source, value, label, statistics)
             self._per_pixel("trace", work, *args, *((depth,) if occluded else ()), *exchanged)
         else:
-            args = (*head[:3], share, *self._shown(work))
+            args = (*head[:3], share, *self._appearance(work))
 
             def cast(planes: HitPlanes) -> None:
                 self._per_pixel("cast", work, *args, *planes)
@@ -202,7 +202,7 @@ class Tracer:
         subs = (buffers["sub_source"], buffers["sub_value"], statistics)
         sub_depth = buffers.get("sub_depth")
         occluded = (sub_depth,) if sub_depth is not None else ()
-        head = (*self._head(work), np.float32(work.sample.weight), *self._shown(work))
+        head = (*self._head(work), np.float32(work.sample.weight), *self._appearance(work))
         size = (plan.slots * plan.silhouettes**2,)
         self.target.run(
             "trace_subpixels", size, PIXELS[:1], work.events, *head, buffers["pixels"], slots, *subs, *occluded
@@ -229,7 +229,13 @@ class Tracer:
     def pinhole(self, work: Work, weight: float) -> None:
         """The image of a pinhole of so much weight, with its radii."""
         value, coc, valid = (self.buffers[name] for name in ("value", "coc", "valid"))
-        head = (work.camera, work.sample.surfaces, everything(self.plan), np.float32(weight), *self._shown(work))
+        head = (
+            work.camera,
+            work.sample.surfaces,
+            everything(self.plan),
+            np.float32(weight),
+            *self._appearance(work),
+        )
         self._per_pixel("pinhole", work, *head, value, coc, valid, self.buffers["statistics"])
         work.planes = value, coc, valid
 
@@ -245,7 +251,7 @@ class Tracer:
         maps = self.scene.packed_maps.tobytes() if self.plan.mapped else b""
         return HitKey(work.group, (cast, maps), self.scene.content)
 
-    def _shown(self, work: Work) -> tuple[Any, ...]:
+    def _appearance(self, work: Work) -> tuple[Any, ...]:
         """The textures, how they lie on surfaces where they do, and the light where there is one."""
         return (self.scene.texture, *self.scene.texture_maps, *work.sample.light)
 

@@ -25,7 +25,7 @@ from clsco.studio.jobs import Job, Jobs
 from clsco.studio.removals import REMOVALS
 from clsco.studio.session import Session
 
-METHODS = ("mean-median", "biharmonic", "texture")
+FILLERS = ("mean-median", "biharmonic", "texture")
 """Methods of `clsco inpaint`, that of the thesis first."""
 MOST_RUNS = 2**20
 LARGEST = 2**24  # pixels that are filled while somebody waits
@@ -260,8 +260,8 @@ class Inpainting:
         self.filler.close()
 
     def _require(self, method: str) -> None:
-        if method not in METHODS:
-            raise SceneError(f"method: must be one of {', '.join(METHODS)}; got {method!r}")
+        if method not in FILLERS:
+            raise SceneError(f"method: must be one of {', '.join(FILLERS)}; got {method!r}")
         if not self.mask.any():
             raise ImageError("mask: some pixel must be missing; paint over what is to go")
 

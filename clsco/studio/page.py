@@ -123,7 +123,7 @@ def _header(session: Session, studio: Studio, name: str) -> None:
     button("Inpaint", inpainting_dialog(session, studio.jobs, name, studio.device), id="inpaint")
     say("button", "Undo", id="undo", data_do="undo", disabled=True)
     say("button", "Redo", id="redo", data_do="redo", disabled=True)
-    if kept := studio.kept():
+    if kept := studio.kept_scenes():
         button(
             "Recover", partial(session.recover, kept[0]), title="The scene of a studio that ended before it was saved"
         )
@@ -179,7 +179,7 @@ def _middle() -> None:
             "button", "Right eye", id="eye", aria_pressed="false", hidden=True,
             title="The other view of the stereo pair (E)",
         )  # fmt: skip
-        _shown()
+        _view_controls()
         say("button", "Focal stack", id="stack", aria_pressed="false", aria_controls="stack-row")
         say("span", id="size")
         say("span", id="zoom")
@@ -200,7 +200,7 @@ def _middle() -> None:
         say("span", id="time")
 
 
-def _shown() -> None:
+def _view_controls() -> None:
     """Controls of the view's exposure and gamma, which leave the picture as it is."""
     with say("details", id="shown"):
         with say("summary", title="Exposure and gamma of the view; the scene and its files stay as they are"):

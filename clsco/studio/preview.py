@@ -158,7 +158,7 @@ class Preview:
     def pin_reference(self) -> None:
         """Have the frame made by the reference meanwhile; it is sent once there is nothing else to do."""
         self.cancel_reference()
-        scene, index = self._shown()
+        scene, index = self._at_rest()
         job = Job(scene, index, self._view, REFERENCE, self._eye)
         self._reference = asyncio.create_task(self._by_reference(job, self._session.revision))
 
@@ -226,7 +226,7 @@ class Preview:
     def _is_full(self) -> bool:
         return self._is_hidden or len(self._unseen) >= MOST_UNSEEN
 
-    def _shown(self) -> tuple[Scene, int]:
+    def _at_rest(self) -> tuple[Scene, int]:
         """The scene whose exact frame is shown at rest, and the number of that frame."""
         scene = self._session.scene
         index = min(self._index, scene.sequence.frames - 1)
@@ -312,7 +312,7 @@ class Preview:
         x, y, report = asked = self._asked.pop(purpose)
         stops = self._stops
         self._is_exact_underway = True
-        scene, index = self._shown()
+        scene, index = self._at_rest()
         key = id(self), self._session.revision, index, self._time, self._eye
         try:
             question = Question(scene, index, key, x, y, self._eye, purpose == MEASURE)

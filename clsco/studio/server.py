@@ -84,7 +84,7 @@ class Studio:
         self.jobs = Jobs(self.root)
         self.tabs: dict[str, Tab] = {}
         self._ended = 0  # pages
-        self.jobs.state.remove(*(path.name for path in self.kept()[MOST_KEPT:]))
+        self.jobs.state.remove(*(path.name for path in self.kept_scenes()[MOST_KEPT:]))
 
     def new_session(self) -> Session:
         """A session with the scene of the command line."""
@@ -119,7 +119,7 @@ class Studio:
         if self._ended % COLLECTED == 0:
             gc.collect()
 
-    def kept(self) -> list[Path]:
+    def kept_scenes(self) -> list[Path]:
         """Scenes that were kept when a studio ended, the latest first."""
         ours = {self._kept(name) for name in self.tabs}
         found = [path for path in self.jobs.state.path.glob(f"{KEPT}*.json") if path not in ours]

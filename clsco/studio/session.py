@@ -18,9 +18,9 @@ from clsco.studio.store import (
     digest_of,
     from_link,
     keep,
-    kept,
     link_of,
     moved,
+    read_kept,
     read_scene,
     scene_text,
 )
@@ -149,7 +149,7 @@ class Session(Editor):
 
     def recover(self, path: Path) -> None:
         """Go to a scene that was kept, as a step of undo. Raises SceneError."""
-        self.load_table(*kept(path))
+        self.load_table(*read_kept(path))
 
     def inside(self, path: Path) -> Path:
         """A path below the root, with all links followed. Raises SceneError for any other."""

@@ -308,7 +308,7 @@ def keep(table: Table, start: Path, path: Path) -> None:
     write_whole(path, json.dumps(content, ensure_ascii=False).encode())
 
 
-def kept(path: Path) -> tuple[Table, Path]:
+def read_kept(path: Path) -> tuple[Table, Path]:
     """A scene that was kept, and the folder that its files are relative to. Raises SceneError."""
     try:
         content = json.loads(read_regular(path, 2 * LARGEST))

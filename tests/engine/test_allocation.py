@@ -75,7 +75,7 @@ def test_the_plan_is_what_is_allocated(session: Session, allocated: list[weakref
     prepared = prepare(scene_of(data), Request(("depth",), method), session.device)
     plan = prepared.plan
     limit = limit_of(None, session.device)
-    session.kept.clear()  # as if nothing had been rendered before
+    session.cache.clear()  # as if nothing had been rendered before
     shared_tables().clear()
     expected = {name: size for name, size in buffer_bytes(plan).items() if not name.startswith("truth")}
     gc.collect()

@@ -110,8 +110,8 @@ def test_what_is_kept_is_bounded() -> None:
     with Live(keep="400kB") as live:
         for distance in np.linspace(230.0, 330.0, 8):
             live.render(SCENES["moving"].replace("object[1].distance", float(distance + 60)))
-            assert live.session.kept.bytes <= 400_000
-            assert live.files.kept.bytes <= 400_000
+            assert live.session.cache.bytes <= 400_000
+            assert live.files.cache.bytes <= 400_000
         same(live.render(SCENES["moving"]), clsco.render_frame(SCENES["moving"]))
 
 

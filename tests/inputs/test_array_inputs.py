@@ -80,9 +80,9 @@ def test_live_keeps_arrays_by_content() -> None:
         darker = scene.replace("object[0].texture", CODES // 2)
         same(live.render(darker), clsco.render_frame(darker))
         assert live.render(darker).color.mean() < 0.5 * live.render(scene).color.mean()
-        kept = live.files.kept.bytes
+        kept = live.files.cache.bytes
         same(live.render(scene.replace("object[0].texture", CODES.copy())), clsco.render_frame(scene))
-        assert live.files.kept.bytes == kept
+        assert live.files.cache.bytes == kept
 
 
 def test_a_texture_is_decoded_once() -> None:

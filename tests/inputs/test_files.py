@@ -80,7 +80,7 @@ def test_no_more_than_a_limit_is_kept(tmp_path: Path, reads: list[str]) -> None:
     for _ in range(2):
         files.texture(path, "srgb", (6, 8))
     assert len(reads) >= 2
-    assert files.kept.bytes <= 100
+    assert files.cache.bytes <= 100
 
 
 def test_what_is_no_file_is_refused_as_ever(tmp_path: Path) -> None:

@@ -55,7 +55,7 @@ class Sheet(Layout):
 
     def __init__(self, missing: Mask, inside: Mask) -> None:
         super().__init__(missing)
-        self.border = np.flatnonzero(twin.beside(missing) & inside)
+        self.border = np.flatnonzero(twin.border_pixels(missing) & inside)
 
 
 def sheet_of(masks: Array) -> tuple[Mask, Mask]:
@@ -291,8 +291,8 @@ def test_the_border_is_its_twin(
     stages.smoothed = rng.random((layout.pixels.size, channels)).astype(np.float32)
     whole: Array = image.copy()
     whole[missing] = stages.smoothed
-    steepness, blended = twin.blend_border(whole, twin.beside(missing))
-    assert ((dilated(missing) & ~missing) == twin.beside(missing)).all()
+    steepness, blended = twin.blend_border(whole, twin.border_pixels(missing))
+    assert ((dilated(missing) & ~missing) == twin.border_pixels(missing)).all()
     for values in (mean_median.BAND_VALUES, 100):
         monkeypatch.setattr(mean_median, "BAND_VALUES", values)
         blend_border(session, built, layout.border, image, missing, stages, lambda share: None)

@@ -194,7 +194,7 @@ def conditions(occluder: Occluder) -> tuple[Array, Array]:
     points = occluder.f0.size
     count, limits = np.zeros(points, np.int64), np.zeros((points, 7, 4))
     for k, limit in enumerate(occluder.limits):
-        kept = (occluder.kept[k] if occluder.kept else np.ones(points, bool)) & np.isfinite(limit[:, 0])
+        kept = (occluder.needed[k] if occluder.needed else np.ones(points, bool)) & np.isfinite(limit[:, 0])
         limits[kept, count[kept], : limit.shape[1]] = limit[kept]
         count += kept
     return count, limits
@@ -215,7 +215,7 @@ def assert_same_occluders(met: Met, limit: float = FLOAT) -> None:
         others += int(np.count_nonzero(there & ~same))
         used = same[:, None] & (np.arange(7) < count[:, None])
         # Those of a plane are differences of floats, of up to some hundred widths of the edge.
-        parts, least = (4, 1e-30) if occluder.kept else (3, 1e-5)
+        parts, least = (4, 1e-30) if occluder.needed else (3, 1e-5)
         assert_close(found["limit"][used, :parts], limits[used, :parts], limit, least)
         twice, bound = there & (occluder.crossings == 2), same & (count > 0) & (occluder.crossings > 0)
         for name in ("h", "root", "f"):

@@ -108,7 +108,7 @@ def surfaces(b: Array, c: Array, f: Array, limits: Array, count: Array, rng: np.
         f=rounded(rng.uniform(-1, 1, (points, 5)) * [0.2, 0.2, 0.02, 0.02, 0.02]),
         crossings=np.where(f > 0, 2, 1), b=b, f0=f, c=c, d=d,
         soft=rounded(rng.uniform(0.03, 0.3, points)),
-        limits=tuple(np.moveaxis(limits, 1, 0)), kept=tuple(count > k for k in range(LIMITS)),
+        limits=tuple(np.moveaxis(limits, 1, 0)), needed=tuple(count > k for k in range(LIMITS)),
     )  # fmt: skip
     return Surfaces(occluder, limits, count, x, y)
 

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from clsco.opencl.buffers import download, upload_kept
+from clsco.opencl.buffers import download, upload_cached
 from clsco.opencl.session import Session
 
 
 def test_an_array_takes_the_place_of_an_earlier_one(session: Session) -> None:
-    own = session.beside(2**20)
+    own = session.with_cache(2**20)
     first, second = np.arange(1000, dtype=np.float32), np.arange(2000, dtype=np.float32)
     other = first + 1.0
-    buffers = [upload_kept(own, first, "table"), upload_kept(own, other, "another")]
-    assert upload_kept(own, first, "table") is buffers[0]
-    assert own.kept.bytes == 2 * first.nbytes
-    buffers.append(upload_kept(own, second, "table"))
-    assert own.kept.bytes == second.nbytes + other.nbytes
+    buffers = [upload_cached(own, first, "table"), upload_cached(own, other, "another")]
+    assert upload_cached(own, first, "table") is buffers[0]
+    assert own.cache.bytes == 2 * first.nbytes
+    buffers.append(upload_cached(own, second, "table"))
+    assert own.cache.bytes == second.nbytes + other.nbytes
     for buffer, array in zip(buffers, (first, other, second), strict=True):  # those in use stay what they are
         np.testing.assert_array_equal(download(own, buffer, array.shape, np.float32), array)
-    assert upload_kept(own, first, "table") is not buffers[0]
-    assert upload_kept(own, other, "another") is buffers[1]
+    assert upload_cached(own, first, "table") is not buffers[0]
+    assert upload_cached(own, other, "another") is buffers[1]

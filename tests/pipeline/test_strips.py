@@ -62,7 +62,7 @@ def named(name: str) -> Scene:
 
 def memory_for(scene: Scene, rows: int, truth: tuple[str, ...] = ALL_TRUTH, method: str = "auto") -> int:
     """Just as much as strips of so many rows need."""
-    session_for(None).kept.clear()  # what other renders have left is let go of before it is measured
+    session_for(None).cache.clear()  # what other renders have left is let go of before it is measured
     eyes = ("left",) if scene.stereo is None else ("left", "right")
     plans = [replace(plan_of(scene, truth, method, eye), strip_rows=rows) for eye in eyes]
     return max(device_bytes(replace(plan, device=choose()), len(eyes)) for plan in plans)

@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from clsco.errors import SceneError
 from clsco.inpainting.rules import MeanMedian, border_histogram, score_scale, value_span
-from clsco.reference.inpainting.mean_median import beside, blend_border, inpaint, sweep_holes
+from clsco.reference.inpainting.mean_median import blend_border, border_pixels, inpaint, sweep_holes
 
 
 def test_gradients_and_medians_are_those_of_scipy() -> None:
@@ -24,7 +24,7 @@ def test_gradients_and_medians_are_those_of_scipy() -> None:
 
 def test_pixels_beside_holes_are_those_that_dilation_adds() -> None:
     missing = np.random.default_rng(5).random((15, 20)) < 0.1
-    assert (beside(missing) == (ndimage.binary_dilation(missing, np.ones((3, 3))) & ~missing)).all()
+    assert (border_pixels(missing) == (ndimage.binary_dilation(missing, np.ones((3, 3))) & ~missing)).all()
 
 
 def test_half_an_image_is_filled_row_by_row() -> None:

@@ -17,7 +17,7 @@ import clsco
 from clsco import ClscoError, ImageError, SceneError
 from clsco.cli.main import main
 from clsco.files.images import read_image, write_png
-from clsco.studio.inpainting import METHODS, Inpainting
+from clsco.studio.inpainting import FILLERS, Inpainting
 from clsco.studio.jobs import Jobs
 from clsco.studio.removals import REMOVALS
 
@@ -150,7 +150,7 @@ def test_masks_are_written_and_read(inpainting: Inpainting) -> None:
 def test_jobs_fill_what_was_painted(inpainting: Inpainting) -> None:
     jobs = Jobs(inpainting.root)
     with pytest.raises(ImageError, match="some pixel must be missing"):
-        inpainting.begin(jobs, METHODS, "out")
+        inpainting.begin(jobs, FILLERS, "out")
     inpainting.paint(16, 12, [50, 4, 12, 4, 122])
     first, second = inpainting.begin(jobs, ["biharmonic", "mean-median"], "out")
     assert second.line == "clsco inpaint out/image.png out/mask.png -o out/mean-median/filled.png --method mean-median"
@@ -188,9 +188,9 @@ def test_all_methods_fill_the_damaged_picture(tmp_path: Path) -> None:
     inpainting = Inpainting(tmp_path, "pocl")
     inpainting.open("damaged.png")
     inpainting.load_mask("damaged_mask.png")
-    for method in METHODS:
+    for method in FILLERS:
         inpainting.fill(method)
-    assert list(inpainting.results) == list(METHODS)
+    assert list(inpainting.results) == list(FILLERS)
     assert [len(values) for _, values in inpainting.table()] == [3] * 7
     inpainting.close()
 

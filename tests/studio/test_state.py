@@ -93,8 +93,8 @@ def refused(read: Callable[[str, int], bytes], name: str) -> bool:
 def look_at(opened: Studio, kept: list[str]) -> None:
     """All that has to do with the state."""
     assert opened.jobs.listed == ()
-    assert [path.name for path in opened.kept()] == kept
-    for path in opened.kept():
+    assert [path.name for path in opened.kept_scenes()] == kept
+    for path in opened.kept_scenes():
         with pytest.raises(SceneError):
             Session(opened.root).recover(path)
     opened.keep()

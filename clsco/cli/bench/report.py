@@ -98,7 +98,7 @@ def speed_error(bench: Bench) -> Any:
     figure, panels, colors = _panels(bench, "Speed against error", "RMS error, of white (none at all: 1e-9)")
     radii = sorted({row.radius for row in bench.rows})
     markers = {radius: MARKERS[k % len(MARKERS)] for k, radius in enumerate(radii)}
-    for row in _shown(bench):
+    for row in _plotted(bench):
         panel, color = panels[row.scene, row.psf], colors[_method(row)]
         point = ([max(row.rms_error, NO_ERROR)], [row.cost_ns])
         inside = color if row.precision == "double" else "none"
@@ -121,7 +121,7 @@ def speed_error(bench: Bench) -> Any:
 def cost_by_radius(bench: Bench) -> Any:
     """Cost against the largest radius at the largest size."""
     figure, panels, colors = _panels(bench, "Cost against radius", "largest radius, px")
-    _lines(panels, colors, _plain(_shown(bench)), lambda row: row.radius)
+    _lines(panels, colors, _plain(_plotted(bench)), lambda row: row.radius)
     for panel in panels.values():
         panel.set_xscale("symlog", linthresh=1.0)
         _ticks(panel, sorted({row.radius for row in bench.rows}))
@@ -149,7 +149,7 @@ def roofline(bench: Bench) -> Any:
 
     figure = Figure(figsize=(8.0, 5.0), layout="constrained")
     panel: Any = figure.subplots()
-    rows = [row for row in _plain(_shown(bench)) if row.gflop_per_s is not None]
+    rows = [row for row in _plain(_plotted(bench)) if row.gflop_per_s is not None]
     colors = {name: color for name, color in _colors(bench.rows).items() if name in {row.method for row in rows}}
     markers = dict(zip(PSFS, MARKERS, strict=False))
     for row in rows:
@@ -190,13 +190,13 @@ def _channels(bench: Bench) -> int:
     return min(row.channels for row in bench.rows)
 
 
-def _shown(bench: Bench) -> list[Row]:
+def _plotted(bench: Bench) -> list[Row]:
     size, channels = _size(bench), _channels(bench)
     return [row for row in bench.rows if row.size == size and row.channels == channels]
 
 
 def _front(bench: Bench) -> list[Row]:
-    return [row for row in _shown(bench) if row.on_front]
+    return [row for row in _plotted(bench) if row.on_front]
 
 
 def _plain(rows: Iterable[Row]) -> list[Row]:

@@ -26,7 +26,7 @@ class Occluder:
     h (N, 3): constant, x, y, over the width of the soft edge, without the root; root (N,), f (N, 5): x, y, xx, xy, yy
     under it. With limits: crossings (N,) 1 or 2, or 0 for a plane, whose limits are an h (N, 3) each; else b (N, 3),
     f0 (N,), c, d (N, 6), soft (N,): 1 over the width of the edge; limits: (N, 4) each,
-    limit + v (limit_0 + limit_x x + limit_y y) >= 0; kept: (N,) each, where it is needed.
+    limit + v (limit_0 + limit_x x + limit_y y) >= 0; needed: (N,) each, where the limit matters.
     """
 
     h: Array
@@ -39,13 +39,13 @@ class Occluder:
     d: Array
     soft: Array
     limits: tuple[Array, ...]
-    kept: tuple[Mask, ...]
+    needed: tuple[Mask, ...]
 
     def of(self, chosen: NDArray[Any]) -> Occluder:
         """The same for some of the points."""
-        arrays = {k: v[chosen] for k, v in vars(self).items() if k not in ("limits", "kept")}
-        limits, kept = (tuple(array[chosen] for array in arrays) for arrays in (self.limits, self.kept))
-        return Occluder(**arrays, limits=limits, kept=kept)
+        arrays = {k: v[chosen] for k, v in vars(self).items() if k not in ("limits", "needed")}
+        limits, needed = (tuple(array[chosen] for array in arrays) for arrays in (self.limits, self.needed))
+        return Occluder(**arrays, limits=limits, needed=needed)
 
 
 def soft_step(t: Array) -> Array:
@@ -87,8 +87,8 @@ def limit_share(m: Occluder, limit: Array, at: Crossing, x: Array, y: Array) -> 
 def crossing_share(m: Occluder, at: Crossing, x: Array, y: Array) -> Array:
     """Share (N,) of them from which a crossing occludes: the least that any condition leaves."""
     least = np.ones_like(x)
-    for limit, kept in zip(m.limits, m.kept, strict=True):
-        least = np.where(kept, np.minimum(least, limit_share(m, limit, at, x, y)), least)
+    for limit, needed in zip(m.limits, m.needed, strict=True):
+        least = np.where(needed, np.minimum(least, limit_share(m, limit, at, x, y)), least)
     # Behind a point of the surface itself the tilt lets no radiance pass; a step there would only show in rounding.
     return np.where((m.f0 == 0) | (at.v > 0), least, 0.0)
 
@@ -132,7 +132,7 @@ def occluded_share(m: Occluder, x: Array, y: Array) -> Array:
     share, d = np.where(m.f0 == 0, one, np.maximum(one, other)), m.d
     height = d[:, 0] + x * (d[:, 1] + d[:, 3] * x + d[:, 4] * y) + y * (d[:, 2] + d[:, 5] * y)
     twice = np.where(
-        np.any(m.kept, axis=0),
+        np.any(m.needed, axis=0),
         share * soft_step(height * m.soft / (outline_gradient(m, x, y) + TINY)),
         soft_step(occluded_height(m, x, y)),
     )
@@ -146,8 +146,8 @@ def hides_all(m: Occluder, most: Array) -> tuple[Mask, tuple[Mask, ...]]:
     Also which conditions (N,) each some crossing there does not meet wholly; others can be dropped, but for one where
     there is one crossing.
     """
-    hidden, kept = np.ones(most.shape, dtype=bool), [np.zeros(most.shape, dtype=bool) for _ in m.limits]
-    kept[0] |= m.crossings == 1
+    hidden, needed = np.ones(most.shape, dtype=bool), [np.zeros(most.shape, dtype=bool) for _ in m.limits]
+    needed[0] |= m.crossings == 1
     for radius in (most / np.cos(np.pi / 8), 0.5 * most):
         for angle in np.arange(8) * (np.pi / 4):
             x, y = radius * np.cos(angle), radius * np.sin(angle)
@@ -155,5 +155,5 @@ def hides_all(m: Occluder, most: Array) -> tuple[Mask, tuple[Mask, ...]]:
             with np.errstate(all="ignore"):
                 for at in find_crossings(m, x, y, 0.0):
                     for k, limit in enumerate(m.limits):
-                        kept[k] |= (at.v > 0) & (limit_share(m, limit, at, x, y) < 1.0)
-    return hidden, tuple(kept)
+                        needed[k] |= (at.v > 0) & (limit_share(m, limit, at, x, y) < 1.0)
+    return hidden, tuple(needed)

@@ -267,7 +267,7 @@ def keep_equation(e: Equation, m: Slopes, soft: Array, outline: Outline, limits:
         d=np.stack([m.D, m.D_x, m.D_y, m.D_xx, m.D_xy, m.D_yy], axis=-1),
         soft=1 / (2 * soft),
         limits=tuple(limits),
-        kept=tuple(np.ones(e.B.shape, dtype=bool) for _ in limits),
+        needed=tuple(np.ones(e.B.shape, dtype=bool) for _ in limits),
     )
 
 
@@ -317,9 +317,9 @@ def meet_occluder(
     narrow = ~e.once & ~clear & ~hidden & (place * lens.extent <= SHARP_EDGE)
     edge = ~far & (e.once & (e.F < 0) | narrow)
     if limits:
-        all_hidden, kept = hides_all(occluder, lens.most)
+        all_hidden, needed = hides_all(occluder, lens.most)
         state = np.where(~clear & all_hidden, HIDDEN, state)
-        occluder = replace(occluder, kept=kept)
+        occluder = replace(occluder, needed=needed)
     return state.astype(np.uint8), edge, occluder
 
 

@@ -104,7 +104,7 @@ def inpaint(image: NDArray[Any], missing: Mask, span: float, constants: MeanMedi
     smoothed = filled
     for _ in range(constants.smoothing_rounds):
         smoothed = smooth_holes(smoothed, missing)
-    border, histogram, blended = beside(missing), None, smoothed.copy()
+    border, histogram, blended = border_pixels(missing), None, smoothed.copy()
     if border.any():
         steepness, medians = blend_border(smoothed, border)
         gradients = np.sqrt(steepness.astype(np.float64))
@@ -115,7 +115,7 @@ def inpaint(image: NDArray[Any], missing: Mask, span: float, constants: MeanMedi
     return Inpainted(filled, smoothed, blended, score, sweeps, border, histogram)
 
 
-def beside(missing: Mask) -> Mask:
+def border_pixels(missing: Mask) -> Mask:
     """Known pixels (H, W) with a missing one among their 8 neighbors."""
     padded, (rows, columns) = np.pad(missing, 1), missing.shape
     near = [padded[1 + i : 1 + i + rows, 1 + j : 1 + j + columns] for i, j in NEIGHBORS]

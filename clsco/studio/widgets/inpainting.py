@@ -10,7 +10,7 @@ from nicegui import run, ui
 
 from clsco.errors import ClscoError
 from clsco.studio.folder import IMAGES, listed
-from clsco.studio.inpainting import METHODS, Inpainting, inpainting_of
+from clsco.studio.inpainting import FILLERS, Inpainting, inpainting_of
 from clsco.studio.jobs import Jobs
 from clsco.studio.removals import REMOVALS
 from clsco.studio.session import Session
@@ -46,7 +46,7 @@ def inpainting_dialog(session: Session, jobs: Jobs, tab: str, device: str | None
     dialog = Dialog("Inpainting")
     dialog.element.classes("wide")
     typed = {"name": "", "mask": "inpainting/mask.png", "folder": "inpainting"}
-    wanted = dict.fromkeys(METHODS, True)
+    wanted = dict.fromkeys(FILLERS, True)
     running: list[tuple[str, float]] = []  # method that fills, and when it began
 
     def loaded() -> None:
@@ -137,7 +137,7 @@ def inpainting_dialog(session: Session, jobs: Jobs, tab: str, device: str | None
             button("Load the mask", masked)
             say("button", "Save the mask", type="button").on("click", lambda _: tried(mask_saved), js_handler=_ALL_SENT)
         with say("div", role="group", aria_label="Methods").classes("row"):
-            for method in METHODS:
+            for method in FILLERS:
                 check_box(_LABELS[method], True, partial(wanted.__setitem__, method))
             say("button", "Fill", type="button").classes("primary").on("click", fill, js_handler=_ALL_SENT)
         progress()

@@ -1,20 +1,20 @@
-"""Values that are kept within a limit: the least recently used go, and a value that is too large is not kept."""
+"""Values are kept within a limit: the least recently used go, and a value that is too large is not kept."""
 
 from __future__ import annotations
 
 import threading
 
-from clsco.kept import Kept
+from clsco.cache import Cache
 
 
 def test_the_least_recently_used_goes() -> None:
-    kept, made = Kept(10), list[str]()
+    cache, made = Cache(10), list[str]()
 
     def get(key: str, size: int = 4) -> str:
-        return kept.get(key, lambda: made.append(key) or key, lambda _: size)  # type: ignore[func-returns-value]
+        return cache.get(key, lambda: made.append(key) or key, lambda _: size)  # type: ignore[func-returns-value]
 
     assert [get("a"), get("b"), get("a"), get("c"), get("a")] == ["a", "b", "a", "c", "a"]
-    assert (made, kept.bytes) == (["a", "b", "c"], 8)
+    assert (made, cache.bytes) == (["a", "b", "c"], 8)
     get("b")
     assert made == ["a", "b", "c", "b"]  # c was used before a
     get("c")
@@ -22,20 +22,20 @@ def test_the_least_recently_used_goes() -> None:
     get("large", 11)
     get("large", 11)
     assert made[-2:] == ["large", "large"]
-    assert kept.bytes == 8
-    kept.clear()
-    assert kept.bytes == 0
+    assert cache.bytes == 8
+    cache.clear()
+    assert cache.bytes == 0
 
 
 def test_threads_get_one_value() -> None:
-    kept, barrier, found = Kept(100), threading.Barrier(4), list[object]()
+    cache, barrier, found = Cache(100), threading.Barrier(4), list[object]()
 
     def run() -> None:
         def make() -> object:
             barrier.wait()
             return object()
 
-        found.append(kept.get("key", make, lambda _: 1))
+        found.append(cache.get("key", make, lambda _: 1))
 
     threads = [threading.Thread(target=run) for _ in range(4)]
     for thread in threads:
@@ -44,16 +44,16 @@ def test_threads_get_one_value() -> None:
         thread.join()
     assert len(found) == 4
     assert len(set(map(id, found))) == 1
-    assert kept.bytes == 1
+    assert cache.bytes == 1
 
 
 def test_what_is_forgotten_is_made_again() -> None:
-    kept, made = Kept(10), list[int]()
+    cache, made = Cache(10), list[int]()
 
     def get() -> int:
-        return kept.get("key", lambda: made.append(1) or len(made), lambda _: 4)  # type: ignore[func-returns-value]
+        return cache.get("key", lambda: made.append(1) or len(made), lambda _: 4)  # type: ignore[func-returns-value]
 
-    assert (get(), get(), kept.bytes) == (1, 1, 4)
-    kept.forget("key")
-    kept.forget("key")
-    assert (kept.bytes, get()) == (0, 2)
+    assert (get(), get(), cache.bytes) == (1, 1, 4)
+    cache.forget("key")
+    cache.forget("key")
+    assert (cache.bytes, get()) == (0, 2)

@@ -1,4 +1,4 @@
-"""Values that are made once: kept by their keys within a limit of bytes."""
+"""Cache of values that are made once, by their keys and within a limit of bytes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 V = TypeVar("V")
 
 
-class Kept:
+class Cache:
     """A table of values within a limit of bytes: the least recently used ones go. Safe to share between threads.
 
     Parameters
@@ -49,8 +49,8 @@ class Kept:
         needed = size(value)
         with self._lock:
             if key in self._values:
-                kept: V = self._values[key][0]
-                return kept
+                earlier: V = self._values[key][0]
+                return earlier
             if needed <= self.limit:
                 self._values[key] = value, needed
                 self._bytes += needed
