@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import clsco
+from clsco import reference
 from clsco.cli.check import compare
 from clsco.frame.frame import Frame
 from clsco.plan.buffers import DeviceFacts
@@ -51,6 +53,12 @@ def scene_file(path: Path, text: str) -> Path:
 def rendered(wanted: Scene, **options: Any) -> list[Frame]:
     """All frames of a scene."""
     return list(clsco.render(wanted, **options))
+
+
+@lru_cache(maxsize=64)
+def reference_frames(wanted: Scene) -> list[Frame]:
+    """All frames of a scene by the reference, which renders it once for all tests of a process."""
+    return list(reference.render(wanted))
 
 
 def assert_agree(frames: list[Frame], exact: list[Frame], least: float = 0.02) -> None:

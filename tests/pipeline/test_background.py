@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 import clsco
-from clsco import reference
 from clsco.files.transfer import decode
 from clsco.scene.model import Background, Plane, Scene
 from tests.pipeline.test_scenes import BALL, GOING, PLAIN, assert_agrees, scene
-from tests.scenes import assert_agree, rendered
+from tests.scenes import assert_agree, reference_frames, rendered
 
 SKY = {"shape": "background", "texture": "checkerboard"}
 TURNING = {"velocity": [5.0, 0.0, 0.0], "angular_velocity": [0.0, 4.0, 3.0]}
@@ -34,7 +33,7 @@ CASES: dict[str, Any] = {
 @pytest.mark.parametrize(("items", "sections"), CASES.values(), ids=CASES)
 def test_agrees_with_the_reference(items: Any, sections: Any) -> None:
     wanted = scene(*items, camera=SMALL, **sections)
-    frames, exact = rendered(wanted), list(reference.render(wanted))
+    frames, exact = rendered(wanted), reference_frames(wanted)
     assert_agree(frames, exact)
     number = items.index(SKY)
     for truth in frames:

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 import clsco
-from clsco import reference
 from clsco.frame.frame import TRUTH_NAMES
 from clsco.scene.model import Scene
-from tests.scenes import assert_agree, rendered, scene_from
+from tests.scenes import assert_agree, reference_frames, rendered, scene_from
 from tests.slow import mostly_slow
 
 CAMERA = {"resolution": [48, 36], "pixel_pitch": 0.1, "aperture_diameter": 20.0, "focus_distance": 250.0}
@@ -34,7 +33,7 @@ SCENES: dict[str, Scene] = {
 @pytest.mark.parametrize("name", mostly_slow(SCENES, ("cart", "forward")))
 def test_device_against_reference(name: str) -> None:
     frames = rendered(SCENES[name])
-    assert_agree(frames, list(reference.render(SCENES[name])))
+    assert_agree(frames, reference_frames(SCENES[name]))
     assert frames[0].flow is not None
     assert np.abs(frames[0].flow).max() > 1.0
 

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 import clsco
-from clsco import reference
 from clsco.scene.model import Scene
 from tests.pipeline.test_scenes import BALL, GOING, PLAIN, scene
-from tests.scenes import assert_agree, rendered
+from tests.scenes import assert_agree, reference_frames, rendered
 from tests.slow import combined
 
 WHITE = BALL | {"texture": "#ffffff"}
@@ -41,7 +40,7 @@ CASES: dict[str, Any] = {
 def test_agrees_with_the_reference(name: str, precision: Any) -> None:
     items, sections = CASES[name]
     wanted = scene(*items, **sections)
-    frames, exact = rendered(wanted, precision=precision), list(reference.render(wanted))
+    frames, exact = rendered(wanted, precision=precision), reference_frames(wanted)
     assert_agree(frames, exact)
     without = rendered(wanted.replace("light", None), precision=precision)
     assert np.abs(without[0].color - frames[0].color).max() > 0.05

@@ -17,7 +17,7 @@ from clsco.cli.main import main
 from clsco.files.depth_codes import pfm_bytes
 from clsco.files.images import read_image, write_exr_image, write_png
 from clsco.inputs.textures import load_texture
-from tests.scenes import assert_agree, rendered, scene_from
+from tests.scenes import assert_agree, reference_frames, rendered, scene_from
 
 Array = NDArray[Any]
 RINGING = (np.random.default_rng(8).random((24, 32, 3)) * 1.4 - 0.3).astype(np.float32)
@@ -86,7 +86,7 @@ FORWARD: Any = {
 def test_scenes_agree_with_the_reference(scene: clsco.Scene) -> None:
     frames = rendered(scene)
     assert min(float(frame.color.min()) for frame in frames) < -0.01
-    assert_agree(frames, list(clsco.reference.render(scene)))
+    assert_agree(frames, reference_frames(scene))
 
 
 @pytest.mark.parametrize("method", ["biharmonic", "texture", "mean-median"])

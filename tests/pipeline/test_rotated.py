@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 import clsco
-from clsco import reference
 from clsco.frame.frame import TRUTH_NAMES
 from clsco.scene.model import Scene
-from tests.scenes import assert_agree, plan_of, rendered, scene_from
+from tests.scenes import assert_agree, plan_of, reference_frames, rendered, scene_from
 from tests.slow import mostly_slow
 
 CAMERA = {"resolution": [48, 36], "pixel_pitch": 0.1, "aperture_diameter": 20.0, "focus_distance": 250.0}
@@ -72,12 +71,12 @@ SOME = ("card", "half egg behind a card", "disc", "moving", "forward, several", 
 
 @pytest.mark.parametrize("name", mostly_slow(SCENES, SOME))
 def test_device_against_reference(name: str) -> None:
-    assert_agree(rendered(SCENES[name], precision="double"), list(reference.render(SCENES[name])))
+    assert_agree(rendered(SCENES[name], precision="double"), reference_frames(SCENES[name]))
 
 
 @pytest.mark.parametrize("name", mostly_slow(SCENES, ("moving",)))
 def test_single_precision_against_reference(name: str) -> None:
-    assert_agree(rendered(SCENES[name], precision="single"), list(reference.render(SCENES[name])))
+    assert_agree(rendered(SCENES[name], precision="single"), reference_frames(SCENES[name]))
 
 
 def test_a_rectangle_has_the_bits_of_a_card() -> None:

@@ -21,7 +21,7 @@ from clsco.frame.frame import TRUTH_NAMES, Frame
 from clsco.plan.plan import Plan
 from clsco.scene.file import parse_scene
 from clsco.scene.model import Scene
-from tests.scenes import assert_agree, rendered, scene_from
+from tests.scenes import assert_agree, reference_frames, rendered, scene_from
 from tests.slow import combined, mostly_slow
 
 CAMERA = {"resolution": [56, 40], "pixel_pitch": 0.08, "aperture_diameter": 30.0}
@@ -37,7 +37,7 @@ scene = partial(scene_from, {"camera": CAMERA})
 
 def assert_agrees(wanted: Scene, **options: Any) -> list[Frame]:
     """All outputs of all frames agree with the reference's; gives the frames."""
-    frames, exact = rendered(wanted, **options), list(reference.render(wanted))
+    frames, exact = rendered(wanted, **options), reference_frames(wanted)
     assert len(exact) == wanted.sequence.frames
     assert_agree(frames, exact, least=0.0)
     return frames

@@ -9,11 +9,10 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-import clsco
 from clsco.optics.motion import poses_at
 from clsco.scene.model import Scene
 from clsco.scene.rotations import rotation_rows
-from tests.scenes import assert_agree, rendered, scene_from
+from tests.scenes import assert_agree, reference_frames, rendered, scene_from
 
 # Turns that bring a side to the front: about y the right side comes nearer, about x the top goes away (scene_files.md).
 SHOWN = {
@@ -144,6 +143,6 @@ def test_a_side_of_a_cube_map_reads_as_the_front_does(side: str) -> None:
 def test_lettered_boxes_on_all_devices() -> None:
     moving = box(rotation=[20.0, 150.0, 10.0], motion={"angular_velocity": [30.0, 40.0, 0.0]})
     wanted = scene(moving, psf={"tilt": True}, sequence={"samples": 2, "shutter": 0.2})
-    exact = list(clsco.reference.render(wanted))
+    exact = reference_frames(wanted)
     assert_agree(rendered(wanted, precision="double"), exact)
     assert_agree(rendered(wanted, precision="single"), exact)

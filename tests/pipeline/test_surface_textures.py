@@ -10,9 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 import clsco
-from clsco import reference
 from clsco.scene.model import Scene
-from tests.scenes import assert_agree, plan_of, rendered, scene_from
+from tests.scenes import assert_agree, plan_of, reference_frames, rendered, scene_from
 from tests.slow import mostly_slow
 
 CAMERA: dict[str, Any] = {
@@ -96,12 +95,12 @@ SOME = ("card, and what it hides", "ball seen from a pole", "wrap none")
 
 @pytest.mark.parametrize("name", mostly_slow(SCENES, SOME))
 def test_device_against_reference(name: str) -> None:
-    assert_agree(rendered(SCENES[name], precision="double"), list(reference.render(SCENES[name])))
+    assert_agree(rendered(SCENES[name], precision="double"), reference_frames(SCENES[name]))
 
 
 @pytest.mark.parametrize("name", mostly_slow(SCENES, ("ball",)))
 def test_single_precision_against_reference(name: str) -> None:
-    assert_agree(rendered(SCENES[name], precision="single"), list(reference.render(SCENES[name])))
+    assert_agree(rendered(SCENES[name], precision="single"), reference_frames(SCENES[name]))
 
 
 BODIES: dict[str, dict[str, Any]] = {"ball": BALL, "tube": TUBE, "card": CARD, "hat": HAT, "egg": EGG}

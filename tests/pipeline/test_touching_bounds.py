@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-import clsco
 from clsco.scene.model import Scene
-from tests.scenes import assert_agree, rendered, scene_from
+from tests.scenes import assert_agree, reference_frames, rendered, scene_from
 from tests.slow import mostly_slow
 
 CAMERA: dict[str, Any] = {"resolution": [64, 64], "pixel_pitch": 0.07, "f_number": 2.0, "focus_distance": 262.0}
@@ -56,4 +55,4 @@ def test_no_slit(name: str, precision: str) -> None:
 def test_the_reference_has_no_slit_either(name: str) -> None:
     item, touching, _ = CASES[name]
     small = scene(item, touching).replace("camera.resolution", [32, 32]).replace("camera.pixel_pitch", 0.14)
-    assert_agree(rendered(small, precision="double"), list(clsco.reference.render(small)))
+    assert_agree(rendered(small, precision="double"), reference_frames(small))
