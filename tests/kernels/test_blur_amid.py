@@ -23,6 +23,7 @@ from clsco.plan.buffers import band_scratch, column_bytes, margin
 from clsco.reference.blur import blur as twin
 from clsco.scene.model import Psf
 from tests.kernels.conftest import source_planes
+from tests.kernels.launches import Amid
 from tests.kernels.test_blur import (
     FIGURE,
     RNG,
@@ -37,7 +38,6 @@ from tests.kernels.test_blur import (
     on_device,
     records,
 )
-from tests.kernels.test_reproject_planes import Amid
 
 Array = NDArray[Any]
 LEFT_ALONE = 7.0

@@ -30,6 +30,7 @@ from clsco.reference.common.geometry import tilt_slope
 from clsco.scene.file import parse_scene
 from clsco.scene.model import Psf
 from tests.kernels.conftest import source_planes
+from tests.kernels.launches import Amid
 from tests.kernels.test_blur import (
     FIGURE,
     ROUNDING,
@@ -42,7 +43,6 @@ from tests.kernels.test_blur import (
     light,
     records,
 )
-from tests.kernels.test_reproject_planes import Amid
 
 Array = NDArray[Any]
 DISC = Psf(edge="sampled", tilt=False)

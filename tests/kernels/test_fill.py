@@ -124,6 +124,16 @@ class Planes:
     def run(self, name: str, size: int, *args: Any, local: int = 8) -> None:
         launch(self.session, kernel(self.program, name), (size,), (local,), self.camera, *args)
 
+    def fill_ait(self, mask: Mask, *rule: Any) -> None:
+        f, (pixels, count) = self.filler.planes, self.listed(mask)
+        self.run("fill_ait", int(count), pixels, count, *rule, f.valid, f.value, f.w, f.coc, f.status, *self.seen)
+
+    def smooth_median(self, mask: Mask, bounds: NDArray[np.float32] | None, *planes: cl.Buffer) -> None:
+        """planes: values and inverse depth before, and after."""
+        f, (pixels, count) = self.filler.planes, self.listed(mask)
+        size = -(-int(count) // FILL_LANES)
+        self.run("smooth_median", size, pixels, count, *self.bounded(bounds), f.valid, *planes, f.coc)
+
     def fill(self) -> tuple[Array, Array, dict[str, int]]:
         """Values, status and report of a whole filling."""
         report = self.filler.fill(self.surface, 1, [])
@@ -213,9 +223,8 @@ def test_the_first_pixel_of_all_serves_as_any_other(session: Session) -> None:
     known, missing = np.zeros((2, 3, 4), dtype=bool)
     known[0, [0, 2]] = missing[1, 1] = True
     planes = Planes(session, np.arange(24.0).reshape(3, 4, 2) + 1.0, known, "ait")
-    pixels, count = planes.listed(missing)
-    f, given = planes.filler.planes, planes.values()
-    planes.run("fill_ait", 1, pixels, count, f.valid, f.value, f.w, f.coc, f.status)
+    given = planes.values()
+    planes.fill_ait(missing)
     assert (planes.values()[1, 1] == given[0, 0]).all()
 
 
@@ -226,9 +235,8 @@ def test_only_the_eight_neighbors_serve(session: Session) -> None:
     for west in (False, True):
         known[3, 3] = west
         planes = Planes(session, np.random.default_rng(9).random((7, 9, 2)), known, "ait")
-        pixels, count = planes.listed(listed)
-        f, expected = planes.filler.planes, planes.values()
-        planes.run("fill_ait", 1, pixels, count, f.valid, f.value, f.w, f.coc, f.status)
+        expected = planes.values()
+        planes.fill_ait(listed)
         expected[listed] = expected[3, 3] if west else expected[listed]
         assert (planes.values() == expected).all()
         assert (planes.read("status") == (listed & west)).all()
@@ -243,11 +251,9 @@ def test_a_sweep_of_ait_is_its_twin(session: Session, channels: int, far: int | 
         if not missing.any():
             continue
         planes = Planes(session, values, known, "ait", far=far is not None)
-        pixels, count = planes.listed(missing)
-        f, given = planes.filler.planes, np.where(known[..., None], values, 0.0)
+        given = np.where(known[..., None], values, 0.0)
         bounds = None if far is None else far_bounds(given[..., -1], known, missing)
-        rule = planes.bounded(bounds, np.int32(far or 0))
-        planes.run("fill_ait", int(count), pixels, count, *rule, f.valid, f.value, f.w, f.coc, f.status, *planes.seen)
+        planes.fill_ait(missing, *planes.bounded(bounds, np.int32(far or 0)))
         within = np.full_like(bounds, np.inf) if far == 0 else bounds
         expected, filled, source = fill_ait(given, known, missing, within)
         assert (planes.read("status") == filled).all()
@@ -358,9 +364,7 @@ def test_a_round_of_smoothing_is_its_twin(session: Session, channels: int, far: 
         bounds = rng.random(valid.shape).astype(np.float32) if far else None
         for source, target in ((f.value, f.other_value), (f.w, f.other_w)):
             cl.enqueue_copy(session.queue, target, source, byte_count=source.size)
-        pixels, count = planes.listed(filled)
-        args = (pixels, count, *planes.bounded(bounds), f.valid, f.other_value, f.other_w, f.value, f.w, f.coc)
-        planes.run("smooth_median", -(-int(count) // FILL_LANES), *args)
+        planes.smooth_median(filled, bounds, f.other_value, f.other_w, f.value, f.w)
         given = np.where(valid[..., None], values, 0.0)
         expected = smooth_median(given, filled, valid, bounds)
         close(planes.values(), expected)
@@ -374,12 +378,10 @@ def test_smoothing_writes_all_that_is_listed(session: Session) -> None:
     values, filled = rng.random((9, 11, 2)).astype(np.float32).astype(np.float64), rng.random((9, 11)) < 0.6
     planes = Planes(session, values, np.ones_like(filled), "mean_median", far=True)
     f, bounds = planes.filler.planes, np.where(rng.random((9, 11)) < 0.5, 0.0, 0.7).astype(np.float32)
-    pixels, count = planes.listed(filled)
     out = f.other_value, f.other_w
     for buffer in out:
         cl.enqueue_fill_buffer(session.queue, buffer, np.array(1, np.uint8), 0, buffer.size)
-    args = (pixels, count, *planes.bounded(bounds), f.valid, f.value, f.w, *out, f.coc)
-    planes.run("smooth_median", -(-int(count) // FILL_LANES), *args)
+    planes.smooth_median(filled, bounds, f.value, f.w, *out)
     f.value, f.w = out
     close(planes.values()[filled], smooth_median(values, filled, np.ones_like(filled), bounds)[filled])
 

@@ -19,7 +19,7 @@ from clsco.opencl.session import Session
 from clsco.passes.blur import PLAIN
 from clsco.records import flat, structs
 from clsco.reference.layered import layered as twin
-from tests.kernels.test_reproject_planes import Amid
+from tests.kernels.launches import Amid
 
 Array = NDArray[Any]
 RNG = np.random.default_rng

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from clsco.constants import NO_WINNER, OWNED_PIXELS
 from clsco.opencl.buffers import download, empty, upload
-from clsco.opencl.program import build, kernel, launch
+from clsco.opencl.program import build
 from clsco.opencl.session import Program, Session
 from clsco.passes.pack import pose_structs
 from clsco.passes.warp import forward_features
@@ -28,6 +28,7 @@ from clsco.reference.warp.warp import (
     reproject_winner,
 )
 from clsco.scene.model import Object, ObjectMotion, Plane
+from tests.kernels.launches import run
 from tests.slow import mostly_slow
 
 Array = NDArray[Any]
@@ -48,8 +49,8 @@ class Kernels:
         self.program: Program = build(session, ["warp/warp.cl"], features, structs("double"), "double")
         self.surfaces = case.forward(session, owned).rest_surfaces
 
-    def run(self, name: str, size: tuple[int, ...], local: tuple[int, ...], *args: Any) -> None:
-        launch(self.session, kernel(self.program, name), size, local, self.case.camera, *args)
+    def run(self, name: str, size: tuple[int, ...], local: tuple[int, ...], **given: Any) -> None:
+        run(self.session, self.program, name, size, local, camera=self.case.camera, **given)
 
     def out(self, dtype: Any, count: int, value: int = 0) -> cl.Buffer:
         buffer = empty(self.session, np.dtype(dtype).itemsize * count)
@@ -62,9 +63,10 @@ class Kernels:
         rest, whose = self.out(np.float64, rows * columns), self.out(np.uint8, rows * columns)
         members = np.uint64(sum(1 << k for k, item in enumerate(case.items) if item.shape != "depth_map"))
         maps = [depth for depth in case.maps if depth is not None]
-        args = [self.surfaces, np.int32(len(case.items)), members]
-        args += [upload(self.session, np.stack(maps))] if maps else []
-        self.run("reproject_rest", (columns, rows), local, *args, rest, *((whose,) if self.several else ()))
+        given: dict[str, Any] = {"maps": np.stack(maps)} if maps else {}
+        given |= {"object": whose} if self.several else {}
+        given |= {"surfaces": self.surfaces, "count": len(case.items), "members": members, "rest": rest}
+        self.run("reproject_rest", (columns, rows), local, **given)
         found = download(self.session, rest, (rows, columns), np.float64)
         return found, download(self.session, whose, (rows, columns), np.uint8)
 
@@ -74,10 +76,10 @@ class Kernels:
         segments = rest.shape[0] * each
         target, moved = self.out(np.int32, rest.size), self.out(np.float64, rest.size)
         bounds = self.out(np.int32, 2 * segments)
-        inputs = [upload(self.session, a) for a in (pose_structs(self.case.poses, "double"), rest, whose)]
-        args = [self.surfaces, *inputs[:2], target, moved]
-        args += [inputs[2]] if self.several else []
-        self.run("reproject_targets", (segments,), (local,), *args, *((bounds,) if self.owned else ()))
+        given: dict[str, Any] = {"object": whose} if self.several else {}
+        given |= {"bounds": bounds} if self.owned else {}
+        given |= {"surfaces": self.surfaces, "poses": pose_structs(self.case.poses, "double"), "rest": rest}
+        self.run("reproject_targets", (segments,), (local,), target=target, moved=moved, **given)
         return (
             download(self.session, target, (rest.size,), np.int32),
             download(self.session, moved, (rest.size,), np.float64),
@@ -87,9 +89,9 @@ class Kernels:
     def nearest(self, target: Array, moved: Array, bounds: Array, band: int, local: int = 1) -> Array:
         pixels = self.case.shape[0] * self.case.shape[1]
         winner, depth = self.out(np.int32, pixels), self.out(np.int32, pixels)
-        inputs = [upload(self.session, a) for a in (target, moved, bounds)]
-        size = (-(-self.case.shape[0] // band),)
-        self.run("reproject_nearest", size, (local,), *inputs, np.int32(band), winner, *((depth,) if self.far else ()))
+        given: dict[str, Any] = {"depth": depth} if self.far else {}
+        given |= {"target": target, "moved": moved, "bounds": bounds, "band": band, "winner": winner}
+        self.run("reproject_nearest", (-(-self.case.shape[0] // band),), (local,), **given)
         if self.far:
             expected = reproject_depth(target.astype(np.int64), moved.astype(np.float32), pixels)
             assert (download(self.session, depth, (pixels,), np.float32) == expected).all()
@@ -99,9 +101,9 @@ class Kernels:
         """Depth and winner."""
         pixels = self.case.shape[0] * self.case.shape[1]
         depth, winner = self.out(np.int32, pixels), self.out(np.int32, pixels, NO_WINNER)
-        sources = (upload(self.session, target), upload(self.session, moved))
-        self.run("reproject_depth", target.shape, (local,), *sources, depth)
-        self.run("reproject_winner", target.shape, (local,), *sources, depth, winner)
+        given = {"target": target, "moved": moved, "depth": depth}
+        self.run("reproject_depth", target.shape, (local,), **given)
+        self.run("reproject_winner", target.shape, (local,), winner=winner, **given)
         found = download(self.session, depth, (pixels,), np.int32).view(np.float32)
         return found, download(self.session, winner, (pixels,), np.int32)
 
@@ -110,7 +112,7 @@ class Kernels:
         height, width = self.case.shape
         size = (-(-width // (OWNED_PIXELS if self.owned else 1)), height)
         valid = self.out(np.uint8, height * width, 9)
-        self.run("reproject_gaps", size, local, upload(self.session, depth), upload(self.session, winner), valid)
+        self.run("reproject_gaps", size, local, depth=depth, winner=winner, valid=valid)
         return download(self.session, valid, (height, width), np.uint8)
 
 
@@ -193,8 +195,9 @@ def test_gather_weighs_what_winners_bring(session: Session, make_case: Maker) ->
     winner = np.where(rng.random(pixels) < 0.6, rng.integers(0, sources, pixels), NO_WINNER).astype(np.int32)
     moved = rng.uniform(0.003, 0.005, sources)
     out = [kernels.out(t, n * pixels, 9) for t, n in (("f4", 3), ("f8", 1), ("f8", 1), ("u1", 1), ("u1", 1))]
-    inputs = [upload(session, a) for a in (flat(case.textures[0], np.float32), moved, winner)]
-    kernels.run("reproject_gather", case.shape[::-1], (64, 1), np.float32(0.3), *inputs, *out)
+    planes = dict(zip(("value", "w", "coc", "valid", "status"), out, strict=True))
+    given = {"texture": flat(case.textures[0], np.float32), "moved": moved, "winner": winner}
+    kernels.run("reproject_gather", case.shape[::-1], (64, 1), weight=0.3, **given, **planes)
     values = np.concatenate([case.textures.reshape(sources, 3), moved[:, None]], axis=1)
     known, expected = reproject_gather(winner.astype(np.int64), values)
     assert 0.5 < known.mean() < 0.7
@@ -252,7 +255,7 @@ def test_range_of_radii(session: Session, make_case: Maker, owned: bool) -> None
         if known:
             coc[-1, -1], coc[0, 0], valid[-1, -1], valid[0, 0] = -60, 1e-5, 1, 1
         statistics = upload(session, np.array([0, NONE, 3, 4], np.int32))
-        kernels.run("note_radii", size, (1, 8), upload(session, coc), upload(session, valid), statistics)
+        kernels.run("note_radii", size, (1, 8), coc=coc, valid=valid, statistics=statistics)
         found = download(session, statistics, (4,), np.int32)
         expected = np.array([60, 1e-5] if known else [0, 0], np.float32).view(np.int32)
         assert found.tolist() == ([*expected.tolist(), 3, 4] if known else [0, NONE, 3, 4])

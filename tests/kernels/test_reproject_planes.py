@@ -7,13 +7,12 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
 from clsco.constants import NO_WINNER, OWNED_PIXELS
-from clsco.opencl.buffers import download, empty, upload
-from clsco.opencl.program import build, kernel, launch
+from clsco.opencl.buffers import empty
+from clsco.opencl.program import build, kernel
 from clsco.opencl.session import Program, Session
 from clsco.optics.motion import Pose
 from clsco.passes.pack import pose_structs, surface_structs
@@ -32,43 +31,24 @@ from clsco.reference.warp.warp import (
     reproject_winner,
 )
 from clsco.scene.model import Fill, Sphere
+from tests.kernels import launches
+from tests.kernels.launches import Amid
 from tests.kernels.wide_numbers import whole
 
 Array = NDArray[Any]
-AROUND = 4096  # numbers before and after those of a plane
 LOCAL = (8, 4)  # beyond the grid in both directions
+PLANES = ("value", "w", "coc", "valid")
 
 Maker = Callable[..., Any]
 CUT = Sphere(center=(0.0, 0.0, 280.0), radius=4.0, bounds=((-4.0, 4.0), (-4.0, 4.0), (0.5, 4.0)))
-
-
-class Amid:
-    """A plane on the device with the number `around` on both sides of it."""
-
-    def __init__(self, session: Session, array: Array, around: float) -> None:
-        side = np.full(AROUND, around, array.dtype)
-        self.session, self.shape, self.held = session, array.shape, np.concatenate([side, array.ravel(), side])
-        flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
-        self.all = cl.Buffer(session.context, flags, hostbuf=self.held)
-        begin = AROUND * array.itemsize
-        self.buffer = self.all.get_sub_region(begin, self.all.size - begin)
-
-    def now(self) -> Array:
-        found = download(self.session, self.all, self.held.shape, self.held.dtype)
-        for side in (slice(None, AROUND), slice(-AROUND, None)):
-            assert (found[side] == self.held[side]).all()
-        return found[AROUND:-AROUND].reshape(self.shape)
 
 
 def built(session: Session, case: Any) -> Program:
     return build(session, ["warp/warp.cl"], forward_features(case.plan, True), structs(case.real), case.real)
 
 
-def run(session: Session, case: Any, name: str, size: tuple[int, ...], local: tuple[int, ...], *args: Any) -> None:
-    held = [upload(session, arg) if isinstance(arg, np.ndarray) and arg.ndim else arg for arg in args]
-    given = [arg.buffer if isinstance(arg, Amid) else arg for arg in held]
-    launch(session, kernel(built(session, case), name), size, local, case.camera, *given)
-    session.queue.finish()
+def run(session: Session, case: Any, name: str, size: tuple[int, ...], local: tuple[int, ...], **given: Any) -> None:
+    launches.run(session, built(session, case), name, size, local, camera=case.camera, **given)
 
 
 def surfaces(case: Any) -> Array:
@@ -129,10 +109,10 @@ def test_gaps_are_those_within_the_grid(
     winner, depth = made(case)
     expected = reproject_gaps(winner, depth, OWNED_PIXELS)
     assert 5 < ((winner != NO_WINNER) & ~expected).sum() < 0.5 * winner.size
-    inputs = [Amid(session, depth, 1.5), Amid(session, winner.astype(np.int32), 0)]
+    inputs = {"depth": Amid(session, depth, 1.5), "winner": Amid(session, winner.astype(np.int32), 0)}
     for segments in (1, 2):
         valid = Amid(session, np.full(case.shape, 9, np.uint8), 7)
-        run(session, case, "reproject_gaps", (segments, case.shape[0]), (1, 8), *inputs, valid)
+        run(session, case, "reproject_gaps", (segments, case.shape[0]), (1, 8), valid=valid, **inputs)
         found, end = valid.now(), segments * OWNED_PIXELS
         assert (found[:, :end] == expected[:, :end]).all()
         assert (found[:, end:] == 9).all()
@@ -148,13 +128,14 @@ def test_each_band_writes_its_own_rows(session: Session, mapped: Any) -> None:
     key, pixels = moved.astype(np.float32), height * width
     depth = reproject_depth(target.ravel(), key, pixels)
     expected = reproject_winner(target.ravel(), key, depth)
-    inputs = [upload(session, a) for a in (target.astype(np.int32), moved)]
-    ranges = Amid(session, np.array(bounds, np.int32), -1)
+    inputs = {"camera": mapped.camera, "target": target.astype(np.int32), "moved": moved}
+    inputs["bounds"] = Amid(session, np.array(bounds, np.int32), -1)
     for k in range(-(-height // band)):
         own = slice(k * band * width, (k + 1) * band * width)
         found, near = (Amid(session, np.full(pixels, around, np.int32), around) for around in (0, -7))
-        args = (mapped.camera, *inputs, ranges.buffer, np.int32(band), found.buffer, near.buffer)
-        kernel(built(session, mapped), "reproject_nearest")(session.queue, (1,), (1,), *args, global_offset=(k,))
+        nearest = kernel(built(session, mapped), "reproject_nearest")
+        args = launches.arguments(session, nearest, band=band, winner=found, depth=near, **inputs)
+        nearest(session.queue, (1,), (1,), *args, global_offset=(k,))
         for plane, values in ((found, expected.astype(np.int32)), (near, depth.view(np.int32))):
             only = np.full(pixels, plane.held[0])
             only[own] = values[own]
@@ -170,9 +151,10 @@ def test_gather_takes_each_object_from_its_texture(session: Session, mapped: Any
     value, w, coc, status, seen = (Amid(session, np.full(of, 9, dtype), 9) for of, dtype in planes)
     before = Amid(session, valid.astype(np.uint8), 1)
     stack = np.ascontiguousarray(np.moveaxis(mapped.textures, -1, 1))
-    inputs = (stack, moved, Amid(session, winner.astype(np.int32), 0), surfaces(mapped), whose)
-    outputs = (value, w, coc, before, status, seen)
-    run(session, mapped, "reproject_gather", shape[::-1], LOCAL, np.float32(0.3), *inputs, *outputs)
+    inputs = {"texture": stack, "moved": moved, "surfaces": surfaces(mapped), "object": whose, "weight": 0.3}
+    inputs["winner"] = Amid(session, winner.astype(np.int32), 0)
+    outputs = {"value": value, "w": w, "coc": coc, "valid": before, "status": status, "seen": seen}
+    run(session, mapped, "reproject_gather", shape[::-1], LOCAL, **inputs, **outputs)
     radiance = mapped.textures.reshape(2, sources, 3)[1 - whose, np.arange(sources)]
     values = np.concatenate([radiance, moved[:, None], whose[:, None]], axis=1)
     known, expected = reproject_gather(np.where(valid, winner, NO_WINNER).ravel(), values)
@@ -194,7 +176,7 @@ def test_border_is_the_mirror_image_of_the_frame(session: Session, mapped: Any) 
     expected, after = extend_border(np.stack([*value[:3], w, coc], axis=-1), known, guard)
     assert known.sum() + 100 < after.sum() < known.size - 100
     planes = [Amid(session, plane, 0) for plane in (value, w, coc, known.astype(np.uint8))]
-    run(session, mapped, "extend_border", shape[::-1], LOCAL, *planes)
+    run(session, mapped, "extend_border", shape[::-1], LOCAL, **dict(zip(PLANES, planes, strict=True)))
     found = [plane.now() for plane in planes]
     assert (np.stack([*found[0][:3], *found[1:3]], axis=-1) == expected).all()
     assert (found[0][3] == value[3]).all()
@@ -212,9 +194,9 @@ def test_what_enters_the_frame_is_its_mirror_image(session: Session, mapped: Any
         row, column = rng.integers(0, rows, shape), rng.choice([0, 1, 2, columns - 3, columns - 2, columns - 1], shape)
         winner, known = row * columns + column, rng.random(shape) < share
         marked, halves = Amid(session, np.zeros(shape, np.uint8), 0), ((0, rows), (rows, rows + columns))
-        given = Amid(session, winner.astype(np.int32), 0), Amid(session, known.astype(np.uint8), 0)
+        given = {"winner": Amid(session, winner.astype(np.int32), 0), "valid": Amid(session, known.astype(np.uint8), 0)}
         for first, end in halves:
-            run(session, case, "mark_entered", (end - first,), (8,), np.int32(first), np.int32(end), *given, marked)
+            run(session, case, "mark_entered", (end - first,), (8,), first=first, end=end, status=marked, **given)
         entered = mark_entered(winner, known, guard)
         assert (marked.now() == entered).all()
         value, w, coc = rng.random((4, *shape)).astype(np.float32), rng.random(shape), rng.random(shape)
@@ -222,8 +204,8 @@ def test_what_enters_the_frame_is_its_mirror_image(session: Session, mapped: Any
         planes = [Amid(session, plane, 0) for plane in (value, w, coc, known.astype(np.uint8))]
         objects = Amid(session, seen, 0)
         for first, end in halves:
-            lines = np.int32(first), np.int32(end), *planes, marked, objects
-            run(session, case, "fill_entered", (end - first,), (8,), *lines)
+            lines = {"first": first, "end": end, "status": marked, "seen": objects}
+            run(session, case, "fill_entered", (end - first,), (8,), **lines, **dict(zip(PLANES, planes, strict=True)))
         values = np.stack([*value[:3], w, coc], axis=-1)
         expected, whose, valid = fill_entered(values, seen, known, entered, guard)
         found = [plane.now() for plane in planes]
@@ -242,8 +224,8 @@ def test_where_nothing_is_the_first_object_stands(session: Session, mapped: Any)
     assert set(whose.ravel().tolist()) == {0, 1}
     rest, of = Amid(session, np.full(whose.shape, 9.0), 9), Amid(session, np.full(whose.shape, 9, np.uint8), 9)
     members = np.uint64(1)  # the ball
-    inputs = (surfaces(mapped), np.int32(2), members, depth)
-    run(session, mapped, "reproject_rest", whose.shape[::-1], LOCAL, *inputs, rest, of)
+    inputs = {"surfaces": surfaces(mapped), "count": 2, "members": members, "maps": depth}
+    run(session, mapped, "reproject_rest", whose.shape[::-1], LOCAL, rest=rest, object=of, **inputs)
     np.testing.assert_allclose(rest.now(), expected, rtol=1e-12)  # some eps
     assert (of.now() == whose).all()
 
@@ -253,7 +235,8 @@ def test_far_side_of_a_cut_surface_is_seen(session: Session, make_case: Maker) -
     expected = reproject_rest(case.plan.scene, case.rest, case.maps)[0]
     assert (expected < 1 / 283.0).all()
     rest = empty(session, 8 * expected.size)
-    run(session, case, "reproject_rest", (9, 5), LOCAL, surfaces(case), np.int32(1), np.uint64(1), rest)
+    inputs = {"surfaces": surfaces(case), "count": 1, "members": np.uint64(1)}
+    run(session, case, "reproject_rest", (9, 5), LOCAL, rest=rest, **inputs)
     np.testing.assert_allclose(whole(session, rest, (5, 9), "float"), expected, rtol=1e-11)  # 48 bits that cancel
 
 
@@ -277,7 +260,7 @@ def test_targets_have_all_digits_of_a_pose(session: Session, make_case: Maker) -
     for pose in poses:
         expected, depth = reproject_targets(case.plan.scene, [pose], rest, whose, 0)
         target, moved = Amid(session, np.full(4, 9, np.int32), 9), empty(session, 32)
-        inputs = (surfaces(case), pose_structs([pose], "float"), in_parts(rest, "float"))
-        run(session, case, "reproject_targets", (2,), (8,), *inputs, target, moved, bounds)
+        inputs = {"surfaces": surfaces(case), "poses": pose_structs([pose], "float"), "rest": in_parts(rest, "float")}
+        run(session, case, "reproject_targets", (2,), (8,), target=target, moved=moved, bounds=bounds, **inputs)
         assert (target.now() == expected).all()
         np.testing.assert_allclose(whole(session, moved, (4,), "float"), depth, rtol=1e-6)

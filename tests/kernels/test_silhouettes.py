@@ -7,13 +7,14 @@ import pytest
 
 from clsco.frame.frame import TRUTH_NAMES
 from clsco.frame.strips import frame_struct
-from clsco.opencl.buffers import copied, download, empty, upload
-from clsco.opencl.program import build, kernel, launch
+from clsco.opencl.buffers import copied, download, empty
+from clsco.opencl.program import build
 from clsco.opencl.session import Program, Session
 from clsco.passes.trace import EMPTY_STATISTICS
 from clsco.records import structs
 from clsco.reference.trace import trace as twin
 from clsco.scene.model import Sphere
+from tests.kernels.launches import run
 from tests.scenes import plan_of
 
 
@@ -33,8 +34,8 @@ def test_a_change_of_label_anywhere(session: Session, shape: tuple[int, int]) ->
         label.flat[odd] = 130
         source, pixels = copied(session, np.full((4, area), -1.0, np.float32)), empty(session, 4 * area)
         statistics = copied(session, EMPTY_STATISTICS)
-        args = (camera, upload(session, label), np.int32(area), source, pixels, statistics)
-        launch(session, kernel(program, "mark_silhouettes"), shape[::-1], (64, 1), *args)
+        given = {"camera": camera, "label": label, "source": source, "pixels": pixels, "statistics": statistics}
+        run(session, program, "mark_silhouettes", shape[::-1], (64, 1), capacity=area, **given)
         count = download(session, statistics, (4,), np.int32)[2]
         marked = twin.mark_silhouettes(label)
         assert sorted(download(session, pixels, (area,), np.int32)[:count]) == np.flatnonzero(marked).tolist()
@@ -49,7 +50,7 @@ def test_no_pixel_beyond_the_grid(session: Session) -> None:
     statistics = copied(session, EMPTY_STATISTICS)
     pixels = copied(session, np.full(area + spare, -1, np.int32))
     source = copied(session, np.full(4 * (area + spare), -1.0, np.float32))
-    args = (camera, upload(session, label), np.int32(area + spare), source, pixels, statistics)
-    launch(session, kernel(marks_program(session), "mark_silhouettes"), (columns, rows), (7, 5), *args)
+    given = {"camera": camera, "label": label, "source": source, "pixels": pixels, "statistics": statistics}
+    run(session, marks_program(session), "mark_silhouettes", (columns, rows), (7, 5), capacity=area + spare, **given)
     assert download(session, statistics, (4,), np.int32).tolist() == EMPTY_STATISTICS.tolist()
     assert (download(session, pixels, (area + spare,), np.int32) == -1).all()

@@ -11,8 +11,9 @@ import pytest
 from numpy.typing import NDArray
 
 from clsco.frame.frame import STEREO_NAMES
-from clsco.opencl.buffers import download, empty, upload
-from clsco.opencl.program import build, kernel, launch
+from clsco.frame.strips import Strip
+from clsco.opencl.buffers import copied, download, empty, upload
+from clsco.opencl.program import build
 from clsco.opencl.session import Program, Session
 from clsco.optics.motion import Eye, Pose, middle_time, poses_at, rest_poses
 from clsco.optics.psf_tables import psf_table
@@ -42,6 +43,7 @@ from clsco.scene.model import (
     Stereo,
 )
 from tests.kernels.conftest import download_sources
+from tests.kernels.launches import run
 from tests.scenes import scene_of
 from tests.slow import mostly_slow
 
@@ -192,48 +194,40 @@ def traced(
     tables = [
         psf_table(wanted.psf, plan.smallest_blur, plan.largest_blur, n) for n in (0, *[plan.silhouettes] * (each > 0))
     ]
-    psf = psf_struct(wanted.psf, tables[0], tables[1] if each else None, real)
-    camera = camera_struct(wanted.camera, plan.guard_px, real)
-    surfaces = on_device(session, plan, time, real)
-    texture = stack(session, plan)
-    shown = layer_struct(layer or plan.layers[0], len(wanted.objects))
-    marked = bool(each or plan.features()["OCCLUDED"])
-    sizes = (
-        source_bytes(area, plan.tilt, marked),
-        4 * plan.channels * area,
-        area,
-        4 * capacity,
-        16 * capacity * each,
-        4 * capacity * each * plan.channels,
-        8 * area,
-        8 * capacity * each,
-    )
-    source, value, label, pixels, sub_source, sub_value, *depths = (empty(session, size) for size in sizes)
-    depth, sub_depth = ((buffer,) if plan.features()["OCCLUDED"] else () for buffer in depths)
-    statistics = empty(session, EMPTY_STATISTICS.nbytes)
-    cl.enqueue_copy(session.queue, statistics, EMPTY_STATISTICS)
+    occluded, shape = plan.features()["OCCLUDED"], (plan.height, plan.width)
+    marked, slots = bool(each or occluded), (capacity, plan.silhouettes, plan.silhouettes)
+    sizes = {
+        "source": source_bytes(area, plan.tilt, marked), "value": 4 * plan.channels * area, "label": area,
+        "pixels": 4 * capacity, "sub_source": 16 * capacity * each, "sub_value": 4 * capacity * each * plan.channels,
+    }  # fmt: skip
+    sizes |= {"depth": 8 * area, "sub_depth": 8 * capacity * each} if occluded else {}
+    given: dict[str, Any] = {name: empty(session, size) for name, size in sizes.items()}
+    given |= {
+        "camera": camera_struct(wanted.camera, plan.guard_px, real),
+        "surfaces": on_device(session, plan, time, real),
+        "layer": layer_struct(layer or plan.layers[0], len(wanted.objects)),
+        "psf": psf_struct(wanted.psf, tables[0], tables[1] if each else None, real),
+        "weight": weight,
+        "texture": stack(session, plan),
+        "capacity": capacity,
+        "statistics": copied(session, EMPTY_STATISTICS),
+    }
     program, grid = built(session, plan, real), (plan.width, plan.height)
-    head = (camera, surfaces, shown, psf, np.float32(weight), texture)
-    launch(session, kernel(program, "trace"), grid, local, *head, source, value, label, statistics, *depth)
+    run(session, program, "trace", grid, local, **given)
     if each:
-        marks = (camera, label, np.int32(capacity), source, pixels, statistics)
-        launch(session, kernel(program, "mark_silhouettes"), grid, local, *marks)
-        out = (pixels, np.int32(capacity), sub_source, sub_value, statistics, *sub_depth)
-        launch(session, kernel(program, "trace_subpixels"), (capacity * each,), (local[0] * local[1],), *head, *out)
-    shape = (plan.height, plan.width)
+        run(session, program, "mark_silhouettes", grid, local, **given)
+        run(session, program, "trace_subpixels", (capacity * each,), (local[0] * local[1],), **given)
     found = Traced(
         plan,
-        download(session, label, shape, np.uint8) if each else np.zeros(shape, np.uint8),
-        download_sources(session, source, shape, plan.tilt, marked),
-        download(session, value, (plan.channels, *shape), np.float32),
-        download(session, statistics, (4,), np.int32),
+        download(session, given["label"], shape, np.uint8) if each else np.zeros(shape, np.uint8),
+        download_sources(session, given["source"], shape, plan.tilt, marked),
+        download(session, given["value"], (plan.channels, *shape), np.float32),
+        download(session, given["statistics"], (4,), np.int32),
     )
     if each:
-        found.pixels = download(session, pixels, (capacity,), np.int32)
-        found.sub_source = download(session, sub_source, (capacity, plan.silhouettes, plan.silhouettes, 4), np.float32)
-        found.sub_value = download(
-            session, sub_value, (plan.channels, capacity, plan.silhouettes, plan.silhouettes), np.float32
-        )
+        found.pixels = download(session, given["pixels"], (capacity,), np.int32)
+        found.sub_source = download(session, given["sub_source"], (*slots, 4), np.float32)
+        found.sub_value = download(session, given["sub_value"], (plan.channels, *slots), np.float32)
     return found
 
 
@@ -408,29 +402,43 @@ def test_single_precision(session: Session, name: str) -> None:
 # Ground truth
 
 
+def truth_arguments(session: Session, plan: Plan, frame: int, strip: Strip | None = None) -> dict[str, Any]:
+    """Arguments of ground_truth but for its outputs, of a frame or a strip of it."""
+    wanted = plan.scene
+    other: Eye = "left" if plan.eye == "right" else "right"
+    before, now, then = (middle_time(wanted.sequence, k) for k in (frame - 1, frame, frame + 1))
+    seen = {"next": (then, plan.eye), "previous": (before, plan.eye), "there": (now, other)}
+    return {name: pose_structs(poses_at(wanted, *each), "double") for name, each in seen.items()} | {
+        "camera": camera_struct(wanted.camera, plan.guard_px, "double", strip),
+        "surfaces": on_device(session, plan, now, "double"),
+        "still": placed_on_device(session, plan, rest_poses(wanted), "double"),
+        "opposite": on_device(session, plan, now, "double", other),
+        "following": on_device(session, plan, then, "double"),
+        "layer": layer_struct(twin.everything(wanted), len(wanted.objects)),
+        "texture": stack(session, plan),
+        "to_left": 1 if plan.eye == "right" else -1,
+    }
+
+
+def truth_forms(plan: Plan, names: tuple[str, ...]) -> dict[str, tuple[Any, int]]:
+    """Types of the mask and other outputs of ground_truth, and numbers in a pixel."""
+    forms = {name: (form[0], form[1] or plan.channels) for name, form in TRUTH_BUFFERS.items() if name in names}
+    return {"mask": (np.uint8, 1), **forms}
+
+
+def truth_outputs(buffers: dict[str, cl.Buffer]) -> dict[str, cl.Buffer | None]:
+    """Outputs of ground_truth as it calls them; those that are not wanted are null."""
+    named = {"coc" if name == "blur_radius" else name: buffers.get(name) for name in TRUTH_BUFFERS}
+    return {"mask": buffers["mask"], **named}
+
+
 def truth_on_device(session: Session, plan: Plan, names: tuple[str, ...], frame: int) -> dict[str, Array]:
     """Outputs of ground_truth, of which the others are null."""
-    wanted = plan.scene
-    now, then = (middle_time(wanted.sequence, k) for k in (frame, frame + 1))
-    camera, shape = camera_struct(wanted.camera, plan.guard_px, "double"), (plan.rows, plan.columns)
-    surfaces = on_device(session, plan, now, "double")
-    still = placed_on_device(session, plan, rest_poses(wanted), "double")
-    later = upload(session, pose_structs(poses_at(wanted, then, plan.eye), "double"))
-    layer = layer_struct(twin.everything(wanted), len(wanted.objects))
-    forms: dict[str, tuple[Any, int]] = {"mask": (np.uint8, 1)}
-    forms |= {name: (form[0], form[1] or plan.channels) for name, form in TRUTH_BUFFERS.items() if name in names}
-    buffers = {
-        n: empty(session, plan.rows * plan.columns * size * dtype().itemsize) for n, (dtype, size) in forms.items()
-    }
-    args: list[Any] = [camera, surfaces, still, later, layer, stack(session, plan)]
-    other: Eye = "left" if plan.eye == "right" else "right"
-    poses = upload(session, pose_structs(poses_at(wanted, now, other), "double"))
-    args += [on_device(session, plan, now, "double", other), poses, np.int32(1 if plan.eye == "right" else -1)]
-    earlier = poses_at(wanted, middle_time(wanted.sequence, frame - 1), plan.eye)
-    args += [upload(session, pose_structs(earlier, "double")), on_device(session, plan, then, "double")]
-    args += [buffers["mask"], *(buffers.get(name) for name in TRUTH_BUFFERS)]
-    program = built(session, plan, "double")
-    launch(session, kernel(program, "ground_truth"), shape[::-1], (64, 1), *args)
+    forms, shape = truth_forms(plan, names), (plan.rows, plan.columns)
+    pixels = plan.rows * plan.columns
+    buffers = {name: empty(session, pixels * size * dtype().itemsize) for name, (dtype, size) in forms.items()}
+    given = truth_arguments(session, plan, frame) | truth_outputs(buffers)
+    run(session, built(session, plan, "double"), "ground_truth", shape[::-1], (64, 1), **given)
     return {name: download(session, buffers[name], (*shape, size), dtype) for name, (dtype, size) in forms.items()}
 
 

@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 
 from clsco.frame.strips import Strip
 from clsco.opencl.buffers import copied, download
-from clsco.opencl.program import build, kernel, launch
+from clsco.opencl.program import build
 from clsco.opencl.session import Program, Session
-from clsco.optics.motion import middle_time, poses_at, rest_poses
 from clsco.optics.psf_tables import psf_table
 from clsco.optics.visibility import Layer
-from clsco.passes.pack import camera_struct, layer_struct, pose_structs, psf_struct
+from clsco.passes.pack import camera_struct, layer_struct, psf_struct
 from clsco.passes.trace import EMPTY_STATISTICS, TRACE_FILES
-from clsco.plan.buffers import TRUTH_BUFFERS, source_bytes
+from clsco.plan.buffers import source_bytes
 from clsco.plan.plan import Plan
 from clsco.records import structs
 from clsco.reference.trace import trace as twin
 from clsco.reference.trace.truth import ground_truth
 from clsco.scene.model import Psf
+from tests.kernels.launches import run
 from tests.kernels.test_trace import (
     CARD,
     GUARD,
@@ -32,11 +32,13 @@ from tests.kernels.test_trace import (
     ROW,
     SINGLE,
     on_device,
-    placed_on_device,
     planned,
     random_textures,
     scene,
     stack,
+    truth_arguments,
+    truth_forms,
+    truth_outputs,
     view,
 )
 
@@ -69,18 +71,17 @@ def written(session: Session, buffer: cl.Buffer, shape: tuple[int, ...], dtype: 
     return found[:size].view(dtype).reshape(shape)
 
 
-def pixel_args(session: Session, plan: Plan, layer: Layer) -> tuple[Any, ...]:
-    """Camera, surfaces, layer, PSF, weight and texture."""
+def pixel_arguments(session: Session, plan: Plan, layer: Layer) -> dict[str, Any]:
     wanted = plan.scene
     tables = [psf_table(wanted.psf, plan.smallest_blur, plan.largest_blur, n) for n in (0, plan.silhouettes)]
-    return (
-        camera_struct(wanted.camera, plan.guard_px, "double"),
-        on_device(session, plan, TIME, "double"),
-        layer_struct(layer, len(wanted.objects)),
-        psf_struct(wanted.psf, tables[0], tables[1], "double"),
-        np.float32(WEIGHT),
-        stack(session, plan),
-    )
+    return {
+        "camera": camera_struct(wanted.camera, plan.guard_px, "double"),
+        "surfaces": on_device(session, plan, TIME, "double"),
+        "layer": layer_struct(layer, len(wanted.objects)),
+        "psf": psf_struct(wanted.psf, tables[0], tables[1], "double"),
+        "weight": WEIGHT,
+        "texture": stack(session, plan),
+    }
 
 
 def test_cast_and_aim_together_write_what_trace_does(session: Session, plan: Plan) -> None:
@@ -91,15 +92,14 @@ def test_cast_and_aim_together_write_what_trace_does(session: Session, plan: Pla
         "label": area, "hit": area,
     }  # fmt: skip
     (layer,) = plan.layers
-    camera, surfaces, shown, psf, weight, texture = pixel_args(session, plan, layer)
+    given = pixel_arguments(session, plan, layer)
     one, two = buffers(session, **sizes), buffers(session, **sizes)
     noted = [copied(session, EMPTY_STATISTICS) for _ in range(2)]
-    head, planes = (camera, surfaces, shown), (two["depth"], two["hit"])
-    traced = (one["source"], one["value"], one["label"], noted[0])
-    launch(session, kernel(program, "trace"), grid, LOCAL, *head, psf, weight, texture, *traced)
-    launch(session, kernel(program, "cast"), grid, LOCAL, *head, weight, texture, two["value"], *planes)
-    aimed = (two["source"], two["label"], noted[1])
-    launch(session, kernel(program, "aim"), grid, LOCAL, *head, psf, *planes, *aimed)
+    traced = {name: one[name] for name in ("source", "value", "label")}
+    run(session, program, "trace", grid, LOCAL, **given, **traced, statistics=noted[0])
+    run(session, program, "cast", grid, LOCAL, **given, **two)
+    planes = {name: two[name] for name in ("depth", "hit", "source", "label")}
+    run(session, program, "aim", grid, LOCAL, **given, **planes, statistics=noted[1])
     for name in ("value", "source", "label"):
         expected, found = (written(session, each[name], (sizes[name],), np.uint8) for each in (one, two))
         np.testing.assert_array_equal(found, expected, name)
@@ -115,12 +115,12 @@ def test_pinhole(session: Session, plan: Plan) -> None:
     """Against the twin: each object has light of its own in each channel."""
     shape = (plan.height, plan.width)
     everything = twin.everything(plan.scene)
-    camera, surfaces, shown, _, weight, texture = pixel_args(session, plan, everything)
+    given = pixel_arguments(session, plan, everything)
     area = plan.width * plan.height
     out = buffers(session, value=4 * plan.channels * area, coc=8 * area, valid=area)
     statistics = copied(session, EMPTY_STATISTICS)
-    run, head = kernel(everything_built(session, plan), "pinhole"), (camera, surfaces, shown, weight, texture)
-    launch(session, run, shape[::-1], LOCAL, *head, *out.values(), statistics)
+    program = everything_built(session, plan)
+    run(session, program, "pinhole", shape[::-1], LOCAL, statistics=statistics, **given, **out)
     expected = twin.trace(view(plan, TIME), everything, GUARD)
     seen = expected.label > 0
     np.testing.assert_array_equal(written(session, out["valid"], shape, np.uint8), seen)
@@ -134,25 +134,11 @@ def test_pinhole(session: Session, plan: Plan) -> None:
 
 
 def truth(session: Session, plan: Plan, strip: Strip, local: tuple[int, int]) -> dict[str, Array]:
-    wanted, shape = plan.scene, (strip.rows, plan.columns)
-    now, then = (middle_time(wanted.sequence, k) for k in (1, 2))
-    forms: dict[str, tuple[Any, int]] = {"mask": (np.uint8, 1)}
-    forms |= {name: (TRUTH_BUFFERS[name][0], TRUTH_BUFFERS[name][1] or plan.channels) for name in MONO}
+    forms, shape = truth_forms(plan, MONO), (strip.rows, plan.columns)
     pixels = strip.rows * plan.columns
     out = buffers(session, **{name: pixels * n * dtype().itemsize for name, (dtype, n) in forms.items()})
-    args = (
-        camera_struct(wanted.camera, plan.guard_px, "double", strip),
-        on_device(session, plan, now, "double"),
-        placed_on_device(session, plan, rest_poses(wanted), "double"),
-        copied(session, pose_structs(poses_at(wanted, then, plan.eye), "double")),
-        layer_struct(twin.everything(wanted), len(wanted.objects)),
-        stack(session, plan),
-        *(on_device(session, plan, now, "double"), copied(session, pose_structs((), "double")), np.int32(0)),
-        copied(session, pose_structs(poses_at(wanted, middle_time(wanted.sequence, 0), plan.eye), "double")),
-        on_device(session, plan, then, "double"),
-        *(out["mask"], *(out.get(name) for name in TRUTH_BUFFERS)),
-    )
-    launch(session, kernel(everything_built(session, plan), "ground_truth"), shape[::-1], local, *args)
+    given = truth_arguments(session, plan, 1, strip) | truth_outputs(out)
+    run(session, everything_built(session, plan), "ground_truth", shape[::-1], local, **given)
     return {name: written(session, out[name], (*shape, n), dtype) for name, (dtype, n) in forms.items()}
 
 
