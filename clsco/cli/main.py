@@ -124,16 +124,31 @@ def thesis(out: Path, wanted: tuple[str, ...], device: str | None, quiet: bool) 
 @truth_option
 @memory_option
 @click.option("--gpu", is_flag=True, help="On a graphics card instead of a processor.")
-def plan(scene: Path, overrides: tuple[str, ...], files: tuple[TruthFile, ...], memory: int | None, gpu: bool) -> None:
-    """Report what rendering a scene takes; runs nothing, and needs no OpenCL."""
+@click.option("--json", "machine", is_flag=True, help="Print passes, bytes and predicted seconds as JSON.")
+def plan(
+    scene: Path,
+    overrides: tuple[str, ...],
+    files: tuple[TruthFile, ...],
+    memory: int | None,
+    gpu: bool,
+    machine: bool,
+) -> None:
+    """Report what rendering a scene takes, and how long; runs nothing, and needs no OpenCL."""
     from clsco.plan.buffers import ThisMachine
 
     device = ThisMachine(kind="gpu") if gpu else None
-    first = _first(scene, overrides, request_for(files, memory=memory), device)
+    first = _first(scene, overrides, request_for(files, memory=memory), device, machine)
     report_stretched(scene, [first])
-    from clsco.cli.tables import plan_tables, print_tables
+    from clsco.cli.tables import plan_tables, planned_values, print_tables
+    from clsco.cost.cheaper import cheaper_settings
+    from clsco.cost.predict import cost_of
 
-    print_tables(*plan_tables(first.plans))
+    cost = cost_of(first)
+    cheaper = () if cost is None else cheaper_settings(first, cost)
+    if machine:
+        echo(json.dumps(planned_values(first.plans, cost, cheaper), indent=2))
+    else:
+        print_tables(*plan_tables(first.plans, cost, cheaper))
 
 
 @main.command()
@@ -199,7 +214,11 @@ def schema() -> None:
 @main.command()
 @scenes_wanted
 def validate(scenes: tuple[Path, ...]) -> None:
-    """Check scene files and their textures without rendering; reports valid files, and all faults of the others."""
+    """Check scene files and their textures without rendering: reports valid files, and all faults of the others.
+
+    Warns of frames that will take more than a minute, with the keys that take less and their error.
+    """
+    from clsco.cost.cheaper import warning_of
     from clsco.plan.prepare import prepare_files
     from clsco.scene.sweep import load_sweeps
 
@@ -213,6 +232,11 @@ def validate(scenes: tuple[Path, ...]) -> None:
         count = f", {len(labels)} scenes" if labels != ("",) else ""
         echo(f"{click.format_filename(path)}: valid{count}")
         report_stretched(path, prepared)
+        most = max(prepared, key=lambda each: each.plan.taps)
+        if warning := warning_of(most):
+            label = labels[prepared.index(most)]
+            where = f"{path} (with {label})" if label else f"{path}"
+            echo(f"{where}: {warning}", err=True)
     if faults:
         raise SceneError(faults)
 
@@ -431,9 +455,9 @@ def inpaint(
 
 
 def _first(
-    path: Path, overrides: tuple[str, ...], request: Request, device: DeviceFacts | None = None
+    path: Path, overrides: tuple[str, ...], request: Request, device: DeviceFacts | None = None, aside: bool = False
 ) -> Prepared:  # fmt: skip
-    """A file's only scene; of several the first one, whose label is printed."""
+    """A file's only scene; of several the first one, whose label is printed; aside: on stderr."""
     from clsco.plan.prepare import prepare_files
     from clsco.scene.sweep import load_sweeps
 
@@ -443,7 +467,7 @@ def _first(
     alone = replace(sweep, labels=sweep.labels[:1], scenes=sweep.scenes[:1])
     ((_, (label,), (first,)),) = prepare_files([(path, alone)], request, device)
     if label:
-        echo(f"the first of {len(sweep.labels)} scenes, {label}:")
+        echo(f"the first of {len(sweep.labels)} scenes, {label}:", err=aside)
     return first
 
 

@@ -4,23 +4,27 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.box import SIMPLE
 from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from clsco.cost.cheaper import cores
+from clsco.cost.predict import duration
 from clsco.errors import visible
 from clsco.plan.buffers import Sizes
 from clsco.plan.left_out import left_out
 from clsco.plan.memory import device_bytes
-from clsco.plan.passes import Pass
+from clsco.plan.passes import Kind, Pass
 from clsco.plan.plan import Plan
 from clsco.plan.unused_keys import unused_keys
 
 if TYPE_CHECKING:
     from clsco.cli.check import Checked
+    from clsco.cost.cheaper import Setting
+    from clsco.cost.predict import Cost
     from clsco.inpainting.report import Report
     from clsco.opencl.device import Device
     from clsco.opencl.self_test import Check
@@ -38,11 +42,14 @@ def _table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], ri
     )  # a table would wrap its own
 
 
-def plan_tables(plans: Sequence[Plan]) -> list[RenderableType]:
-    """Tables of a plan: its passes, the parts that it leaves out, its costs, and keys of the scene that it has no use
-    for.
+def plan_tables(
+    plans: Sequence[Plan], cost: Cost | None, cheaper: Sequence[tuple[Setting, float]]
+) -> list[RenderableType]:
+    """Tables of a plan: its passes, the parts that it leaves out, its costs and what would cost less, and keys of the
+    scene that it has no use for.
 
-    plans: one, or those of the left and the right view of a stereo pair.
+    plans: one, or those of the left and the right view of a stereo pair; cost: of a frame, None where it is not known;
+    cheaper: settings and their seconds.
     """
     plan = plans[0]
     scene = plan.scene
@@ -54,34 +61,78 @@ def plan_tables(plans: Sequence[Plan]) -> list[RenderableType]:
         figures.append(("views", f"left and right, {scene.stereo.baseline:g} mm apart{turned}"))
     figures.append(("intermediate frames", samples))
     figures += _of_views([_figures(each) for each in plans])
+    figures.append(("predicted time", _time(cost)))
+    columns = ("pass", "times", "MiB", "time", "what", "how")
     tables: list[RenderableType] = [
         _table(f"Plan: {scene.title or scene.objects[0].name}", ("what", "how much"), figures),
-        _table("Passes, in order", ("pass", "times", "MiB", "what", "how"), _passes(plans), ("times", "MiB")),
+        _table("Passes, in order", columns, _passes(plans, cost), ("times", "MiB", "time")),
         _table("Left out", ("pass", "why"), _of_views([left_out(each) for each in plans])),
     ]
     if unused := unused_keys(plan):
         tables.append(_table("Keys that this scene has no use for", ("key", "why"), unused))
+    if cheaper:
+        rows = [(one.text, duration(seconds), f"{one.error} ({one.page})") for one, seconds in cheaper]
+        tables.append(_table("What takes less time", ("key", "frame", "PSNR against the lens"), rows, ("frame",)))
     return tables
 
 
-def _passes(plans: Sequence[Plan]) -> list[tuple[str, str, str, str, str]]:
+def planned_values(
+    plans: Sequence[Plan], cost: Cost | None, cheaper: Sequence[tuple[Setting, float]]
+) -> dict[str, Any]:
+    """The figures of `plan_tables` for programs: bytes, px, seconds of a frame; null for what is not known."""
+    first = plans[0]
+    views = []
+    for plan, seconds in zip(plans, ({},) * len(plans) if cost is None else cost.views, strict=True):
+        kinds = dict.fromkeys(each.kind for each in plan.passes)
+        passes = [{"pass": kind, "times": _times(plan, kind), "seconds": seconds.get(kind)} for kind in kinds]
+        blur = {"method": plan.blur, "smallest_px": plan.smallest_blur, "largest_px": plan.largest_blur}
+        views.append({"view": plan.eye, "blur": blur, "bytes": device_bytes(plan), "passes": passes})
+    return {
+        "frames": first.scene.sequence.frames,
+        "columns": first.columns,
+        "rows": first.rows,
+        "channels": first.channels,
+        "samples": first.samples,
+        "seconds": None if cost is None else cost.seconds,
+        "cores": None if cost is None else cost.cores,
+        "views": views,
+        "cheaper": [
+            {"key": one.key, "value": one.value, "seconds": spent, "psnr": one.error} for one, spent in cheaper
+        ],
+    }
+
+
+def _times(plan: Plan, kind: Kind) -> int:
+    """How often a frame has passes of this kind."""
+    members = sum(each.kind == kind for each in plan.passes)
+    return members if kind == "ground truth" else members * plan.samples * (2 if "subframes" in plan.truth else 1)
+
+
+def _time(cost: Cost | None) -> str:
+    if cost is None:
+        return "not known: nothing has been measured on graphics cards"
+    kind, share = cost.dearest
+    return f"{duration(cost.seconds)} per frame on {cores(cost)}, {share:.0%} of it in the pass {kind}"
+
+
+def _passes(plans: Sequence[Plan], cost: Cost | None) -> list[tuple[str, ...]]:
     """Rows of what is run, those of all occlusion groups together; of a stereo pair, of each view. A buffer counts for
     the first pass that works with it."""
-    found = []
-    for plan in plans:
+    found: list[tuple[str, ...]] = []
+    views = ({},) * len(plans) if cost is None else cost.views
+    for plan, seconds in zip(plans, views, strict=True):
         counted: Sizes = {}
         view = f" ({plan.eye})" if plan.scene.stereo is not None else ""
-        groups: dict[str, list[Pass]] = {}
+        groups: dict[Kind, list[Pass]] = {}
         for each in plan.passes:
             groups.setdefault(each.kind, []).append(each)
         for kind, members in groups.items():
-            often = plan.samples * (2 if "subframes" in plan.truth else 1)
-            times = 1 if kind == "ground truth" else often * len(members)
             sizes = {name: size for each in members for name, size in each.buffers.items() if name not in counted}
             counted |= sizes
+            spent = duration(seconds[kind]) if kind in seconds else ""
             names = (
-                (f"{kind}{view}", f"{times}", f"{sum(sizes.values()) / 2**20:.1f}"),
-                *(("", "", ""),) * (len(members[0].parameters) - 1),
+                (f"{kind}{view}", f"{_times(plan, kind)}", f"{sum(sizes.values()) / 2**20:.1f}", spent),
+                *(("", "", "", ""),) * (len(members[0].parameters) - 1),
             )
             found += [(*name, *row) for name, row in zip(names, members[0].parameters, strict=True)]
     return found

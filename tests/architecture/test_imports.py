@@ -16,7 +16,7 @@ PACKAGE = Path(__file__).resolve().parents[2] / "clsco"
 # A package or module imports only what stands before it.
 ORDER = (
     "cache", "constants", "errors", "resources", "records", "scene", "optics", "files", "frame", "inputs", "plan",
-    "opencl", "inpainting", "passes", "engine", "reference", "data", "studio", "cli",
+    "opencl", "inpainting", "passes", "engine", "reference", "cost", "data", "studio", "cli",
 )  # fmt: skip
 # Narrower than the order: what knows OpenCL knows no scenes, and codecs know none either.
 ONLY = {

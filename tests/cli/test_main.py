@@ -319,7 +319,7 @@ def test_plan(ball: Path) -> None:
     assert "intermediate frames 3 per frame" in text
     for each in prepare(clsco.load_scene(ball)).plan.passes:
         what, how = each.parameters[0]
-        assert re.search(rf"{each.kind} 3 \d+\.\d {what} {re.escape(how[:12])}", text)
+        assert re.search(rf"{each.kind} 3 \d+\.\d [\d.]+ m?s {what} {re.escape(how[:12])}", text)
     assert "ground truth nobody asked for it" in text
     assert "psf.occlusion one object" in text
     assert "motion.rotation euler and axis differ only for turns about several axes" in text

@@ -1,0 +1,326 @@
+"""Work of the passes of a frame: rays, tests, sources and their taps, from a lattice of pixels (float64, pure).
+
+What rays hit, and what hides the lens from it, is found as by the reference, at one pixel of each cell of a lattice
+over frame and apron, in the middle of the exposure of the first frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from math import ceil
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.constants import MAP_TRIPLANAR, TAP_LANES
+from clsco.frame.strips import BAND
+from clsco.inputs.focus import seen
+from clsco.inputs.textures import mapped_size
+from clsco.optics.motion import middle_time
+from clsco.optics.psf import reaches, shape_of
+from clsco.optics.psf_grid import row_lanes
+from clsco.optics.quadrics import cutting_bounds
+from clsco.optics.texture_mapping import texture_map, texture_spread
+from clsco.optics.visibility import Layer, lens_extent
+from clsco.plan.passes import Pass
+from clsco.plan.plan import Plan
+from clsco.plan.predict import Maps
+from clsco.reference.common.geometry import blur_radius, nearest_surface, pixel_ray
+from clsco.reference.common.visibility import (
+    CLEAR,
+    HIDDEN,
+    PARTLY,
+    WIDE_LENS,
+    Points,
+    lens_of,
+    meet_occluder,
+    out_of_the_way,
+)
+from clsco.reference.trace.footprint import parts_of
+from clsco.reference.trace.mapping import MappedTexture, along_axis, mapped_point, texel_change
+from clsco.reference.trace.trace import SILHOUETTE_RANGE, View, view_at
+
+Array = NDArray[np.float64]
+Work = dict[str, float]
+"""Operation (a name in `clsco.cost.rates.RATES`) -> how many of them."""
+
+LATTICE, LEAST_LATTICE = 96, 32  # cells along the longer side, in scenes of some objects and of many
+FEW_TESTS = 24  # of objects by rays and of occluders by points, from which on there are fewer cells
+MANY_TESTS = 96  # and from which on occluders count as unbounded in what they hide, which takes far less
+DEPTH_LAYERS = 4  # that are reckoned with: there are up to 8, as the image has discontinuities
+REFLECTIONS = 3  # images of a triplanar mapping
+
+
+@dataclass(frozen=True, eq=False)
+class Lattice:
+    """Pixels of frame and apron at equal steps.
+
+    Attributes
+    ----------
+    row, column : ndarray of float64, (n,) and (m,)
+        Of the frame, px.
+    step_y, step_x : float
+        Between them, px.
+    """
+
+    row: Array
+    column: Array
+    step_y: float
+    step_x: float
+
+    def total(self, values: NDArray[np.generic]) -> float:
+        """Sum over all pixels of values (n, m) of those of the lattice."""
+        return float(np.sum(values, dtype=np.float64)) * self.step_y * self.step_x
+
+
+def lattice_of(plan: Plan) -> Lattice:
+    """Lattice over the frame and the apron of a plan."""
+    longer = max(LEAST_LATTICE, LATTICE * min(1.0, FEW_TESTS / _tests(plan)) ** 0.5)
+    found = list[tuple[Array, float]]()
+    for size in (plan.height, plan.width):
+        count = min(size, max(1, round(size * longer / max(plan.height, plan.width))))
+        found.append(((np.arange(count) + 0.5) * size / count - 0.5 - plan.guard_px, size / count))
+    (row, step_y), (column, step_x) = found
+    return Lattice(row, column, step_y, step_x)
+
+
+def _tests(plan: Plan) -> int:
+    """Objects that rays of all occlusion groups are cast at, and occluders that are tested for what they hit."""
+    return sum(layer.members.bit_count() + layer.occluders.bit_count() for layer in plan.layers)
+
+
+def frame_work(plan: Plan, maps: Maps) -> list[tuple[Pass, Work]]:
+    """Work of every pass of a plan for one frame.
+
+    Parameters
+    ----------
+    plan : Plan
+    maps : sequence of ndarray of float64 (rows, columns) or None
+        As for `clsco.plan.plan.make_plan`.
+
+    Returns
+    -------
+    list of (Pass, dict)
+        In the order of `Plan.passes`.
+    """
+    lattice = lattice_of(plan)
+    of_kind: dict[str, Work] = {}
+    groups: dict[Layer | None, dict[str, Work]] = {None: of_kind}
+    if any(each.kind == "trace" for each in plan.passes):
+        groups |= {layer: _of_group(plan, layer, lattice) for layer in plan.layers}
+    else:
+        of_kind |= _of_image(plan, lattice, maps)
+    of_kind["ground truth"] = _of_truth(plan)
+    times = plan.samples * (2 if "subframes" in plan.truth else 1)
+    shared = sum(strip.height for strip in plan.strips) / plan.height  # strips have rows of sources in common
+    found = []
+    for each in plan.passes:
+        often = 1.0 if each.kind == "ground truth" else times * shared
+        work = groups[each.group][each.kind]
+        found.append((each, {name: often * count for name, count in work.items() if count}))
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Hits:
+    """What rays through a lattice hit of an occlusion group, (n, m) each.
+
+    number: object, -1 for none; label: with the sides of other surfaces, as `trace` has it; radius: signed, px; state:
+    CLEAR, PARTLY or HIDDEN; tests, cuts: occluders that are looked at, and those of them that are curved and bounded;
+    edges: occluders that are tested for taps, and `cut_edges` those of them that are curved and bounded.
+    """
+
+    rays: Array
+    w: Array
+    number: NDArray[np.int32]
+    label: NDArray[np.uint8]
+    radius: Array
+    state: NDArray[np.uint8]
+    tests: Array
+    cuts: Array
+    edges: Array
+    cut_edges: Array
+
+
+def _hits(plan: Plan, view: View, layer: Layer, lattice: Lattice) -> Hits:
+    scene, camera = plan.scene, plan.scene.camera
+    bounds = [cutting_bounds(item) for item in scene.objects]
+    rays = pixel_ray(camera, lattice.row[:, None], lattice.column[None, :])
+    w, label, number = nearest_surface(view.surfaces, bounds, layer, rays)
+    hit = w > 0.0
+    radius, state = np.where(hit, blur_radius(camera, w), 0.0), np.full(w.shape, CLEAR)
+    tests, cuts, edges, cut_edges = (np.zeros(w.shape) for _ in range(4))
+    label, many = label.copy(), _tests(plan) > MANY_TESTS
+    for k, surface in enumerate(view.surfaces):
+        own = k == layer.own
+        if not layer.occluders >> k & 1 or (own and layer.root == (2 if surface.constant < 0 else 1)):
+            continue
+        near = hit.copy()
+        near[hit] = ~out_of_the_way(camera, surface, rays[hit], w[hit], lens_extent(scene.psf))
+        size = radius[near]
+        if not size.size:
+            continue
+        points = Points(rays[near], w[near], size, 0 * size, 0 * size, 1.0)
+        lens = lens_of(size, lens_extent(scene.psf), points.width)
+        cut = bounds[k] is not None and bool(surface.canonical.q.any())
+        found, edge, _ = meet_occluder(camera, surface, None if many and cut else bounds[k], points, lens, own)
+        label[near] ^= edge.astype(np.uint8) << 7
+        state[near] = np.maximum(state[near], found)
+        tests[near] += 1.0
+        cuts[near] += cut
+        edges[near] += found == PARTLY
+        cut_edges[near] += cut & (found == PARTLY)
+    return Hits(rays, w, number, label, radius, state, tests, cuts, edges, cut_edges)
+
+
+def _of_group(plan: Plan, layer: Layer, lattice: Lattice) -> dict[str, Work]:
+    """Work of the passes of an occlusion group at a time sample, by their kinds."""
+    scene = plan.scene
+    time = middle_time(scene.sequence, 0) if plan.moves else 0.0
+    view = view_at(scene, (), time, plan.eye, plan.moves or plan.eye_moved)
+    hits, total = _hits(plan, view, layer, lattice), lattice.total
+    found = {"trace": _of_rays(plan, layer, hits.number, lattice)}
+    found["trace"] |= {"test": total(hits.tests), "cut test": total(hits.cuts)}
+    finer = np.zeros(hits.w.shape)
+    if plan.silhouettes:
+        marked, rays = _near_silhouettes(hits.label, lattice), plan.silhouettes**2
+        detailed = (1.0 - marked) * (_parts(plan, view, hits) > 0)
+        images = _images(plan, hits.number)
+        found["silhouettes"] = {
+            "marked": total(np.ones(hits.w.shape)),
+            "sub-pixel ray": rays * total(marked + detailed) * layer.members.bit_count(),
+            "sub-pixel mapped": rays * total(marked * images),
+            "sub-pixel test": rays * total(marked * hits.tests),
+            "detail": total(detailed * images),
+        }
+        finer = np.maximum(marked, detailed)
+    lit = (hits.w > 0.0) & (hits.state != HIDDEN)
+    found["blur" if plan.blur != "none" else "accumulate"] = _of_blur(plan, lattice, hits.radius, lit, finer, hits)
+    return found
+
+
+def _of_rays(plan: Plan, layer: Layer, number: NDArray[np.int32], lattice: Lattice) -> Work:
+    """Work of rays that hit objects of these numbers, -1 for none."""
+    images, moved = _images(plan, number), bool(plan.features()["MOVED"])
+    return {
+        "ray": layer.members.bit_count() * lattice.total(number >= -1),
+        "moved": plan.channels * lattice.total((number >= 0) & (images == 0)) if moved else 0.0,
+        "mapped": lattice.total(images),
+        "lit": lattice.total(number >= 0) if plan.scene.light is not None else 0.0,
+    }
+
+
+def _images(plan: Plan, number: NDArray[np.int32]) -> Array:
+    """Images on the surface that is hit: of a mapped texture 1, of a triplanar mapping REFLECTIONS, else 0."""
+    kinds = {None: 0.0, "triplanar": float(REFLECTIONS)}
+    each = np.array([kinds.get(item.mapped, 1.0) for item in plan.scene.objects] + [0.0])
+    return np.asarray(each[number])
+
+
+def _near_silhouettes(label: NDArray[np.uint8], lattice: Lattice) -> Array:
+    """Share (n, m) of each cell that is near a silhouette, which crosses the line between two neighbors."""
+    found = np.zeros(label.shape)
+    for own, labels, step in ((found, label, lattice.step_y), (found.T, label.T, lattice.step_x)):
+        reach = SILHOUETTE_RANGE / step  # cells
+        crossed = labels[1:] != labels[:-1]
+        for away in range(min(ceil(reach), len(crossed))):
+            share = min(reach - away, 1.0)
+            own[1 + away :] += share * crossed[: len(crossed) - away]
+            own[: len(crossed) - away] += share * crossed[away:]
+    return np.minimum(found, 1.0)
+
+
+def _parts(plan: Plan, view: View, hits: Hits) -> NDArray[np.intp]:
+    """Parts (n, m) per axis into which textures on surfaces cut pixels, 0 where they do not."""
+    scene, found = plan.scene, np.zeros(hits.w.shape, np.intp)
+    for k, item in enumerate(scene.objects):
+        here = (hits.number == k) & (hits.state != HIDDEN)
+        if item.mapped is None or not here.any():
+            continue
+        placed = texture_map(item, *mapped_size(item.textures()))
+        texture = MappedTexture((), placed, texture_spread(scene.psf), scene.motion.texture_filter)
+        point = mapped_point(view.surfaces[k], placed, scene.camera, hits.rays[here], hits.w[here])
+        texels = np.zeros(len(point.at))
+        sides = [partial(along_axis, axis=axis) for axis in range(REFLECTIONS)]
+        for side in sides if placed.kind == MAP_TRIPLANAR else [np.asarray]:
+            for step in (point.right, point.down):
+                column, row = texel_change(placed, side(point.at), side(step))
+                texels = np.maximum(texels, column**2 + row**2)
+        found[here] = parts_of(texture, texels, hits.radius[here], scene.psf.silhouette_samples)
+    return found
+
+
+def _of_image(plan: Plan, lattice: Lattice, maps: Maps) -> dict[str, Work]:
+    """Work of passes that take an image with its radii, by their kinds: depth maps, forward warp, layered occlusion."""
+    assert plan.scene.camera.resolution is not None
+    sizes = zip(plan.scene.camera.resolution[::-1], (lattice.row, lattice.column), strict=True)
+    i, j = (np.clip(at.round().astype(np.intp), 0, size - 1) for size, at in sizes)
+    w, number = seen(plan.scene, maps, i, j)
+    lit, radius = w > 0.0, np.where(w > 0.0, blur_radius(plan.scene.camera, w), 0.0)
+    pixels = lattice.total(np.ones(w.shape))
+    blur = _of_blur(plan, lattice, radius, lit, np.zeros(w.shape))
+    layers: Work = {"layer pixel": DEPTH_LAYERS * pixels * (plan.channels + 1)}
+    for name, count in blur.items():
+        layers[name] = count * (DEPTH_LAYERS if name == "walked" else (plan.channels + 1) / plan.channels)
+    everything = Layer((1 << len(plan.scene.objects)) - 1, 0)
+    return {
+        "pinhole": _of_rays(plan, everything, number.astype(np.int32), lattice),
+        "static image": {"sent": pixels * plan.channels},
+        "reproject": {"reprojected": pixels * len(plan.scene.objects)},
+        "fill": {"filled": pixels},
+        "count missing": {"filled": pixels},
+        "sources": {"sent": pixels},
+        "depth layers": layers,
+        "blur": blur,
+        "accumulate": blur,
+    }
+
+
+def _of_truth(plan: Plan) -> Work:
+    pixels, objects = plan.rows * plan.columns, len(plan.scene.objects)
+    return {"truth ray": float(pixels * objects), "truth image": float(pixels * plan.channels * (plan.mapped > 0))}
+
+
+def _of_blur(
+    plan: Plan, lattice: Lattice, radius: Array, lit: NDArray[np.bool_], finer: Array, hits: Hits | None = None
+) -> Work:
+    """Work of the blur of sources (n, m) of signed radii in px; finer: the share with sub-pixel sources."""
+    if plan.blur == "none":
+        return {"accumulated": plan.channels * lattice.total(lit)}
+    psf, channels, total = plan.scene.psf, plan.channels, lattice.total
+    size = np.abs(radius)
+    if plan.blur == "convolve":
+        wide = 1.0 + 2.0 * float(reaches(psf, size).max())
+        return {"convolved row": plan.rows * plan.columns * channels * wide}
+    (visits, rows, taps), (fine_visits, _, fine_taps) = (_taps(plan, size, fine) for fine in (False, True))
+    kind, subs = shape_of(psf).kind, plan.silhouettes**2
+    partly = np.zeros(lit.shape, np.bool_) if hits is None else hits.state == PARTLY
+    whole, sub = lit & ~partly, (lit & ~partly) * finer * subs
+    bands = -(-plan.rows // BAND)
+    found = {
+        "walked": float(bands * min(BAND + 2 * plan.spec.reach, plan.height) * plan.width),
+        f"{kind} row": channels * total(whole * (1.0 - finer) * visits * rows),
+        f"{kind} taps": channels * total(whole * (1.0 - finer) * taps),
+        "sub-pixel source": total(sub * fine_visits),
+        "sub-pixel taps": channels * total(sub * fine_taps),
+    }
+    if hits is not None and partly.any():
+        one, fine = (lit & partly) * (1.0 - finer), (lit & partly) * finer * subs
+        narrow = size * lens_extent(psf) < WIDE_LENS
+        met, tested = one * visits + fine * fine_visits, one * taps + fine * fine_taps
+        found |= {
+            "hidden source": total(met * hits.edges),
+            "edge taps": total(tested * ~narrow * (hits.edges - hits.cut_edges)),
+            "cut edge taps": total(tested * ~narrow * hits.cut_edges),
+            "narrow edge": total(met * narrow * (hits.edges - hits.cut_edges)),
+            "narrow cut edge": total(met * narrow * hits.cut_edges),
+        }
+    return found
+
+
+def _taps(plan: Plan, size: Array, fine: bool) -> tuple[Array, Array, Array]:
+    """Bands that sources of |radii| in px reach, their rows, and their taps in vectors."""
+    half = reaches(plan.scene.psf, size.ravel(), fine).reshape(size.shape)
+    rows = 2.0 * half.astype(np.float64) + 1.0
+    return 1.0 + 2.0 * half / BAND, rows, rows * row_lanes(half) / TAP_LANES

@@ -1,0 +1,62 @@
+"""Predicted time on the command line: `clsco plan`, `clsco plan --json`, and the warning of `clsco validate`."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from clsco.cli.main import main
+from tests.scenes import scene_file
+
+CAMERA = "[camera]\nresolution = [40, 24]\npixel_pitch = 0.1\n"
+BALL = """
+[sequence]
+frames = 3
+samples = 400
+[[object]]
+shape = "sphere"
+[object.motion]
+velocity = [3.0, 0.0, 0.0]
+"""
+
+
+def clsco_(*words: object) -> Result:
+    return CliRunner().invoke(main, [str(word) for word in words])
+
+
+@pytest.fixture
+def ball(tmp_path: Path) -> Path:
+    return scene_file(tmp_path / "ball.toml", CAMERA + BALL)
+
+
+def test_plan_predicts_seconds(ball: Path) -> None:
+    words = " ".join(clsco_("plan", ball).output.split())
+    assert re.search(r"predicted time [\d.]+ m?s per frame on \d+ cores?, \d+% of it in the pass \w+", words)
+    result = clsco_("plan", ball, "--json", "--truth", "npz:depth")
+    found = json.loads(result.stdout)
+    (view,) = found["views"]
+    assert [each["pass"] for each in view["passes"]] == ["trace", "silhouettes", "blur", "ground truth"]
+    assert 0.0 < sum(each["seconds"] for each in view["passes"]) < found["seconds"]
+    assert found["frames"] == 3
+    assert "not known" in clsco_("plan", ball, "--gpu").output
+    assert json.loads(clsco_("plan", ball, "--gpu", "--json").stdout)["seconds"] is None
+    several = clsco_("plan", ball, "--json", "--set", "camera.f_number=[2,4]")
+    assert json.loads(several.stdout)["views"]
+    assert several.stderr == "the first of 2 scenes, f_number_2:\n"
+
+
+def test_validate_warns_of_long_frames(ball: Path, tmp_path: Path) -> None:
+    heavy = scene_file(
+        tmp_path / "heavy.toml",
+        "[camera]\nresolution = [8192, 8192]\npixel_pitch = 0.0004\nf_number = [1.8, 2]\n" + BALL,
+    )
+    result = clsco_("validate", ball, heavy)
+    assert result.exit_code == 0
+    assert result.stdout.splitlines() == [f"{ball}: valid", f"{heavy}: valid, 2 scenes"]
+    (line,) = result.stderr.splitlines()
+    assert line.startswith(f"{heavy} (with f_number_1.8): a frame will take about ")
+    assert "sequence.samples = 5, " in line
