@@ -93,5 +93,5 @@ def warning_of(prepared: Prepared) -> str | None:
 
 
 def cores(cost: Cost) -> str:
-    """How many cores were reckoned with."""
+    """Number of cores that were reckoned with, in words."""
     return f"{cost.cores} core{'s' * (cost.cores > 1)}"

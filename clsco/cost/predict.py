@@ -99,7 +99,7 @@ def _seconds(work: Work) -> float:
 
 
 def host_work(plan: Plan) -> Work:
-    """What is done for a frame beside its passes."""
+    """Work of a frame beside its passes."""
     pixels = float(plan.rows * plan.columns)
     return {"frame": 1.0, "read back": pixels * plan.channels, "reference pose": pixels * plan.forward}
 

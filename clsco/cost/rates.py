@@ -47,4 +47,4 @@ RATES: dict[str, float] = {
 them by kind of PSF (`clsco.optics.psf.PsfShape.kind`), what tests what hides a source, and what is done per pixel."""
 
 CORE_SECONDS = 0.000143
-"""What `clsco.cost.predict.core_seconds` took on the core that the rates are of."""
+"""Seconds of `clsco.cost.predict.core_seconds` on the core that the rates are of."""

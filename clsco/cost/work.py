@@ -124,7 +124,7 @@ def frame_work(plan: Plan, maps: Maps) -> list[tuple[Pass, Work]]:
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """What rays through a lattice hit of an occlusion group, (n, m) each.
+    """Hits of rays through a lattice at an occlusion group, (n, m) each.
 
     number: object, -1 for none; label: with the sides of other surfaces, as `trace` has it; radius: signed, px; state:
     CLEAR, PARTLY or HIDDEN; tests, cuts: occluders that are looked at, and those of them that are curved and bounded;

@@ -163,7 +163,7 @@ def test_the_plan_reports_both_views(scene: Path) -> None:
     text = " ".join(still.output.split())
     assert "texture sampling (left) nothing moves" in text
     assert re.search(
-        r"trace \(right\) 2 [\d.]+ rays against the sphere, plane, one per pixel texture sampling bicubic", text
+        r"trace \(right\) 2 [\d.]+ [\d.]+ m?s rays against the sphere, plane, one per pixel texture sampling bicubic", text
     )
 
 
