@@ -1,4 +1,4 @@
-"""Errors that clsco raises on purpose: what the user can mend, reported in one line each."""
+"""Errors that clsco raises on purpose: faults that the user can mend, reported in one line each."""
 
 from __future__ import annotations
 

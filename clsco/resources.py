@@ -123,7 +123,7 @@ def _exposed(root: Path, *ours: Path) -> Path | None:
 def open_regular(
     path: str | os.PathLike[str], most: int | None = None, *, follow: bool = False, folder: int | None = None
 ) -> BufferedReader:
-    """Open a regular file to be read; nothing else is opened for longer than it takes to see what it is.
+    """Open a regular file to be read; nothing else is opened for longer than it takes to see its kind.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ def temporary_folder(name: str) -> Path:
 
 
 def work_name(prefix: str) -> str:
-    """The name of a folder of this process for what is not whole yet, or for a while only; see `remove_left`."""
+    """The name of a folder of this process for unfinished or temporary files; see `remove_left`."""
     return f"{prefix}.{_HOST}-{os.getpid()}-{_RUN}.part"
 
 

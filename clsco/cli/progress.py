@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def progress(total: int, quiet: bool, what: str = "frames") -> Iterator[Callable[[], object]]:
-    """Show a bar on a terminal, nothing in a pipe; gives what is to be called after each frame, or what it is."""
+    """Show a bar on a terminal, nothing in a pipe; gives a function to call after each of `what`."""
     with _bar(total, quiet, what, None) as advance:
         yield advance
 
@@ -60,7 +60,7 @@ def _is_shown(total: int, quiet: bool) -> bool:
 def _bar(
     total: int, quiet: bool, what: str, after_bar: Callable[[float, float], str] | None
 ) -> Iterator[Callable[[], object]]:
-    """after_bar: what stands after the bar, of what is done and the seconds since it began."""
+    """Show a bar, and after it the text of `after_bar`, given the number done and the seconds since it began."""
     if not _is_shown(total, quiet):
         yield lambda: None
         return

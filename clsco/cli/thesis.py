@@ -148,7 +148,7 @@ def _small(figure: Figure) -> str:
 
 
 def page(figures: Collection[Figure], values: Values) -> str:
-    """The page in Markdown: numbers, figures, and what is not rendered."""
+    """The page in Markdown: numbers, figures, and a list of figures that are not rendered."""
     parts = [INTRODUCTION]
     if values:
         head = _row(COLUMNS) + "|---" * len(COLUMNS) + "|\n"

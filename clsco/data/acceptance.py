@@ -212,7 +212,7 @@ def refusal(bounds: Bounds, scenes: Sequence[Scene]) -> str | None:
 
 
 def derived(key: tuple[str, ...], wanted: float, scenes: Sequence[Scene]) -> float:
-    """The value of a key that gives a sample what is wanted of it; raises UnfitError where none does.
+    """The value of a key by which a sample gets the wanted measure; raises UnfitError where none does.
 
     Parameters
     ----------
@@ -220,7 +220,7 @@ def derived(key: tuple[str, ...], wanted: float, scenes: Sequence[Scene]) -> flo
         One of DERIVED.
     wanted : float
     scenes : sequence of Scene
-        The variants; what is wanted holds for the one with the most of it.
+        The variants; the wanted measure is that of the variant with the most of it.
 
     Returns
     -------

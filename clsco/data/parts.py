@@ -319,7 +319,7 @@ class Reader:
         return [(key, found[key]) for key in DERIVED if key in found]
 
     def _wanted(self, key: tuple[str, str], value: Mapping[str, Any]) -> Parameter | None:
-        """A distribution of what is wanted of a derived key."""
+        """A distribution of the wanted value of a derived key."""
         here: Location = ("derive", *key)
         for parameter in self._value(value, here, here, ".".join(("derive", *key)))[1]:
             for end in parameter.form.extremes():
@@ -374,7 +374,7 @@ def _with_strides(parameters: list[Parameter]) -> tuple[Parameter, ...]:
 
 
 def copied(value: Any) -> Any:
-    """Tables and lists anew; what is in them stays as it is."""
+    """Copy tables and lists; their other values are shared."""
     if isinstance(value, dict):
         return {key: copied(entry) for key, entry in value.items()}
     return [copied(entry) for entry in value] if isinstance(value, list) else value

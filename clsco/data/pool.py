@@ -131,7 +131,7 @@ class _Pool:
         return _Worker(process, own, place)
 
     def _step(self) -> None:
-        """Give tasks to those that wait, and hear what any of them says."""
+        """Give tasks to processes that wait, and take the answer of any of them."""
         for worker in self.workers:
             if worker.is_ready and worker.task is None and not worker.is_leaving and self.schedule.waiting:
                 worker.task = self.schedule.waiting.popleft()
@@ -230,7 +230,7 @@ def stoppable() -> Iterator[None]:
 
 
 def limit_threads(count: int, environ: MutableMapping[str, str]) -> None:
-    """Have what is loaded from now on, or processes with this environment, take so many threads on a processor."""
+    """Have libraries that are loaded from now on, or processes with this environment, take so many threads."""
     for name in _THREAD_VARIABLES:
         environ.setdefault(name, str(count))
 

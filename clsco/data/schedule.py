@@ -22,7 +22,7 @@ class Task:
     tried : range or None
         Numbers of samples that are made and dropped; None to make the shard.
     failed : tuple of (int, str)
-        Samples that are known to fail, with what is wrong with them.
+        Samples that are known to fail, with their messages.
     """
 
     shard: int

@@ -88,7 +88,7 @@ def device_family(device: Device) -> str:
 
 
 class Renderer:
-    """Renders samples one after the other on one device; what several of them need is kept.
+    """Renders samples one after the other on one device; data that several of them need are kept.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ class ShardMaker:
         numbers : iterable of int, optional
             Its samples; by default all.
         failed : mapping, optional
-            Samples that are not to be rendered, with what is wrong with them.
+            Samples that are not to be rendered, with their messages.
         advance : callable
             Is called after each sample.
 

@@ -50,10 +50,10 @@ class Storage(Protocol):
         """Content of a key, None where it has none."""
 
     def digest(self, key: str) -> str | None:
-        """SHA-256 of what is under a key, None where nothing is."""
+        """SHA-256 of the content of a key, None where it has none."""
 
     def local(self, key: str) -> Path:
-        """A local file or folder with what is under a key."""
+        """A local file or folder with the content of a key."""
 
     def sizes(self, prefix: str) -> dict[str, int]:
         """Keys that begin with `prefix`, a folder, with their bytes."""
@@ -111,7 +111,7 @@ def _failing(function: Call) -> Call:
 
 
 def _sync(path: Path) -> None:
-    """Have what is written to a file, or what a folder lists, on the disk."""
+    """Flush a file, or the list of a folder, to the disk."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)

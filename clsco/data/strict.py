@@ -9,7 +9,7 @@ MOST_DEEP = 64
 
 
 def strict_json(content: bytes | str) -> Any:
-    """Parse JSON. Raises ValueError for what is none, for NaN and infinity, and beyond `MOST_DEEP` levels."""
+    """Parse JSON. Raises ValueError for other texts, for NaN and infinity, and beyond `MOST_DEEP` levels."""
     try:
         found = json.loads(content, parse_constant=_refuse_number)
     except RecursionError:

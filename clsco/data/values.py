@@ -91,7 +91,7 @@ class LogUniform(Uniform):
 
 @dataclass(frozen=True)
 class Normal(Form):
-    """{ normal = [mean, deviation], clip = [low, high] }: what is beyond an end becomes that end."""
+    """{ normal = [mean, deviation], clip = [low, high] }: values beyond an end become that end."""
 
     mean: float
     deviation: float

@@ -1,4 +1,4 @@
-"""Arrays on disk that take long to compute: a file for each key, with a checksum; what is damaged is not there."""
+"""Arrays on disk that take long to compute: a file for each key, with a checksum; a damaged one counts as missing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Arrays by name from NPZ and EXR files, which strangers may have made: headers limit what is read."""
+"""Arrays by name from NPZ and EXR files, which strangers may have made: headers limit the bytes that are read."""
 
 from __future__ import annotations
 

@@ -139,7 +139,7 @@ def confined(function: str, file: BinaryIO, most: int, **options: Any) -> Found:
 def _answer(process: subprocess.Popen[bytes], request: bytes, most: int) -> Found | str:
     """Read the answer of the process, a text for an error.
 
-    Raises EOFError where the process ends, ValueError for what is no answer.
+    Raises EOFError where the process ends, ValueError for any other content.
     """
     assert process.stdin is not None
     assert process.stdout is not None

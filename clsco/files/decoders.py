@@ -159,7 +159,7 @@ def _stored_size(file: BinaryIO, kind: str) -> tuple[int, int]:
 
 
 def tags(file: BinaryIO, kind: str) -> Tags:
-    """Read what an opened file says about its pixels; goes back to its first byte."""
+    """Read the header of an opened file; goes back to its first byte."""
     file.seek(0)
     found = _TAGS.get(kind, lambda _: Tags())(file)
     file.seek(0)

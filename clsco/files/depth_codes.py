@@ -54,7 +54,7 @@ def dpt_bytes(depth: NDArray[np.floating], where: str = "depth") -> bytes:
 
 
 def read_dpt(path: str | os.PathLike[str]) -> NDArray[np.float32]:
-    """Read a .dpt file: depth (rows, columns) in mm. Raises ImageError for what is not one whole such file."""
+    """Read a .dpt file: depth (rows, columns) in mm. Raises ImageError for a damaged file or one of another kind."""
     with opened(path, {".dpt": "DPT"}) as (file, _):
         return (read_floats(file, 1).astype(np.float64) * MM_PER_M).astype(np.float32)
 
@@ -104,7 +104,7 @@ def kitti_disparity_codes(
     disparity : ndarray of float, (rows, columns)
         px, column on the left less column on the right; rounded to 1/256 px.
     valid : ndarray of bool, (rows, columns), optional
-        The others, and what is not finite, become 0. By default all are valid.
+        Other values, and those that are not finite, become 0. By default all are valid.
     where : str
         Place or name that messages begin with.
 
@@ -163,7 +163,7 @@ def pfm_bytes(array: NDArray[np.floating], where: str = "array") -> bytes:
 def read_pfm(path: str | os.PathLike[str]) -> NDArray[np.float32]:
     """Read a PFM file of any floats: (rows, columns) or (rows, columns, 3), the top row first.
 
-    Raises ImageError for what is not one whole such file, or of over 2^27 pixels. The scale is not applied.
+    Raises ImageError for a file that is damaged, of another kind, or of over 2^27 pixels. The scale is not applied.
     """
     with opened(path, {".pfm": "PFM"}) as (file, kind):
         return np.ascontiguousarray(decoded(file, kind), np.float32)

@@ -34,7 +34,7 @@ def flo_bytes(flow: NDArray[np.floating], valid: NDArray[np.bool_] | None = None
     flow : ndarray of float, (rows, columns, 2)
         px, right and down. Stored as float32, without loss.
     valid : ndarray of bool, (rows, columns), optional
-        The others, and vectors that are not finite, are stored as unknown: 1e10. By default all are valid.
+        Other vectors, and those that are not finite, are stored as unknown: 1e10. By default all are valid.
     where : str
         Place or name that messages begin with.
 
@@ -94,7 +94,7 @@ def kitti_flow_codes(
     flow : ndarray of float, (rows, columns, 2)
         px, right and down; rounded to 1/64 px.
     valid : ndarray of bool, (rows, columns), optional
-        The others, and vectors that are not finite, become (0, 0, 0). By default all are valid.
+        Other vectors, and those that are not finite, become (0, 0, 0). By default all are valid.
     where : str
         Place or name that messages begin with.
 

@@ -373,7 +373,7 @@ class ImageWriter:
         self.write(path, image, *([color] if self.color_kinds else []))
 
     def loss(self, color: Color) -> str:
-        """Line on what such a file cannot say of its colors; "" where nothing is lost."""
+        """Note on colors that such a file cannot describe; "" where nothing is lost."""
         if color.is_plain or any(getattr(color, kind) for kind in self.color_kinds):
             return ""
         return f"{self.label} has no place for the color profile {color.name}, which is left out"

@@ -79,7 +79,7 @@ def checked_png(file: BinaryIO) -> tuple[bytes, int, int, bytes | None]:
     Raises
     ------
     ValueError
-        Names what was found instead of a whole, still image.
+        Names the content that was found instead of a whole, still image.
 
     Notes
     -----

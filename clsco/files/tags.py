@@ -124,7 +124,7 @@ def tiff_tags(values: Any) -> Tags:
 
 
 def _inflated(chunk: bytes) -> bytes:
-    """The profile in a chunk iCCP, and one that is refused later in place of what is damaged or too large."""
+    """The profile in a chunk iCCP, and one that is refused later in place of a damaged or too large one."""
     packed = chunk.partition(b"\0")[2][1:]
     try:
         return zlib.decompressobj().decompress(packed, LARGEST_PROFILE + 1) or b"empty"

@@ -175,7 +175,7 @@ def _pictures(stem: str, subframes: int) -> list[str]:
 def _truth_names(
     index: int, eyes: Sequence[str], file: TruthFile, held: Collection[str]
 ) -> Iterator[tuple[str, tuple[str, ...], TruthFile]]:
-    """Name of each file of ground truth, the eyes of the views that it holds, and what of them.
+    """Name of each file of ground truth, with the eyes and the outputs of the views that it holds.
 
     held: arrays that the frame has, as they are called in files.
     """

@@ -157,7 +157,7 @@ class Frame:
         return codes_to_show(self.color)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the frame to one file, whose extension says what of it.
+        """Write the image, or the frame with all its truth, to one file, by the file's extension.
 
         Parameters
         ----------

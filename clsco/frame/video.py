@@ -41,7 +41,7 @@ def write_video(
         .mp4, .webm, .mkv, .mov or .y4m, as the preset has it.
     frames : iterable of Frame or of ndarray, (rows, columns) or (rows, columns, 3)
         The color of frames of one view, or arrays of one shape and type: uint8 or uint16 codes, or floats of linear
-        radiance, 1 = white; what is beyond 0 and 1 becomes black and white.
+        radiance, 1 = white; values beyond 0 and 1 become black and white.
     rate : Fraction, int or str
         Frames per second, exactly: Fraction(30000, 1001), 24, "24000/1001".
     preset : str, optional

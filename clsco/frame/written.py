@@ -176,7 +176,7 @@ def _content(path: Path, faults: list[str]) -> Mapping[str, Any] | None:
 
 
 def _known(content: Mapping[str, Any], path: Path, faults: list[str]) -> tuple[float, str, bool, int]:
-    """Interval, transfer, whether it is a stereo pair, number of frames; with faults and defaults for what is wrong."""
+    """Interval, transfer, whether it is a stereo pair, number of frames; with faults and defaults for wrong values."""
 
     def value(table: str, key: str, default: Any, is_right: Any) -> Any:
         inner = scene.get(table, {})

@@ -35,7 +35,7 @@ def fill_biharmonic(
     """Values (N, channels) of the N missing pixels of an image, row by row.
 
     image: (rows, columns, channels), codes or floats, finite where known; missing: (rows, columns); progress: gets
-    the share that is done, 0 to 1, after each tile. Values found stay in the range of what is known nearby. The same
+    the share that is done, 0 to 1, after each tile. Filled values stay in the range of known ones nearby. The same
     bits on every run of a device. Memory beside the image: a byte per pixel, per missing one 8 and the result; per
     pixel of a tile (`clsco.inpainting.tiles`) 12 channels + 6 bytes, per missing one of it 43 channels + 5.
     Raises ImageError where nothing is known, DeviceError. Validated against `clsco.reference.inpainting.biharmonic`

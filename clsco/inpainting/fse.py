@@ -36,7 +36,7 @@ def fill_texture(
     """Values (N, channels) of the N missing pixels of an image, row by row.
 
     image: (rows, columns, channels), codes or floats, finite where known; missing: (rows, columns); progress: gets
-    the share that is done, 0 to 1, after each tile. Values found stay in the range of what is known nearby. The same
+    the share that is done, 0 to 1, after each tile. Filled values stay in the range of known ones nearby. The same
     bits on every run of a device. Memory beside the image: a byte per pixel, per missing one 8 and the result; and that
     of one tile (`clsco.inpainting.tiles`), about 28 channels + 12 bytes per pixel of 1024 x 1024.
     Raises ImageError where nothing is known, DeviceError. Validated against `clsco.reference.inpainting.fse`

@@ -44,7 +44,7 @@ def block_turns(missing: Mask, block: int) -> NDArray[np.int64]:
 
 
 def halved(image: Array, missing: Mask) -> tuple[Array, Mask]:
-    """An image (H, W, K) and its holes (H, W) at half the size, rounded up: means of what is known in 2 x 2 px."""
+    """An image (H, W, K) and its holes (H, W) at half the size, rounded up: means of the known ones of 2 x 2 pixels."""
     rows, columns = missing.shape
     padding = ((0, rows % 2), (0, columns % 2))
     known = np.pad(~missing, padding)

@@ -1,6 +1,6 @@
 """Host side of mean/median filling of an image with a mask (thesis, chapter 5).
 
-The device holds what is in and around holes only, so that work and memory of all stages but the scoring follow the
+The device holds only pixels in and around holes, so that work and memory of all stages but the scoring follow the
 missing pixels, wherever they are; scoring passes over the image in bands of rows.
 """
 
@@ -249,7 +249,7 @@ def score_image(
 
 
 class Holes:
-    """Owns what the device holds of holes, as mean_median.cl has it, and fills them."""
+    """Owns the buffers of holes on the device, as mean_median.cl has them, and fills the holes."""
 
     def __init__(self, session: Session, program: Program, layout: Layout, image: NDArray[Any]) -> None:
         self.session, self.program, self.channels = session, program, image.shape[2]

@@ -103,7 +103,7 @@ def score_scale(span: float) -> float:
 
 
 def score_of_sums(sums: NDArray[np.int64], scale: float) -> Score:
-    """The score from what the kernel `score_mean_median` has summed up, (any number, SCORE_SUMS).
+    """The score from sums of the kernel `score_mean_median`, (any number, SCORE_SUMS).
 
     Binomial coefficients count the subsets of k neighbors with a certain one, and with a certain two, in them; of the
     sorted ones those whose median is the i-th, or lies between the i-th and the j-th.

@@ -30,7 +30,7 @@ def dump_scene(scene: Scene, path: str | os.PathLike[str] | None = None) -> str:
     -------
     str
         TOML with the keys that were given; defaults are left out. `clsco.parse_scene` makes an equal scene of it. With
-        `path`, what is in the file.
+        `path`, the content of the file.
 
     Raises
     ------

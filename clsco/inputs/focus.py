@@ -44,7 +44,7 @@ class Focus:
 
 
 def lens_line(camera: Camera, w: Array) -> str:
-    """Range of the blur radius over a depth map, how much of it is in focus, and why that may not be what was meant.
+    """Range of the blur radius over a depth map, how much of it is in focus, and why it may not be intended.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def _distance(w: float) -> str:
 
 
 def focused(scene: Scene, files: InputFiles, focus: Focus) -> Scene:
-    """The scene with a lens that is focused on what is at a point, or at a share of the depths, at t = 0.
+    """The scene with a lens that is focused on the surface at a point, or on a share of the depths, at t = 0.
 
     Parameters
     ----------

@@ -129,7 +129,7 @@ def is_gray(name: str) -> bool:
 
 
 def with_coverage(texture: Texture, channels: int, covers: bool) -> Texture:
-    """A texture of so many channels, and one more: 1 everywhere where it covers what is behind it, else 0."""
+    """A texture of so many channels, and one more: 1 where it covers surfaces behind it, else 0."""
     found = []
     for image in texture.images:
         wider = _empty((*image.shape[:2], channels + 1))

@@ -1,4 +1,4 @@
-"""Host memory of buffers on a processor, from render to render: what the system has to clear once is used again."""
+"""Host memory of buffers on a processor, from render to render: pages that the system has cleared are used again."""
 
 from __future__ import annotations
 

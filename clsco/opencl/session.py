@@ -104,7 +104,7 @@ class Session:
         return found
 
     def doing(self, what: str) -> None:
-        """Note what is begun, where somebody looks."""
+        """Note the step that begins, where somebody looks."""
         if self.progress is not None:
             self.progress.doing, self.progress.share = what, 0.0
 
@@ -205,7 +205,7 @@ def session_in(context: cl.Context) -> Session:
 
 
 def session_for(device: DeviceLike) -> Session:
-    """The session of what users give as `device`. Raises DeviceError for what is none."""
+    """The session of a `device` that users give. Raises DeviceError if there is no such device."""
     if device is None or isinstance(device, str):
         return session_on(choose(device))
     if isinstance(device, cl.CommandQueue):

@@ -1,4 +1,4 @@
-"""A whole scene in NumPy float64: what the device is checked against."""
+"""Reference renderer: a whole scene in NumPy float64, which the device is checked against."""
 
 from __future__ import annotations
 

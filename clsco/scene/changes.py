@@ -138,7 +138,7 @@ def given(value: Any) -> Any:
     Returns
     -------
     dict, list or any other value
-        Tables and lists; what is neither stays as it is.
+        Tables and lists; other values stay as they are.
     """
     if isinstance(value, BaseModel):
         fields = type(value).model_fields

@@ -103,7 +103,7 @@ def _texts(tables: Iterable[Mapping[str, Any]], key: str) -> list[str | None]:
 
 
 def items(data: Mapping[str, Any], key: str = "object") -> list[Mapping[str, Any]]:
-    """Tables of objects, or of the array `key`, with an empty one in place of what is not a table."""
+    """Tables of objects, or of the array `key`, with an empty one in place of any other value."""
     items = data.get(key)
     return [item if isinstance(item, Mapping) else {} for item in items] if isinstance(items, list) else []
 

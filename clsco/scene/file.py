@@ -196,7 +196,7 @@ def parse_scene(mapping: Mapping[str, Any] | str, where: str = "scene") -> Scene
 
 
 def table_of(content: Any, where: str) -> Any:
-    """Content of a scene file from its text in TOML; what is no text stays as it is. Raises SceneError."""
+    """Content of a scene file from its text in TOML; other content stays as it is. Raises SceneError."""
     if not isinstance(content, str):
         return content
     if len(content) > MAX_FILE_BYTES:

@@ -31,7 +31,7 @@ from clsco.scene.rotations import Rotation, after, depth_row
 from clsco.scene.texture_keys import ROUND, TRIPLANAR, Mapped, SixSided, Textured, is_drawn
 
 BACKGROUND_MM = 1e12
-"""Distance of what is infinitely far away: its blur differs from that of infinity by a part in 10^10."""
+"""Distance of surfaces that are infinitely far away: their blur differs from that of infinity by a part in 10^10."""
 ROUNDING = 1e-15  # of a direction's component that a rotation leaves of 0
 IN_FRONT = "must leave part of the object in front of the lens (z > 0)"
 

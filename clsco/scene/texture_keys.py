@@ -1,4 +1,4 @@
-"""Keys of an object's texture: what it shows, and how it lies on the surface."""
+"""Keys of an object's texture: its image, and how this lies on the surface."""
 
 from __future__ import annotations
 

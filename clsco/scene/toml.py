@@ -50,7 +50,7 @@ def _key(key: str) -> str:
 
 
 def _text(text: str) -> str:
-    """A text in quotes, with escapes for what is not seen; those of JSON are among those of TOML."""
+    """A text in quotes, with escapes for invisible characters; those of JSON are among those of TOML."""
     quoted = json.dumps(text, ensure_ascii=False)
     escaped = (c if c.isprintable() else f"\\U{ord(c):08x}" for c in quoted)
     return quoted if quoted.isprintable() else "".join(escaped)

@@ -1,4 +1,4 @@
-"""A scene that is changed key by key, what is wrong in its boxes, and the way back."""
+"""A scene that is changed key by key, the faults in its boxes, and the way back."""
 
 from __future__ import annotations
 
@@ -207,7 +207,7 @@ class Editor:
         return False
 
     def undo(self) -> bool:
-        """Go one step back, and let go of what is not valid."""
+        """Go one step back, and drop values that are not valid."""
         return self._go(self._history.past, self._history.future)
 
     def redo(self) -> bool:
@@ -330,7 +330,7 @@ class Editor:
         self.revision += 1
 
     def _go(self, steps: list[_Step], others: list[_Step]) -> bool:
-        """Go to the last of some steps, and let go of what is not valid."""
+        """Go to the last of some steps, and drop values that are not valid."""
         self.refused, self.faults = {}, {}
         if moved := bool(steps):
             others.append(_Step(self._state, self.scene))

@@ -68,7 +68,7 @@ class Filler:
             self._working.release()
 
     def cancel(self) -> None:
-        """End what is being filled, if anything is."""
+        """Cancel the filling that runs, if any."""
         if self._working.locked():
             self._is_canceled = True
             self.close()

@@ -55,7 +55,7 @@ class Filled:
 
 
 class Inpainting:
-    """An image, the mask of what is missing in it, and what methods fill in.
+    """An image, the mask of its missing pixels, and the results of methods.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ class Inpainting:
         write_png(writable_folder(target.parent) / target.name, self._mask_codes())
 
     def fill(self, method: str) -> Filled | None:
-        """Fill what is missing, and keep the result beside those of other methods.
+        """Fill the missing pixels, and keep the result beside those of other methods.
 
         Returns
         -------
@@ -281,7 +281,7 @@ class Inpainting:
             return sorted(path.name for path in made.iterdir())
 
     def _target(self, name: str) -> Path:
-        """A place for what is written, below the root."""
+        """A path below the root for a file to write."""
         try:
             return below(self.root, name)
         except SceneError:

@@ -209,7 +209,7 @@ def _image_distance(focal_length: float, depth: float) -> float:
 
 
 def _plain(value: NDArray[Any] | np.generic) -> Any:
-    """Numbers and lists for JSON; None for what is not finite."""
+    """Numbers and lists for JSON; None for numbers that are not finite."""
     if isinstance(value, np.ndarray) and value.ndim:
         return [_plain(part) for part in value]
     plain = value.item()

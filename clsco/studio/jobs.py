@@ -95,7 +95,7 @@ class Job:
         return self.status in UNFINISHED
 
     def seconds_left(self, now: float) -> float | None:
-        """By what is done; None where that says nothing."""
+        """Estimate of the time left, by the share that is done; None where there is none yet."""
         if self.status != "running" or not 0 < self.done < self.total:
             return None
         return (now - self.began) / self.done * (self.total - self.done)

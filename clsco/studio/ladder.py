@@ -41,7 +41,7 @@ class Ladder:
         return self.ns * 1e-9 * _pixels(work, eighths)
 
     def measured(self, work: float, eighths: int, seconds: float) -> None:
-        """Learn how long a picture took; what is far too long is believed the third time."""
+        """Learn how long a picture took; a time that is far too long is believed the third time."""
         if seconds > _STALL * max(self.predicted(work, eighths), 0.25 * BUDGET) and self._stalls < _STALLS:
             self._stalls += 1
             return

@@ -1,4 +1,4 @@
-"""Pictures on their way to the browser: what is seen of a frame, and its bytes behind a header."""
+"""Pictures on their way to the browser: the view of a frame, and its bytes behind a header."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def truth_of(view: str) -> tuple[str, ...]:
 
 
 def picture_of(frame: Frame, scene: Scene, view: str, rung: int, full: tuple[int, int], seconds: float) -> Picture:
-    """Encode what is shown of a frame.
+    """Encode a view of a frame.
 
     Images are JPEG, but for EXACT the PNG that `clsco render` writes; all else is floats, for DRAGGING of 16 bits. The
     blur radius is NaN where nothing is, which is not in focus.

@@ -20,7 +20,7 @@ class Pointer:
     ----------
     session : Session
     preview : Preview
-        Knows what is at a pixel.
+        Knows the surface at a pixel.
     """
 
     def __init__(self, session: Session, preview: Preview) -> None:
@@ -28,7 +28,7 @@ class Pointer:
         self._held: tuple[int, Grip] | None = None  # by the drag of this number
 
     def ask(self, x: int, y: int) -> None:
-        """Report what is known of a pixel."""
+        """Report the figures of a pixel."""
 
         async def report(found: dict[str, Any]) -> None:
             await self._preview.tell(inspected=found)
@@ -44,7 +44,7 @@ class Pointer:
         self._preview.inspect(x, y, report, MEASURE)
 
     def focus(self, x: int, y: int, drag: int) -> None:
-        """Focus on what is at a pixel, as one step of undo."""
+        """Focus on the surface at a pixel, as one step of undo."""
 
         async def focus(found: dict[str, Any]) -> None:
             depth = found["values"]["depth"]

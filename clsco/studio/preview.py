@@ -96,7 +96,7 @@ class Preview:
             self._renderer.cancel()
 
     def stop(self) -> None:
-        """Cancel what takes long: the reference, else what is rendered. What is shown stays until the next change."""
+        """Cancel long work: the reference, else the rendering. The picture stays until the next change."""
         if self._reference is not None and not self._reference.done():
             self._reference.cancel()
             return
@@ -140,7 +140,7 @@ class Preview:
             self._renderer.cancel()
 
     def inspect(self, x: int, y: int, report: Report, purpose: str = "") -> None:
-        """Have `report` called with what is known of a pixel, once the exact frame is there.
+        """Have `report` called with the figures of a pixel, once the exact frame is there.
 
         Of pixels that are asked for with one purpose the latest wins. With MEASURE, what is asked for is the response
         of the pixel's source. After `stop` there is no answer.
@@ -308,7 +308,7 @@ class Preview:
             await self.tell(about=picture.about)
 
     async def _ask(self, purpose: str) -> None:
-        """Answer what is asked of a pixel; a change in between has it asked again."""
+        """Answer a question about a pixel; a change in between has it asked again."""
         x, y, report = asked = self._asked.pop(purpose)
         stops = self._stops
         self._is_exact_underway = True

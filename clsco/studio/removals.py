@@ -20,7 +20,7 @@ Pair = tuple[NDArray[Any], NDArray[np.bool_]]
 
 @dataclass(frozen=True)
 class Removal:
-    """An image, and the mask of what is to go: `make` returns both."""
+    """An image, and the mask of the pixels to remove: `make` returns both."""
 
     title: str
     make: Callable[[], Pair]

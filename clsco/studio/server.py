@@ -206,7 +206,7 @@ class Studio:
             await preview.tell(error=[f"studio: must not fail; got {type(error).__name__}"])
 
     async def _do(self, tab: Tab, preview: Preview, pointer: Pointer, said: dict[str, Any]) -> None:
-        """Do what a message says; nothing in it is code, and what is none of these is passed over."""
+        """Act on a message; nothing in it is code, and unknown messages are passed over."""
         match said:
             case {"ack": [int(revision), int(rung)]}:
                 preview.acknowledge(revision, rung)

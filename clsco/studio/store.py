@@ -47,7 +47,7 @@ def digest_of(path: Path) -> str:
 
 
 def scene_text(table: Mapping[str, Any], path: Path, old: Path | None) -> str:
-    """Text of a scene file: what is given and differs from the defaults.
+    """Text of a scene file: keys that are given and differ from the defaults.
 
     Parameters
     ----------

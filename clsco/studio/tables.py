@@ -105,7 +105,7 @@ def reshaped(item: Table, shape: Any, kept: Mapping[str, Table]) -> tuple[Table,
     item : mapping
         Table of the object.
     shape : str
-        The new shape; what is none is left for the rules of scenes to refuse.
+        The new shape; any other value is left for the rules of scenes to refuse.
     kept : mapping
         Keys of the shapes that the object has had, by shape.
 
@@ -146,7 +146,7 @@ def pose_for(rotation: Any, part: str) -> Any:
 
 
 def placed(error: SceneError) -> dict[str, str]:
-    """Messages of a SceneError by the paths of their keys; "" for what is of no key."""
+    """Messages of a SceneError by the paths of their keys; "" for a message about no key."""
     found: dict[str, str] = {}
     for message in error.messages:
         match = re.fullmatch(r"[^:]*: ([^:]+): (.*)", message)

@@ -165,7 +165,7 @@ def _quadrics() -> Iterator[tuple[str, Object]]:
 
 
 def cases() -> dict[str, Target]:
-    """All of them by name; what is turned turns exactly on rays again."""
+    """All targets by name; turned ones turn rays into rays exactly."""
     found = {}
     window = Window(STEP, -(ACROSS // 2), -(ACROSS // 2), ACROSS)
     for make in (_spheres, _ellipsoids, _cylinders, _cones, _planes, _quadrics):

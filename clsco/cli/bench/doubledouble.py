@@ -46,13 +46,13 @@ class Wide:
         return Wide(*_fast_two_sum(high, low + (self.high * other.low + self.low * other.high)))
 
     def __truediv__(self, other: Wide) -> Wide:
-        """The quotient; what is divided by 0 is not finite."""
+        """The quotient; it is not finite where the divisor is 0."""
         first = self.high / other.high
         left = self - other * wide(first)
         return Wide(*_fast_two_sum(first, left.high / other.high))
 
     def sqrt(self) -> Wide:
-        """The root, 0 of what is not above 0."""
+        """The root, 0 of numbers that are not above 0."""
         positive = self.high > 0.0
         root = np.sqrt(np.where(positive, self.high, 1.0))
         left = self - wide(root) * wide(root)

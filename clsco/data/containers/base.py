@@ -51,7 +51,7 @@ class ShardReader(ABC):
         """
 
     def close(self) -> None:  # noqa: B027, some keep nothing open
-        """Close what is open."""
+        """Close open files."""
 
     def __len__(self) -> int:
         return len(self.keys)

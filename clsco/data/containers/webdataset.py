@@ -50,7 +50,7 @@ def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
 
 
 def _members(path: Path, file: BinaryIO) -> Iterator[tuple[str, int, int]]:
-    """Name, first byte and size of each member of a tar of plain files, without reading what is in them.
+    """Name, first byte and size of each member of a tar of plain files, without reading their content.
 
     The headers that other writers put before a file are passed over where they say of times alone: `tarfile` takes
     time that grows as their square.

@@ -66,7 +66,7 @@ def _alike_offsets(offset_limit: int, alone: bool) -> Iterator[tuple[int, int, s
 
 
 def _alike(visibility: Visibility) -> list[tuple[NDArray[np.int64], Visibility, Array]]:
-    """Groups of what is partly hidden, of nearly the same radius and so of the same taps, and their cells of the lens.
+    """Groups of partly hidden sources, of nearly the same radius and so of the same taps, and their cells of the lens.
 
     Numbers of the sources in a group, its part of `visibility`, and what `cell_visibility` makes of it.
     """

@@ -173,14 +173,14 @@ def crossing_place(camera: Camera, e: Equation, d: Array) -> Array:
 
 
 def edge_width(lens: Lens, place: Array) -> Array:
-    """Half width (N,) of the edge of what is hidden, in cells: over the cell, and what the width of a source adds."""
+    """Half width (N,) of the edge of an occluder, in cells: over the cell, and the part that a source's width adds."""
     away = lens.cells / place
     return np.asarray(SOFT_BOX * np.hypot(1.0, lens.width * np.where(lens.wide, away - 1, away)))
 
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """h = -B - sqrt(C F) as `Occluder` keeps it, and what it leaves of the lens."""
+    """h = -B - sqrt(C F) as `Occluder` keeps it, and the state of the lens by it."""
 
     h: Array
     root: Array
@@ -326,7 +326,7 @@ def meet_occluder(
 def flatten_limits(
     limits: Sequence[Array], near: Array, far: tuple[float, Array, Array], soft: Array, most: Array
 ) -> tuple[NDArray[np.uint8], list[Array]]:
-    """Conditions on the one crossing with a plane, linear in the tap: what they leave (N,), and h (N, 3) of each.
+    """Conditions on the one crossing with a plane, linear in the tap: state of the lens (N,), and h (N, 3) of each.
 
     The crossing is at v = -near / (far_0 + far_1 x + far_2 y). limits: (N, 4) each; soft: half width of the edge (N,);
     most: cells to the farthest tap (N,). h: constant, x, y, over the width of the edge.

@@ -30,7 +30,7 @@ def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
 
 
 def _inside(visibility: Visibility, x: Array, y: Array) -> tuple[Array, Array]:
-    """Taps of wide lenses, moved to the mean of what is left of them by each edge of the lens mask."""
+    """Taps of wide lenses, moved to the mean of the part that each edge of the lens mask leaves of them."""
     right, down = np.zeros_like(x), np.zeros_like(y)
     turn = np.where(visibility.radius < 0, -1.0, 1.0)
     for nx, ny, distance in visibility.mask:

@@ -208,7 +208,7 @@ def fill(
     values: Array, known: Mask, allowed: Mask | None, method: Method, guard: int, far: bool = False,
     brightest: float = 1.0,
 ) -> tuple[Array, NDArray[np.uint8], FillReport]:  # fmt: skip
-    """Fill what a forward warp left: values (H, W, K), status (H, W) and the report.
+    """Fill pixels that a forward warp left missing: values (H, W, K), status (H, W) and the report.
 
     values: (H, W, K), radiance and then inverse depth; known: (H, W); allowed: as for `mark_missing`; guard:
     px of the padded grid that do not count in the report; far, brightest: as for `fill_objects`. Status: 0 known or

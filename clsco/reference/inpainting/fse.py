@@ -47,7 +47,7 @@ def extrapolate_blocks(value: Array, weight: Array, blocks: Pixels) -> Array:
 
 
 def settle_blocks(filled: Array, blocks: Pixels, value: Array, weight: Array) -> tuple[Array, Array]:
-    """Values (H, W, K) and weights (H, W) with those of blocks taken over where pixels are not known."""
+    """Values (H, W, K) and weights (H, W) after unknown pixels have taken those of blocks."""
     value, weight = value.copy(), weight.copy()
     for block, (row, column) in zip(filled, blocks, strict=True):
         at = np.s_[row : row + FSE_BLOCK, column : column + FSE_BLOCK]

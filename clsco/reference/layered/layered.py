@@ -141,7 +141,7 @@ def open_depth_layer(radiance: Array, coc: Array, slab: Labels, which: int) -> A
 
 
 def push(fine: Array, last: bool = False) -> Array:
-    """The next coarser level (ceil(H / 2), ceil(W / 2), C + 2): means of what is known, under a tent of 4 x 4.
+    """The next coarser level (ceil(H / 2), ceil(W / 2), C + 2): means of known pixels, under a tent of 4 x 4.
 
     last: there is no coarser one, so what is known in part is taken as it is.
     """
@@ -170,7 +170,7 @@ def _between(coarse: Array, count: int, axis: int) -> Array:
 
 
 def _around(coarse: Array, shape: tuple[int, ...]) -> tuple[Array, Mask]:
-    """Means (H, W, C + 1) of what a pulled level knows around each pixel of the finer one, and whether it knows any."""
+    """Means (H, W, C + 1) of a pulled level around each pixel of the finer one, and a mask where it has any."""
     known = coarse[..., -1:]
     sums = _between(_between(np.concatenate([coarse[..., :-1] * known, known], axis=-1), shape[0], 0), shape[1], 1)
     share = sums[..., -1:]
@@ -178,7 +178,7 @@ def _around(coarse: Array, shape: tuple[int, ...]) -> tuple[Array, Mask]:
 
 
 def pull(fine: Array, coarse: Array) -> Array:
-    """A level (H, W, C + 2) with what it does not know, in part or whole, from the next coarser one."""
+    """A level (H, W, C + 2) with its unknown pixels, in part or whole, filled from the next coarser one."""
     known = fine[..., -1:]
     other, found = _around(coarse, fine.shape)
     values = np.where(found, known * fine[..., :-1] + (1.0 - known) * other, fine[..., :-1])

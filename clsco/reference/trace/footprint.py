@@ -37,7 +37,7 @@ APART = 1.17
 
 
 def wrapped_index(i: Indices, count: int, wrap: int) -> Indices:
-    """Indices of texels in what is stored of an axis, -1 for nothing."""
+    """Indices of texels as they are stored along an axis, -1 for none."""
     if wrap == WRAP_REPEAT:
         return np.asarray(i % count)
     if wrap == WRAP_MIRROR:

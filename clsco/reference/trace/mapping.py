@@ -65,7 +65,7 @@ def mapped_texture(
 
 @dataclass(frozen=True, eq=False)
 class Mapped:
-    """q of hits (n, 3) in the frame of a texture, and what it changes by per pixel to the right and down."""
+    """q of hits (n, 3) in the frame of a texture, and its changes per pixel to the right and down."""
 
     at: Array
     right: Array

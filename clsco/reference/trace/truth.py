@@ -1,4 +1,4 @@
-"""Ground truth of a frame: what rays of a pinhole meet at pixel centers, at the middle of the exposure."""
+"""Ground truth of a frame: surfaces that rays of a pinhole meet at pixel centers, at the middle of the exposure."""
 
 from __future__ import annotations
 

@@ -199,7 +199,7 @@ def reproject(
 
 
 def mark_entered(winner: NDArray[np.int64], known: NDArray[np.bool_], guard: int) -> NDArray[np.bool_]:
-    """Pixels (H, W) of the frame that show what was outside of it in the reference pose.
+    """Pixels (H, W) of the frame that show surface from outside of it in the reference pose.
 
     winner, known: (H, W). They lie beyond the outermost known pixel of their row of the frame, which was within EDGE_PX
     of the frame's edge on that side; and likewise in columns, where such a pixel counts as known, with the source of
@@ -217,7 +217,7 @@ def mark_entered(winner: NDArray[np.int64], known: NDArray[np.bool_], guard: int
 
 
 def _beyond_edge(lines: NDArray[np.bool_], place: NDArray[np.int64]) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-    """Mark what is beyond the first or last known pixel of each line (L, N), where its place was at that end.
+    """Mark pixels beyond the first or last known pixel of each line (L, N), where its place was at that end.
 
     lines: (L, N), known; place: (L, N), px, of each source along its line. Besides, the number (L, N) of the nearer one
     of these two pixels.
@@ -234,7 +234,7 @@ def _beyond_edge(lines: NDArray[np.bool_], place: NDArray[np.int64]) -> tuple[ND
 def fill_entered(
     values: Array, objects: NDArray[np.uint8], valid: NDArray[np.bool_], entered: NDArray[np.bool_], guard: int
 ) -> tuple[Array, NDArray[np.uint8], NDArray[np.bool_]]:
-    """Values (H, W, K), objects (H, W) and validity (H, W) with the image mirrored into what has entered the frame.
+    """Values (H, W, K), objects (H, W) and validity (H, W) with the image mirrored into pixels that have entered it.
 
     values, objects, valid: (H, W, K), (H, W) and (H, W), with missing pixels filled; entered: (H, W), from
     `mark_entered`. Each takes the mirror image about the outermost valid pixel of its row of the frame, else of its
@@ -259,7 +259,7 @@ def fill_entered(
 
 
 def extend_border(values: Array, valid: NDArray[np.bool_], guard: int) -> tuple[Array, NDArray[np.bool_]]:
-    """Values (H, W, K) and validity (H, W) of the padded grid with what is outside of the frame mirrored into it.
+    """Values (H, W, K) and validity (H, W) of the padded grid with the frame mirrored into its apron.
 
     values, valid: (H, W, K) and (H, W). A depth map knows nothing there; its image goes on as its mirror image, as
     textures do. Only pixels that are not valid change.

@@ -86,7 +86,7 @@ def save_dialog(session: Session) -> tuple[Callable[[], None], Callable[[], None
 
 
 def tried_unless_conflict(session: Session, path: Path | None, overwrite: bool) -> bool:
-    """Save, and show what is wrong, but for a conflict, which is raised."""
+    """Save, and show the fault if there is one, but for a conflict, which is raised."""
     conflicts: list[ConflictError] = []
 
     def action() -> None:

@@ -1,4 +1,4 @@
-"""Inpainting with a brush: what is painted over goes, by several methods side by side."""
+"""Inpainting with a brush: painted pixels are replaced, by several methods side by side."""
 
 from __future__ import annotations
 

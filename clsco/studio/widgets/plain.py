@@ -39,7 +39,7 @@ def button(text: str, pressed: Callable[[], object], **attributes: Any) -> ui.el
 
 
 def tried(action: Callable[[], object]) -> bool:
-    """Do something, and show what is wrong with it; whether nothing was."""
+    """Do something and show its fault if there is one; True if there is none."""
     client = ui.context.client  # what was pressed may be gone afterwards
     try:
         action()
