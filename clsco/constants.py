@@ -41,7 +41,6 @@ WIDE_LANES = 16
 # Blur by `gather` (kernels/blur/cpu).
 ROW_TILE = 256  # columns of a tile of a band, with whole rows of sources
 COLUMN_STEP = 32  # columns of sources that a launch cut into pieces takes at least, with columns of sources
-ROW_WINDOW = 16  # rows of sums that are kept where sources reach few: a power of 2 above twice their reach
 MOST_ITEMS = 256  # groups of sources of a column that are kept at a time, at most
 ITEMS_BYTES = 2**18  # bytes that groups of sources of Gaussians take, unless few of them take more
 MOST_ASIDE = 5  # columns of a block of Gaussians, at most
@@ -56,10 +55,6 @@ CONVOLVED_COLUMNS = 64  # columns of the frame that a work-item makes, whole vec
 TILES_ABREAST = 8  # work-items side by side before those below, so that what they read is still in the cache
 LONGEST_RUN = 8  # weights of a run, which a kernel keeps in registers
 DROPPED_BITS = 26  # lower bits of a sum over a disc that sums of 32 bits leave out
-
-# Coarser grids (kernels/blur/multigrid.cl).
-EDGE_COLUMNS = 8  # columns around a plane, on its left; on its right at least as many
-EDGE_ROWS = 8  # rows above a plane, and below it
 
 # Layered occlusion (kernels/layered/layered.cl).
 DISCONTINUITY_CLASSES = 10  # of sizes: beyond 1, 2, 4 ... times the least discontinuity

@@ -164,20 +164,7 @@ class Computation:
     device: str | None
     precision: str | None
     memory: int | None
-    method: str
     tolerance: float | None
-
-    @property
-    def blur(self) -> dict[str, Any]:
-        """Options of the blur, as keyword arguments. Raises click.UsageError where the two disagree."""
-        from clsco.plan.approximation import METHODS
-
-        if self.method not in ("auto", *METHODS):
-            raise click.UsageError(f"--method: must be one of auto, {', '.join(METHODS)}; got {self.method}")
-        if self.tolerance is not None and self.method != "auto":
-            rule = "chooses the method, which must then be auto"
-            raise click.UsageError(f"--tolerance: {rule}; got --method {self.method}")
-        return {"method": self.method, "tolerance": self.tolerance}
 
 
 def require_opencl() -> None:
@@ -228,17 +215,13 @@ memory_option = click.option(
     help="Most that buffers on the device may take, like 1.5GiB or 800MB; frames that need more are made in strips. "
     "Default: half of what is free.",
 )  # fmt: skip
-method_option = click.option(
-    "--method", metavar="NAME", default="auto",
-    help="Of the blur: auto (default), which is exact, or an approximation: coarse2 (the fastest) to coarse16.",
-)  # fmt: skip
 tolerance_option = click.option(
     "--tolerance", metavar="E", type=click.FloatRange(min=0.0, min_open=True),
-    help="Take the fastest method whose RMS error is at most E of white, measured at some of the pixels.",
+    help="Take the fewest time samples and silhouette samples whose estimated RMS error is at most E of white.",
 )  # fmt: skip
 quiet_option = click.option("--quiet", is_flag=True, help="Show no progress.")
 computation_options = one_value(
-    "computation", Computation, device_option, precision_option, memory_option, method_option, tolerance_option
+    "computation", Computation, device_option, precision_option, memory_option, tolerance_option
 )
 bench_extent = one_value(
     "extent",

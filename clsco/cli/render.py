@@ -95,12 +95,12 @@ def request_for(files: tuple[TruthFile, ...], computation: Computation | None = 
     from clsco.plan.request import Request
 
     if computation is not None:
-        options |= computation.blur | {"precision": computation.precision, "memory": computation.memory}
+        options |= {name: getattr(computation, name) for name in ("precision", "memory", "tolerance")}
     return Request(needed_truth(files), **options)
 
 
 def report_approximation(where: Path, frame: Frame) -> None:
-    """On stderr, of a frame whose blur was or could have been approximated."""
+    """Say on stderr which samples a frame has that was rendered with a tolerance."""
     from clsco.plan.approximation import ApproximationReport
 
     if values := frame.metadata["approximation"]:

@@ -25,7 +25,7 @@ from clsco.frame.frame import FILE_NAMES, IMAGE_NAMES, Frame
 from clsco.frame.provenance import file_digests, record
 from clsco.frame.truth_files import ATTRIBUTES, TruthFile
 from clsco.opencl.session import Session, session_for
-from clsco.plan.approximation import asked_alike
+from clsco.plan.approximation import same_tolerance
 from clsco.plan.prepare import Prepared, PreparedFile
 from clsco.scene.model import Scene
 
@@ -96,7 +96,7 @@ def prepare(
     """Make the folder, and with `resume` take out the frames that are in it, whole and of this scene.
 
     digests: of its files, as `provenance.file_digests` gives them, where they are known. A frame is whole where its
-    JSON file, written last, names the scene's hash, this version, an approximation that was requested alike, all files
+    JSON file, written last, names the scene's hash, this version, the same tolerance, all files
     wanted with what they hold, and each file's SHA-256. Raises ImageError where a texture or depth cannot be read or
     the folder written.
     """
@@ -121,7 +121,7 @@ def prepare(
         whole = frame_files(index, scene.stereo is not None, files, subframes, held) <= set(content["files"])
         whole = whole and holds_truth(content, files)
         views = content["views"].values() if scene.stereo is not None else [content]
-        alike = all(asked_alike(view.get("approximation"), request.method, request.tolerance) for view in views)
+        alike = all(same_tolerance(view.get("approximation"), request.tolerance) for view in views)
         return whole and alike and all(request.precision in (None, view.get("precision")) for view in views)
 
     left = tuple(index for index in frames if not (resume and is_there(index)))

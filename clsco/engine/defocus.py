@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import wraps
-from typing import Any, Literal, ParamSpec, TypeVar, get_args, overload
+from typing import Any, Literal, get_args, overload
 
 import numpy as np
 import pyopencl as cl
@@ -21,77 +19,50 @@ from clsco.frame.strips import Grid, Strip, around, frame_struct
 from clsco.inputs.soft_edges import assign_soft_edges
 from clsco.opencl.arrays import check_image, on_host, without_mask
 from clsco.opencl.buffers import allocate, lent
-from clsco.opencl.device import Device
 from clsco.opencl.session import DeviceLike, Session
 from clsco.optics.lens import LARGEST_BLUR
 from clsco.optics.psf import reach
 from clsco.optics.slabs import Slabs
 from clsco.passes.blur import Sources, blur_target, prepare_sources
+from clsco.passes.frame_blur import make_blur
 from clsco.passes.layered import DepthLayers
-from clsco.passes.multigrid import Multigrid, make_blur
 from clsco.passes.tables import forget_others
-from clsco.plan.approximation import (
-    METHODS,
-    ApproximationReport,
-    can_convolve,
-    candidates,
-    check_border,
-    checked_tolerance,
-    estimate,
-    sample_places,
-)
 from clsco.plan.buffers import image_buffers
-from clsco.plan.memory import Limit, defocus_bytes, defocus_strips, fits, is_layered, limit_of, rows_that_fit
-from clsco.plan.methods import Blur, BlurSpec, choose_blur, is_sharp
+from clsco.plan.memory import Limit, defocus_bytes, defocus_strips, is_layered, limit_of, rows_that_fit
+from clsco.plan.methods import Blur, BlurSpec, can_convolve, check_shape, choose_blur, is_sharp
 from clsco.plan.predict import guard_band
 from clsco.records import Real, Struct, flat, in_parts
 from clsco.scene.file import PsfLike, psf_of
 from clsco.scene.model import Psf
 
-_P = ParamSpec("_P")
-_R = TypeVar("_R")
 Outside = Literal["mirror", "black"]
 SoftEdges = Literal["assign", "keep"]
-
-
-def _with_old_name(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    """The function, with `coc=` for `blur_radius=`, for one release."""
-
-    @wraps(function)
-    def call(*args: _P.args, **kwargs: _P.kwargs) -> _R:
-        if "coc" in kwargs:
-            warnings.warn("coc: the argument is blur_radius; coc goes with the next release", DeprecationWarning, 2)
-            kwargs["blur_radius"] = kwargs.pop("coc")
-        return function(*args, **kwargs)
-
-    return call
 
 
 @overload
 def defocus(
     image: NDArray[Any], blur_radius: NDArray[Any], psf: PsfLike = None, *, device: DeviceLike = None,
-    method: str = "auto", tolerance: float | None = None, memory: str | int | None = None,
+    method: str = "auto", memory: str | int | None = None,
     outside: Outside = "mirror", soft_edges: SoftEdges = "assign", return_report: Literal[False] = False,
 ) -> NDArray[Any]: ...  # fmt: skip
 @overload
 def defocus(
     image: NDArray[Any], blur_radius: NDArray[Any], psf: PsfLike = None, *, device: DeviceLike = None,
-    method: str = "auto", tolerance: float | None = None, memory: str | int | None = None,
+    method: str = "auto", memory: str | int | None = None,
     outside: Outside = "mirror", soft_edges: SoftEdges = "assign", return_report: Literal[True],
 ) -> tuple[NDArray[Any], DefocusReport]: ...  # fmt: skip
 @overload
 def defocus(
     image: cl_array.Array, blur_radius: cl_array.Array, psf: PsfLike = None, *, device: DeviceLike = None,
-    method: str = "auto", tolerance: float | None = None, memory: str | int | None = None,
+    method: str = "auto", memory: str | int | None = None,
     outside: Outside = "mirror", soft_edges: SoftEdges = "assign", return_report: Literal[False] = False,
 ) -> cl_array.Array: ...  # fmt: skip
 @overload
 def defocus(
     image: cl_array.Array, blur_radius: cl_array.Array, psf: PsfLike = None, *, device: DeviceLike = None,
-    method: str = "auto", tolerance: float | None = None, memory: str | int | None = None,
+    method: str = "auto", memory: str | int | None = None,
     outside: Outside = "mirror", soft_edges: SoftEdges = "assign", return_report: Literal[True],
 ) -> tuple[cl_array.Array, DefocusReport]: ...  # fmt: skip
-@_with_old_name
 def defocus(
     image: NDArray[Any] | cl_array.Array,
     blur_radius: NDArray[Any] | cl_array.Array,
@@ -99,7 +70,6 @@ def defocus(
     *,
     device: DeviceLike = None,
     method: str = "auto",
-    tolerance: float | None = None,
     memory: str | int | None = None,
     outside: Outside = "mirror",
     soft_edges: SoftEdges = "assign",
@@ -120,10 +90,7 @@ def defocus(
     device : str, pyopencl.Device, Context or CommandQueue, optional
         Part of a device's name, "cpu" or "gpu", or where to work. The queue of pyopencl arrays is worked in.
     method : str
-        "auto"; "gather", "scatter", "tiles", "convolve" (one radius for all pixels); or an approximation: "coarse2",
-        "coarse4", "coarse8", "coarse16".
-    tolerance : float, optional
-        RMS error of white up to which an approximation is taken where it is faster; None for the exact blur.
+        "auto", "gather", "scatter", "tiles", or "convolve" (one radius for all pixels).
     memory : int or str, optional
         Most that buffers on the device take, in bytes or like "1.5GiB"; by default half of what is free.
     outside : {"mirror", "black"}
@@ -156,8 +123,7 @@ def defocus(
     It is what a scene of one static depth map with unit = "coc" gives, and `clsco defocus`. Sources have their pixel's
     center, and the gradient for `tilt` comes from differences of `blur_radius`. With occlusion = "layered" smaller
     signed radii, which are nearer, hide larger ones at depth discontinuities. An image that needs more than `memory` is
-    blurred in horizontal strips, with the same bits, but for an approximation, which needs the whole image (where a
-    tolerance leaves the choice, the exact blur is taken).
+    blurred in horizontal strips, with the same bits.
     Validated against `clsco.reference.blur.blur.scatter` and `clsco.reference.layered.layered.layered` to 1e-5.
 
     Examples
@@ -182,13 +148,13 @@ def defocus(
     given = _checked(linear, radii, outside == "mirror" and model.border == "lose")
     given, soft = _with_hard_edges(given) if soft_edges == "assign" else (given, 0)
     with session.reporting():
-        result, report = _defocus(session, given, model, (method, tolerance), memory, return_report)
+        result = _defocus(session, given, model, method, memory)
         blurred = as_given(encode(result, 8 * picture.dtype.itemsize, "srgb") if codes else result)
-    return (blurred, DefocusReport(**vars(report), soft_edges=soft)) if return_report else blurred
+    return (blurred, DefocusReport(soft)) if return_report else blurred
 
 
 @dataclass(frozen=True)
-class DefocusReport(ApproximationReport):
+class DefocusReport:
     """Report on how an image was blurred.
 
     Attributes
@@ -197,13 +163,7 @@ class DefocusReport(ApproximationReport):
         Pixels whose radius was between those of two surfaces at their edge, and became that of one of them.
     """
 
-    soft_edges: int = 0
-
-    def line(self) -> str:
-        """The same in a line."""
-        number = self.soft_edges
-        found = f"; {number} pixel{'s' * (number != 1)} at soft edges got the radius of one side" if number else ""
-        return super().line() + found
+    soft_edges: int
 
 
 @dataclass(frozen=True)
@@ -259,41 +219,19 @@ def _with_hard_edges(given: _Given) -> tuple[_Given, int]:
 
 
 def _choose(psf: Psf, method: str, given: _Given, gpu: bool) -> Blur:
-    check_border(psf, method)
+    check_shape(psf, method)
     constant = given.smallest == given.largest and can_convolve(psf)
     return choose_blur(method, is_sharp(psf, given.largest), constant, gpu)
 
 
-def _defocus(
-    session: Session, given: _Given, psf: Psf, method: tuple[str, float | None], memory: str | int | None,
-    measures: bool,
-) -> tuple[NDArray[np.float32], ApproximationReport]:  # fmt: skip
-    """By the method, or the first one that is within the tolerance; the error is only measured where it is needed."""
+def _defocus(session: Session, given: _Given, psf: Psf, method: str, memory: str | int | None) -> NDArray[np.float32]:
     device = session.device
     limit = limit_of(memory, device)
     if limit.given:
         forget_others(session)
-    name, tolerance = method
-    gpu = device.kind == "gpu"
-    tried: tuple[tuple[str, float], ...] = ()
-    names = [name]
-    if tolerance is not None and checked_tolerance(tolerance, name):
-        names = [*(() if _choose(psf, name, given, gpu) == "none" else candidates(psf, np.abs(given.coc))), name]
-    for each in names:
-        blur, least = _choose(psf, each, given, gpu), METHODS.get(each)
-        spec = _spec(given, psf, blur, least)
-        measured = each in METHODS and (measures or tolerance is not None)
-        places = sample_places(*given.coc.shape) if measured else None
-        count = 0 if places is None else len(places)
-        if least is not None and tolerance is not None and not fits(_sizes(given, spec, device, count), limit):
-            continue  # approximations need the whole image
-        result, missed = _blurred(session, given, spec, places, limit)
-        rms, at_most = (0.0, 0.0) if missed is None else estimate(missed)
-        if each not in METHODS or tolerance is None or at_most <= tolerance:
-            break
-        tried += ((each, at_most),)
-    label, count = (each, 0 if missed is None else len(missed)) if each in METHODS else ("exact", 0)
-    return result, ApproximationReport(label, tolerance, rms, at_most, count, tried)
+    ends, blur = (given.smallest, given.largest), _choose(psf, method, given, device.kind == "gpu")
+    spec = BlurSpec(psf, blur, *ends, tilt=psf.tilt, brightest=given.brightest)
+    return _blurred(session, given, spec, limit)
 
 
 def _guard(given: _Given, psf: Psf, blur: Blur) -> int:
@@ -301,11 +239,6 @@ def _guard(given: _Given, psf: Psf, blur: Blur) -> int:
     if given.mirrored:
         return guard_band(psf, given.largest) + lanes
     return reach(psf, given.largest) + lanes if lanes else 0
-
-
-def _spec(given: _Given, psf: Psf, blur: Blur, least: float | None) -> BlurSpec:
-    ends = given.smallest, given.largest
-    return BlurSpec(psf, blur, *ends, tilt=psf.tilt, brightest=given.brightest, least=least)
 
 
 def _strips(given: _Given, spec: BlurSpec, tallest: int) -> tuple[Strip, ...]:
@@ -318,50 +251,37 @@ def _grid(given: _Given, spec: BlurSpec, strips: Sequence[Strip]) -> Grid:
     return Grid.of(strips, given.coc.shape[1], _guard(given, spec.psf, spec.method), given.channels)
 
 
-def _sizes(given: _Given, spec: BlurSpec, device: Device, places: int, tallest: int | None = None) -> dict[str, int]:
-    """Buffers for strips of up to `tallest` rows, by default the whole image; places: where its error is measured."""
-    strips = _strips(given, spec, tallest or len(given.coc))
-    return defocus_bytes(spec, _grid(given, spec, strips), device, places)
-
-
-def _blurred(
-    session: Session, given: _Given, spec: BlurSpec, places: NDArray[np.int32] | None, limit: Limit
-) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
-    """The image, and its error at places."""
+def _blurred(session: Session, given: _Given, spec: BlurSpec, limit: Limit) -> NDArray[np.float32]:
+    """The image, in as few strips as fit the limit."""
     if spec.method == "none":
-        return given.image.astype(np.float32), None
+        return given.image.astype(np.float32)
     shape, rows = given.image.shape, len(given.coc)
-    whole = None if spec.least is None else "an approximation"
-    count = 0 if places is None else len(places)
 
     def sizes(tall: int) -> dict[str, int]:
-        return _sizes(given, spec, session.device, count, tall)
+        return defocus_bytes(spec, _grid(given, spec, _strips(given, spec, tall)), session.device)
 
-    def in_strips(tall: int) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+    def in_strips(tall: int) -> NDArray[np.float32]:
         strips = _strips(given, spec, tall)
-        engine = _Engine(session, given, spec, strips, places)
+        engine = _Engine(session, given, spec, strips)
         out = np.empty(shape, np.float32)
         for strip in strips:
             rows_of = (strip.inside, ..., 0) if shape[2:] == (1,) else strip.inside
             engine.defocus(strip, out[rows_of])
-        return out, engine.missed()
+        return out
 
     memory = Shrinking(
         session,
         limit,
-        lambda known: rows_that_fit(rows, known, sizes, whole),
+        lambda known: rows_that_fit(rows, known, sizes),
         lambda tall: sum(sizes(tall).values()),
     )
     return memory.run(in_strips)
 
 
 class _Engine:
-    """Owns the buffers and the program for the strips of one image; places: as for `make_blur`."""
+    """Owns the buffers and the program for the strips of one image."""
 
-    def __init__(
-        self, session: Session, given: _Given, spec: BlurSpec, strips: Sequence[Strip],
-        places: NDArray[np.int32] | None,
-    ) -> None:  # fmt: skip
+    def __init__(self, session: Session, given: _Given, spec: BlurSpec, strips: Sequence[Strip]) -> None:
         self.given, self.guard = given, _guard(given, spec.psf, spec.method)
         real: Real = "double" if session.device.has_fp64 else "float"
         layered = is_layered(spec.psf, spec.method)  # which has a plane of its own
@@ -370,7 +290,7 @@ class _Engine:
         self.floats = self.lends and not layered and np.can_cast(given.coc.dtype, np.float32)
         self.target = blur_target(session, spec, given.channels, real, "float" if self.floats else "wide")
         grid = _grid(given, spec, strips)
-        self.blur = make_blur(self.target, spec, grid, self._camera(strips[0]), places)
+        self.blur = make_blur(self.target, spec, grid, self._camera(strips[0]))
         sizes = image_buffers(spec, grid, layered)
         absent = ("value", "coc", "valid") if self.floats else ("value", "coc") if self.lends else ()
         buffers = allocate(session, {name: size for name, size in sizes.items() if name not in absent})
@@ -413,12 +333,6 @@ class _Engine:
                 prepare_sources(self.target, camera, blur.struct, maps, self.source, [])
             blur.add(Sources(self.source, self.value, radius=self.given.largest), [])
         blur.image([], out)
-
-    def missed(self) -> NDArray[np.float32] | None:
-        """Error at the places, where it was asked for."""
-        if isinstance(self.blur, Multigrid) and self.blur.places is not None:
-            return self.blur.missed()
-        return None
 
     def _send(self, strip: Strip) -> None:
         """Send what of image and radii lights a strip to the device."""

@@ -22,14 +22,12 @@ from clsco.opencl.pace import spent
 from clsco.opencl.session import Progress, Session
 from clsco.optics.slabs import Slabs
 from clsco.passes.blur import Events
-from clsco.passes.multigrid import Multigrid
 from clsco.passes.pack import camera_struct
 from clsco.passes.placed import PlacedScene, TimeSample
 from clsco.passes.static_image import StaticMap
 from clsco.passes.trace import EMPTY_STATISTICS, Hits, Work
 from clsco.passes.truth import GroundTruth
 from clsco.passes.warp import ForwardWarp
-from clsco.plan.approximation import ApproximationReport, estimate
 from clsco.plan.memory import Limit, device_bytes, fitted
 from clsco.plan.plan import Plan, exposure, widened
 from clsco.plan.prepare import Prepared
@@ -69,8 +67,6 @@ class Renderer:
         real: Real = "double" if wants_double else "float"
         self.plan, self.limit, self.prepared, self.hits = plan, limit, prepared, hits
         self.scene = PlacedScene(session, plan.scene, prepared.textures, real, plan.eye, plan.alpha)
-        self.approximations = plan.approximations  # of every frame, before any of them is tried
-        self.tried: tuple[tuple[str, float], ...] = ()
         self.space: Workspace | None = None
         self.moved = self._pixels()
         self.space = self._workspace()
@@ -157,7 +153,7 @@ class Renderer:
 
     def finish(self, index: int) -> Frame:
         """The frame of this number, of the strips added: again with larger buffers where the plan was too small."""
-        while self._outgrown() or self._too_far_off():
+        while self._outgrown():
             expose([self], index)
         space = self._ready
         truth = GroundTruth(self.plan, self.scene, space.tracer, space.pixels).of_frame(index, self.events)
@@ -166,9 +162,6 @@ class Renderer:
         self.scene.release()
         eye = self.plan.eye if self.plan.scene.stereo else ""
         about = self._metadata(index)
-        if self.tried:  # the next frame is what it would be by itself
-            self.tried = ()
-            self._change(replace(self.plan, approximations=self.approximations))
         if not self.plan.alpha:
             return Frame(index=index, color=self.color, metadata=about, eye=eye, **truth)
         for name in {"sharp", "subframes"} & truth.keys():
@@ -208,29 +201,12 @@ class Renderer:
         self._change(wider)
         return True
 
-    def _too_far_off(self) -> bool:
-        """True if the frame's error passes the tolerance; then takes the next better approximation."""
-        report = self._approximation_report()
-        if report is None or report.tolerance is None or report.at_most <= report.tolerance:
-            return False
-        self.tried += ((report.method, report.at_most),)
-        self._change(replace(self.plan, approximations=self.plan.approximations[1:]))
-        return True
-
-    def _approximation_report(self) -> ApproximationReport | None:
-        """Report of the frame's approximation, None where none was requested."""
-        tolerance, blur = self.plan.tolerance, self._ready.blur
-        if isinstance(blur, Multigrid):
-            name, missed = self.plan.approximations[0], blur.missed()
-            return ApproximationReport(name, tolerance, *estimate(missed), len(missed), self.tried)
-        return None if tolerance is None else ApproximationReport("exact", tolerance, 0.0, 0.0, 0, self.tried)
-
     def _metadata(self, index: int) -> dict[str, Any]:
         seconds: dict[str, float] = {}
         for name, event in self.events:
             seconds[name] = seconds.get(name, 0.0) + spent(event)
         seconds["host"] = perf_counter() - self.began - sum(seconds.values())
-        device, report = self.scene.session.device, self._approximation_report()
+        device, report = self.scene.session.device, self.prepared.approximation
         return {
             "frame": index,
             "intermediate": self.reports,

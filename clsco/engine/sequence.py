@@ -56,11 +56,10 @@ def render(
     precision : {"double", "single"}, optional
         Precision of the geometry; by default double where the device has it.
     method : str
-        Method of the blur: "auto"; "gather", "scatter", "tiles" or "convolve" where it can blur the scene; or an
-        approximation: "coarse2", "coarse4", "coarse8", "coarse16".
+        Method of the blur: "auto", or "gather", "scatter", "tiles" or "convolve" where it can blur the scene.
     tolerance : float, optional
-        RMS error of white up to which an approximation is taken where it is faster; None for the exact blur.
-        `Frame.metadata["approximation"]` says which it was, with its measured error.
+        RMS error of white up to which fewer time samples and silhouette samples are taken, as it is estimated; None for
+        all that the scene says. `Frame.metadata["approximation"]` has the numbers and the estimated error.
     frames : iterable of int, optional
         Numbers of the wanted frames, from 0; by default all.
     memory : int or str, optional
@@ -80,8 +79,7 @@ def render(
 
     Notes
     -----
-    A frame that needs more than `memory` is made in horizontal strips, with the same bits, but for an approximation,
-    which needs the whole frame (where a tolerance leaves the choice, the exact blur is taken).
+    A frame that needs more than `memory` is made in horizontal strips, with the same bits.
     Validated against `clsco.reference.render` on every scene in examples/, and a ray tracer
     (benchmarks/truth/accuracy.py).
 
@@ -205,7 +203,7 @@ def checked_request(
         raise SceneError(f"precision: must be single or double; got {precision}")
     check_method(method)
     if tolerance is not None:
-        checked_tolerance(tolerance, method)
+        checked_tolerance(tolerance)
     if memory is not None:
         parse_size(memory)
     return Request(truth_names(truth), method, tolerance, precision, memory)

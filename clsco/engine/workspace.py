@@ -9,14 +9,13 @@ import pyopencl as cl
 
 from clsco.opencl.buffers import allocate
 from clsco.optics.lens import blur_radius
-from clsco.passes.blur import FrameBlur, Sources, Target, blur_target, prepare_sources
+from clsco.passes.blur import FrameSum, Sources, Target, blur_target, prepare_sources
+from clsco.passes.frame_blur import make_blur
 from clsco.passes.layered import DepthLayers
-from clsco.passes.multigrid import make_blur
 from clsco.passes.placed import PlacedScene, TimeSample
 from clsco.passes.static_image import StaticMap
 from clsco.passes.trace import Hits, Tracer, Work
 from clsco.passes.warp import ForwardWarp
-from clsco.plan.approximation import sample_places
 from clsco.plan.passes import Kind, Pass
 from clsco.plan.plan import Plan
 from clsco.records import Struct
@@ -50,7 +49,7 @@ class Workspace:
     target : Target
     buffers : mapping
         Buffers of `SHARED` that the plan has.
-    blur : FrameBlur
+    blur : FrameSum
     tracer : Tracer
     layers : DepthLayers, optional
     pixels : ForwardWarp or StaticMap, optional
@@ -61,7 +60,7 @@ class Workspace:
     scene: PlacedScene
     target: Target
     buffers: Mapping[str, cl.Buffer]
-    blur: FrameBlur
+    blur: FrameSum
     tracer: Tracer
     layers: DepthLayers | None
     pixels: ForwardWarp | StaticMap | None
@@ -87,8 +86,7 @@ def make_workspace(
     spec = replace(plan.spec, brightest=scene.brightest)
     from_radii = plan.forward or plan.static_map or plan.occlusion == "layered"
     target = blur_target(session, spec, plan.channels, real, "wide" if from_radii else "none")
-    places = sample_places(plan.rows, plan.columns) if plan.approximations else None
-    blur = make_blur(target, spec, plan.grid, camera, places)
+    blur = make_blur(target, spec, plan.grid, camera)
     sizes = {name: size for each in plan.passes for name, size in each.buffers.items()}
     buffers = allocate(session, {name: sizes[name] for name in SHARED if name in sizes})
     tracer = Tracer(plan, scene, buffers, blur.struct, hits)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,16 +29,13 @@ FILE_NAMES = {name: name for name in ("color", *ALL_TRUTH, *IMAGE_NAMES)} | {"bl
 def truth_names(truth: str | Iterable[str]) -> tuple[str, ...]:
     """Names of outputs besides color that users give: some of `ALL_TRUTH` and `IMAGE_NAMES`, one of them, or "all".
 
-    "all" is `ALL_TRUTH`. `coc` is a former name of `blur_radius`, for one release. Raises SceneError for other names.
+    "all" is `ALL_TRUTH`. Raises SceneError for other names.
     """
     if truth == "all":
         return ALL_TRUTH
     if not isinstance(truth, Iterable):
         raise SceneError(f"truth: must be names of outputs; got {truth!r}")
     names = tuple(dict.fromkeys([truth] if isinstance(truth, str) else truth))
-    if "coc" in names:
-        warnings.warn("truth: coc is blur_radius; coc goes with the next release", DeprecationWarning, 4)
-        names = tuple("blur_radius" if name == "coc" else name for name in names)
     for name in names:
         if name not in FILE_NAMES or name == "color":
             known = ", ".join((*ALL_TRUTH, *IMAGE_NAMES))
@@ -127,12 +123,6 @@ class Frame:
     subframes: NDArray[np.float32] | None = None
     eye: str = ""
     metadata: Mapping[str, Any] = field(default_factory=dict)
-
-    @property
-    def coc(self) -> NDArray[np.float32] | None:
-        """Former name of `blur_radius`, for one release."""
-        warnings.warn("Frame.coc: the name is blur_radius; coc goes with the next release", DeprecationWarning, 2)
-        return self.blur_radius
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """The image and all truth that was requested, by their names in files, such as "color" and "coc"."""

@@ -33,7 +33,7 @@ POCL_DECLARATIONS, WITHOUT_HEADER = "common/cpu/pocl.clh", "-D_OPENCL_H_"
 SINGLE_TAPS, GATHERED_TAPS = "common/lanes.clh", "common/cpu/lanes.clh"
 OCCLUSION_HEADERS = ("common/occluder.clh", "common/visibility.clh", "common/visibility_test.clh")
 GATHER_HEADERS = tuple(
-    f"blur/cpu/{name}.clh" for name in ("vectors", "many", "rows", "near", "discs", "quadrants", "gaussians", "columns")
+    f"blur/cpu/{name}.clh" for name in ("vectors", "many", "discs", "quadrants", "gaussians", "columns")
 )
 # With the feature TEXTURED.
 MAPPING_HEADERS = ("common/angles.clh", *(f"trace/{name}.clh" for name in ("mapping", "footprint", "detail")))
@@ -46,7 +46,6 @@ HEADERS_OF = {
         "common/psf.clh",
         *GATHER_HEADERS,
     ),
-    "blur/multigrid.cl": ("common/sources.clh", "common/psf.clh"),
     "blur/tiles.cl": ("common/sources.clh", "common/psf.clh"),
     "inpainting/fill.cl": ("inpainting/lanes.clh", "inpainting/estimate.clh"),
     "inpainting/mean_median.cl": ("inpainting/lanes.clh", "inpainting/estimate.clh"),

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.constants import POWERS, TAP_LANES
-from clsco.optics.psf import MINIMUM_BLUR, psf_extent, reaches, sampled_key, shape_of
+from clsco.optics.psf import MINIMUM_BLUR, psf_extent, reaches, sampled_key
 from clsco.scene.model import Psf
 
 Array = NDArray[np.float64]
@@ -27,8 +27,6 @@ FINE_STEPS, FINE_UNTIL = 16, 16
 # Chebyshev points of [0, 1]: near the best cubic, and never on a jump of a sampled PSF.
 NODES = 0.5 - 0.5 * np.cos((2 * np.arange(POWERS) + 1) * np.pi / 8)
 TO_POWERS = np.linalg.inv(np.vander(NODES, POWERS, increasing=True))
-# Sampled discs that reach at most so far, in px to both sides, are added up tap by tap: kernels/blur/cpu/near.clh.
-NEAR = 7
 BLOCK = 64  # intervals of a sampled Gaussian that are computed together
 
 
@@ -106,11 +104,6 @@ def span_of(psf: Psf, smallest: float, largest: float, subpixel: bool) -> range:
     """
     first, last = (floor(float(table_coordinate(psf, np.array(r), subpixel))) for r in (smallest, largest))
     return range(first // TAP_LANES * TAP_LANES, last + 1)
-
-
-def is_near(psf: Psf, largest: float) -> bool:
-    """True if sampled discs up to `largest` px reach so little that each tap of a row of sources is added by itself."""
-    return shape_of(psf).kind == "disc" and table_reach(psf, largest) <= NEAR
 
 
 @lru_cache(maxsize=256)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from math import log
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 import pyopencl as cl
@@ -16,7 +16,6 @@ from clsco.frame.strips import BAND, Grid
 from clsco.opencl.buffers import empty, mapped, upload, upload_cached
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Program, Session
-from clsco.optics.psf_grid import NEAR
 from clsco.optics.psf_tables import psf_features
 from clsco.optics.visibility import lens_floats
 from clsco.passes.pack import psf_struct
@@ -71,7 +70,7 @@ def blur_features(spec: BlurSpec, channels: int, fp64: bool, maps: Maps) -> dict
         Features for `clsco.opencl.program.build`.
     """
     method, psf = spec.method, spec.psf
-    scratch = band_scratch(psf, spec.largest, fp64) if method == "gather" else "none"
+    scratch = band_scratch(psf, fp64) if method == "gather" else "none"
     return (
         PLAIN
         | psf_features(psf)
@@ -82,8 +81,7 @@ def blur_features(spec: BlurSpec, channels: int, fp64: bool, maps: Maps) -> dict
             "OCCLUDED": spec.occluders,
             "LIMITED": int(spec.limited),
             "GATHER": int(method == "gather"),
-            "BY_ROWS": int(scratch in ("rows", "near")),
-            "NEAR": NEAR * (scratch == "near"),
+            "BY_ROWS": int(scratch == "rows"),
             "BY_COLUMNS": int(scratch == "columns"),
             "SCATTER": int(method == "scatter"),
             "RENORMALIZE": int(psf.border == "renormalize" and method != "none"),
@@ -166,44 +164,6 @@ def prepare_sources(
     target.run("prepare_sources", size, BLOCKS, events, camera, psf, *maps, source)
 
 
-class FrameBlur(Protocol):
-    """Adds the blurred radiance of time samples to a frame, or a strip of it: what each method does.
-
-    camera: camera_t of the strip, which can be set to that of another one; struct: psf_t; spec: what it is made for.
-    """
-
-    camera: Struct
-
-    @property
-    def spec(self) -> BlurSpec: ...
-
-    @property
-    def channels(self) -> int: ...
-
-    @property
-    def struct(self) -> Struct: ...
-
-    @property
-    def layout(self) -> tuple[object, ...]:
-        """Kernel arguments of the frame: pitch, pad, buffer."""
-
-    @property
-    def sink(self) -> tuple[object, ...]:
-        """Kernel arguments of where radiance is added."""
-
-    def clear(self) -> None:
-        """Begin a frame, or a strip of it."""
-
-    def add(self, sources: Sources, events: Events) -> None:
-        """Add the radiance of one time sample."""
-
-    def resolve(self, events: Events) -> None:
-        """Enqueue what leaves the frame in the buffer of `layout`."""
-
-    def image(self, events: Events, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
-        """The frame, or its strip, (rows, columns[, channels]), in `out` where it is given; waits for the device."""
-
-
 class FrameSum:
     """A frame of sums, and what all methods share; by itself method "none", which adds radiance where it is.
 
@@ -214,7 +174,7 @@ class FrameSum:
     grid : Grid
         Grid of the frame, or the tallest of its strips.
     camera : numpy.void
-        camera_t of the strip that it begins with.
+        camera_t of the strip that it begins with; `camera` can be set to that of another one.
     sizes : dict
         Sizes of the buffers, by `clsco.plan.buffers.blur_buffers`.
     """
@@ -228,10 +188,12 @@ class FrameSum:
 
     @property
     def layout(self) -> tuple[object, ...]:
+        """Kernel arguments of the frame: pitch, pad, buffer."""
         return np.int32(self.pitch), np.int32(self.pad), self.total
 
     @property
     def sink(self) -> tuple[object, ...]:
+        """Kernel arguments of where radiance is added."""
         return self.layout
 
     @property
@@ -240,15 +202,18 @@ class FrameSum:
         return int(self.camera["columns"]), int(self.camera["rows"])
 
     def clear(self) -> None:
+        """Begin a frame, or a strip of it."""
         cl.enqueue_fill_buffer(self.target.session.queue, self.total, np.zeros(1, np.uint32), 0, self.total.size)
 
     def add(self, sources: Sources, events: Events) -> None:
+        """Add the blurred radiance of one time sample."""
         self.target.run("accumulate", self.size, PIXELS, events, self.camera, sources.value, *self.layout)
 
     def resolve(self, events: Events) -> None:
-        pass
+        """Enqueue what leaves the frame in the buffer of `layout`."""
 
     def image(self, events: Events, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
+        """The frame, or its strip, (rows, columns[, channels]), in `out` where it is given; waits for the device."""
         self.resolve(events)
         (columns, rows), channels = self.size, self.channels
         if out is None:

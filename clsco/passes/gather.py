@@ -43,10 +43,9 @@ class Gather(TableBlur):
         if {"part", "scratch"} & sizes.keys():
             self.bands = bands_at_a_time(grid.rows, session.device.compute_units)
         if "scratch" in sizes:
-            kind = band_scratch(spec.psf, spec.largest, session.device.has_fp64)
-            number = sizes["scratch"] // (4 if kind == "near" else 8)  # of floats, or doubles
-            self.scratch = (filled_with(session, sizes["scratch"]), np.int32(number // self.bands))
-            self.step = COLUMN_STEP if kind == "columns" else ROW_TILE
+            doubles = sizes["scratch"] // 8
+            self.scratch = (filled_with(session, sizes["scratch"]), np.int32(doubles // self.bands))
+            self.step = COLUMN_STEP if band_scratch(spec.psf, session.device.has_fp64) == "columns" else ROW_TILE
         self.position = empty(session, sizes["position"])
 
     def spread(self, head: tuple[object, ...], tail: tuple[object, ...], events: Events) -> None:

@@ -13,8 +13,8 @@ from clsco.opencl.buffers import allocate, download, empty
 from clsco.opencl.program import build
 from clsco.optics.psf import reach
 from clsco.optics.slabs import Slabs, bins_of, depth_of_hidden, levels_of, slab_bounds
-from clsco.passes.blur import BLOCKS, PIXELS, PLAIN, Events, FrameBlur, Sources, Target, blur_target, prepare_sources
-from clsco.passes.exact import exact_blur
+from clsco.passes.blur import BLOCKS, PIXELS, PLAIN, Events, FrameSum, Sources, Target, blur_target, prepare_sources
+from clsco.passes.frame_blur import make_blur
 from clsco.plan.buffers import Sizes, depth_layer_spec, layered_buffers
 from clsco.plan.methods import BlurSpec
 from clsco.records import Real, Struct, structs
@@ -85,7 +85,7 @@ class DepthLayers:
 
     Parameters
     ----------
-    blur : FrameBlur
+    blur : FrameSum
         Blur of the frame, or a strip of it, by one of MANY_RADII and without sub-pixel sources.
     target : Target
         Target of the frame's blur.
@@ -108,7 +108,7 @@ class DepthLayers:
     Validated against `clsco.reference.layered.layered` and the ray tracer.
     """
 
-    def __init__(self, blur: FrameBlur, target: Target, grid: Grid) -> None:
+    def __init__(self, blur: FrameSum, target: Target, grid: Grid) -> None:
         session, real, spec = target.session, target.real, depth_layer_spec(blur.spec)
         planes = grid.channels + 1
         self.outer, self.values = blur, planes
@@ -118,7 +118,7 @@ class DepthLayers:
         program = build(session, ["layered/layered.cl"], features, structs(real), real)
         self.target = Target(session, own.program | program, real)
         layer = Grid(grid.rows, grid.columns, grid.guard, planes, grid.height)
-        self.inner = exact_blur(own, spec, layer, blur.camera)
+        self.inner = make_blur(own, spec, layer, blur.camera)
         sizes = layered_buffers(blur.spec, grid, session.device)
         self.labels = Labels(self.target, spec, sizes)
         names = ("source", "pyramid", "value", "coc", "valid", "covered")

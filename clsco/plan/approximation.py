@@ -1,146 +1,288 @@
-"""Approximation of wide blur on coarser grids: which sources they hold, at which radius, and with which error (float64,
-pure).
+"""Fewer time samples and silhouette samples, by what they are estimated to change in a frame (float64, pure).
 
-Host and kernels: clsco/passes/multigrid.py, kernels/blur/multigrid.cl.
+A pattern that moves by D px while the shutter is open is multiplied, at f cycles per px along the motion, by the sum
+M(f) = sum_i w_i exp(2 pi i f D t_i) of the time samples, t from 0 to 1. Fewer of them give another sum:
+
+    e^2 = sum_f P(f) H(f)^2 |M(f) - M_exact(f)|^2
+
+P: power of what moves, from the texture along its rows and columns, and l c^2 / (2 pi f)^2 of outlines of length l per
+px^2 and contrast c; H: of the PSF. The coverage of a pixel at an outline, from N x N sub-pixel sources, is off by what
+it is for an edge along the sources' rows, and the blur spreads that: e^2 = l c^2 off^2 sum_f H(f)^2.
+Validated against frames of all samples: tests/plan/test_approximation.py.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from math import isfinite, sqrt
+from functools import partial
+from math import ceil, isfinite, sqrt
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import SceneError
-from clsco.optics.multigrid import FADE, MOST_LEVELS, loss
-from clsco.optics.psf import psf_extent, shape_of
-from clsco.scene.model import Psf
+from clsco.inputs.textures import Texture
+from clsco.optics.lens import blur_radius
+from clsco.optics.motion import sample_times
+from clsco.optics.psf import shape_of
+from clsco.optics.texture_mapping import needs_detail
+from clsco.plan.plan import Plan
+from clsco.plan.predict import Maps, image_path, seen_depths
+from clsco.scene.model import Psf, Scene, Sequence
 
 Array = NDArray[np.float64]
 
-# Methods by name, the fastest first, with the smallest radius that a coarser grid holds, in its own px.
-METHODS = {"coarse2": 2.0, "coarse4": 4.0, "coarse8": 8.0, "coarse16": 16.0}
-# Taps per pixel that the way to coarser grids and back costs as much as; the more, the faster the exact way is at them.
-DISC_TAPS, MOVING_TAPS, SOFT_TAPS = 1200.0, 450.0, 400.0
-PIXELS_PER_PLACE, FEWEST_PLACES, MOST_PLACES = 1024, 256, 512  # where errors are sampled
+SIDE, LINES = 256, 64  # px of a segment of a texture whose spectrum is taken, and how many segments along each axis
+FREQUENCIES = np.arange(1, SIDE + 1) / SIDE  # cycles per px; textures have half of them, outlines all
+NOTHING = np.zeros(SIDE)
+CYCLE_STEPS = 8  # per cycle
+EACH = 7  # px: every so many pixels of a texture have its mean; no period of a pattern, as a rule
+MARGIN = 1.5  # of squared errors: rays know outlines and ways roughly
+WAYS = (0.55, 0.7, 0.85, 1.0)  # parts of the longest way, of which the worst counts: not all that moves goes as far
 
 
 @dataclass(frozen=True)
 class ApproximationReport:
-    """Report on how the blur of an image was computed, with the measured error of an approximation.
+    """Samples of a frame for which a tolerance was given.
 
     Attributes
     ----------
-    method : str
-        Name in METHODS, or "exact".
-    tolerance : float or None
-        The requested one.
+    tolerance : float
+        RMS error of white that was asked for.
     rms_error : float
-        Of white, against the exact blur.
-    at_most : float
-        The RMS error and two standard errors more, which is compared with the tolerance.
-    pixels : int
-        At which the error was measured.
-    tried : tuple of (str, float)
-        Method and `at_most` of each approximation that exceeded the tolerance.
+        Estimated, against all samples of the scene; 0 where these are taken.
+    samples, of_samples : int
+        Time samples that are taken, and those of the scene.
+    silhouette_samples, of_silhouette_samples : int
+        The same for sub-pixel sources along an axis of a pixel, 1 where there are none.
     """
 
-    method: str
-    tolerance: float | None
+    tolerance: float
     rms_error: float
-    at_most: float
-    pixels: int
-    tried: tuple[tuple[str, float], ...] = ()
+    samples: int
+    of_samples: int
+    silhouette_samples: int
+    of_silhouette_samples: int
 
     def line(self) -> str:
         """The same in a line."""
-        if self.method == "exact":
-            if not self.tried:
-                return "exact: nothing that fits the memory is faster"
-            return f"exact: {self.tried[-1][0]} is off by up to {self.tried[-1][1]:.2g}"
-        return f"{self.method}: RMS error {self.rms_error:.2g} of white, measured at {self.pixels} pixels"
+        time, silhouettes = (self.samples, self.of_samples), (self.silhouette_samples, self.of_silhouette_samples)
+        if time == silhouettes == (1, 1):
+            return "exact: nothing can be saved, as nothing moves, and no silhouette is in sight"
+        if self.rms_error == 0.0:
+            return f"exact: fewer samples would be off by more than {self.tolerance:g} of white"
+        kinds = (("time", *time), ("silhouette", *silhouettes))
+        taken = " and ".join(f"{count} of {whole} {kind} samples" for kind, count, whole in kinds if whole > 1)
+        return f"{taken}: estimated RMS error {self.rms_error:.2g} of white"
 
 
-def asked_alike(report: Mapping[str, Any] | None, method: str, tolerance: float | None) -> bool:
-    """True if a frame with this report (an `ApproximationReport` as a mapping, or None) has the same request."""
-    if report is None:
-        return tolerance is None and method not in METHODS
-    return report.get("tolerance") == tolerance and (tolerance is not None or report.get("method") == method)
+def same_tolerance(report: Mapping[str, Any] | None, tolerance: float | None) -> bool:
+    """Whether a frame with this report (an `ApproximationReport` as a mapping, or None) had this tolerance."""
+    return (None if report is None else report.get("tolerance")) == tolerance
 
 
-def checked_tolerance(tolerance: float, method: str) -> float:
-    """The tolerance; raises SceneError where it is no number above 0, or a method is named besides."""
+def checked_tolerance(tolerance: float) -> float:
+    """The tolerance; raises SceneError where it is no number above 0."""
     if not (isfinite(tolerance) and tolerance > 0.0):
         raise SceneError(f"tolerance: must be a number above 0, RMS of white; got {tolerance}")
-    if method != "auto":
-        raise SceneError(f"tolerance: chooses the method, which must then be auto; got {method}")
     return tolerance
 
 
-def can_convolve(psf: Psf) -> bool:
-    """True if `convolve` and coarser grids can blur by this PSF: the same one everywhere, and for -R."""
-    return psf.border == "lose" and not shape_of(psf).signed
+def fewer_samples(
+    plan: Plan, tolerance: float, textures: Callable[[], tuple[Texture, ...]], maps: Maps
+) -> tuple[Scene, ApproximationReport]:
+    """The fewest samples whose estimated error is within a tolerance: time samples first, which save most.
 
+    Parameters
+    ----------
+    plan : Plan
+        Of all samples.
+    tolerance : float
+        RMS error of white.
+    textures : callable
+        Gives those of all objects; not called where nothing can be saved.
+    maps : sequence
+        As for `clsco.plan.plan.make_plan`.
 
-def check_border(psf: Psf, method: str) -> None:
-    """Raises SceneError where a method cannot keep the light within the frame, or take the shape of the lens."""
-    if method in (*METHODS, "convolve") and shape_of(psf).signed:
-        raise SceneError(f'method: {method} needs aperture.shape = "circle"; got {psf.aperture.shape}')
-    if method in METHODS and psf.border != "lose":
-        raise SceneError(f'method: {method} needs psf.border = "lose"; got {psf.border}')
-
-
-def candidates(psf: Psf, radii: Array) -> tuple[str, ...]:
-    """Names in METHODS that are faster than the exact way for |blur radii| in px (any shape), the fastest first.
-
-    By the number of taps: per pixel they must be fewer by at least DISC_TAPS for sampled discs, SOFT_TAPS for
-    Gaussians, MOVING_TAPS for others; there is none for a polygon (measured: benchmarks/optimisation_log.md).
+    Returns
+    -------
+    Scene
+        With fewer samples, or the plan's own.
+    ApproximationReport
     """
+    scene, exact = plan.scene, (plan.samples, max(plan.silhouettes, 1))
+    samples, silhouettes, square = *exact, 0.0
+    if exact != (1, 1):
+        parts = _parts(scene, textures(), maps)
+        outlines = sum(float(_passed(scene.psf, part.radius)[: SIDE // 2].mean()) * sum(part.outline) for part in parts)
+        cycles = *_cycles(scene.psf, parts), outlines / (12.0 * exact[1] ** 2)
+        of_time = partial(_of_time, scene.sequence, *cycles, exact[0])
+        of_coverage = partial(_of_coverage, outlines, exact[1])
+        samples = _fewest(range(1, exact[0]), tolerance**2, of_time) or exact[0]
+        square = of_time(samples) if samples < exact[0] else 0.0
+        if not needs_detail(scene, plan.largest_blur):
+            halves = tuple(2**n for n in range(4) if 2**n < exact[1])
+            silhouettes = _fewest(halves, tolerance**2 - square, of_coverage) or exact[1]
+            square += of_coverage(silhouettes) if silhouettes < exact[1] else 0.0
+    report = ApproximationReport(tolerance, sqrt(square), samples, exact[0], silhouettes, exact[1])
+    if (samples, silhouettes) == exact:
+        return scene, report
+    update: dict[str, Any] = {}
+    if samples < exact[0]:
+        update["sequence"] = scene.sequence.model_copy(update={"samples": samples})
+    if silhouettes < exact[1]:
+        update["psf"] = scene.psf.model_copy(update={"silhouette_samples": silhouettes})
+    return scene.model_copy(update=update), report
+
+
+def _fewest(counts: range | tuple[int, ...], square: float, error: Callable[[int], float]) -> int:
+    """The first of rising counts with a squared error within `square`, by halving; 0 where there is none."""
+    few, many = 0, len(counts)
+    while few < many:
+        middle = (few + many) // 2
+        few, many = (few, middle) if error(counts[middle]) <= square else (middle + 1, many)
+    return counts[few] if few < len(counts) else 0
+
+
+@dataclass(frozen=True)
+class _Part:
+    """What the frame shows of an object.
+
+    way: of its image and of the rim of its blur while the shutter is open, px along x and y; radius: its smallest |R|,
+    px; power: of its texture, of white^2 of the frame, by FREQUENCIES along x and y; outline: length times squared
+    contrast per px^2, of outlines across x and y.
+    """
+
+    way: tuple[float, float]
+    radius: float
+    power: tuple[Array, Array]
+    outline: tuple[float, float]
+
+
+def _cycles(psf: Psf, parts: tuple[_Part, ...]) -> tuple[Array, Array]:
+    """Cycles that patterns move on by while the shutter is open, (n,), and their power in the frame, white^2, for each
+    of WAYS (ways, n)."""
+    longest = max((max(part.way) for part in parts), default=0.0)
+    found = np.zeros((len(WAYS), ceil(longest * CYCLE_STEPS) + 1))
+    for part in parts:
+        passed = _passed(psf, part.radius)
+        step = passed * (np.sinc(FREQUENCIES) / (2.0 * np.pi * FREQUENCIES)) ** 2 * 2.0 / SIDE
+        for way, power, outline in zip(part.way, part.power, part.outline, strict=True):
+            for part_of, cycles in zip(WAYS, found, strict=True):
+                at = np.rint(part_of * way * FREQUENCIES * CYCLE_STEPS).astype(np.intp)
+                np.add.at(cycles, at, power * passed + outline * step)
+    return np.arange(found.shape[1]) / CYCLE_STEPS, found
+
+
+def _of_time(sequence: Sequence, cycles: Array, power: Array, uneven: float, exact: int, count: int) -> float:
+    """Squared error of `count` time samples instead of `exact`; uneven: of the coverage in each of them."""
+    missed = np.abs(_sum(sequence, cycles, exact) - _sum(sequence, cycles, count)) ** 2
+    return MARGIN * (float((power * missed).sum(axis=1).max()) + uneven * (1.0 / count + 1.0 / exact))
+
+
+def _sum(sequence: Sequence, cycles: Array, count: int) -> NDArray[np.complex128]:
+    """M of so many time samples."""
+    times, weights = sample_times(sequence, 0, count)
+    assert sequence.shutter is not None
+    turns = np.exp(2j * np.pi / sequence.shutter * np.multiply.outer(times, cycles))
+    return np.asarray((weights[:, None] * turns).sum(axis=0))
+
+
+def _of_coverage(outlines: float, exact: int, count: int) -> float:
+    """Squared error of count x count sub-pixel sources instead of exact x exact; outlines: what their length and
+    contrast count."""
+    place = np.linspace(0.0, 1.0, 1025)[1:]  # of an edge in its pixel
+    known, found = (np.floor(place * sources + 0.5) / sources for sources in (exact, count))
+    return MARGIN * outlines * float(np.mean((found - known) ** 2))
+
+
+def _passed(psf: Psf, radius: float) -> Array:
+    """H^2 by FREQUENCIES, at most: of a Gaussian, or of the disc with the second moment of another PSF."""
     shape = shape_of(psf)
-    if radii.size == 0 or not can_convolve(psf):
-        return ()
-    moving = SOFT_TAPS if shape.soft else MOVING_TAPS
-    exact, least_saved = _taps(psf, radii), DISC_TAPS if shape.kind == "disc" else moving
-    return tuple(
-        name for name, least in METHODS.items() if (exact - _coarse_taps(psf, radii, least)).mean() >= least_saved
-    )
+    z = 4.0 * np.pi * sqrt(shape.second_moment) * radius * FREQUENCIES
+    if shape.soft:
+        return np.asarray(np.exp(-0.25 * z * z))
+    return 1.0 / np.maximum(np.pi / 8.0 * z**3, 1.0)  # the envelope of (2 J1(z) / z)^2
 
 
-def _taps(psf: Psf, radii: Array) -> Array:
-    return np.asarray(np.pi * (psf_extent(psf, radii) + 0.7) ** 2)
+def _parts(scene: Scene, textures: tuple[Texture, ...], maps: Maps) -> tuple[_Part, ...]:
+    """What is seen in the middle of the sequence, with the longest ways of all of it."""
+    w = seen_depths(scene, maps)
+    front = w.max(axis=0)
+    nearest = np.where(front > 0.0, w.argmax(axis=0), -1)
+    contrasts = _contrasts(textures, scene.light is not None)
+    across, down = (_outlines(scene, contrasts, nearest, front, axis) for axis in (1, 0))
+    parts = []
+    for k in np.flatnonzero(np.bincount(nearest.ravel() + 1)[1:]).tolist():
+        seen = nearest == k
+        radius = float(np.abs(blur_radius(scene.camera, w[k][seen])).min())
+        way, power = (0.0, 0.0), (NOTHING, NOTHING)
+        if scene.moves:
+            way = _way(scene, k, maps[k])
+            along = _power(textures[k], scene.objects[k].mapped is not None)
+            power = (seen.mean() * along[0], seen.mean() * along[1])
+        parts.append(_Part(way, radius, power, (across[k], down[k])))
+    return tuple(parts)
 
 
-def _coarse_taps(psf: Psf, radii: Array, least: float) -> Array:
-    """Taps per pixel where sources are on the coarsest grid that holds them; nodes are fewer than pixels."""
-    taps, square, nodes = _taps(psf, radii), np.asarray(radii, np.float64) ** 2, 1.0
-    for level in range(MOST_LEVELS):
-        square, nodes = 0.25 * np.maximum(square - loss(psf, level == 0), 0.0), nodes / 4.0
-        taps = np.where(square >= (FADE * least) ** 2, nodes * _taps(psf, np.sqrt(square)), taps)
-    return taps
+def _way(scene: Scene, number: int, depth: Array | None) -> tuple[float, float]:
+    """Longest way of an object's image and of its blur's rim along x and y, px: all of one that goes across both."""
+    longest = np.zeros(2)
+    for frame in {0, scene.sequence.frames // 2, scene.sequence.frames - 1}:
+        path = image_path(scene, number, depth, frame, every=4)
+        rim = np.abs(np.diff(np.abs(blur_radius(scene.camera, path[:, 2])), axis=0)).sum(axis=0)
+        steps = np.diff(path[:, :2], axis=0)
+        along, whole = np.abs(steps).sum(axis=0) + rim, np.linalg.norm(steps, axis=1).sum(axis=0) + rim
+        longest = np.maximum(longest, np.minimum(2.0 * along, whole).max(axis=1, initial=0.0))
+    return float(longest[0]), float(longest[1])
 
 
-def place_count(rows: int, columns: int) -> int:
-    """At how many pixels of a frame errors are sampled."""
-    return int(np.clip(rows * columns // PIXELS_PER_PLACE, FEWEST_PLACES, MOST_PLACES))
+def _outlines(scene: Scene, contrasts: Array, nearest: NDArray[np.intp], w: Array, axis: int) -> Array:
+    """Per object, length per px^2 times squared contrast of the outlines that rays one after another along an axis
+    cross: each of the object in front."""
+    assert scene.camera.resolution is not None
+    size = scene.camera.resolution[1 - axis]
+    one, other = (np.take(nearest, range(n, nearest.shape[axis] - 1 + n), axis) for n in (0, 1))
+    depth, behind = (np.take(w, range(n, nearest.shape[axis] - 1 + n), axis) for n in (0, 1))
+    front = np.where(depth >= behind, one, other)
+    crossed = one != other
+    found = np.zeros(len(contrasts))
+    np.add.at(found, front[crossed], contrasts[one[crossed], other[crossed]])
+    return found / crossed.shape[1 - axis] / size
 
 
-def sample_places(rows: int, columns: int) -> NDArray[np.int32]:
-    """Rows and columns (places, 2) of pixels spread evenly over a frame: the same ones each time.
+def _contrasts(textures: tuple[Texture, ...], shaded: bool) -> Array:
+    """Mean squared difference of the radiance of two objects, or of one and nothing, the last; shaded: either may be
+    dark."""
+    some = [texture.radiance[::EACH, ::EACH] for texture in textures]
+    mean = np.array([*(float(image.mean()) for image in some), 0.0])
+    square = np.array([*(float(np.square(image).mean()) for image in some), 0.0])
+    found = square[:, None] + square - 2.0 * mean[:, None] * mean
+    return np.asarray(np.maximum(found, np.maximum(square[:, None], square)) if shaded else found)
 
-    The additive recurrence R2 (M. Roberts 2018), whose points keep away from each other.
-    """
-    ratio = 1.32471795724474602596  # the root of x^3 = x + 1
-    count = place_count(rows, columns)
-    step = np.arange(1, count + 1)[:, None] * np.array([1 / ratio, 1 / ratio**2]) % 1.0
-    return np.floor(step * [rows, columns]).astype(np.int32)
+
+def _power(texture: Texture, mapped: bool) -> tuple[Array, Array]:
+    """Power of a texture by FREQUENCIES along x and y, mean of its channels; of one on a surface, whose scale in the
+    frame is not known, the same in each octave."""
+    if mapped:
+        each = np.where(FREQUENCIES <= 0.5, 1.0 / FREQUENCIES, 0.0)
+        flat = float(np.var(texture.radiance[::EACH, ::EACH])) * each / each.sum()
+        return flat, flat
+    image = texture.radiance.reshape(*texture.radiance.shape[:2], -1)
+    return _along(image), _along(image.swapaxes(0, 1))
 
 
-def estimate(missed: NDArray[np.float32]) -> tuple[float, float]:
-    """RMS error from errors at sampled pixels (pixels, channels), and two standard errors more of its square."""
-    square = np.mean(missed.astype(np.float64) ** 2, axis=1)
-    mean = float(square.mean())
-    spread = float(square.std(ddof=1)) / sqrt(len(square)) if len(square) > 1 else 0.0
-    return sqrt(mean), sqrt(mean + 2.0 * spread)
+def _along(image: NDArray[np.float32]) -> Array:
+    """Power of segments of rows (rows, columns, channels) under a Hann window, by FREQUENCIES."""
+    rows, columns, _ = image.shape
+    side, lines = min(SIDE, columns), min(LINES, rows)
+    starts, firsts = (np.linspace(0, end, lines).astype(np.intp).tolist() for end in (columns - side, rows - 1))
+    taken = np.stack([image[row, at : at + side] for row, at in zip(firsts, starts, strict=True)])
+    window = np.sin(np.pi * (np.arange(side) + 0.5) / side) ** 2
+    spectrum = np.fft.rfft((taken - taken.mean(axis=1, keepdims=True)) * window[:, None], axis=1)
+    power = 2.0 * np.mean(np.abs(spectrum) ** 2, axis=(0, 2))[1:] / side / (window**2).sum()
+    found = np.zeros(FREQUENCIES.size)
+    np.add.at(found, np.minimum((np.arange(1, power.size + 1) * SIDE // side), SIDE // 2) - 1, power)
+    return found

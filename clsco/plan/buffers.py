@@ -20,7 +20,6 @@ from clsco.constants import (
     MOST_ITEMS,
     OWNED_PIXELS,
     ROW_TILE,
-    ROW_WINDOW,
     SCORE_SUMS,
     SCORED_COLUMNS,
     STATISTIC_MOST_SLOTS,
@@ -30,9 +29,7 @@ from clsco.constants import (
 from clsco.frame.strips import BAND, Grid
 from clsco.inputs.mipmaps import mipmap_floats
 from clsco.inputs.textures import mapped_size
-from clsco.optics.multigrid import coarse_frame, coarse_psf, coarse_radii, plane_shape
 from clsco.optics.psf import shape_of
-from clsco.optics.psf_grid import is_near
 from clsco.optics.psf_tables import rounded_span, table_sizes
 from clsco.optics.slabs import bins_of, levels_of, most_deep
 from clsco.optics.stencil import is_by_axes, is_summed, stencil_sizes
@@ -43,7 +40,7 @@ from clsco.scene.model import Psf, Scene
 
 Sizes = dict[str, int]
 TABLES = ("intervals", "coefficients", "taps", "outlines")  # buffers of a table of weights
-Scratch = Literal["none", "columns", "rows", "near"]
+Scratch = Literal["none", "columns", "rows"]
 BANDS_PER_CORE = 4  # of `gather` at a time, where they need memory of their own
 SUMS_BEYOND = 64  # sums of `convolve` beyond the last row that a vector there reads, and that are used for nothing
 PAGE, BESIDE_PAGE = 64, 5  # vectors of 8 doubles in 4 KiB, and how far from a multiple of it rows should be long
@@ -115,11 +112,9 @@ def bands_at_a_time(rows: int, cores: int) -> int:
     return min(ceil(rows / BAND), BANDS_PER_CORE * cores)
 
 
-def band_scratch(psf: Psf, largest: float, fp64: bool) -> Scratch:
-    """Kind of scratch that `gather` keeps for each band of a frame with radii up to `largest` px: for sampled discs
-    whole rows of them, of small reach ("near") or any ("rows"), for other PSFs columns."""
-    if is_near(psf, largest):
-        return "near"
+def band_scratch(psf: Psf, fp64: bool) -> Scratch:
+    """Kind of scratch that `gather` keeps for each band of a frame: for sampled discs whole rows of them, for other PSFs
+    columns."""
     found: dict[str, Scratch] = {"disc": "rows" if fp64 else "none", "general": "none"}
     return found.get(shape_of(psf).kind, "columns")
 
@@ -142,12 +137,10 @@ def margin(columns: int, guard: int, far: int) -> tuple[int, int]:
     return pad, vectors * TAP_LANES
 
 
-def row_bytes(psf: Psf, channels: int, far: int, near: bool) -> int:
-    """Scratch of a work-item of `gather` for whole rows of sources, see rows.clh; a whole number of doubles."""
+def row_bytes(psf: Psf, channels: int, far: int) -> int:
+    """Scratch of a work-item of `gather` for whole rows of sources, see discs.clh; a whole number of doubles."""
     beside = (far // TAP_LANES + 3) * TAP_LANES
     planes, width = (3 if psf.tilt else 1) * channels, ROW_TILE + 2 * beside
-    if near:
-        return 4 * (channels * ROW_WINDOW * ROW_TILE + width * (1 + planes))
     return 8 * channels * BAND * ROW_TILE + 4 * width * (1 + 3 * planes)
 
 
@@ -164,7 +157,7 @@ def column_bytes(psf: Psf, channels: int, far: int) -> int:
 
 
 def blur_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
-    """Buffers of a blur (`clsco.passes.blur`) on the frame's own grid.
+    """Buffers of a blur (`clsco.passes.frame_blur.make_blur`).
 
     Parameters
     ----------
@@ -184,7 +177,7 @@ def blur_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
         sizes |= _table_buffers(spec)
     if spec.method == "gather":
         bands = bands_at_a_time(rows, device.compute_units)
-        scratch = band_scratch(spec.psf, spec.largest, device.has_fp64)
+        scratch = band_scratch(spec.psf, device.has_fp64)
         in_parts = (2 * reach + 1) ** 2 > MOST_IN_ONE_SUM
         sizes["position"] = 4 * (bands if in_parts or scratch != "none" else ceil(rows / BAND))
         if in_parts:
@@ -192,7 +185,7 @@ def blur_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
         if scratch == "columns":
             sizes["scratch"] = bands * column_bytes(spec.psf, channels, reach)
         elif scratch != "none":
-            sizes["scratch"] = bands * row_bytes(spec.psf, channels, reach, scratch == "near")
+            sizes["scratch"] = bands * row_bytes(spec.psf, channels, reach)
     if spec.method == "scatter":
         sizes["sums"] = 8 * channels * rows * columns
     if spec.method == "convolve":
@@ -222,61 +215,10 @@ def _span(spec: BlurSpec) -> range:
     return rounded_span(spec.psf, spec.smallest, spec.largest, 0)
 
 
-def coarser_grid(grid: Grid) -> Grid:
-    """The next coarser grid: the nodes that pixels of the frame need."""
-    return Grid.whole(*coarse_frame(grid.rows, grid.columns, grid.guard), grid.channels)
-
-
-def coarser_spec(spec: BlurSpec, radius: float) -> BlurSpec:
-    """The blur of sources on a coarser grid, up to `radius` px of its own."""
-    assert spec.least is not None
-    return BlurSpec(
-        coarse_psf(spec.psf), spec.method, spec.least, radius, tilt=spec.tilt, brightest=spec.brightest
-    )  # fmt: skip
-
-
-def level_buffers(spec: BlurSpec, grid: Grid, finest: bool) -> Sizes:
-    """Buffers of a grid of `clsco.passes.multigrid.Multigrid` besides those of its blur."""
-    plane = 4 * int(np.prod(plane_shape(grid.width, grid.height)))
-    sizes = {"radius": plane, "moved": plane, "light": grid.channels * plane, "kept": 4 * grid.channels * grid.sources}
-    if spec.tilt:
-        sizes["tilt"] = 2 * plane
-    return sizes if finest else sizes | {"source": source_bytes(grid.sources, spec.tilt)}
-
-
-def multigrid_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts, places: int = 0) -> Sizes:
-    """Sizes of the buffers of coarser grids, besides `blur_buffers` of the frame's own.
-
-    Parameters
-    ----------
-    spec : BlurSpec
-        With its `least` radius.
-    grid : Grid
-        Of the whole frame.
-    device : DeviceFacts
-    places : int
-        Number of pixels at which the error is measured.
-
-    Returns
-    -------
-    dict
-        "grid 0 ...": of the frame's own grid; "grid 1 ..." and so on: of coarser ones, with their blur; none where no
-        source is wide enough to move.
-    """
-    if spec.least is None or not (radii := coarse_radii(spec.psf, spec.largest, spec.least)):
-        return {}
-    found = {f"grid 0 {name}": size for name, size in level_buffers(spec, grid, True).items()}
-    for level, radius in enumerate(radii, 1):
-        grid = coarser_grid(grid)
-        sizes = blur_buffers(coarser_spec(spec, radius), grid, device) | level_buffers(spec, grid, False)
-        found |= {f"grid {level} {name}": size for name, size in sizes.items()}
-    return found | ({"places": 8 * places, "misses": 4 * grid.channels * places} if places else {})
-
-
 def depth_layer_spec(spec: BlurSpec) -> BlurSpec:
     """The blur of a depth layer and its coverage, for that of the frame."""
     brightest = max(spec.brightest, 1.0)
-    return replace(spec, smallest=0.0, subpixels=0, occluders=0, limited=False, brightest=brightest, least=None)
+    return replace(spec, smallest=0.0, subpixels=0, occluders=0, limited=False, brightest=brightest)
 
 
 def pyramid_bytes(psf: Psf, channels: int, width: int, height: int, largest: float) -> int:

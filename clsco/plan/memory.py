@@ -21,7 +21,6 @@ from clsco.plan.buffers import (
     hit_buffers,
     image_buffers,
     layered_buffers,
-    multigrid_buffers,
 )
 from clsco.plan.methods import Blur, BlurSpec
 from clsco.plan.plan import Plan
@@ -104,12 +103,11 @@ def defocus_strips(psf: Psf, method: Blur, rows: int, guard: int, largest: float
     return cut(rows, tallest, guard, reach, step)
 
 
-def defocus_bytes(spec: BlurSpec, grid: Grid, device: DeviceFacts, places: int = 0) -> dict[str, int]:
-    """Buffers of `clsco.defocus`; arguments as for `clsco.plan.buffers.multigrid_buffers`."""
+def defocus_bytes(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> dict[str, int]:
+    """Buffers of `clsco.defocus`; arguments as for `clsco.plan.buffers.blur_buffers`."""
     layered = is_layered(spec.psf, spec.method)
     sizes = image_buffers(spec, grid, layered)
     sizes |= {f"blur {name}": size for name, size in blur_buffers(spec, grid, device).items()}
-    sizes |= multigrid_buffers(spec, grid, device, places)
     if layered:
         sizes |= {f"depth layer {name}": size for name, size in layered_buffers(spec, grid, device).items()}
     return sizes
@@ -136,20 +134,7 @@ def fits(sizes: Mapping[str, int], limit: Limit) -> bool:
 
 
 def fitted(plan: Plan, limit: Limit) -> Plan:
-    """The plan with as few strips as fit the limit: the whole frame where it does. Raises as `rows_that_fit`.
-
-    Approximations need the whole frame: where a tolerance leaves the choice, those that do not fit are left out.
-    """
-    if plan.tolerance is not None:
-        tried = (replace(plan, approximations=(name,)) for name in plan.approximations)
-        names = (each.approximations[0] for each in tried if fits(buffer_bytes(each), limit))
-        plan = replace(plan, approximations=tuple(names))
-    needs_whole = {
-        "the forward warp": plan.forward,
-        "an approximation": bool(plan.approximations),
-    }
-    why = next((what for what, needed in needs_whole.items() if needed), None)
-
+    """The plan with as few strips as fit the limit: the whole frame where it does. Raises as `rows_that_fit`."""
     known = {plan.strip_rows: plan}  # a plan knows its passes, which take a while to lay out
 
     def in_strips(rows: int) -> Plan:
@@ -157,15 +142,15 @@ def fitted(plan: Plan, limit: Limit) -> Plan:
             known[rows] = replace(plan, strip_rows=rows)
         return known[rows]
 
-    return in_strips(rows_that_fit(plan.rows, limit, lambda rows: buffer_bytes(in_strips(rows)), why))
+    return in_strips(rows_that_fit(plan.rows, limit, lambda rows: buffer_bytes(in_strips(rows)), plan.forward))
 
 
-def rows_that_fit(rows: int, limit: Limit, sizes: Callable[[int], Mapping[str, int]], whole: str | None) -> int:
+def rows_that_fit(rows: int, limit: Limit, sizes: Callable[[int], Mapping[str, int]], whole: bool = False) -> int:
     """Rows of the tallest strips that fit the limit: all of them, or a multiple of BAND.
 
-    rows: of the frame; sizes: gives the buffers for strips of so many rows; whole: what needs the whole frame, if
-    anything does. Where nothing fits it raises SceneError if the limit was given; else the least strips are taken, or
-    the whole frame where something needs it.
+    rows: of the frame; sizes: gives the buffers for strips of so many rows; whole: a forward warp
+    needs the whole frame. Where nothing fits it raises SceneError if the limit was given; else the least strips are
+    taken, or the whole frame.
     """
 
     if fits(sizes(rows), limit):
@@ -179,7 +164,7 @@ def rows_that_fit(rows: int, limit: Limit, sizes: Callable[[int], Mapping[str, i
         return few * BAND
     needed = _sum(sizes(least), limit.views)
     if limit.given and needed > limit.total:
-        why = f"as {whole} needs the whole frame" if whole else f"in strips of {least} rows"
+        why = "as the forward warp needs the whole frame" if whole else f"in strips of {least} rows"
         least_mib, got = ceil(needed / 2**20), f"{limit.total / 2**20:.4g} MiB"
         raise SceneError(f"memory: must be at least {least_mib} MiB for this frame, {why}; got {got}")
     return least

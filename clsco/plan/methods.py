@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from clsco.errors import SceneError
 from clsco.optics.psf import shape_of
 from clsco.optics.psf_grid import table_reach
-from clsco.plan.approximation import METHODS
 from clsco.scene.model import Psf
 
 Array = NDArray[np.float64]
@@ -40,8 +39,6 @@ class BlurSpec:
         Any occluder has bounds, or one nappe of two, or is a disc.
     brightest : float
         Largest |radiance|, which sets the unit of sums of whole numbers.
-    least : float, optional
-        A source moves to a coarser grid while its radius is at least so many px there; None for the exact blur.
     """
 
     psf: Psf
@@ -53,7 +50,6 @@ class BlurSpec:
     occluders: int = 0
     limited: bool = False
     brightest: float = 1.0
-    least: float | None = None
 
     @property
     def marked(self) -> bool:
@@ -64,6 +60,17 @@ class BlurSpec:
     def reach(self) -> int:
         """Largest half-width of a row of weights in the tables, px."""
         return max(table_reach(self.psf, self.largest, fine) for fine in {False, self.subpixels > 0})
+
+
+def can_convolve(psf: Psf) -> bool:
+    """Whether `convolve` can blur by this PSF: the same one everywhere, and for -R."""
+    return psf.border == "lose" and not shape_of(psf).signed
+
+
+def check_shape(psf: Psf, method: str) -> None:
+    """Raise SceneError where a method cannot take the shape of the lens."""
+    if method == "convolve" and shape_of(psf).signed:
+        raise SceneError(f'method: convolve needs aperture.shape = "circle"; got {psf.aperture.shape}')
 
 
 def is_sharp(psf: Psf, largest: float) -> bool:
@@ -80,20 +87,19 @@ def occluder_room(occluders: int) -> int:
     return room if occluders else 0
 
 
-def many_radii(gpu: bool, occluded: bool = False, approximate: bool = False) -> Blur:
+def many_radii(gpu: bool, occluded: bool = False) -> Blur:
     """The method for many radii that suits a device.
 
-    gpu: the device is a GPU; occluded: something may stand in the way of a source, which `tiles` does not test;
-    approximate: on coarser grids, which take no frame in fixed point.
+    gpu: the device is a GPU; occluded: something may stand in the way of a source, which `tiles` does not test.
     """
     if gpu and not occluded:
         return "tiles"
-    return "scatter" if gpu and not approximate else "gather"
+    return "scatter" if gpu else "gather"
 
 
 def check_method(method: str) -> None:
     """Raises SceneError where no method of the blur has this name."""
-    known = ("auto", *MANY_RADII, "convolve", *METHODS)
+    known = ("auto", *MANY_RADII, "convolve")
     if method not in known:
         raise SceneError(f"method: must be one of {', '.join(known)}; got {method}")
 
@@ -104,7 +110,7 @@ def choose_blur(method: str, sharp: bool, constant: bool, gpu: bool, occluded: b
     Parameters
     ----------
     method : str
-        "auto", one of MANY_RADII, "convolve", or an approximation.
+        "auto", one of MANY_RADII, or "convolve".
     sharp : bool
         All light stays in its pixel (`is_sharp`).
     constant : bool
@@ -124,8 +130,6 @@ def choose_blur(method: str, sharp: bool, constant: bool, gpu: bool, occluded: b
         There is no such method, or it cannot do this blur.
     """
     check_method(method)
-    if method in METHODS:
-        return "none" if sharp else many_radii(gpu, occluded, approximate=True)
     if method == "convolve" and not constant:
         raise SceneError('method: convolve needs one blur radius for all pixels and border = "lose"; got many radii')
     if method == "tiles" and occluded:

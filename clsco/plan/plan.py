@@ -26,7 +26,6 @@ from clsco.optics.psf_tables import check_tables, psf_features
 from clsco.optics.slabs import margin_of_slabs
 from clsco.optics.texture_mapping import needs_detail
 from clsco.optics.visibility import Layer, extent, is_hollow, layers
-from clsco.plan.approximation import METHODS, can_convolve, candidates, check_border, checked_tolerance, place_count
 from clsco.plan.buffers import (
     STATISTICS,
     TRUTH_BUFFERS,
@@ -37,7 +36,6 @@ from clsco.plan.buffers import (
     fill_sizes,
     layered_buffers,
     map_buffers,
-    multigrid_buffers,
     silhouette_buffers,
     source_buffers,
     texture_buffers,
@@ -46,7 +44,16 @@ from clsco.plan.buffers import (
     warp_buffers,
 )
 from clsco.plan.features import shape_features
-from clsco.plan.methods import MANY_RADII, Blur, BlurSpec, choose_blur, is_sharp, many_radii, occluder_room
+from clsco.plan.methods import (
+    MANY_RADII,
+    Blur,
+    BlurSpec,
+    can_convolve,
+    check_shape,
+    choose_blur,
+    is_sharp,
+    occluder_room,
+)
 from clsco.plan.passes import HOW, Kind, Parameters, Pass
 from clsco.plan.predict import (
     Maps,
@@ -110,11 +117,6 @@ class Plan:
         Rows of the frame that are worked on at a time, 0 for all.
     least_slots : int
         Pixels near silhouettes that there must be room for.
-    tolerance : float, optional
-        That was requested.
-    approximations : tuple of str
-        What is taken instead of the exact blur (`clsco.plan.approximation.METHODS`), in this order until the error is
-        within the tolerance.
     """
 
     scene: Scene
@@ -139,8 +141,6 @@ class Plan:
     taps: float
     strip_rows: int = 0
     least_slots: int = 0
-    tolerance: float | None = None
-    approximations: tuple[str, ...] = ()
     alpha: bool = False
 
     @property
@@ -179,12 +179,11 @@ class Plan:
 
     @cached_property
     def spec(self) -> BlurSpec:
-        """Specification of the blur; with approximations, of the first one."""
+        """Specification of the blur."""
         room = occluder_room(max(layer.occluders.bit_count() for layer in self.layers))
-        least = METHODS[self.approximations[0]] if self.approximations else None
         return BlurSpec(
             self.scene.psf, self.blur, self.smallest_blur, self.largest_blur, self.silhouettes, self.tilt,
-            occluders=room, limited=room > 0 and self._shapes["NAPPE"] > 0, least=least,
+            occluders=room, limited=room > 0 and self._shapes["NAPPE"] > 0,
         )  # fmt: skip
 
     @property
@@ -289,7 +288,6 @@ def make_plan(
     method: str = "auto",
     eye: Eye = "left",
     maps: Maps | None = None,
-    tolerance: float | None = None,
     device: DeviceFacts | None = None,
 ) -> Plan:
     """The passes that a scene needs.
@@ -303,15 +301,12 @@ def make_plan(
     truth : tuple of str
         Names of the outputs that are wanted besides color.
     method : str
-        "auto", or one of "gather", "scatter", "tiles", "convolve" where it can do the scene, or an approximation
-        (`clsco.plan.approximation.METHODS`).
+        "auto", or one of "gather", "scatter", "tiles", "convolve" where it can do the scene.
     eye : {"left", "right"}
         View of a stereo pair.
     maps : sequence of ndarray of float64 (rows, columns) or None, optional
         Inverse depth in 1/mm of every object that is a depth map, 0 where nothing is; None for others
         (`clsco.inputs.depth_maps.load_scene_depths`).
-    tolerance : float, optional
-        RMS error of white up to which an approximation is taken; None for none.
     device : DeviceFacts, optional
         Device that it is to run on; by default this machine's processor.
 
@@ -345,15 +340,11 @@ def make_plan(
         silhouettes = 0
     constant = _constant_blur(scene) and not silhouettes and can_convolve(psf)
     sharp = is_sharp(psf, largest) and not silhouettes
-    check_border(psf, method)
+    check_shape(psf, method)
     occlusion, found = _occlusion(scene, rays, sharp, poses_at_times, each)
     occluded = any(layer.occluders for layer in found)
     blur = choose_blur(method, sharp, constant, gpu, occluded)
-    approximations: tuple[str, ...] = (method,) if method in METHODS and blur != "none" else ()
     seen = np.abs(blur_radius(scene.camera, w[w > 0]))
-    if tolerance is not None and checked_tolerance(tolerance, method) and blur != "none":
-        approximations = candidates(psf, seen)
-        blur = many_radii(gpu, occluded, approximate=True) if approximations else blur
     if blur == "convolve":
         guard += 2 * TAP_LANES
     tilt = psf.tilt and not _constant_blur(scene) and blur not in ("convolve", "none")
@@ -365,8 +356,7 @@ def make_plan(
     taps = float((w > 0).mean() * area * times * (lit.mean() if lit.size else 0.0)) if blur != "none" else 0.0
     return Plan(
         scene, device, eye, channels + alpha, rows, columns, samples, guard, smallest, largest, blur, silhouettes, tilt,
-        forward, static, scene.moves, occlusion, found, truth, taps, tolerance=tolerance, approximations=approximations,
-        alpha=alpha,
+        forward, static, scene.moves, occlusion, found, truth, taps, alpha=alpha,
     )  # fmt: skip
 
 
@@ -431,10 +421,7 @@ def _of_scene(plan: Plan) -> Sizes:
 
 
 def _blur_sizes(plan: Plan) -> Sizes:
-    places = place_count(plan.rows, plan.columns)
-    return _named("blur", blur_buffers(plan.spec, plan.grid, plan.device)) | multigrid_buffers(
-        plan.spec, plan.grid, plan.device, places
-    )
+    return _named("blur", blur_buffers(plan.spec, plan.grid, plan.device))
 
 
 def _shapes(scene: Scene) -> str:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from clsco.constants import TAP_LANES
 from clsco.errors import SceneError
 from clsco.optics.lens import LARGEST_BLUR, blur_radius, ray_step
-from clsco.optics.motion import Eye, Pose, poses_at, rest_center, static_rotation
+from clsco.optics.motion import Eye, Pose, middle_time, poses_at, rest_center, static_rotation
 from clsco.optics.psf import reach
 from clsco.optics.quadrics import cutting_bounds, place, predict_inverse_depth
 from clsco.scene.model import Disc, Object, Plane, Psf, Rectangle, Scene
@@ -129,17 +129,38 @@ def image_displacement(scene: Scene, maps: Maps | None = None) -> float:
 
 
 def _frame_displacement(scene: Scene, number: int, depth: Array | None, frame: int) -> float:
+    steps = np.diff(image_path(scene, number, depth, frame)[:, :2], axis=0)
+    return float(np.linalg.norm(steps, axis=1).sum(axis=0).max(initial=0.0))
+
+
+def image_path(scene: Scene, number: int, depth: Array | None, frame: int, every: int = 1) -> Array:
+    """Where points of an object are in the image while the shutter of a frame is open.
+
+    Parameters
+    ----------
+    scene : Scene
+    number : int
+        Of the object.
+    depth : ndarray, optional
+        Its inverse depth in 1/mm where it is a depth map.
+    frame : int
+    every : int
+        Takes every so manyth ray along each axis.
+
+    Returns
+    -------
+    ndarray of float64, (times, 3, points)
+        x and y in px from the middle of the image, and inverse depth in 1/mm.
+    """
     assert scene.sequence.shutter is not None
     item, opens = scene.objects[number], frame * scene.sequence.interval
-    x, y = _grid(scene, 0)
+    x, y = (slopes[::every, ::every] for slopes in _grid(scene, 0))
     opening, center = poses_at(scene, opens)[number], rest_center(item)[:, None]
     if depth is None:
         w = predict_inverse_depth(item, place(item, opening), x, y)
     else:
         w = np.full(x.shape, float(np.quantile(depth[depth > 0], 0.99)))  # as if all of it were near
     hit = w > 0
-    if not hit.any():
-        return 0.0
     rays = np.stack([x[hit], y[hit], np.ones(int(hit.sum()))])
     body = opening.rotation.T @ (rays / w[hit] - center - opening.shift[:, None])
     steps = []
@@ -147,9 +168,14 @@ def _frame_displacement(scene: Scene, number: int, depth: Array | None, frame: i
         pose = poses_at(scene, time)[number]
         point = center + pose.shift[:, None] + pose.rotation @ body
         ahead = np.maximum(point[2], 1e-3)
-        steps.append(point[:2] / ahead / ray_step(scene.camera))
-    ways = np.linalg.norm(np.diff(np.stack(steps), axis=0), axis=1).sum(axis=0)
-    return float(ways.max())
+        steps.append(np.concatenate([point[:2] / ahead / ray_step(scene.camera), 1.0 / ahead[None]]))
+    return np.stack(steps)
+
+
+def seen_depths(scene: Scene, maps: Maps) -> Array:
+    """Predicted inverse depths (objects, GRID, GRID) in 1/mm in the middle of the sequence, 0 where nothing is hit."""
+    time = middle_time(scene.sequence, scene.sequence.frames // 2) if scene.moves else 0.0
+    return np.asarray(_inverse_depths(scene, [poses_at(scene, time)], maps, 0)[:, 0])
 
 
 def _samples(scene: Scene, maps: Maps) -> int:

@@ -17,6 +17,7 @@ from clsco.files.color import SRGB, Color
 from clsco.frame.provenance import views
 from clsco.inputs.files import InputFiles, Maps, shared_files
 from clsco.inputs.textures import Texture, is_gray, mapped_size, texture_size, with_coverage
+from clsco.plan.approximation import ApproximationReport, fewer_samples
 from clsco.plan.buffers import DeviceFacts
 from clsco.plan.memory import fitted, limit_of
 from clsco.plan.plan import Plan, make_plan
@@ -39,12 +40,15 @@ class Prepared:
         For its view, or for the left and the right one; with three channels where any texture has color.
     request : Request
     files : InputFiles
+    approximation : ApproximationReport, optional
+        Of the samples, where the request has a tolerance.
     """
 
     scene: Scene
     plans: tuple[Plan, ...]
     request: Request
     files: InputFiles
+    approximation: ApproximationReport | None = None
 
     @cached_property
     def textures(self) -> tuple[Texture, ...]:
@@ -162,10 +166,17 @@ def with_resolution(scene: Scene) -> Scene:
 def _planned(scene: Scene, channels: int, request: Request, device: DeviceFacts | None, files: InputFiles) -> Prepared:
     sized = with_resolution(scene)
     maps = _maps(sized, files)
-    options = (request.truth, request.method)
-    plans = [make_plan(sized, channels, *options, eye, maps, request.tolerance, device) for eye in views(scene)]
+
+    def plans_of(scene: Scene) -> list[Plan]:
+        options = (request.truth, request.method)
+        return [make_plan(scene, channels, *options, eye, maps, device) for eye in views(scene)]
+
+    plans, report = plans_of(sized), None
+    if request.tolerance is not None:
+        fewer, report = fewer_samples(plans[0], request.tolerance, lambda: files.textures(sized), maps)
+        plans = plans if fewer is sized else plans_of(fewer)
     limit = replace(limit_of(request.memory, device), views=len(plans))
-    return Prepared(sized, tuple(fitted(plan, limit) for plan in plans), request, files)
+    return Prepared(sized, tuple(fitted(plan, limit) for plan in plans), request, files, report)
 
 
 def _channels(scene: Scene, files: InputFiles) -> int:

@@ -14,9 +14,9 @@ class Request:
     truth : tuple of str
         Names of the outputs besides color.
     method : str
-        Of the blur: "auto", a method by name, or an approximation (`clsco.plan.methods.check_method`).
+        Of the blur: "auto", or a method by name (`clsco.plan.methods.check_method`).
     tolerance : float, optional
-        RMS error of white up to which an approximation is taken; None for the exact blur.
+        RMS error of white up to which fewer samples are taken; None for all samples.
     precision : {"single", "double"}, optional
         Precision of the geometry; by default double where the device has it.
     memory : int or str, optional

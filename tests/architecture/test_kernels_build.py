@@ -23,7 +23,6 @@ from clsco.opencl.program import (
     build,
 )
 from clsco.opencl.session import Session
-from clsco.optics.psf_grid import NEAR
 from clsco.passes.blur import FILES_OF, PLAIN, blur_features
 from clsco.passes.trace import TRACE_FILES
 from clsco.passes.warp import KERNELS as FORWARD
@@ -59,7 +58,7 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     | {"SUBPIXELS": (0, 4, 2, 3), "TEXTURED": (0, 2, 1), "LIT": (0, 1, 3)},
     GATHER: dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(BLUR, ON_OR_OFF)
-    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BAND": (1, BAND), "NEAR": (0, NEAR), "BY_COLUMNS": (0, 0, 1)}
+    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BAND": (1, BAND), "BY_COLUMNS": (0, 0, 1)}
     | {"GATHER": (1,)}
     | ROOMS
     | {"PREPARE": (0, 1, 2)}
@@ -67,13 +66,10 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     SCATTER: dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(BLUR, ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BAND": (BAND,)}
-    | dict.fromkeys(("GATHER", "BY_ROWS", "NEAR", "BY_COLUMNS"), (0,))
+    | dict.fromkeys(("GATHER", "BY_ROWS", "BY_COLUMNS"), (0,))
     | ROOMS
     | {"PREPARE": (0, 1, 2)}
     | GENERAL,
-    ("blur/multigrid.cl",): dict.fromkeys(PLAIN, (0,))
-    | dict.fromkeys(("TILT", "DISC", "SAMPLED", "SEPARABLE"), ON_OR_OFF)
-    | {"CHANNELS": (1, 3), "GENERAL": (0,)},
     ("blur/tiles.cl",): dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(("SAMPLED", "TILT", "DISC", "SEPARABLE"), ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 3)}
@@ -88,8 +84,8 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
 }
 PROGRAMS[HOLES] = dict.fromkeys(FEATURES, (0,)) | {"CHANNELS": (1, 3), "CODES": ON_OR_OFF, "ALONE": ON_OR_OFF}
 PROGRAMS[HOLES] |= {"FILL_MEAN_MEDIAN": (1,), "IMAGE": (1,)}
-# What goes by columns goes neither by rows nor tap by tap, as sampled discs do.
-NOT_BY_COLUMNS = ("BY_ROWS", "NEAR", "DISC")
+# What goes by columns does not go by rows, as sampled discs do.
+NOT_BY_COLUMNS = ("BY_ROWS", "DISC")
 PROGRAMS["layered/layered.cl",] = dict.fromkeys((*PLAIN, "SAMPLED", "GENERAL"), (0,)) | {
     "CHANNELS": (2, 4),
     "SCATTER": ON_OR_OFF,

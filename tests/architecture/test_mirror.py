@@ -57,15 +57,22 @@ WITHOUT_TWIN = {
         ["lowest_lane", "lowest", "some_taps", "values_at", "tap_weight", "take_sources", "ungrouped_of", "take_group"],
         "which sources of a row go together, and their weights",
     ),
-    "rows": dict.fromkeys(
-        ["tile_row", "take_row", "half_width_of"],
-        "rows of sources at once, where scatter takes taps",
-    ),
     "discs": dict.fromkeys(
-        ["note_keys", "bounds_of", "finish_row", "ends_of", "add_row_ends", "add_row", "add_segment", "add_disc_rows"],
+        [
+            "tile_row",
+            "take_row",
+            "half_width_of",
+            "note_keys",
+            "bounds_of",
+            "finish_row",
+            "ends_of",
+            "add_row_ends",
+            "add_row",
+            "add_segment",
+            "add_disc_rows",
+        ],
         "sums instead of taps",
     ),
-    "near": dict.fromkeys(["add_near_taps", "finish_near_sums", "add_near_rows"], "the sum of scatter, row by row"),
     "quadrants": dict.fromkeys(
         (
             *("quadrant_column_of", "add_tap", "add_rim", "add_column_ends", "finish_quadrant_sums"),
@@ -109,9 +116,7 @@ OTHERWISE = {
 
 # Files whose twin is part of another file.
 PART_OF = {"gather": "blur", "sources": "trace", "texture": "trace", "tiles": "blur"}
-PART_OF |= dict.fromkeys(
-    ("psf", "vectors", "many", "rows", "near", "discs", "quadrants", "gaussians", "columns"), "blur"
-)
+PART_OF |= dict.fromkeys(("psf", "vectors", "many", "discs", "quadrants", "gaussians", "columns"), "blur")
 
 
 def kernel_names(text: str) -> set[str]:

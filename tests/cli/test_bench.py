@@ -149,7 +149,7 @@ def test_bytes_on_the_device_are_those_of_its_buffers(session: Session) -> None:
     margins = 4 * 16 * blur.pitch
     held = [buffer for table in (*blur.tables, blur.alike) for buffer in table]
     tables = sum(buffer.size for buffer in held if buffer is not None)
-    scratch = row_bytes(psf, 1, 0, near=True) + blur.position.size
+    scratch = row_bytes(psf, 1, 0) + blur.position.size
     assert one.bytes == 256 * (12 + 1 + 4 + 8) + margins + tables + scratch
 
 
@@ -182,8 +182,8 @@ def test_what_is_slow_on_its_crop_is_left_out() -> None:
     """Its light goes beyond the crop: nothing says how long it takes in full size."""
     paces = Paces(replace(SMALL, slowest=10.0))
     gather = Case(512, 60.0, "varying", "gaussian", 1, "double", "clsco", "gather")
-    coarse, scatter = replace(gather, method="coarse2"), replace(gather, method="scatter")
-    for case, seconds in ((gather, 0.001), (coarse, 0.05), (scatter, 0.009)):
+    scatter = replace(gather, method="scatter")
+    for case, seconds in ((gather, 0.001), (scatter, 0.009)):
         assert paces.crop_objection(case, seconds) == ""
     why = "a way must take 10 times as long as the fastest at most; got 11 at its crop"
     assert paces.crop_objection(scatter, 0.011) == why

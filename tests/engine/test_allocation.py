@@ -34,7 +34,6 @@ SCENES: dict[str, tuple[dict[str, Any], str]] = {
     "layered": ({"object": [BALL, PLANE], "psf": {"occlusion": "layered"}}, "auto"),
     "scatter": ({"object": [BALL, PLANE]}, "scatter"),
     "tiles": ({"object": [PLANE]}, "tiles"),
-    "coarse": ({"object": [PLANE], "camera": CAMERA | {"aperture_diameter": 90.0}}, "coarse2"),
     "forward": ({"object": [PLANE | MOVING], "motion": {"warp": "forward"}}, "auto"),
     "forward, several": ({"object": [BALL | MOVING, PLANE], "motion": {"warp": "forward"}}, "auto"),
     "forward, ait": ({"object": [PLANE | MOVING], "motion": {"warp": "forward"}, "fill": {"method": "ait"}}, "auto"),

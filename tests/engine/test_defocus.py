@@ -57,7 +57,7 @@ PSFS = [
 KEPT = [PSFS[k] for k in (0, 5, 8)]  # with and without tilt, each edge, both models
 
 
-NARROW = [("gather", PSFS[1]), ("gather", PSFS[6]), ("scatter", PSFS[5]), ("tiles", PSFS[5]), ("coarse2", PSFS[5])]
+NARROW = [("gather", PSFS[1]), ("gather", PSFS[6]), ("scatter", PSFS[5]), ("tiles", PSFS[5])]
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float16, np.int8, np.uint16])

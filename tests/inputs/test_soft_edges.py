@@ -191,7 +191,6 @@ def test_scenes_and_arrays_alike() -> None:
     found, report = clsco.defocus(image, radius, return_report=True)
     np.testing.assert_allclose(found, frame.color, atol=1e-5)
     assert report.soft_edges == (kept.blur_radius != frame.blur_radius).sum()
-    assert report.line().endswith(f"; {report.soft_edges} pixels at soft edges got the radius of one side")
     as_given, none = clsco.defocus(image, radius, soft_edges="keep", return_report=True)
     np.testing.assert_allclose(as_given, kept.color, atol=1e-5)
     assert none.soft_edges == 0

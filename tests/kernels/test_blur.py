@@ -21,7 +21,7 @@ from clsco.optics.psf import reach
 from clsco.optics.psf_tables import psf_table
 from clsco.passes import blur as spread
 from clsco.passes.blur import FILES_OF, PIXELS, FrameSum, TableBlur
-from clsco.passes.exact import exact_blur
+from clsco.passes.frame_blur import make_blur
 from clsco.passes.pack import psf_struct
 from clsco.plan.buffers import source_bytes
 from clsco.plan.methods import Blur, BlurSpec
@@ -174,7 +174,7 @@ def blur_of(session: Session, given: Light, method: Blur) -> FrameSum:
         chosen |= spread.blur_features(spec, given.channels, True, "none") | {"RENORMALIZE": 1}
     program = build(session, spread.FILES_OF[method], chosen, STRUCTS, "double")
     grid = Grid.whole(*given.shape, given.guard, given.channels)
-    return exact_blur(spread.Target(session, program, "double"), spec, grid, given.camera())
+    return make_blur(spread.Target(session, program, "double"), spec, grid, given.camera())
 
 
 def blurred(session: Session, given: Light, method: Blur, moments: int = 1) -> Array:

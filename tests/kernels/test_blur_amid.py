@@ -147,7 +147,7 @@ def test_gather_source_by_source(session: Session, group: int, start: int) -> No
     given = given.constant(4.0)
     _, pitch = margin(17, 5, psf_table(psf, 4.0, 4.0).reach)
     part = Amid(session, np.zeros((2, 2 * BAND, pitch), np.float32), 1.0)
-    found = gathered(session, given, group, start, {"BY_ROWS": 0, "NEAR": 0}, (), part)
+    found = gathered(session, given, group, start, {"BY_ROWS": 0}, (), part)
     expected = np.moveaxis(given.expected(), -1, 0)
     assert_close(found[:, start * BAND :], expected[:, start * BAND :], ROUNDING)
     assert not found[:, : start * BAND].any()
@@ -164,7 +164,7 @@ def test_gather_with_parts_of_its_own(session: Session) -> None:
     gradient = np.where(steep[..., None], (30.0, -30.0), np.zeros(2))
     sources = replace(given.sources, lit=there, gradient=gradient, radius=np.where(there, 6.6, 0.0))
     given = replace(given, sources=sources)
-    assert band_scratch(psf, given.largest, True) == "columns"
+    assert band_scratch(psf, True) == "columns"
     far = psf_table(psf, given.smallest, given.largest).reach
     _, pitch = margin(8, 4, far)
     own = np.zeros((2, 2, BAND, pitch), np.float32)
@@ -185,6 +185,6 @@ def test_gather_without_doubles(session: Session, monkeypatch: pytest.MonkeyPatc
     given = light(Psf(edge="sampled"), shape=(9, 27), guard=5, largest=26.0, channels=2)
     expected = blurred(session, given, "scatter")
     for module in (spread, buffers):
-        monkeypatch.setattr(module, "band_scratch", lambda psf, largest, fp64: "none")
+        monkeypatch.setattr(module, "band_scratch", lambda psf, fp64: "none")
     assert not features(given.psf, 2, 0, given.largest)["BY_ROWS"]
     assert_close(blurred(session, given, "gather"), expected, ROUNDING)

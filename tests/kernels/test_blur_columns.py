@@ -52,7 +52,7 @@ LEFT_ALONE = 7.0
 def test_small_discs_in_several_tiles(session: Session) -> None:
     """Two whole tiles and a part of one, colors, any tilt; very bright sources where the second tile's row begins."""
     given = light(Psf(edge="sampled"), shape=(9, 2 * ROW_TILE + 45), guard=7, largest=7.4, steepest=1.0, channels=2)
-    assert band_scratch(given.psf, given.largest, True) == "near"
+    assert band_scratch(given.psf, True) == "rows"
     radiance = given.sources.radiance.copy()
     radiance[:, ROW_TILE - 32 : ROW_TILE - 25] *= 1e5
     given = replace(given, sources=replace(given.sources, radiance=radiance))
@@ -100,15 +100,15 @@ def gathered(session: Session, given: Light, group: int = 0, part: Amid | None =
     planes = Amid(session, source, float(source[0].max()))
     value = Amid(session, flat(given.sources.radiance, np.float32), 1.0)
     total = Signed(session, (given.channels, rows, pitch))
-    kept = band_scratch(psf, given.largest, True)
+    kept = band_scratch(psf, True)
     if kept == "columns":
         size = column_bytes(psf, given.channels, table.reach)
     else:
-        size = row_bytes(psf, given.channels, table.reach, kept == "near")
+        size = row_bytes(psf, given.channels, table.reach)
     own = np.zeros((3, -(-size // 128) * 32), np.float32)  # that of three work-items, and the one in the middle runs
     memory = Amid(session, own, 0.0)
     begin = memory.buffer.offset + own[0].nbytes
-    scratch = memory.all.get_sub_region(begin, own[0].nbytes), np.int32(own[0].nbytes // (4 if kept == "near" else 8))
+    scratch = memory.all.get_sub_region(begin, own[0].nbytes), np.int32(own[0].nbytes // 8)
     arrays = (table.intervals, table.coefficients, table.taps, table.outlines)
     head = (given.camera(), psf_struct(psf, table, None, "double"), planes.buffer, value.buffer)
     tail = (np.int32(group), (part or total).buffer, np.int32(pitch), np.int32(pad), total.buffer)
@@ -191,7 +191,7 @@ def test_discs_that_are_taken_one_by_one(
         size[row, place], there[row, place] = radius, True
     sources = replace(sources, lit=there, radius=size * there, gradient=0 * sources.gradient)
     given = Light(DISC, sources, (side, width), 0, 0.0, 45.0)
-    assert band_scratch(DISC, 45.0, True) == "rows"
+    assert band_scratch(DISC, True) == "rows"
     beside, pitch = margin(width, 0, 45)
     part = np.zeros((2, BAND, pitch), np.float32)
     part[..., : beside - 45] = LEFT_ALONE

@@ -12,7 +12,7 @@ from clsco.opencl.program import build
 from clsco.opencl.session import Session
 from clsco.optics.psf_tables import psf_table
 from clsco.passes.blur import FILES_OF, Target
-from clsco.passes.exact import exact_blur
+from clsco.passes.frame_blur import make_blur
 from clsco.plan.methods import BlurSpec
 from clsco.records import structs
 from clsco.scene.model import Psf
@@ -72,7 +72,7 @@ def test_a_device_without_doubles(session: Session, monkeypatch: pytest.MonkeyPa
     camera = frame_struct(*given.shape, given.guard, "float")
     spec = BlurSpec(given.psf, "gather", given.smallest, given.largest, tilt=tilt)
     grid = Grid.whole(*given.shape, given.guard, 1)
-    owner = exact_blur(Target(session, program, "float"), spec, grid, camera)
+    owner = make_blur(Target(session, program, "float"), spec, grid, camera)
     owner.clear()
     sources = on_device(session, given, 1.0)
     owner.add(sources, [])

@@ -1,4 +1,4 @@
-"""Rows of sampled discs (discs.clh, near.clh), where their tiles, segments and vectors begin and end."""
+"""Rows of sampled discs (discs.clh), where their tiles, segments and vectors begin and end."""
 
 from __future__ import annotations
 
@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 
 from clsco.constants import ROW_TILE
 from clsco.opencl.session import Session
-from clsco.optics.psf_grid import NEAR
 from clsco.scene.model import Psf
-from tests.kernels.test_blur import RNG, ROUNDING, Light, assert_close, blur_of, blurred, features, light, on_device
+from tests.kernels.test_blur import ROUNDING, Light, assert_close, blur_of, blurred, features, light, on_device
 from tests.kernels.test_blur_columns import Signed
 
 Array = NDArray[Any]
-BOUND_COLUMNS = 64  # columns, as in rows.clh
+BOUND_COLUMNS = 64  # columns, as in discs.clh
 DISCS = Psf(edge="sampled", tilt=False)
 
 
@@ -25,9 +24,7 @@ def discs(shape: tuple[int, int], guard: int, largest: float, channels: int = 1,
     """Sources of which most are small; wide enough that their rows go by sums."""
     psf = DISCS.model_copy(update={"tilt": tilt})
     given = light(psf, shape=shape, guard=guard, largest=largest, channels=channels, steepest=0.1)
-    chosen = features(psf, channels, 0, largest)
-    assert chosen["BY_ROWS"]
-    assert not chosen["NEAR"]
+    assert features(psf, channels, 0, largest)["BY_ROWS"]
     return given
 
 
@@ -100,14 +97,3 @@ def test_shorter_vectors_change_no_bit(session: Session, monkeypatch: pytest.Mon
         found.append(blurred(session, given, "gather"))
     np.testing.assert_array_equal(found[1], found[0])
     assert_close(found[0], blurred(session, given, "scatter"), ROUNDING)
-
-
-@pytest.mark.parametrize("tilt", [False, True])
-def test_the_widest_of_small_discs(session: Session, tilt: bool) -> None:
-    """The last reach at which each tap of a row of sources is added by itself (near.clh)."""
-    psf = DISCS.model_copy(update={"tilt": tilt})
-    given = light(psf, shape=(21, 37), guard=7, largest=NEAR + 0.95, steepest=0.05)
-    assert features(psf, 1, 0, given.largest)["NEAR"]
-    radius = np.where(given.sources.lit, NEAR + 0.9 * RNG(52).random(given.sources.lit.shape), 0.0)
-    given = replace(given, sources=replace(given.sources, radius=radius))
-    assert_close(blurred(session, given, "gather"), given.expected(), ROUNDING)

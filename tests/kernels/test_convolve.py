@@ -20,7 +20,7 @@ from clsco.passes import blur
 from clsco.passes import convolve as convolution
 from clsco.passes.blur import Sources, Target
 from clsco.passes.convolve import Convolve
-from clsco.passes.exact import exact_blur
+from clsco.passes.frame_blur import make_blur
 from clsco.plan.buffers import SUMS_BEYOND
 from clsco.plan.methods import BlurSpec
 from clsco.records import flat
@@ -58,7 +58,7 @@ class Convolver:
         spec = BlurSpec(psf, "convolve", size, size, brightest=brightest)
         rows, columns, channels = light.shape
         grid = Grid.whole(rows - 2 * guard, columns - 2 * guard, guard, channels)
-        blur = exact_blur(Target(session, {}, "double"), spec, grid, camera)
+        blur = make_blur(Target(session, {}, "double"), spec, grid, camera)
         assert isinstance(blur, Convolve)
         self.blur = blur
         self.session, self.radius, self.value = session, size, empty(session, 4 * light.size)

@@ -16,7 +16,7 @@ from clsco.optics import slabs
 from clsco.optics.psf import reach
 from clsco.passes.blur import Events, blur_target
 from clsco.passes.blur import Sources as Light
-from clsco.passes.exact import exact_blur
+from clsco.passes.frame_blur import make_blur
 from clsco.passes.layered import DepthLayers
 from clsco.plan.methods import Blur, BlurSpec
 from clsco.records import Real, flat, in_parts
@@ -79,7 +79,7 @@ class Device:
         camera = frame_struct(*view.shape, view.guard, real)
         self.session, self.view = session, view
         grid = Grid.whole(*view.shape, view.guard, channels)
-        self.blur = exact_blur(target, spec, grid, camera)
+        self.blur = make_blur(target, spec, grid, camera)
         self.layers = DepthLayers(self.blur, target, grid)
         self.coc, self.valid = upload(session, in_parts(view.coc, real)), upload(session, view.valid.astype(np.uint8))
 

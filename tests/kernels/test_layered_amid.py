@@ -231,7 +231,6 @@ def test_sources_are_kept_in_the_grid_alone(session: Session, near_edges: int) -
     source = plane(session, radius, 3.0)
     around = plane(session, edge, 1 - near_edges, np.uint8)
     run(session, "keep_sources", shape[::-1], grid(shape), np.int32(near_edges), around, source)
-    # Other negative numbers are sources that coarse.cl has moved.
     np.testing.assert_array_equal(source.now(), np.where(edge == near_edges, radius, -1.0))
 
 

@@ -157,15 +157,6 @@ def test_an_image_on_a_gpu(occlusion: Any, on_a_gpu: list[str]) -> None:
     assert not {"gather", "scatter"} & set(on_a_gpu)
 
 
-def test_an_approximation_on_a_gpu(on_a_gpu: list[str]) -> None:
-    image = np.random.default_rng(7).random((32, 48), np.float32)
-    coc = np.full(image.shape, 9.0) + 0.02 * np.arange(48)
-    found = clsco.defocus(image, coc, method="coarse2")
-    assert on_a_gpu.count("tiles") > 1  # of the frame and of a coarser grid
-    assert "gather" not in on_a_gpu
-    assert 1e-4 < np.sqrt(np.mean((found - clsco.defocus(image, coc, method="tiles")) ** 2)) < 1e-2
-
-
 @pytest.mark.parametrize(
     ("psf", "method", "constant"),
     [({}, "convolve", True), ({"model": "gaussian"}, "convolve", True), ({"occlusion": "layered"}, "scatter", False)],

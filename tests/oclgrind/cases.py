@@ -25,11 +25,9 @@ from clsco.errors import SceneError
 from clsco.frame.frame import ALL_TRUTH
 from clsco.inputs.textures import Texture
 from clsco.optics.motion import Eye
-from clsco.optics.psf_grid import NEAR
 from clsco.optics.stencil import SUMMED
 from clsco.passes.blur import blur_features
 from clsco.passes.warp import forward_features
-from clsco.plan.approximation import METHODS
 from clsco.plan.buffers import ThisMachine
 from clsco.plan.plan import Plan, make_plan
 from clsco.scene.model import (
@@ -99,7 +97,7 @@ CHOICES: dict[str, Sequence[Any]] = {
     "stereo": (False, False, False, True),
     "light": (None, None, None, Light(position=(-5.0, 8.0, 150.0), ambient=0.2)),
     "channels": (1, 3),
-    "method": ("auto", "auto", "gather", "scatter", "tiles", "coarse2"),
+    "method": ("auto", "auto", "gather", "scatter", "tiles"),
     "truth": ("none", "all", "one", "some"),
     "lenses": (1, 1, 1, 2),
     "precision": ("double", "double", "single"),
@@ -158,7 +156,7 @@ def plans_of(drawn: Drawn) -> list[Plan]:
     scene, device = scenes_of(drawn)[0], ThisMachine(kind=drawn["device"].get("kind", "cpu"))
     eyes: tuple[Eye, ...] = ("left", "right") if scene.stereo else ("left",)
     how = (drawn["channels"], truth_of(drawn), drawn["method"])
-    return [make_plan(scene, *how, eye, depths_of(scene), None, device) for eye in eyes]
+    return [make_plan(scene, *how, eye, depths_of(scene), device) for eye in eyes]
 
 
 def features_of(drawn: Drawn) -> dict[str, Any]:
@@ -170,7 +168,6 @@ def features_of(drawn: Drawn) -> dict[str, Any]:
         found |= blur_features(plan.spec, plan.channels, fp64, "wide" if prepare else "none") | plan.features()
         found |= {"rooms": plan.spec.occluders, "blur": plan.blur, "occlusion": plan.occlusion}
         found["truth"] = drawn["truth"]
-        found["coarse"] = bool(plan.approximations)
         if plan.forward:
             found |= forward_features(plan, drawn["device"].get("kind") != "gpu") | {"samples": plan.samples}
     return found
@@ -239,7 +236,7 @@ def drawn_scenes() -> tuple[list[Drawn], int, int]:
 
 def image_cases() -> Iterator[Case]:
     """`defocus` of images: each method with each PSF, 1 to 4 channels."""
-    methods: tuple[str, ...] = ("gather", "scatter", "tiles", "convolve", next(iter(METHODS)))
+    methods: tuple[str, ...] = ("gather", "scatter", "tiles", "convolve")
     number = 0
     for method in methods:
         for model in ("pillbox", "gaussian"):
@@ -264,18 +261,14 @@ def _image_case(number: int, method: str, psf: Psf) -> Case:
     coc = rng.choice([-1.0, 1.0], (rows, columns)) * rng.uniform(0.6, largest, (rows, columns))
     if method == "convolve":
         coc[:] = 1.9
-    if method in METHODS:
-        coc *= 2.0
     changes = ({}, {"kind": "gpu"}, {"has_fp64": False}, {"has_int64_atomics": False})[number % 4]
     about = f"{method}, {psf!r}, {rows} x {columns} x {channels}, {changes}"
     return Case(f"image {number}", changes, lambda: [blurred_image(image, coc, psf, method)], about)
 
 
-def blurred_image(image: Array, coc: Array, psf: Psf, method: str, measured: bool = False) -> Array:
+def blurred_image(image: Array, coc: Array, psf: Psf, method: str) -> Array:
     """`clsco.defocus` with no apron, which a simulator would spend most of its time in."""
-    options: dict[str, Any] = {"device": "oclgrind", "method": method, "outside": "black", "return_report": measured}
-    found = defocus(image, coc, psf, **options)
-    return found[0] if measured else found
+    return defocus(image, coc, psf, device="oclgrind", method=method, outside="black")
 
 
 def inpainting_cases() -> Iterator[Case]:
@@ -306,8 +299,7 @@ def scene_cases() -> Iterator[Case]:
 
 
 def long_cases() -> Iterator[Case]:
-    """Cases that small images have no need of: sums of wide discs, coarser grids, many missing pixels, runs amid a
-    row."""
+    """Cases that small images have no need of: sums of wide discs, many missing pixels, runs amid a row."""
     rng = np.random.default_rng(11)
     image, coc = rng.random((5, 4)).astype(np.float32), np.full((5, 4), SUMMED + 2.0)
     holes = rng.random((10, 11, 1)).astype(np.float32)
@@ -317,30 +309,23 @@ def long_cases() -> Iterator[Case]:
     def summed(light: float) -> list[Array]:
         return [blurred_image(light * image, coc, Psf(), "convolve")]
 
-    def coarse(tilt: bool) -> list[Array]:
-        psf = Psf(edge="sampled", tilt=tilt, occlusion="none")
-        return [blurred_image(image, coc, psf, "coarse2", measured=True)]
-
     def filled(method: str) -> list[Array]:
         with patch("clsco.inpainting.mean_median.MOST_ENTRIES", 4):  # of a sweep that one work-group does
             return [inpaint(holes, missing, method=method, device="oclgrind")]
 
     for light in (1.0, 10.0):
         yield Case(f"sums, light {light}", {}, partial(summed, light))
-    for tilt in (True, False):
-        yield Case(f"measured approximation, tilt {tilt}", {}, partial(coarse, tilt))
     for method in ("mean-median", "biharmonic"):
         yield Case(f"many missing, {method}", {}, partial(filled, method))
     yield Case("many missing, as on a GPU", {"kind": "gpu"}, partial(filled, "mean-median"))
     yield Case("long rows", {}, slabs_of_long_rows)
     for tilt in (True, False):
-        yield Case(f"rows of small discs, tilt {tilt}", {}, partial(discs, NEAR, tilt))
-        yield Case(f"rows of discs, tilt {tilt}", {}, partial(discs, NEAR + 1, tilt))
+        yield Case(f"rows of discs, tilt {tilt}", {}, partial(discs, tilt))
 
 
-def discs(reach: int, tilt: bool) -> list[Array]:
-    """Blur of three channels by sampled discs; beyond NEAR their taps are not added one by one."""
-    image, coc = np.ones((2, 9, 3), np.float32), np.linspace(reach, reach + 0.9, 18).reshape(2, 9)
+def discs(tilt: bool) -> list[Array]:
+    """Blur of three channels by sampled discs."""
+    image, coc = np.ones((2, 9, 3), np.float32), np.linspace(8.0, 8.9, 18).reshape(2, 9)
     return [blurred_image(image, coc, Psf(edge="sampled", tilt=tilt, occlusion="none"), "gather")]
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -19,7 +18,6 @@ from clsco.constants import TAP_LANES
 from clsco.errors import SceneError
 from clsco.frame.strips import BAND, Strip
 from clsco.plan import memory
-from clsco.plan.approximation import METHODS
 from clsco.plan.buffers import ThisMachine, margin
 from clsco.plan.memory import Limit, free_bytes, limit_of, parse_size, rows_that_fit
 from tests.scenes import scene_file
@@ -77,7 +75,7 @@ def test_the_tallest_strips_that_fit() -> None:
     def sizes(rows: int) -> dict[str, int]:
         return {"fixed": 1000, "strip": 10 * rows, "truth": 2 * rows}
 
-    def rows(total: int, buffer: int = 2**40, given: bool = True, views: int = 1, whole: str | None = None) -> int:
+    def rows(total: int, buffer: int = 2**40, given: bool = True, views: int = 1, whole: bool = False) -> int:
         return rows_that_fit(500, Limit(total, buffer, given, views), sizes, whole)
 
     assert rows(7000) == 500
@@ -91,10 +89,10 @@ def test_the_tallest_strips_that_fit() -> None:
     with pytest.raises(SceneError, match=r"must be at least 1 MiB for this frame, in strips of 64 rows; got"):
         rows(1000 + 12 * BAND - 1)
     assert rows(999, given=False) == BAND
-    assert rows(7000, whole="this") == 500
-    with pytest.raises(SceneError, match=r"must be at least 1 MiB for this frame, as this needs the whole frame; got"):
-        rows(6999, whole="this")
-    assert rows(6999, given=False, whole="this") == 500
+    assert rows(7000, whole=True) == 500
+    with pytest.raises(SceneError, match=r"least 1 MiB for this frame, as the forward warp needs the whole frame; got"):
+        rows(6999, whole=True)
+    assert rows(6999, given=False, whole=True) == 500
 
 
 RNG = np.random.default_rng(5)
@@ -173,31 +171,6 @@ def assert_strips(
     np.testing.assert_array_equal(tiled.view(np.uint32), whole.view(np.uint32), strict=True)
 
 
-def test_approximations_need_the_whole_image() -> None:
-    image, coc = RNG.random(SHAPE, np.float32), np.full(SHAPE, 50.0) + RNG.random(SHAPE)
-    with pytest.raises(SceneError, match=r"MiB for this frame, as an approximation needs the whole frame; got 1 MiB"):
-        clsco.defocus(image, coc, memory="1MiB", method="coarse2")
-
-
-def test_a_tolerance_is_kept_by_the_exact_blur_where_memory_is_short() -> None:
-    rng = np.random.default_rng(6)
-    image, coc = rng.random(SHAPE, np.float32), 30.0 + rng.random(SHAPE)
-    exact = clsco.defocus(image, coc)
-    approximated, approximation = clsco.defocus(image, coc, tolerance=0.1, return_report=True)
-    assert (approximated != exact).any()
-    needed = []
-    for method in METHODS:
-        with pytest.raises(SceneError) as refused:
-            clsco.defocus(image, coc, method=method, memory="1MiB")
-        needed += re.findall(r"at least (\d+) MiB for this frame, as an approximation", str(refused.value))
-    assert len(needed) == len(METHODS)
-    least = min(map(int, needed))
-    found, report = clsco.defocus(image, coc, tolerance=0.1, return_report=True, memory=f"{least - 1}MiB")
-    np.testing.assert_array_equal(found, exact)
-    assert [approximation.method[:6], report.method] == ["coarse", "exact"]
-    assert report.line() == "exact: nothing that fits the memory is faster"
-
-
 FLOOR = '[camera]\nresolution = [100, 500]\n[[object]]\nshape = "plane"\ndistance = 300.0\nslope_y = 0.2\n'
 
 
@@ -219,17 +192,7 @@ def test_commands_take_a_limit(tmp_path: Path) -> None:
         wrong = clsco_(*command, "--memory", "lots")
         assert wrong.exit_code == 2
         assert "'--memory': must be a size greater than 0, like 1.5GiB or 800MB; got lots" in wrong.stderr
-    wide = ("--set", "camera.aperture_diameter=60")
-    refused = clsco_("render", scene, "-o", out, *wide, "--memory", "3MiB", "--method", "coarse2")
-    assert refused.exit_code == 1
-    assert " MiB for this frame, as an approximation needs the whole frame; got 3 MiB" in refused.stderr
     assert not out.exists()
-    for size, wanted in (("12MiB", "exact"), ("60MiB", "coarse")):
-        done = clsco_("render", scene, "-o", out / wanted, *wide, "--memory", size, "--tolerance", "0.1")
-        assert done.exit_code == 0, done.output
-        recorded = json.loads((out / wanted / "frame_0000.json").read_text())
-        assert recorded["approximation"]["method"].startswith(wanted)
-        assert (recorded["strips"] > 1) == (wanted == "exact")
     done = clsco_("render", scene, "-o", out, "--memory", "2MiB")
     assert done.exit_code == 0, done.output
     assert json.loads((out / "frame_0000.json").read_text())["strips"] == 3

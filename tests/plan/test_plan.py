@@ -370,10 +370,10 @@ def test_convolve_is_refused_where_it_cannot_be(item: Any, sections: dict[str, A
 CARD = Plane(distance=230.0, bounds=((-2.0, 2.0), (-2.0, 2.0), (-1.0, 1.0)))
 
 
-def cards(occlusion: Any, method: str = "auto", tolerance: float | None = None, gpu: bool = True) -> Plan:
+def cards(occlusion: Any, method: str = "auto", gpu: bool = True) -> Plan:
     """Plan of a card before a plane."""
     pair = scene_of(CARD, psf=Psf(occlusion=occlusion)).model_copy(update={"objects": (CARD, TILTED)})
-    return make_plan(pair, 1, (), method, tolerance=tolerance, device=GPU if gpu else None)
+    return make_plan(pair, 1, (), method, device=GPU if gpu else None)
 
 
 def method_of(given: Plan) -> str:
@@ -384,7 +384,6 @@ def method_of(given: Plan) -> str:
 def test_tiles_are_for_gpus() -> None:
     for item, gpu, expected in ((TILTED, False, "gather"), (TILTED, True, "tiles"), (STILL, True, "convolve")):
         assert plan_of(item, device=GPU if gpu else None).blur == expected
-    assert plan_of(TILTED, method="coarse2", device=GPU).blur == "tiles"
     assert plan_of(STILL, camera={"focus_distance": 280.0}, psf=Psf(edge="sampled"), device=GPU).blur == "none"
 
 
@@ -395,7 +394,6 @@ def test_what_is_in_the_way_is_tested_by_scatter_on_a_gpu() -> None:
     )
     assert [cards(way, gpu=False).blur for way in ("visibility", "layered", "none")] == ["gather"] * 3
     assert [cards(way).blur for way in ("layered", "none")] == ["tiles"] * 2
-    assert cards("visibility", "coarse2").blur == "gather"  # whose grids add up in floats
     assert method_of(cards("none")).endswith("tiles: many radii, a work-item per pixel")
     with pytest.raises(SceneError, match=r"^method: tiles needs sources with nothing in their way; got objects that"):
         cards("visibility", "tiles")
@@ -404,7 +402,7 @@ def test_what_is_in_the_way_is_tested_by_scatter_on_a_gpu() -> None:
 @pytest.mark.parametrize("method", ["fast", "", "none", "Gather"])
 def test_unknown_methods_are_refused(method: str) -> None:
     with pytest.raises(
-        SceneError, match=rf"^method: must be one of auto, gather, scatter, tiles, convolve, coarse2, .*; got {method}$"
+        SceneError, match=rf"^method: must be one of auto, gather, scatter, tiles, convolve; got {method}$"
     ):
         plan_of(STILL, method=method)
 

@@ -12,9 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import ClscoError
-from clsco.optics.multigrid import coarse_radii
 from clsco.optics.psf import psf_extent, reach, weights
-from clsco.plan.approximation import METHODS
 from clsco.plan.methods import Blur
 from clsco.scene.model import Psf
 
@@ -130,15 +128,9 @@ def make_grid(quick: bool, sizes: Sequence[int], radii: Sequence[float], minutes
 
 
 def methods(scene: Scene) -> tuple[str, ...]:
-    """Exact methods that are measured on a scene, the fastest first: those for one radius have a scene of their own."""
+    """Methods that are measured on a scene, the fastest first: those for one radius have a scene of their own."""
     known = [name for name in get_args(Blur) if name != "none"]
     return tuple(name for name in known if (name == "convolve") == (scene == "constant"))
-
-
-def approximations(scene: Scene, psf: Psf, largest: float) -> tuple[str, ...]:
-    """Approximations that do anything to radii up to `largest` px; none for one radius, where `convolve` is faster."""
-    known = METHODS if scene == "varying" else {}
-    return tuple(name for name, least in known.items() if coarse_radii(psf, largest, least))
 
 
 def grid_cases(grid: Grid, has_fp64: bool, peers: Sequence[Peer] = ()) -> list[Case]:
@@ -155,11 +147,6 @@ def grid_cases(grid: Grid, has_fp64: bool, peers: Sequence[Peer] = ()) -> list[C
                         for channels in grid.channels
                         for precision in precisions
                         for method in methods(scene)
-                    ]
-                    found += [
-                        Case(size, radius, scene, psf, channels, precisions[0], "clsco", method)
-                        for channels in grid.channels
-                        for method in approximations(scene, PSFS[psf], radius)
                     ]
                     found += [
                         Case(size, radius, scene, psf, channels, "single", peer.tool, peer.method)

@@ -43,7 +43,6 @@ from clsco.optics.psf import psf_extent
 from clsco.optics.stencil import stencils
 from clsco.passes.blur import Events
 from clsco.passes.tables import shared_tables
-from clsco.plan.approximation import METHODS, estimate, sample_places
 from clsco.records import Real
 from clsco.reference.blur.blur import prepare_sources, scatter
 from clsco.reference.trace.trace import Sources
@@ -62,7 +61,7 @@ class Row(Case):
 
     cost_ns: cpu_ns, but device_ns on a device that is no processor; cpu_ns: process CPU time; device_ns, kernels_ns:
     between the events of the kernels; first_call_s: with programs and tables, on the crop; rms_error, largest_error: of
-    white, on the crop of crop_px a side, of approximations at pixels of the frame; psnr_db: of white, None without
+    white, on the crop of crop_px a side; psnr_db: of white, None without
     error; calls: that were timed; taps: per pixel, mean; gflop_per_s: two per tap, by device_ns; of_peak: of the
     measured multiply-adds; on_front: no other row of the same task is as fast and as close, and better in one of them.
     """
@@ -245,8 +244,6 @@ def _ready(case: Case, session: Session, longest_s: float, paces: Paces, peers: 
         return f"a call must take {longest_s:g} s at most; got about {about:.2g} s, by its crop"
     image = channels_of(picture(case.size), case.channels)
     try:
-        if case.method in METHODS:  # before the pass that is timed: two at once may be too large
-            first = replace(first, **_sampled(case, image, session))
         call = _set_up(case, image, scene_radii(case.size, case.radius, case.scene), session, peers)
         warm = _seconds(call)
         if warm > longest_s:
@@ -265,18 +262,6 @@ def _by_crop(case: Case, first: _First) -> float:
     if case.method in TAP_BY_TAP:
         return first.warm_s * (case.size / crop) ** 2 * max(1.0, mean_taps(psf, case.radius, case.scene) / crop**2)
     return first.warm_s * (case.size / (crop + 2.0 * float(psf_extent(psf, case.radius)))) ** 2
-
-
-def _sampled(case: Case, image: Array, session: Session) -> dict[str, Any]:
-    """Errors of an approximation in full size against the exact way, at pixels spread over the frame.
-
-    A crop is all borders to PSFs as wide as those that it is for; what the exact way is off by is less by far.
-    """
-    radii, places = scene_radii(case.size, case.radius, case.scene), sample_places(case.size, case.size)
-    call = Pass(session, image, radii, PSFS[case.psf], case.method, REALS[case.precision], places)
-    call([])
-    missed = call.missed()
-    return {"crop_px": case.size, "rms": estimate(missed)[0], "largest": float(np.abs(missed).max())}
 
 
 def _seconds(call: Callable[[Events], Array]) -> float:

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from math import inf
 
 from clsco.cli.bench.cases import Case, Grid
-from clsco.plan.approximation import METHODS
 
 
 class Paces:
@@ -46,8 +45,7 @@ class Paces:
     def crop_objection(self, case: Case, seconds: float) -> str:
         """The same of one that took so long on its crop, most of whose taps leave it where PSFs are wide."""
         self.crops[case.kind] = seconds
-        # What approximations take there is mostly to set them up.
-        return "" if case.method in METHODS else self._too_slow(case, seconds, self.crops, "its crop")
+        return self._too_slow(case, seconds, self.crops, "its crop")
 
     def _too_slow(self, case: Case, seconds: float, known: Mapping[Case, float], where: str) -> str:
         task = case.kind.task

@@ -14,11 +14,10 @@ from clsco.opencl.buffers import empty, upload
 from clsco.opencl.session import Session
 from clsco.optics.psf import reach
 from clsco.passes.blur import Events, Sources, blur_target, prepare_sources
-from clsco.passes.multigrid import Multigrid, make_blur
-from clsco.plan.approximation import METHODS
+from clsco.passes.frame_blur import make_blur
 from clsco.plan.buffers import source_bytes
 from clsco.plan.memory import defocus_bytes
-from clsco.plan.methods import Blur, BlurSpec, many_radii
+from clsco.plan.methods import Blur, BlurSpec
 from clsco.records import Real, flat, in_parts
 from clsco.scene.model import Psf
 
@@ -26,35 +25,21 @@ Array = NDArray[Any]
 
 
 class Pass:
-    """The defocus pass of one image on the device, from its radii to the frame; warm after its first call.
+    """The defocus pass of one image on the device, from its radii to the frame; warm after its first call."""
 
-    places: see `clsco.passes.multigrid.Multigrid`, of an approximation.
-    """
-
-    def __init__(
-        self,
-        session: Session,
-        image: Array,
-        radii: Array,
-        psf: Psf,
-        method: str,
-        real: Real,
-        places: NDArray[np.int32] | None = None,
-    ) -> None:
+    def __init__(self, session: Session, image: Array, radii: Array, psf: Psf, method: str, real: Real) -> None:
         rows, columns = radii.shape
         channels = image.shape[2] if image.ndim == 3 else 1
         size = np.abs(radii)
         self.largest = float(size.max())
-        constant, least = method == "convolve", METHODS.get(method)
-        blur = many_radii(session.device.kind == "gpu", approximate=True) if least else cast(Blur, method)
+        constant, blur = method == "convolve", cast(Blur, method)
         guard = reach(psf, self.largest) + 2 * TAP_LANES if constant else 0
-        spec = BlurSpec(
-            psf, blur, float(size.min()), self.largest, tilt=psf.tilt, brightest=float(np.abs(image).max()), least=least
-        )  # fmt: skip
+        brightest = float(np.abs(image).max())
+        spec = BlurSpec(psf, blur, float(size.min()), self.largest, tilt=psf.tilt, brightest=brightest)
         self.camera, self.target = frame_struct(rows, columns, guard, real), blur_target(session, spec, channels, real)
         grid = Grid.whole(rows, columns, guard, channels)
-        self.blur = make_blur(self.target, spec, grid, self.camera, places)
-        self.sizes = defocus_bytes(spec, grid, session.device, 0 if places is None else len(places))
+        self.blur = make_blur(self.target, spec, grid, self.camera)
+        self.sizes = defocus_bytes(spec, grid, session.device)
         padded = np.pad(flat(image, np.float32), ((0, 0), (guard, guard), (guard, guard)))
         source = None if constant else empty(session, source_bytes(rows * columns, psf.tilt))
         self.sources = Sources(source, upload(session, padded), radius=self.largest)
@@ -62,11 +47,6 @@ class Pass:
         self.radii: tuple[cl.Buffer, ...] = (
             () if constant else (upload(session, in_parts(radii, real)), upload(session, valid))
         )
-
-    def missed(self) -> NDArray[np.float32]:
-        """Error at the places, after a call."""
-        assert isinstance(self.blur, Multigrid)
-        return self.blur.missed()
 
     def prepare(self, events: Events) -> None:
         """Enqueue the prepass: radii to records of sources."""

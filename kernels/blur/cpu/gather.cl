@@ -11,8 +11,7 @@
 // Each work-item owns a band of BAND output rows and walks the sources that reach it in a fixed order, whole vectors of
 // taps at a time: no atomics, the same bits in every run. The host picks it on processors. Pointers to unaligned
 // vectors and contraction took it from 131 to 27 ns per pixel at R6 (benchmarks/optimisation_log.md, as all figures).
-// Features: those of blur.cl; BAND; BY_ROWS (whole rows of sources: discs.clh, with NEAR near.clh) or BY_COLUMNS of
-// them (columns.clh).
+// Features: those of blur.cl; BAND; BY_ROWS (whole rows of sources: discs.clh) or BY_COLUMNS of them (columns.clh).
 
 #pragma OPENCL FP_CONTRACT ON
 
@@ -84,8 +83,6 @@ static void settle(int first, int last, int apart, int shift, int plane, int pit
 // Adds all sources that fit in; returns whether there are others.
 #if BY_COLUMNS
 #define ADD_ALIKE add_columns
-#elif NEAR
-#define ADD_ALIKE add_near_rows
 #else
 #define ADD_ALIKE add_disc_rows
 #endif
@@ -105,7 +102,7 @@ static void settle(int first, int last, int apart, int shift, int plane, int pit
 // the launches that follow, others of so much work, in vectors of taps: position, of a work-item, is what has been
 // walked, 0 at first, DONE in the end. Such pieces give the sums of the whole, in its order. part: BAND rows for each
 // work-item, of which every `group` rows of sources the sum goes on to total; with group 0 it is total. scratch: see
-// rows.clh, near.clh and columns.clh, zeros as well.
+// discs.clh and columns.clh, zeros as well.
 __kernel void gather(const camera_t camera, const psf_t psf, __global const float *source,
                      __global const float *value, __global const int2 *intervals,
                      __global const float *coefficients,

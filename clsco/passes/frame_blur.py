@@ -1,4 +1,4 @@
-"""The exact blur by its method."""
+"""The blur of a frame by its method."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ METHODS: dict[Blur, type[FrameSum]] = {
 }  # fmt: skip
 
 
-def exact_blur(target: Target, spec: BlurSpec, grid: Grid, camera: Struct) -> FrameSum:
-    """The blur of a frame, or its strips, without approximation.
+def make_blur(target: Target, spec: BlurSpec, grid: Grid, camera: Struct) -> FrameSum:
+    """The blur of a frame, or its strips.
 
     Parameters
     ----------
