@@ -128,9 +128,7 @@ def of_images(examples: Path) -> Iterator[tuple[str, str]]:
     edges, occlusions = ("integrated", "area", "sampled"), ("none", "layered")
     for model, edge, tilt, occlusion in product(("pillbox", "gaussian"), edges, (True, False), occlusions):
         psf = {"model": model, "edge": edge, "tilt": tilt, "occlusion": occlusion}
-        for method in ("gather", "scatter", "tiles", "coarse4"):
-            if (occlusion == "layered") and method == "coarse4":
-                continue
+        for method in ("gather", "scatter", "tiles"):
             blurred = clsco.defocus(image, radii, psf, method=method, **BLACK)
             yield f"defocus {model} {edge} {tilt} {occlusion} {method}", digest(blurred)
         same = clsco.defocus(image, np.full(radii.shape, 5.3), psf | {"occlusion": "none"}, **BLACK)

@@ -67,24 +67,24 @@ class ApproximationReport:
     of_silhouette_samples: int
 
     def line(self) -> str:
-        """The same in a line."""
+        """Report in a line."""
         time, silhouettes = (self.samples, self.of_samples), (self.silhouette_samples, self.of_silhouette_samples)
         if time == silhouettes == (1, 1):
             return "exact: nothing can be saved, as nothing moves, and no silhouette is in sight"
         if self.rms_error == 0.0:
-            return f"exact: fewer samples would be off by more than {self.tolerance:g} of white"
+            return f"exact: fewer samples may be off by more than {self.tolerance:g} of white"
         kinds = (("time", *time), ("silhouette", *silhouettes))
         taken = " and ".join(f"{count} of {whole} {kind} samples" for kind, count, whole in kinds if whole > 1)
         return f"{taken}: estimated RMS error {self.rms_error:.2g} of white"
 
 
 def same_tolerance(report: Mapping[str, Any] | None, tolerance: float | None) -> bool:
-    """Whether a frame with this report (an `ApproximationReport` as a mapping, or None) had this tolerance."""
+    """True if a frame with this report (an `ApproximationReport` as a mapping, or None) had this tolerance."""
     return (None if report is None else report.get("tolerance")) == tolerance
 
 
 def checked_tolerance(tolerance: float) -> float:
-    """The tolerance; raises SceneError where it is no number above 0."""
+    """Return the tolerance; raises SceneError where it is no number above 0."""
     if not (isfinite(tolerance) and tolerance > 0.0):
         raise SceneError(f"tolerance: must be a number above 0, RMS of white; got {tolerance}")
     return tolerance
@@ -93,7 +93,7 @@ def checked_tolerance(tolerance: float) -> float:
 def fewer_samples(
     plan: Plan, tolerance: float, textures: Callable[[], tuple[Texture, ...]], maps: Maps
 ) -> tuple[Scene, ApproximationReport]:
-    """The fewest samples whose estimated error is within a tolerance: time samples first, which save most.
+    """Take the fewest samples whose estimated error is within a tolerance: time samples first, which save most.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def fewer_samples(
 
 
 def _fewest(counts: range | tuple[int, ...], square: float, error: Callable[[int], float]) -> int:
-    """The first of rising counts with a squared error within `square`, by halving; 0 where there is none."""
+    """First of rising counts with a squared error within `square`, by halving; 0 where there is none."""
     few, many = 0, len(counts)
     while few < many:
         middle = (few + many) // 2
@@ -148,7 +148,7 @@ def _fewest(counts: range | tuple[int, ...], square: float, error: Callable[[int
 
 @dataclass(frozen=True)
 class _Part:
-    """What the frame shows of an object.
+    """An object as the frame shows it.
 
     way: of its image and of the rim of its blur while the shutter is open, px along x and y; radius: its smallest |R|,
     px; power: of its texture, of white^2 of the frame, by FREQUENCIES along x and y; outline: length times squared
@@ -208,7 +208,7 @@ def _passed(psf: Psf, radius: float) -> Array:
 
 
 def _parts(scene: Scene, textures: tuple[Texture, ...], maps: Maps) -> tuple[_Part, ...]:
-    """What is seen in the middle of the sequence, with the longest ways of all of it."""
+    """Objects in sight in the middle of the sequence, with their longest ways in all of it."""
     w = seen_depths(scene, maps)
     front = w.max(axis=0)
     nearest = np.where(front > 0.0, w.argmax(axis=0), -1)
@@ -240,7 +240,7 @@ def _way(scene: Scene, number: int, depth: Array | None) -> tuple[float, float]:
 
 
 def _outlines(scene: Scene, contrasts: Array, nearest: NDArray[np.intp], w: Array, axis: int) -> Array:
-    """Per object, length per px^2 times squared contrast of the outlines that rays one after another along an axis
+    """Outlines per object: length per px^2 times squared contrast of those that rays one after another along an axis
     cross: each of the object in front."""
     assert scene.camera.resolution is not None
     size = scene.camera.resolution[1 - axis]

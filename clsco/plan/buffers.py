@@ -113,8 +113,7 @@ def bands_at_a_time(rows: int, cores: int) -> int:
 
 
 def band_scratch(psf: Psf, fp64: bool) -> Scratch:
-    """Kind of scratch that `gather` keeps for each band of a frame: for sampled discs whole rows of them, for other PSFs
-    columns."""
+    """Kind of scratch that `gather` keeps for each band of a frame: whole rows of sampled discs, columns of others."""
     found: dict[str, Scratch] = {"disc": "rows" if fp64 else "none", "general": "none"}
     return found.get(shape_of(psf).kind, "columns")
 

@@ -63,7 +63,7 @@ class BlurSpec:
 
 
 def can_convolve(psf: Psf) -> bool:
-    """Whether `convolve` can blur by this PSF: the same one everywhere, and for -R."""
+    """True if `convolve` can blur by this PSF: the same one everywhere, and for -R."""
     return psf.border == "lose" and not shape_of(psf).signed
 
 

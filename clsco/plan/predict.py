@@ -134,7 +134,7 @@ def _frame_displacement(scene: Scene, number: int, depth: Array | None, frame: i
 
 
 def image_path(scene: Scene, number: int, depth: Array | None, frame: int, every: int = 1) -> Array:
-    """Where points of an object are in the image while the shutter of a frame is open.
+    """Places of an object's points in the image while the shutter of a frame is open.
 
     Parameters
     ----------

@@ -98,7 +98,7 @@ def test_what_saves_nothing_has_the_same_bits_and_says_so(tmp_path: Path) -> Non
     flat = {"camera": CAMERA, "object": [WALL | {"texture": "bricks"}]}
     for scene, tolerance, why in (
         (flat, 0.1, "exact: nothing can be saved, as nothing moves, and no silhouette is in sight"),
-        (SCENES["moving ball"], 1e-6, "exact: fewer samples would be off by more than 1e-06 of white"),
+        (SCENES["moving ball"], 1e-6, "exact: fewer samples may be off by more than 1e-06 of white"),
     ):
         exact, found = (clsco.render_frame(scene, truth=(), tolerance=given) for given in (None, tolerance))
         np.testing.assert_array_equal(found.color, exact.color)
