@@ -1,4 +1,4 @@
-"""Reports of commands on their input files: colors, depth maps, and what the lens makes of these."""
+"""Reports of commands before they render: colors, depth maps and what the lens makes of these, and samples."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 
 def report_inputs(planned: Sequence[PreparedFile]) -> None:
-    """Say on stderr what is to be known of the images of scenes, and for each depth map whether it may not be upright,
-    which of its pixels have no depth, and what the lens makes of it."""
+    """Say on stderr what is to be known of the images of scenes; for each depth map whether it may not be upright,
+    which of its pixels have no depth, and what the lens makes of it; and which samples are taken with a tolerance."""
     from clsco.inputs.focus import lens_line
     from clsco.scene.model import DepthMap
 
@@ -34,6 +34,9 @@ def report_inputs(planned: Sequence[PreparedFile]) -> None:
                 where = f"{item.depth} (with {label})" if label else str(item.depth)
                 line = lens_line(each.scene.camera, each.files.map(each.scene, item))
                 echo(f"{where}: {line}", err=True)
+            if each.approximation is not None:
+                where = f" (with {label})" if label else ""
+                echo(f"{click.format_filename(path)}{where}: {each.approximation.line()}", err=True)
 
 
 def report_stretched(path: Path, prepared: Iterable[Prepared]) -> None:

@@ -38,7 +38,7 @@ from clsco.cli.options import (
     truth_option,
 )
 from clsco.cli.output import echo
-from clsco.cli.render import render, render_to_folders, report_approximation, request_for
+from clsco.cli.render import render, render_to_folders, request_for
 from clsco.cli.studio import studio
 from clsco.cli.video import video
 from clsco.errors import ClscoError, DeviceError, SceneError
@@ -381,7 +381,6 @@ def defocus(
     with progress(1, quiet) as advance:
         for _, frame in render_prepared(session_for(computation.device), found):
             write_color(out, frame, frame.metadata["bits"], found[0].scene.image.transfer, found[0].color)
-            report_approximation(out, frame)
             advance()
 
 

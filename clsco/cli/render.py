@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsco.engine.batch import Job, Span
-    from clsco.frame.frame import Frame
     from clsco.frame.truth_files import TruthFile
     from clsco.plan.request import Request
     from clsco.scene.sweep import Sweep
@@ -99,16 +98,6 @@ def request_for(files: tuple[TruthFile, ...], computation: Computation | None = 
     return Request(needed_truth(files), **options)
 
 
-def report_approximation(where: Path, frame: Frame) -> None:
-    """Say on stderr which samples a frame has that was rendered with a tolerance."""
-    from clsco.plan.approximation import ApproximationReport
-
-    if values := frame.metadata["approximation"]:
-        view = f" ({frame.eye})" if frame.eye else ""
-        line = ApproximationReport(**values).line()
-        echo(f"{click.format_filename(where)}: frame {frame.index}{view}: {line}", err=True)
-
-
 def render_to_folders(
     loaded: Sequence[tuple[Path, Sweep | SceneError]],
     out: Path,
@@ -146,9 +135,7 @@ def render_to_folders(
 
         remove_clips(jobs, preset)  # those of older frames
     with frame_progress(sum(len(job.frames) for job in jobs), quiet, computation.device) as advance:
-        for job, frames in batch.run(jobs, computation.device):
-            for frame in frames:
-                report_approximation(job.folder, frame)
+        for _ in batch.run(jobs, computation.device):
             advance()
     if preset is not None:
         from clsco.cli.video import write_clips
@@ -202,7 +189,6 @@ def _render_to_pipe(
 
         def codes() -> Iterator[NDArray[Any]]:
             for _, frame in render_prepared(session_for(computation.device), [prepared], numbers):
-                report_approximation(path, frame)
                 yield encode(frame.color, min(frame.metadata["bits"], 16), scene.image.transfer)
                 advance()
 
