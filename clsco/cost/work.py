@@ -26,7 +26,13 @@ from clsco.optics.visibility import Layer, lens_extent
 from clsco.plan.passes import Pass
 from clsco.plan.plan import Plan
 from clsco.plan.predict import Maps
-from clsco.reference.common.geometry import blur_radius, nearest_surface, pixel_ray
+from clsco.reference.common.geometry import (
+    blur_gradient,
+    blur_radius,
+    nearest_surface,
+    pixel_ray,
+    surface_slope,
+)
 from clsco.reference.common.visibility import (
     CLEAR,
     HIDDEN,
@@ -151,6 +157,10 @@ def _hits(plan: Plan, view: View, layer: Layer, lattice: Lattice) -> Hits:
     hit = w > 0.0
     radius, state = np.where(hit, blur_radius(camera, w), 0.0), np.full(w.shape, CLEAR)
     tests, cuts, edges, cut_edges = (np.zeros(w.shape) for _ in range(4))
+    gradient = np.zeros((*w.shape, 2))
+    for k in np.unique(number[hit]) if scene.psf.tilt else ():
+        here = hit & (number == k)
+        gradient[here] = blur_gradient(camera, surface_slope(view.surfaces[k], rays[here], w[here]))
     label, many = label.copy(), _tests(plan) > MANY_TESTS
     for k, surface in enumerate(view.surfaces):
         own = k == layer.own
@@ -161,8 +171,8 @@ def _hits(plan: Plan, view: View, layer: Layer, lattice: Lattice) -> Hits:
         size = radius[near]
         if not size.size:
             continue
-        points = Points(rays[near], w[near], size, 0 * size, 0 * size, 1.0)
-        lens = lens_of(size, lens_extent(scene.psf), points.width)
+        points = Points(rays[near], w[near], size, 0 * size, 0 * size, 1.0, gradient[near])
+        lens = lens_of(size, lens_extent(scene.psf), points.width, points.gradient)
         cut = bounds[k] is not None and bool(surface.canonical.q.any())
         found, edge, _ = meet_occluder(camera, surface, None if many and cut else bounds[k], points, lens, own)
         label[near] ^= edge.astype(np.uint8) << 7

@@ -34,7 +34,8 @@ static float tap_share(const visibility_t *visibility, int dx, int dy, spread_t 
 {
     if (!visibility->wide)
         return visibility->share[dy + NARROW_MIDDLE][dx + NARROW_MIDDLE];
-    return FIRST_LANE(free_share(visibility, (lanes_t)(dx - s.ox), (lanes_t)(dy - s.oy)));
+    const bool several = visibility->count > 1;
+    return FIRST_LANE(free_share(visibility, several, (lanes_t)(dx - s.ox), (lanes_t)(dy - s.oy)));
 }
 #else
 #define VISIBILITY_ARGUMENT
@@ -88,8 +89,7 @@ __kernel void scatter(const camera_t camera, const psf_t psf, __global const flo
             const visibility_t *visibility = as_int(p.w) == PARTLY_OCCLUDED ? &seen : 0;
             if (visibility)
                 source_visibility(camera, surfaces, layer, psf, lens, camera.top + row + spread.oy, column + spread.ox,
-                                  sub_depth[id],
-                    spread, (real)1 / SUBPIXELS, &seen);
+                                  sub_depth[id], spread, p, (real)1 / SUBPIXELS, &seen);
 #endif
             for (int k = 0; k < CHANNELS; ++k)
                 scatter_source(camera, spread, p, sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id], scale, row,
@@ -105,7 +105,7 @@ __kernel void scatter(const camera_t camera, const psf_t psf, __global const flo
     visibility_t seen;
     const visibility_t *visibility = as_int(s.w) == PARTLY_OCCLUDED ? &seen : 0;
     if (visibility)
-        source_visibility(camera, surfaces, layer, psf, lens, camera.top + row, column, depth[at], spread, (real)1,
+        source_visibility(camera, surfaces, layer, psf, lens, camera.top + row, column, depth[at], spread, s, (real)1,
                           &seen);
 #endif
     for (int k = 0; k < CHANNELS; ++k)

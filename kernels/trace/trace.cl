@@ -26,9 +26,13 @@ static float4 source_record(const camera_t camera, __constant surface_t *surface
     const wide_t whole_radius = blur_radius(camera, w);
     const real radius = narrow(whole_radius);
     __constant surface_t *surface = surfaces + (*label - 1) / 2;
+    float2 tilt = 0;
+#if TILT
+    tilt = tilt_slope(blur_gradient(camera, surface_slope(surface, ray, w)), radius);
+#endif
 #if OCCLUDED
     bool edge;
-    const lens_t lens = lens_of(radius, psf.lens_extent, subpixel ? (real)1 / SUBPIXELS : 1);
+    const lens_t lens = lens_of(radius, psf.lens_extent, subpixel ? (real)1 / SUBPIXELS : 1, tilt);
     const int seen = check_visibility(camera, surfaces, layer, ray, w, lens, 0, &edge);
     *label |= edge << 7;
     if (seen == HIDDEN)
@@ -37,9 +41,7 @@ static float4 source_record(const camera_t camera, __constant surface_t *surface
 #endif
     note_radius(statistics, radius);
     record.x = table_coordinate(psf, whole_radius, subpixel);
-#if TILT
-    record.yz = tilt_slope(blur_gradient(camera, surface_slope(surface, ray, w)), radius);
-#endif
+    record.yz = tilt;
     return record;
 }
 
@@ -269,13 +271,14 @@ __kernel void trace_detail(const camera_t camera, __constant surface_t *surfaces
     int object;
     const wide_t w = nearest_surface(surfaces, layer, ray, &root, &object);
     const wide_t whole_radius = blur_radius(camera, w);
-#if OCCLUDED
-    bool edge;
-    const lens_t lens = lens_of(narrow(whole_radius), psf.lens_extent, 1);
-    const bool partly = check_visibility(camera, surfaces, layer, ray, w, lens, 0, &edge) == PARTLY;
-#endif
     const real2 slope = surface_slope(surfaces + object, ray, w);
     const real2 gradient = blur_gradient(camera, slope);
+#if OCCLUDED
+    bool edge;
+    const real middle = narrow(whole_radius);
+    const lens_t lens = lens_of(middle, psf.lens_extent, 1, TILT ? tilt_slope(gradient, middle) : (float2)(0, 0));
+    const bool partly = check_visibility(camera, surfaces, layer, ray, w, lens, 0, &edge) == PARTLY;
+#endif
     float values[FINE_PARTS * FINE_PARTS * CHANNELS];
     detailed_texture(texture, surfaces + object, maps + object, camera, ray, w, narrow(whole_radius), fine, values);
     const float share = SHADE(surfaces, object, ray, w);
@@ -294,7 +297,7 @@ __kernel void trace_detail(const camera_t camera, __constant surface_t *surfaces
         if (partly) {
             const wide3_t towards = pixel_ray(camera, wide_add(widened(row), widened(down)),
                                               wide_add(widened(column), widened(right)));
-            const lens_t own = lens_of(narrow(radius), psf.lens_extent, (real)1 / SUBPIXELS);
+            const lens_t own = lens_of(narrow(radius), psf.lens_extent, (real)1 / SUBPIXELS, record.yz);
             const int seen = check_visibility(camera, surfaces, layer, towards, sub_depth[id], own, 0, &edge);
             record.x = seen == HIDDEN ? -1 : record.x;
             record.w = as_float(seen == PARTLY ? PARTLY_OCCLUDED : WHOLE);

@@ -36,7 +36,10 @@ WITHOUT_TWIN = {
     "convolve": dict.fromkeys(("sum_down", "sum_across"), "sums over rectangles, of which the reference has no need"),
     "estimate": {"use_neighbors": "counts them, as the reference does where it needs to"},
     "sources": dict.fromkeys(("get_source", "put_source"), "where the planes of a record are"),
-    "visibility_test": {"row_visibility": "finds out which vectors of taps need a test at all"},
+    "visibility_test": {
+        "row_visibility": "finds out which vectors of taps need a test at all",
+        "shared_cells": "free_share, which the device shortens where no two edges meet",
+    },
     "psf": dict.fromkeys(
         ("pixel_spread", "subpixel_spread", "tap", "source_visibility"),
         "reads tables, in whose place the reference has the closed forms",
@@ -99,6 +102,8 @@ OTHERWISE = {
     "hides_all": "conditions of an occluder_t are dropped in place",
     "keep_equation": "fields of an occluder_t are filled one after the other",
     "flatten_limits": "limits of an occluder_t are changed in place",
+    "lens_of": "records of sources hold the gradient over the radius",
+    "free_share": "the device is told where no two edges meet",
     "check_visibility": "its caller divides the lens, by the radius that it has already",
     "cell_visibility": "one cell after the other, given by its middle",
     "estimate": "settings of all lanes are in an around_t",

@@ -49,7 +49,7 @@ __kernel void see_taps(const camera_t camera, __constant surface_t *surfaces, co
     const real radius = narrow(blur_radius(camera, w));
     visibility_t visibility;
     bool edge;
-    const lens_t of_source = lens_of(radius, psf.lens_extent, width);
+    const lens_t of_source = lens_of(radius, psf.lens_extent, width, tilt_slope((real2)(0.2, -0.1), radius));
     state[i] = check_visibility(camera, surfaces, layer, ray, w, of_source, &visibility, &edge);
     edges[i] = edge;
     if (!visibility.wide)
@@ -57,7 +57,7 @@ __kernel void see_taps(const camera_t camera, __constant surface_t *surfaces, co
     for (int t = 0; t < taps; ++t) {
         const int dx = tap[t].x, dy = tap[t].y;
         const lanes_t x = dx - place[i].z, y = dy - place[i].w;
-        share[i * taps + t] = visibility.wide ? FIRST_LANE(free_share(&visibility, x, y))
+        share[i * taps + t] = visibility.wide ? FIRST_LANE(free_share(&visibility, visibility.count > 1, x, y))
                                          : visibility.share[dy + NARROW_MIDDLE][dx + NARROW_MIDDLE];
     }
 #if GATHER
@@ -154,8 +154,9 @@ def see(
     there = label > 0
     assert ((state >= 0) == there).all()
     w, radius, (x, y) = w[there], blur_radius(camera, w[there]), offset[there].T
+    gradient = np.broadcast_to([0.2, -0.1], (w.size, 2))
     found, outline, visibility = check_visibility(
-        camera, surfaces, bounds, layer, psf, Points(rays[there], w, radius, x, y, width)
+        camera, surfaces, bounds, layer, psf, Points(rays[there], w, radius, x, y, width, gradient)
     )
     cells, expected, wide = cell_visibility(visibility), np.ones((w.size, len(taps))), np.zeros(w.size, dtype=bool)
     for n, (dx, dy) in enumerate(taps.astype(float).tolist()):

@@ -55,8 +55,8 @@ __kernel void hidden_shares(__global const float *number, __global const float *
         add_limit(&m, INFINITY, INFINITY, 1, 1);  // none
     for (int t = 0; t < TAPS; t += LANE_COUNT) {
         const int at = i * TAPS + t;
-        *(__global unaligned_lanes_t *)(share + at) = occluded_share(&m, *(__global const unaligned_lanes_t *)(x + at),
-                                                              *(__global const unaligned_lanes_t *)(y + at));
+        *(__global unaligned_lanes_t *)(share + at) = occluded_part(&m, *(__global const unaligned_lanes_t *)(x + at),
+                                                              *(__global const unaligned_lanes_t *)(y + at)).share;
     }
     all[i] = m.limits && m.crossings ? hides_all(&m, MOST) : 0;
     count[i] = m.limits;
@@ -84,7 +84,7 @@ class Surfaces:
 
     def shares(self) -> Array:
         """Shares of the twin."""
-        columns = [twin.occluded_share(self.occluder, x, y) for x, y in zip(self.x.T, self.y.T, strict=True)]
+        columns = [twin.occluded_part(self.occluder, x, y).share for x, y in zip(self.x.T, self.y.T, strict=True)]
         return np.stack(columns, axis=-1)
 
 

@@ -229,9 +229,8 @@ def blocked(plan: Plan, near: int, far: int, time: float) -> bool:
     rays, w = rays[label > 0], w[label > 0]
     radius, zero = blur_radius(scene.camera, w), np.zeros_like(w)
     layer = Layer(1 << far, 1 << near)
-    state, _, visibility = check_visibility(
-        scene.camera, surfaces, bounds, layer, scene.psf, Points(rays, w, radius, zero, zero, 1.0)
-    )
+    points = Points(rays, w, radius, zero, zero, 1.0, np.zeros((len(w), 2)))
+    state, _, visibility = check_visibility(scene.camera, surfaces, bounds, layer, scene.psf, points)
     if (state == HIDDEN).any() or (state == CLEAR).all():
         return bool((state == HIDDEN).any())
     cells = cell_visibility(visibility)

@@ -14,7 +14,7 @@ from clsco.optics.motion import Pose, rest_center, rotation_matrix
 from clsco.optics.quadrics import place
 from clsco.optics.visibility import Layer, lens_extent
 from clsco.reference.common.geometry import nearest_surface, solve_quadric, surface_normal
-from clsco.reference.common.occluder import soft_step
+from clsco.reference.common.occluder import Part, leave_free, soft_step
 from clsco.reference.common.visibility import CLEAR, HIDDEN, Points, check_visibility
 from clsco.reference.common.visibility_test import cell_visibility, tap_share
 from clsco.scene.model import Camera, Cone, Cylinder, Disc, Ellipsoid, Object, Plane, Psf, Quadric, Sphere
@@ -120,7 +120,7 @@ def free_shares(
     radius, middle = blur_radius(CAMERA, w), np.zeros_like(w)
     bounds = [item.bounds for item in items]
     state, _, visibility = check_visibility(
-        CAMERA, surfaces, bounds, layer, psf, Points(rays, w, radius, middle, middle, 1.0)
+        CAMERA, surfaces, bounds, layer, psf, Points(rays, w, radius, middle, middle, 1.0, np.zeros((len(w), 2)))
     )
     cells, share = cell_visibility(visibility), np.ones((len(lens), w.size))
     tested = visibility.row >= 0
@@ -259,7 +259,13 @@ def test_points_inside_of_another_object_are_hidden() -> None:
         inside = np.linalg.norm(rays / w[:, None] - other.center, axis=1) < other.radius
         assert 0.02 < inside.mean() < 0.5
         radius, middle = blur_radius(CAMERA, w), np.zeros_like(w)
-        args = ([surface], [None], Layer(0, 1), Psf(), Points(rays, w, radius, middle, middle, 1.0))
+        args = (
+            [surface],
+            [None],
+            Layer(0, 1),
+            Psf(),
+            Points(rays, w, radius, middle, middle, 1.0, np.zeros((len(w), 2))),
+        )
         state, edge, _ = check_visibility(CAMERA, *args)
         assert (state[inside] == HIDDEN).all()
         assert (state[~inside] != HIDDEN).any()
@@ -292,7 +298,7 @@ def test_narrow_lenses_are_weighed_cell_by_cell() -> None:
     assert 0.5 < radius[0] < 2.0
     zero, surfaces = np.zeros(1), [place(item, STILL)]
     _, _, visibility = check_visibility(
-        camera, surfaces, [item.bounds], Layer(0, 1), Psf(), Points(rays, w, radius, zero, zero, 0.0)
+        camera, surfaces, [item.bounds], Layer(0, 1), Psf(), Points(rays, w, radius, zero, zero, 0.0, np.zeros((1, 2)))
     )
     assert (visibility.row == 0).all()
     cells = cell_visibility(visibility)
@@ -317,3 +323,23 @@ def test_soft_step_is_a_step() -> None:
     # As a spread over [-a, a], a = 1/2, its slope has the variance a^2 / 5.
     middle, slope = 0.5 * (t[1:] + t[:-1]), np.diff(step)
     assert (middle**2 * slope).sum() == pytest.approx(0.25 / 5, rel=1e-5)
+
+
+@pytest.mark.parametrize(("degrees", "expected"), [(0.0, 0.3), (180.0, 0.0), (90.0, 0.3 * 0.6)])
+def test_edges_in_one_cell_hide_by_their_directions(degrees: float, expected: float) -> None:
+    """Two half planes that leave 0.3 and 0.6 of a cell: the less of it if both hide the same side, nothing if they hide
+    opposite ones and overlap, the product if their edges are perpendicular; in any order, and alone each its own."""
+    turn, one = np.radians(degrees), np.ones(1)
+    first = Part(0.7 * one, 3.0 * one, 0.0 * one)
+    second = Part(0.4 * one, np.cos(turn) * one, np.sin(turn) * one)
+    for a, b in ((first, second), (second, first)):
+        alone = leave_free(Part(one, 0 * one, 0 * one), a)
+        np.testing.assert_array_equal(alone.share, 1 - a.share)
+        np.testing.assert_allclose(leave_free(alone, b).share, expected, atol=1e-12)
+
+
+def test_the_gap_between_two_edges_is_left() -> None:
+    """Two half planes that hide 0.3 and 0.2 of a cell from opposite sides leave the half between them."""
+    one, none = np.ones(1), np.zeros(1)
+    left = leave_free(Part(one, none, none), Part(0.3 * one, one, none))
+    np.testing.assert_allclose(leave_free(left, Part(0.2 * one, -one, none)).share, 0.5)

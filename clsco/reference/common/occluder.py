@@ -6,7 +6,7 @@ conditions on its crossings; B, C and F as in `visibility`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -55,6 +55,47 @@ def soft_step(t: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
+class Part:
+    """Share (N,) of taps' cells of the lens, and the direction x, y (N,) across its edge, of any length, in which more
+    is hidden."""
+
+    share: Array
+    x: Array
+    y: Array
+
+    def where(self, chosen: Mask, other: Part) -> Part:
+        """This one where it is chosen (N,), else the other."""
+        pairs = ((self.share, other.share), (self.x, other.x), (self.y, other.y))
+        return Part(*(np.where(chosen, own, others) for own, others in pairs))
+
+
+def part_slope(part: Part) -> Array:
+    """Length (N,) of the direction."""
+    return np.asarray(np.hypot(part.x, part.y))
+
+
+def leave_free(left: Part, hidden: Part) -> Part:
+    """Add one more surface that hides the part `hidden` of cells to what is `left` of them.
+
+    If their edges are perpendicular, the product of what each leaves; if they are parallel, the less of it where both
+    hide the same side, and what lies between the edges where they hide opposite sides: nothing, if the surfaces share
+    that edge.
+    """
+    free = 1 - hidden.share
+    product = left.share * free
+    left_scale, scale = 1 / (part_slope(left) + TINY), 1 / (part_slope(hidden) + TINY)
+    cosine = (left.x * hidden.x + left.y * hidden.y) * (left_scale * scale)
+    gap = np.maximum(left.share - hidden.share, 0.0)
+    excess = np.where(cosine > 0, np.minimum(left.share, free) - product, product - gap)
+    left_weight, weight = left.share * (1 - left.share) * left_scale, hidden.share * free * scale
+    return Part(
+        product + cosine * excess,
+        left_weight * left.x + weight * hidden.x,
+        left_weight * left.y + weight * hidden.y,
+    )
+
+
+@dataclass(frozen=True, eq=False)
 class Crossing:
     """One of the crossings with the lines to taps: w + v, and how v changes with the tap, (N,) each."""
 
@@ -77,26 +118,28 @@ def crossing_at(m: Occluder, v: Array, b: Array, c: Array, x: Array, y: Array, l
     return Crossing(v, vx, vy)
 
 
-def limit_share(m: Occluder, limit: Array, at: Crossing, x: Array, y: Array) -> Array:
-    """Share (N,) of the taps' cells over which a crossing meets one condition (N, 4)."""
+def limit_part(m: Occluder, limit: Array, at: Crossing, x: Array, y: Array) -> Part:
+    """Part (N,) of the taps' cells over which a crossing meets one condition (N, 4)."""
     slope = limit[:, 1] + limit[:, 2] * x + limit[:, 3] * y
-    steep = np.hypot(at.v * limit[:, 2] + slope * at.x, at.v * limit[:, 3] + slope * at.y)
-    return soft_step((limit[:, 0] + at.v * slope) * m.soft / (steep + TINY))
+    gx, gy = at.v * limit[:, 2] + slope * at.x, at.v * limit[:, 3] + slope * at.y
+    return Part(soft_step((limit[:, 0] + at.v * slope) * m.soft / (np.hypot(gx, gy) + TINY)), gx, gy)
 
 
-def crossing_share(m: Occluder, at: Crossing, x: Array, y: Array) -> Array:
-    """Share (N,) of them from which a crossing occludes: the least that any condition leaves."""
-    least = np.ones_like(x)
+def crossing_part(m: Occluder, at: Crossing, x: Array, y: Array) -> Part:
+    """Part (N,) of them from which a crossing occludes: the least that any condition leaves."""
+    least = Part(np.ones_like(x), np.zeros_like(x), np.zeros_like(x))
     for limit, needed in zip(m.limits, m.needed, strict=True):
-        least = np.where(needed, np.minimum(least, limit_share(m, limit, at, x, y)), least)
+        part = limit_part(m, limit, at, x, y)
+        least = part.where(needed & (part.share < least.share), least)
     # Behind a point of the surface itself the tilt lets no radiance pass; a step there would only show in rounding.
-    return np.where((m.f0 == 0) | (at.v > 0), least, 0.0)
+    return replace(least, share=np.where((m.f0 == 0) | (at.v > 0), least.share, 0.0))
 
 
-def outline_gradient(m: Occluder, x: Array, y: Array) -> Array:
-    """Gradient (N,) of D = B^2 - C F at taps x, y (N,)."""
-    _, d_x, d_y, d_xx, d_xy, d_yy = m.d.T
-    return np.asarray(np.hypot(d_x + 2 * d_xx * x + d_xy * y, d_y + d_xy * x + 2 * d_yy * y))
+def outline_part(m: Occluder, x: Array, y: Array) -> Part:
+    """D = B^2 - C F (N,) at taps x, y (N,), and its gradient."""
+    d, d_x, d_y, d_xx, d_xy, d_yy = m.d.T
+    height = d + x * (d_x + d_xx * x + d_xy * y) + y * (d_y + d_yy * y)
+    return Part(height, d_x + 2 * d_xx * x + d_xy * y, d_y + d_xy * x + 2 * d_yy * y)
 
 
 def find_crossings(m: Occluder, x: Array, y: Array, width: float = 1.0) -> tuple[Crossing, Crossing]:
@@ -107,7 +150,7 @@ def find_crossings(m: Occluder, x: Array, y: Array, width: float = 1.0) -> tuple
     t = np.where(b < 0, root - b, -b - root)
     t = np.where(np.abs(t) > TINY, t, TINY)
     # Of two crossings: over the width of the edge sqrt(D) changes by at most sqrt(width |gradient of D|).
-    least = np.where(m.f0 <= 0, 0.0, 0.5 * np.sqrt(width * outline_gradient(m, x, y) / m.soft)) + TINY
+    least = np.where(m.f0 <= 0, 0.0, 0.5 * np.sqrt(width * part_slope(outline_part(m, x, y)) / m.soft)) + TINY
     least = np.where(b < 0, least, -least)
     return crossing_at(m, t / c, b, c, x, y, least), crossing_at(m, m.f0 / t, b, c, x, y, -least)
 
@@ -120,23 +163,29 @@ def occluded_height(m: Occluder, x: Array, y: Array) -> Array:
     return np.asarray(m.h[:, 0] + m.h[:, 1] * x + m.h[:, 2] * y - f / (under + m.root + TINY))
 
 
-def occluded_share(m: Occluder, x: Array, y: Array) -> Array:
-    """Share (N,) of the lens, over the cells of taps x, y (N,), that one surface hides."""
+def occluded_part(m: Occluder, x: Array, y: Array) -> Part:
+    """Part (N,) of the lens, over the cells of taps x, y (N,), that one surface hides."""
+    if m.limits and m.limits[0].shape[1] == 3:  # a plane
+        part = Part(np.ones_like(x), np.zeros_like(x), np.zeros_like(x))
+        for h, needed in zip(m.limits, m.needed, strict=True):
+            one = Part(soft_step(h[:, 0] + h[:, 1] * x + h[:, 2] * y), h[:, 1], h[:, 2])
+            part = one.where(needed & (one.share < part.share), part)
+        return part
+    # At the edge, where h = 0, the root is what is before it.
+    fx, fy, fxx, fxy, fyy = m.f.T
+    root = 2 * (m.h[:, 0] + m.h[:, 1] * x + m.h[:, 2] * y + m.root)
+    across, down = root * m.h[:, 1] - (fx + 2 * fxx * x + fxy * y), root * m.h[:, 2] - (fy + fxy * x + 2 * fyy * y)
+    whole = Part(soft_step(occluded_height(m, x, y)), across, down)
     if not m.limits:
-        return soft_step(occluded_height(m, x, y))
-    if m.limits[0].shape[1] == 3:  # a plane
-        return np.asarray(np.min([soft_step(h[:, 0] + h[:, 1] * x + h[:, 2] * y) for h in m.limits], axis=0))
+        return whole
     with np.errstate(all="ignore"):  # a lens point on the surface itself has an infinite crossing
-        one, other = (crossing_share(m, at, x, y) for at in find_crossings(m, x, y))
+        one, other = (crossing_part(m, at, x, y) for at in find_crossings(m, x, y))
+    part = one.where((m.f0 == 0) | (one.share > other.share), other)
+    outline = outline_part(m, x, y)
+    inside = soft_step(outline.share * m.soft / (part_slope(outline) + TINY))
+    twice = replace(part.where(part.share <= inside, outline), share=part.share * inside)
     # Without any condition left, a surface that is crossed twice is as one that never had any.
-    share, d = np.where(m.f0 == 0, one, np.maximum(one, other)), m.d
-    height = d[:, 0] + x * (d[:, 1] + d[:, 3] * x + d[:, 4] * y) + y * (d[:, 2] + d[:, 5] * y)
-    twice = np.where(
-        np.any(m.needed, axis=0),
-        share * soft_step(height * m.soft / (outline_gradient(m, x, y) + TINY)),
-        soft_step(occluded_height(m, x, y)),
-    )
-    return np.where(m.crossings == 1, share, twice)
+    return part.where((m.f0 == 0) | (m.crossings == 1), twice.where(np.any(m.needed, axis=0), whole))
 
 
 def hides_all(m: Occluder, most: Array) -> tuple[Mask, tuple[Mask, ...]]:
@@ -151,9 +200,9 @@ def hides_all(m: Occluder, most: Array) -> tuple[Mask, tuple[Mask, ...]]:
     for radius in (most / np.cos(np.pi / 8), 0.5 * most):
         for angle in np.arange(8) * (np.pi / 4):
             x, y = radius * np.cos(angle), radius * np.sin(angle)
-            hidden &= occluded_share(m, x, y) >= 1.0
+            hidden &= occluded_part(m, x, y).share >= 1.0
             with np.errstate(all="ignore"):
                 for at in find_crossings(m, x, y, 0.0):
                     for k, limit in enumerate(m.limits):
-                        needed[k] |= (at.v > 0) & (limit_share(m, limit, at, x, y) < 1.0)
+                        needed[k] |= (at.v > 0) & (limit_part(m, limit, at, x, y).share < 1.0)
     return hidden, tuple(needed)

@@ -28,7 +28,7 @@ from clsco.scene.model import Camera, Psf
 
 CLEAR, PARTLY, HIDDEN = np.uint8(0), np.uint8(1), np.uint8(2)
 SOFT_BOX = (5.0 / 12.0) ** 0.5  # half width of the cubic step that has the variance of a box 1 wide
-WIDE_LENS = 4.0  # px: a lens at least so wide is tested once per tap, others on a grid of cells
+WIDE_LENS = 3.2  # px: a lens at least so wide is tested once per tap, others on a grid of cells
 SHARP_EDGE = 2.0  # px: a blurred outline this narrow needs sub-pixel sources
 
 
@@ -58,7 +58,8 @@ def _limits(surface: PlacedSurface, bounds: Bounds | None, w: Array, rays: Array
 @dataclass(frozen=True, eq=False)
 class Points:
     """Surface points of visibility tests: rays (N, 3), inverse depth w (N,) in 1/mm, signed blur radius (N,) in px,
-    place x, y (N,) of the source in its pixel, px, and the width of all sources, px."""
+    place x, y (N,) of the source in its pixel, px, the width of all sources, px, and the gradient (N, 2) of the blur
+    radius, px per px, right and down, 0 where the tilt of surfaces does not count."""
 
     rays: Array
     w: Array
@@ -66,6 +67,7 @@ class Points:
     x: Array
     y: Array
     width: float
+    gradient: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +75,7 @@ class Lens:
     """Division of the lens into cells for N sources.
 
     cells (N,): per lens radius, signed as the blur radius; wide (N,): a cell is a pixel; blur (N,): |R| extent, px;
-    extent: of the lens in lens radii; width: of the sources, px.
+    extent: of the lens in lens radii; width: of the sources, px; gradient (N, 2): of their blur radius.
     """
 
     cells: Array
@@ -81,6 +83,7 @@ class Lens:
     extent: float
     width: float
     wide: Mask
+    gradient: Array
 
     @property
     def most(self) -> Array:
@@ -88,12 +91,12 @@ class Lens:
         return np.asarray(self.extent * np.abs(self.cells) + 1.5)
 
 
-def lens_of(radius: Array, extent: float, width: float) -> Lens:
+def lens_of(radius: Array, extent: float, width: float, gradient: Array) -> Lens:
     """Cells for sources of blur radius (N,) px."""
     blur = np.abs(radius) * extent
     wide = blur >= WIDE_LENS
     cells = np.where(wide, radius, np.where(radius < 0, -LENS_CELLS, LENS_CELLS) / extent)
-    return Lens(cells, blur, extent, width, wide)
+    return Lens(cells, blur, extent, width, wide, gradient)
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,14 +304,14 @@ def meet_occluder(
         if surface.canonical.radius < np.inf:
             disc = disc_outline(surface, e, points, soft, lens.most)
             state = np.select([far | ~e.once | disc.clear, disc.hidden], [CLEAR, HIDDEN], PARTLY)
-            occluder = replace(_planar((), w.size), h=disc.h, root=disc.root, f=disc.f)
+            occluder = replace(_planar((), (), w.size), h=disc.h, root=disc.root, f=disc.f)
             return state.astype(np.uint8), (e.F < 0) & ~far, occluder
         if e.flat:
             l = surface.canonical.l  # noqa: E741
             change = (float(l @ surface.offset), e.along_x @ l, e.along_y @ l)
-            state, limits = flatten_limits(limits, e.linear, change, soft, lens.most)
+            state, limits, needed = flatten_limits(camera, limits, e.linear, change, lens)
             state = np.where(e.once & ~far, state, CLEAR)
-            return state.astype(np.uint8), (e.F < 0) & ~far, _planar(limits, w.size)
+            return state.astype(np.uint8), (e.F < 0) & ~far, _planar(limits, needed, w.size)
         slopes = slopes_of(surface, e, w, d)
         outline = outline_of(e, slopes, soft, lens.most)
         occluder = keep_equation(e, slopes, soft, outline, limits)
@@ -324,29 +327,41 @@ def meet_occluder(
 
 
 def flatten_limits(
-    limits: Sequence[Array], near: Array, far: tuple[float, Array, Array], soft: Array, most: Array
-) -> tuple[NDArray[np.uint8], list[Array]]:
-    """Conditions on the one crossing with a plane, linear in the tap: state of the lens (N,), and h (N, 3) of each.
+    camera: Camera, limits: Sequence[Array], near: Array, far: tuple[float, Array, Array], lens: Lens
+) -> tuple[NDArray[np.uint8], list[Array], tuple[Mask, ...]]:
+    """Conditions on the one crossing with a plane, linear in the tap: state of the lens (N,), h (N, 3) of each, and
+    where (N,) each is needed.
 
-    The crossing is at v = -near / (far_0 + far_1 x + far_2 y). limits: (N, 4) each; soft: half width of the edge (N,);
-    most: cells to the farthest tap (N,). h: constant, x, y, over the width of the edge.
+    The crossing is at v = -near / (far_0 + far_1 x + far_2 y). limits: (N, 4) each. h: constant, x, y, over the width
+    of the edge. A condition that is met all over the lens is not needed.
     """
-    state, found = np.full(near.shape, HIDDEN), []
+    clear, found, needed = np.zeros(near.shape, dtype=bool), [], []
+    side = -1.0 if far[0] < 0 else 1.0
     for limit in limits:
-        base = limit[:, 0] * far[0] - near * limit[:, 1]
-        x, y = limit[:, 0] * far[1] - near * limit[:, 2], limit[:, 0] * far[2] - near * limit[:, 3]
-        scale = (-1.0 if far[0] < 0 else 1.0) / (2 * soft * np.maximum(np.hypot(x, y), TINY))
-        state = np.where(base * scale - most / (2 * soft) < 0.5, np.minimum(state, PARTLY), state)
-        state = np.where(base * scale + most / (2 * soft) <= -0.5, CLEAR, state)
-        found.append(np.stack([base * scale, x * scale, y * scale], axis=-1))
-    return state, found
+        base, x, y = (side * (limit[:, 0] * far[k] - near * limit[:, 1 + k]) for k in range(3))
+        square = np.maximum(x * x + y * y, TINY)
+        slope = np.sqrt(square)
+        # By how many cells the edge moves if the source moves by 1 px across it: as in `edge_width`, with 1 / v there.
+        over_v = sum(u * (far[0] * limit[:, 1 + k] - limit[:, 1] * far[k]) for k, u in ((1, x), (2, y)))
+        moved = np.abs(side * lens.cells / blur_scale(camera) * over_v / square - lens.wide)
+        # Not so far if it moves on a tilted surface, and not at all if that ends at this limit.
+        tilted = base / lens.cells
+        along = np.hypot(x - tilted * lens.gradient[:, 0], y - tilted * lens.gradient[:, 1])
+        soft = SOFT_BOX * np.hypot(slope, lens.width * moved * np.minimum(along, slope))
+        clear |= base + lens.most * slope <= -soft
+        needed.append(base - lens.most * slope < soft)
+        found.append(np.stack([base, x, y], axis=-1) / (2 * soft)[:, None])
+    state = np.where(clear, CLEAR, np.where(np.any(needed, axis=0), PARTLY, HIDDEN))
+    return state, found, tuple(needed)
 
 
-def _planar(limits: Sequence[Array], points: int) -> Occluder:
+def _planar(limits: Sequence[Array], needed: tuple[Mask, ...], points: int) -> Occluder:
     """A plane: of its `limits` each is (N, 3), an h."""
     none, zero = np.zeros((points, 6)), np.zeros(points)
     crossings = np.zeros(points, dtype=np.int64)
-    return Occluder(none[:, :3], zero, none[:, :5], crossings, none[:, :3], zero, none, none, zero, tuple(limits), ())
+    return Occluder(
+        none[:, :3], zero, none[:, :5], crossings, none[:, :3], zero, none, none, zero, tuple(limits), needed
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -400,7 +415,7 @@ def check_visibility(
     HIDDEN (N,); what changes where two surfaces meet, and at outlines of occluders close to the point (N,); and what is
     to be tested for taps.
     """
-    lens = lens_of(points.radius, lens_extent(psf), points.width)
+    lens = lens_of(points.radius, lens_extent(psf), points.width, points.gradient)
     state, edge = np.full(points.w.shape, CLEAR), np.zeros(points.w.shape, dtype=bool)
     found = []
     for k, surface in enumerate(surfaces):

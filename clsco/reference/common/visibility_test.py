@@ -6,7 +6,7 @@ import numpy as np
 
 from clsco.constants import LENS_CELLS
 from clsco.reference.common.geometry import Array
-from clsco.reference.common.occluder import occluded_share
+from clsco.reference.common.occluder import Part, leave_free, occluded_part
 from clsco.reference.common.visibility import Visibility
 
 MOST_INWARDS = 0.7  # px along an axis, at the corners of a lens mask
@@ -23,9 +23,11 @@ def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
     s = np.clip(0.5 * rim - (x * x + y * y) / (2 * rim), -1.0, 1.0)
     inwards = np.where(visibility.wide, 1 - np.where(s > 0, (1 - s) ** 2, 1 - 2 * s) / (3 * rim), 1.0)
     x, y = (x * inwards, y * inwards) if visibility.mask.size == 0 else _inside(visibility, x, y)
-    share = np.ones_like(x)
+    share, across, down = np.ones_like(x), np.zeros_like(x), np.zeros_like(x)
     for mask, occluder in visibility.occluders:
-        share[mask] *= 1 - occluded_share(occluder, x[mask], y[mask])
+        left = Part(share[mask], across[mask], down[mask])
+        left = leave_free(left, occluded_part(occluder, x[mask], y[mask]))
+        share[mask], across[mask], down[mask] = left.share, left.x, left.y
     return share
 
 

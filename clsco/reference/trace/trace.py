@@ -221,7 +221,7 @@ def trace(view: View, layer: Layer, guard: int) -> Sources:
             bounds,
             layer,
             scene.psf,
-            Points(rays, hit.w[lit], hit.radius[lit], here, here, 1.0),
+            Points(rays, hit.w[lit], hit.radius[lit], here, here, 1.0, hit.gradient[lit] * scene.psf.tilt),
         )
         label = label.copy()
         label[lit] |= edge.astype(np.uint8) << 7
@@ -300,7 +300,7 @@ def trace_subpixels(
         bounds = [cutting_bounds(item) for item in scene.objects]
         state, _, visibility = check_visibility(
             scene.camera, view.surfaces, bounds, layer, scene.psf,
-            Points(rays, hit.w[lit], hit.radius[lit], x, y, 1.0 / samples),
+            Points(rays, hit.w[lit], hit.radius[lit], x, y, 1.0 / samples, hit.gradient[lit] * scene.psf.tilt),
         )  # fmt: skip
         seen = state != HIDDEN
         lit[lit] = seen

@@ -53,7 +53,7 @@ INLINE void add_occluded_rows(spread_t s, const visibility_t *visibility, int up
                 if (states[block] == 0)
                     continue;
                 if (states[block] < 1)
-                    share = free_share(visibility, x, (float8)y);
+                    share = free_share(visibility, states[block] < 0.5f, x, (float8)y);
             } else
                 share = *(const unaligned_lanes_t *)(visibility->share[dy + NARROW_MIDDLE] + first + NARROW_MIDDLE);
             float8 w = weights(s, dy, b) * share;
@@ -192,7 +192,7 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
                     visibility_t visibility;
                     source_visibility(camera, surfaces, layer, psf, lens, camera.top + y + spread.oy,
                                       x - camera.guard + spread.ox,
-                        sub_depth[id], spread, (real)1 / SUBPIXELS, &visibility);
+                                      sub_depth[id], spread, p, (real)1 / SUBPIXELS, &visibility);
                     add_occluded_rows(spread, &visibility, up, down, sub_value + id, capacity * SUBPIXELS * SUBPIXELS,
                                       p,
                                   out - half_width, apart, pitch);
@@ -218,7 +218,7 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
             left -= HIDDEN_WORK + HIDDEN_TAPS * vectors;
             visibility_t visibility;
             source_visibility(camera, surfaces, layer, psf, lens, camera.top + y, x - camera.guard, depth[at], spread,
-                              (real)1, &visibility);
+                              s, (real)1, &visibility);
             add_occluded_rows(spread, &visibility, up, down, value + at, plane,
                           s, out - half_width, apart, pitch);
             continue;
