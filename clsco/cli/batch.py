@@ -68,6 +68,15 @@ def _parse_arrays(text: str) -> tuple[str, ...]:
     return tuple(name for name in ATTRIBUTES if name in names)
 
 
+def _uncolored(arrays: tuple[str, ...]) -> tuple[str, ...]:
+    """Arrays without color. Raises click.UsageError where one belongs to the image, or none is left."""
+    if named := {"alpha", "subframes"}.intersection(arrays):
+        raise click.UsageError(f"--no-color: makes no image, so --truth must be without {min(named)}")
+    if arrays == ("color",):
+        raise click.UsageError("--no-color: needs --truth, as nothing else is written")
+    return tuple(name for name in arrays if name != "color")
+
+
 def _parse_types(text: str) -> tuple[tuple[str, str], ...]:
     from clsco.data.record import parse_stored
 
@@ -98,6 +107,7 @@ base_option = click.option(
     "--truth", "arrays", metavar="NAMES", type=_parse_arrays, default="sharp,depth,coc", show_default=True,
     help="Arrays of a sample besides color.",
 )  # fmt: skip
+@click.option("--no-color", is_flag=True, help="Those arrays alone: no image is made, which is most of the work.")
 @click.option(
     "--types", metavar="NAME=TYPE,...", type=_parse_types, default="",
     help="Such as color=float32, linear instead of codes of 16 bits, or uint8, or depth=float16.",
@@ -131,6 +141,8 @@ def make(distribution: Path, out: str, devices: tuple[str, ...], quiet: bool, **
     from clsco.resources import read_regular
     from clsco.scene.file import MAX_FILE_BYTES
 
+    if options.pop("no_color"):
+        options["arrays"] = _uncolored(options["arrays"])
     container_named(options["form"])
     drawn = load_distribution(distribution, options["overrides"], options["splits"])
     if taken := sorted({name for name, _ in drawn.splits} & {PARTS, LOG, UNSPLIT, CONFLICT}):

@@ -28,6 +28,7 @@ from clsco.cli.options import (
     computation_options,
     device_option,
     memory_option,
+    no_color_option,
     one_scene,
     precision_option,
     quiet_option,
@@ -38,7 +39,7 @@ from clsco.cli.options import (
     truth_option,
 )
 from clsco.cli.output import echo
-from clsco.cli.render import render, render_to_folders, request_for
+from clsco.cli.render import render, render_to_folders, request_for, require_uncolored
 from clsco.cli.studio import studio
 from clsco.cli.video import video
 from clsco.errors import ClscoError, DeviceError, SceneError
@@ -122,6 +123,7 @@ def thesis(out: Path, wanted: tuple[str, ...], device: str | None, quiet: bool) 
 @one_scene
 @set_option
 @truth_option
+@no_color_option
 @memory_option
 @click.option("--gpu", is_flag=True, help="On a graphics card instead of a processor.")
 @click.option("--json", "machine", is_flag=True, help="Print passes, bytes and predicted seconds as JSON.")
@@ -129,6 +131,7 @@ def plan(
     scene: Path,
     overrides: tuple[str, ...],
     files: tuple[TruthFile, ...],
+    no_color: bool,
     memory: int | None,
     gpu: bool,
     machine: bool,
@@ -136,8 +139,9 @@ def plan(
     """Report what rendering a scene takes, and how long; runs nothing, and needs no OpenCL."""
     from clsco.plan.buffers import ThisMachine
 
+    require_uncolored(files, no_color)
     device = ThisMachine(kind="gpu") if gpu else None
-    first = _first(scene, overrides, request_for(files, memory=memory), device, machine)
+    first = _first(scene, overrides, request_for(files, memory=memory, color=not no_color), device, machine)
     report_stretched(scene, [first])
     from clsco.cli.tables import plan_tables, planned_values, print_tables
     from clsco.cost.cheaper import cheaper_settings

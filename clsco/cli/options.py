@@ -203,6 +203,9 @@ truth_option = click.option(
     "a file per array; of the field flo, kitti_flow, kitti_disparity, kitti_depth, dpt; the camera as cam or colmap. "
     "npz:depth,coc: these arrays alone; npz+float16: floats in 16 bits; npz+compressed, npy+zstd: smaller files.",
 )  # fmt: skip
+no_color_option = click.option(
+    "--no-color", is_flag=True, help="The ground truth alone: no image is made, which is most of the work."
+)
 device_option = click.option(
     "--device", metavar="NAME", help="Part of the name of an OpenCL device or platform, or gpu or cpu."
 )

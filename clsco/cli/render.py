@@ -15,6 +15,7 @@ from clsco.cli.options import (
     PATH,
     Computation,
     computation_options,
+    no_color_option,
     parse_preset,
     parse_span,
     quiet_option,
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
 @scenes_wanted
 @click.option("-o", "out", metavar="DIR", required=True, type=PATH, help="Folder for the frames.")
 @truth_option
+@no_color_option
 @click.option(
     "--frames", "span", metavar="A:B", type=parse_span, default=":", help="Frames A to B - 1, counted from 0."
 )
@@ -58,6 +60,7 @@ def render(
     scenes: tuple[Path, ...],
     out: Path,
     files: tuple[TruthFile, ...],
+    no_color: bool,
     span: Span,
     overrides: tuple[str, ...],
     focus_at: tuple[int, int] | None,
@@ -80,12 +83,24 @@ def render(
             raise click.UsageError(f"-o -: needs --video y4m, which alone goes to a pipe; got {preset or 'no --video'}")
         if files or subframes or resume:
             raise click.UsageError("-o -: writes no files, so must be without --truth, --subframes and --resume")
+    if no_color and (subframes or preset):
+        raise click.UsageError("--no-color: makes no image, so must be without --subframes and --video")
+    require_uncolored(files, no_color)
     focus = parsed_focus(focus_at, focus_depth)
     loaded = focused_files(load_sweeps(scenes, overrides), focus)
     if str(out) == "-":
         _render_to_pipe(loaded, computation, quiet, span)
         return
-    render_to_folders(loaded, out, files, computation, quiet, span, resume, subframes, preset)
+    render_to_folders(loaded, out, files, computation, quiet, span, resume, subframes, preset, not no_color)
+
+
+def require_uncolored(files: tuple[TruthFile, ...], no_color: bool) -> None:
+    """Fail where --no-color is given and files need the image, or there are none."""
+    if no_color and not files:
+        raise click.UsageError("--no-color: needs --truth, as nothing else is written")
+    for file in files if no_color else ():
+        if named := [name for name in file.names if name in ("color", "alpha", "subframes")]:
+            raise click.UsageError(f"--no-color: makes no image, so --truth must be without {named[0]}; got {file}")
 
 
 def request_for(files: tuple[TruthFile, ...], computation: Computation | None = None, **options: Any) -> Request:
@@ -108,6 +123,7 @@ def render_to_folders(
     resume: bool = False,
     subframes: bool = False,
     preset: str | None = None,
+    color: bool = True,
 ) -> None:
     """Plan scenes, and render those of each file into its folder."""
     if files:
@@ -117,7 +133,7 @@ def render_to_folders(
     from clsco.cli.progress import frame_progress
     from clsco.plan.prepare import prepare_files
 
-    request = request_for(files, computation)
+    request = request_for(files, computation, color=color)
     if subframes:
         request = replace(request, truth=tuple(dict.fromkeys((*request.truth, "subframes"))))
     prepared = prepare_files(loaded, request)
@@ -153,7 +169,8 @@ def _written(out: Path, jobs: Sequence[Job]) -> str:
     first = next(job for job in jobs if job.frames)
     views = " of two views" if len(first.prepared.plans) > 1 else ""
     where = f" in {len(jobs)} folders" if len(jobs) > 1 else ""
-    kinds = ", ".join(dict.fromkeys(("png", "json", *(file.format for file in first.files))))
+    image = ("png",) if first.prepared.plan.color else ()
+    kinds = ", ".join(dict.fromkeys((*image, "json", *(file.format for file in first.files))))
     return f"{place}: {count} frame{'s' * (count > 1)}{views}{where}, from frame_{first.frames[0]:04d} on: {kinds}"
 
 

@@ -143,7 +143,7 @@ def _figures(plan: Plan) -> list[tuple[str, str]]:
     return [
         ("blur radius |R|", f"{plan.smallest_blur:.2f} to {plan.largest_blur:.2f} px, predicted with a margin"),
         ("guard band", f"{plan.guard_px} px on every side"),
-        ("blur method", plan.blur),
+        ("blur method", plan.blur if plan.color else "none, as there is no image"),
         ("memory on the device", memory + (" for each view" if plan.scene.stereo else "")),
         ("strips", _strips(plan)),
         ("predicted work", f"{plan.taps:.3g} weights per frame"),

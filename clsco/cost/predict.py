@@ -101,7 +101,7 @@ def _seconds(work: Work) -> float:
 def host_work(plan: Plan) -> Work:
     """Work of a frame beside its passes."""
     pixels = float(plan.rows * plan.columns)
-    return {"frame": 1.0, "read back": pixels * plan.channels, "reference pose": pixels * plan.forward}
+    return {"frame": 1.0, "read back": pixels * plan.channels * plan.color, "reference pose": pixels * plan.forward}
 
 
 def _abreast(plan: Plan, kind: str) -> int:

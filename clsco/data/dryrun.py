@@ -269,7 +269,7 @@ def _sized(scene: Scene) -> Scene:
 
 def _planned(sample: Sample, wanted: Sequence[str]) -> tuple[dict[str, float], float]:
     """Bytes of each array of a frame of a sample, and the predicted weights."""
-    plan = prepare(sample.scenes[0], Request(_truth(wanted))).plan
+    plan = prepare(sample.scenes[0], Request(_truth(wanted), color="color" in wanted)).plan
     pixels, found = plan.rows * plan.columns, {}
     for name in wanted:
         channels = plan.channels if name in ("color", "sharp") else 1
@@ -291,8 +291,10 @@ def _seconds(samples: Sequence[Sample], wanted: Sequence[str]) -> tuple[float | 
         seconds, made = 0.0, 0
         for _ in range(2):
             if seconds < LONG:
-                start = time.perf_counter()
-                made = sum(len(list(render(one.scenes[0], truth=_truth(wanted), frames=(0,)))) for one in samples)
+                start, made = time.perf_counter(), 0
+                for one in samples:
+                    found = render(one.scenes[0], truth=_truth(wanted), color="color" in wanted, frames=(0,))
+                    made += len(list(found))
                 seconds = time.perf_counter() - start
     except ImportError:
         return None, "pyopencl is not installed"

@@ -94,7 +94,7 @@ class Renderer:
     ----------
     device : Device
     arrays : tuple of str
-        Arrays besides color, as they are called in files.
+        Arrays, as they are called in files; without "color" no image is made.
     precision : str
         Precision of the geometry.
     """
@@ -104,7 +104,7 @@ class Renderer:
         self.session = session_on(device).with_cache(CACHE_BYTES)
         self.files = InputFiles(CACHE_BYTES)
         truth = tuple(ATTRIBUTES[name] for name in arrays if name != "color")
-        self.request = Request(truth, precision=precision)
+        self.request = Request(truth, precision=precision, color="color" in arrays)
         self._before: Scene | None = None
 
     def render(self, sample: Sample) -> list[list[Frame]]:

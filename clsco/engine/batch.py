@@ -109,7 +109,8 @@ def prepare(
             if path.stem.startswith("frame_") and same_place(path.parent, folder):
                 raise ImageError(f"{path}: a {what} must not lie where frames are written; got {folder}")
 
-    held = {FILE_NAMES[name] for name in ("color", *prepared.plan.truth, *(["alpha"] if prepared.plan.alpha else []))}
+    image = ["color"] if prepared.plan.color else []
+    held = {FILE_NAMES[name] for name in (*image, *prepared.plan.truth, *(["alpha"] if prepared.plan.alpha else []))}
     subframes = (prepared.plan.samples if scene.moves else 1) if "subframes" in request.truth else 0
 
     def is_there(index: int) -> bool:

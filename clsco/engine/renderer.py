@@ -96,12 +96,15 @@ class Renderer:
         plan, space = self.plan, self._ready
         self.began = perf_counter()
         self.events: Events = []
+        self.reports: list[dict[str, Any]] = []
         shape = (plan.rows, plan.columns)
         image = shape if plan.channels == 1 else (*shape, plan.channels)
         self.color = np.empty(image, np.float32)
         alone = len(times) if "subframes" in plan.truth else 0
         self.subframes = np.empty((alone, *image), np.float32)
         self.missing = np.zeros(shape, np.bool_)
+        if isinstance(space.pixels, StaticMap):
+            self.missing |= space.pixels.missing
         if "statistics" in space.buffers:
             cl.enqueue_copy(self.scene.session.queue, space.buffers["statistics"], EMPTY_STATISTICS)
         self.depth_layers = {time: self._depth_layers(time) for time in times if len(plan.strips) > 1 and space.layers}
@@ -118,7 +121,9 @@ class Renderer:
         return space.layers.labels.found()
 
     def _work(self, strip: Strip, sample: TimeSample) -> Work:
-        camera = self._ready.blur.camera = self._camera(strip)
+        camera = self._camera(strip)
+        if self.plan.color:
+            self._ready.blur.camera = camera
         return Work(strip, camera, self.events, sample)
 
     def add_subframes(self, strip: Strip, times: Sequence[float]) -> None:
@@ -130,8 +135,9 @@ class Renderer:
 
     def begin_strip(self) -> None:
         """Begin one of the strips of the frame."""
-        self.reports: list[dict[str, Any]] = []  # the same for every strip
-        self._ready.blur.clear()
+        self.reports = []  # the same for every strip
+        if self.plan.color:
+            self._ready.blur.clear()
 
     def add(self, strip: Strip, time: float, weight: float) -> None:
         """Run the passes of a time sample on a strip."""
@@ -149,7 +155,8 @@ class Renderer:
 
     def end_strip(self, strip: Strip) -> None:
         """Read back a strip to which all time samples have been added."""
-        self._ready.blur.image(self.events, self.color[strip.inside])
+        if self.plan.color:
+            self._ready.blur.image(self.events, self.color[strip.inside])
 
     def finish(self, index: int) -> Frame:
         """The frame of this number, of the strips added: again with larger buffers where the plan was too small."""
@@ -162,6 +169,9 @@ class Renderer:
         self.scene.release()
         eye = self.plan.eye if self.plan.scene.stereo else ""
         about = self._metadata(index)
+        if not self.plan.color:
+            none: Any = None
+            return Frame(index=index, color=none, metadata=about, eye=eye, **truth)
         if not self.plan.alpha:
             return Frame(index=index, color=self.color, metadata=about, eye=eye, **truth)
         for name in {"sharp", "subframes"} & truth.keys():
@@ -184,7 +194,7 @@ class Renderer:
     def _outgrown(self) -> bool:
         """True if the frame met more than was predicted; then makes room for it."""
         plan = self.plan
-        if plan.static_map:
+        if plan.static_map or not plan.color:
             return False
         statistics = self._ready.buffers["statistics"]
         found = download(self.scene.session, statistics, EMPTY_STATISTICS.shape, np.int32)
@@ -236,6 +246,8 @@ def expose(renderers: Sequence[Renderer], index: int) -> None:
     strips = renderers[0].plan.strips
     for renderer in renderers:
         renderer.begin(times.tolist())
+    if not renderers[0].plan.exposes:
+        return
     for number, strip in enumerate(strips):
         for renderer in renderers:
             renderer.add_subframes(strip, times.tolist())

@@ -12,7 +12,7 @@ from typing import Any, SupportsIndex
 from clsco.engine.renderer import Renderer, expose
 from clsco.engine.shrinking import Shrinking
 from clsco.errors import DeviceError, SceneError
-from clsco.frame.frame import ALL_TRUTH, Frame, truth_names
+from clsco.frame.frame import ALL_TRUTH, IMAGE_NAMES, Frame, truth_names
 from clsco.opencl.session import DeviceLike, Session, session_for
 from clsco.passes.tables import forget_others
 from clsco.passes.trace import KeptHits, LatestHits
@@ -35,6 +35,7 @@ def render(
     scene: SceneLike,
     *,
     truth: str | Iterable[str] = ALL_TRUTH,
+    color: bool = True,
     device: DeviceLike = None,
     precision: str | None = None,
     method: str = "auto",
@@ -51,6 +52,8 @@ def render(
     truth : str or iterable of str
         Names of the outputs besides color, which are attributes of `Frame`; by default, and by "all", all of them.
         Those that are left out cost nothing.
+    color : bool
+        False for the truth alone: `Frame.color` is None, and nothing is blurred, which is most of the work.
     device : str, pyopencl.Device, Context or CommandQueue, optional
         Part of a device's name, "cpu" or "gpu", or where to work.
     precision : {"double", "single"}, optional
@@ -92,7 +95,8 @@ def render(
     ...     print(frame.index, frame.color.shape, frame.depth.dtype, frame.flow)
     0 (24, 32) float32 None
     """
-    options: dict[str, Any] = {"truth": truth, "device": device, "precision": precision, "method": method}
+    options: dict[str, Any] = {"truth": truth, "color": color, "device": device, "precision": precision}
+    options |= {"method": method}
     found = render_sweep((scene_of(scene),), **options, tolerance=tolerance, frames=frames, memory=memory)
     return (frame for _, frame in found)
 
@@ -102,6 +106,7 @@ def render_frame(
     index: int = 0,
     *,
     truth: str | Iterable[str] = ALL_TRUTH,
+    color: bool = True,
     device: DeviceLike = None,
     precision: str | None = None,
     method: str = "auto",
@@ -116,7 +121,7 @@ def render_frame(
         As for `render`; no stereo pair, of which a frame has two views.
     index : int
         Number of the frame, from 0.
-    truth, device, precision, method, tolerance, memory
+    truth, color, device, precision, method, tolerance, memory
         As for `render`.
 
     Returns
@@ -140,7 +145,8 @@ def render_frame(
     known = scene_of(scene)
     if known.stereo is not None:
         raise SceneError(f"scene: must have one view; got a stereo pair, which render(scene, frames=[{index}]) gives")
-    options: dict[str, Any] = {"truth": truth, "device": device, "precision": precision, "method": method}
+    options: dict[str, Any] = {"truth": truth, "color": color, "device": device, "precision": precision}
+    options |= {"method": method}
     (frame,) = render(known, **options, tolerance=tolerance, frames=(index,), memory=memory)
     return frame
 
@@ -149,6 +155,7 @@ def render_sweep(
     scenes: Sweep | Iterable[SceneLike],
     *,
     truth: str | Iterable[str] = ALL_TRUTH,
+    color: bool = True,
     device: DeviceLike = None,
     precision: str | None = None,
     method: str = "auto",
@@ -161,7 +168,7 @@ def render_sweep(
     Parameters
     ----------
     scenes : Sweep or iterable of Scene, mapping or path
-    truth, device, precision, method, tolerance, frames, memory
+    truth, color, device, precision, method, tolerance, frames, memory
         As for `render`; `frames` of every scene.
 
     Returns
@@ -191,13 +198,14 @@ def render_sweep(
     """
     found = [scene_of(scene) for scene in (scenes.scenes if isinstance(scenes, Sweep) else scenes)]
     chosen = None if frames is None else frame_numbers(found, frames)
-    request = checked_request(truth, method, tolerance, precision, memory)
+    request = checked_request(truth, method, tolerance, precision, memory, color)
     return _render_scenes(session_for(device), found, request, chosen)
 
 
 def checked_request(
-    truth: str | Iterable[str], method: str, tolerance: float | None, precision: str | None, memory: str | int | None
-) -> Request:
+    truth: str | Iterable[str], method: str, tolerance: float | None, precision: str | None, memory: str | int | None,
+    color: bool = True,
+) -> Request:  # fmt: skip
     """Check a user's request for a rendering. Raises SceneError for what cannot be."""
     if precision not in (None, "single", "double"):
         raise SceneError(f"precision: must be single or double; got {precision}")
@@ -206,7 +214,10 @@ def checked_request(
         checked_tolerance(tolerance)
     if memory is not None:
         parse_size(memory)
-    return Request(truth_names(truth), method, tolerance, precision, memory)
+    names = truth_names(truth)
+    if not color and (set(names) & {*IMAGE_NAMES} or not names):
+        raise SceneError(f"color: must be True for the image, alpha and subframes; got {color} and {shown(names)}")
+    return Request(names, method, tolerance, precision, memory, color)
 
 
 def render_prepared(

@@ -46,10 +46,10 @@ class Workspace:
     ----------
     plan : Plan
     scene : PlacedScene
-    target : Target
+    making : (Target, FrameSum), optional
+        What makes the image, where it is wanted.
     buffers : mapping
         Buffers of `SHARED` that the plan has.
-    blur : FrameSum
     tracer : Tracer
     layers : DepthLayers, optional
     pixels : ForwardWarp or StaticMap, optional
@@ -58,12 +58,23 @@ class Workspace:
 
     plan: Plan
     scene: PlacedScene
-    target: Target
+    making: tuple[Target, FrameSum] | None
     buffers: Mapping[str, cl.Buffer]
-    blur: FrameSum
     tracer: Tracer
     layers: DepthLayers | None
     pixels: ForwardWarp | StaticMap | None
+
+    @property
+    def target(self) -> Target:
+        """Programs of the blur."""
+        assert self.making is not None
+        return self.making[0]
+
+    @property
+    def blur(self) -> FrameSum:
+        """Sum of the image."""
+        assert self.making is not None
+        return self.making[1]
 
     def run(self, step: Pass, work: Work) -> None:
         """Enqueue a pass of a time sample."""
@@ -83,15 +94,17 @@ def make_workspace(
 ) -> Workspace:  # fmt: skip
     """A workspace for a plan, whose first strip has this camera_t. Raises DeviceError, KernelError."""
     session, real = scene.session, scene.real
+    sizes = {name: size for each in plan.passes for name, size in each.buffers.items()}
+    buffers = allocate(session, {name: sizes[name] for name in SHARED if name in sizes})
+    if not plan.color:
+        return Workspace(plan, scene, None, buffers, Tracer(plan, scene, buffers, None, hits), None, pixels)
     spec = replace(plan.spec, brightest=scene.brightest)
     from_radii = plan.forward or plan.static_map or plan.occlusion == "layered"
     target = blur_target(session, spec, plan.channels, real, "wide" if from_radii else "none")
     blur = make_blur(target, spec, plan.grid, camera)
-    sizes = {name: size for each in plan.passes for name, size in each.buffers.items()}
-    buffers = allocate(session, {name: sizes[name] for name in SHARED if name in sizes})
     tracer = Tracer(plan, scene, buffers, blur.struct, hits)
     layers = DepthLayers(blur, target, plan.grid) if plan.occlusion == "layered" else None
-    return Workspace(plan, scene, target, buffers, blur, tracer, layers, pixels)
+    return Workspace(plan, scene, (target, blur), buffers, tracer, layers, pixels)
 
 
 def _trace(space: Workspace, work: Work) -> None:
@@ -111,7 +124,6 @@ def _static_image(space: Workspace, work: Work) -> None:
     assert isinstance(static, StaticMap)
     missing = int(static.missing.sum())
     work.report |= {"missing_pixels": missing, "unfilled_pixels": missing}
-    work.missing = static.missing
     static.send(space.target.session, work.strip, space.buffers["value"])
     _send_radii(space, static, work)
 

@@ -193,7 +193,11 @@ def _truth_names(
 
 
 def frame_files(
-    index: int, stereo: bool, truth: Sequence[TruthFile] = (), subframes: int = 0, held: Collection[str] = ()
+    index: int,
+    stereo: bool,
+    truth: Sequence[TruthFile] = (),
+    subframes: int = 0,
+    held: Collection[str] = ("color",),
 ) -> set[str]:
     """Names of the files of a frame besides its JSON file; a stereo pair has a PNG of each view.
 
@@ -205,14 +209,15 @@ def frame_files(
     subframes : int
         Time samples whose images are files, too.
     held : collection of str
-        Arrays that the frame has, as they are called in files.
+        Arrays that the frame has, as they are called in files; without "color" it has no PNG.
 
     Returns
     -------
     set of str
     """
     eyes = ("left", "right") if stereo else ("",)
-    names = {name for eye in eyes for name in _pictures(_stem(index, eye), subframes)}
+    pictured = eyes if "color" in held else ()
+    names = {name for eye in pictured for name in _pictures(_stem(index, eye), subframes)}
     return names | {name for file in truth for name, _, _ in _truth_names(index, eyes, file, held)}
 
 
@@ -269,9 +274,9 @@ def write_frame(
     described, curve = frame_json(folder, index), color.transfer(transfer)
     with together(Path(folder), _stem(index, "")) as made:
         for eye, frame in by_eye.items():
-            images = [frame.color, *(() if frame.subframes is None else frame.subframes)]
+            images = [frame.color, *(() if frame.subframes is None else frame.subframes)] if "color" in held else []
             stem = _stem(index, eye if stereo else "")
-            for name, image in zip(_pictures(stem, len(images) - 1), images, strict=True):
+            for name, image in zip(_pictures(stem, len(images) - 1), images, strict=bool(images)):
                 write_png(made / name, encode(image, min(bits, 16), curve), color)
         for file in truth:
             for name, eyes, wanted in _truth_names(index, list(by_eye), file, held):

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.errors import SceneError
+from clsco.errors import ImageError, SceneError
 from clsco.files.images import save_image, write_exr, write_npz
 from clsco.frame.channels import exr_channels
 from clsco.frame.shown import codes_to_show, html_to_show, png_to_show
@@ -57,7 +57,7 @@ class Frame:
     index : int
         Number of the frame in its sequence, from 0.
     color : float32 (rows, columns[, 3])
-        Linear radiance, 1 = white: blurred by defocus and motion.
+        Linear radiance, 1 = white: blurred by defocus and motion. None where it was not wanted (`color=False`).
     sharp : float32 (rows, columns[, 3])
         Linear radiance: all in focus.
     depth : float32 (rows, columns), mm
@@ -144,7 +144,13 @@ class Frame:
         >>> clsco.render_frame(scene).image().shape
         (6, 8, 3)
         """
-        return codes_to_show(self.color)
+        return codes_to_show(self._image())
+
+    def _image(self) -> NDArray[np.float32]:
+        image: NDArray[np.float32] | None = self.color
+        if image is None:
+            raise ImageError(f"frame {self.index}: must have color for an image; got one rendered with color=False")
+        return image
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the image, or the frame with all its truth, to one file, by the file's extension.
@@ -159,7 +165,8 @@ class Frame:
         Raises
         ------
         ImageError
-            The extension is another one, the extra that the format needs is missing, or the file cannot be written.
+            The extension is another one, the extra that the format needs is missing, the file cannot be written, or the
+            frame has no color for an image.
 
         Examples
         --------
@@ -174,12 +181,14 @@ class Frame:
         elif ending == ".exr":
             write_exr(path, exr_channels(self.arrays()))
         else:
-            save_image(path, self.color, self.metadata.get("bits", 8))
+            save_image(path, self._image(), self.metadata.get("bits", 8))
 
     def __repr__(self) -> str:
-        rows, columns = self.color.shape[:2]
+        held = self.arrays()
+        rows, columns = next(iter(held.values())).shape[:2] if held else (0, 0)
+        kind = "no image" if "color" not in held else "gray" if self.color.ndim == 2 else "color"
         parts = [f"Frame {self.index}" + (f" ({self.eye})" if self.eye else "")]
-        parts.append(f"{columns} x {rows} px, {'gray' if self.color.ndim == 2 else 'color'}")
+        parts.append(f"{columns} x {rows} px, {kind}")
         if "f_number" in self.metadata:
             parts.append(f"f/{self.metadata['f_number']:.3g}")
         if self.blur_radius is not None:
@@ -189,10 +198,10 @@ class Frame:
         names = [name for name in FILE_NAMES if name != "color" and getattr(self, name) is not None]
         return f"<{parts[0]}: {', '.join(parts[1:])}; {' '.join(names) or 'no truth'}>"
 
-    def _repr_png_(self) -> bytes:
-        """The image, for notebooks."""
-        return png_to_show(self.color)
+    def _repr_png_(self) -> bytes | None:
+        """The image, for notebooks; None where there is none."""
+        return png_to_show(self.color) if "color" in self.arrays() else None
 
     def _repr_html_(self) -> str:
         """The line of `print` with the image, for notebooks."""
-        return html_to_show(repr(self), [self.color])
+        return html_to_show(repr(self), [self.color] if "color" in self.arrays() else [])

@@ -148,8 +148,8 @@ class Tracer:
     scene : PlacedScene
     buffers : mapping
         By the names of `clsco.plan.buffers.trace_buffers`, `silhouette_buffers` and `map_buffers`.
-    psf : numpy.void
-        psf_t of the blur that the sources are for.
+    psf : numpy.void, optional
+        psf_t of the blur that the sources are for; None where there are none.
     hits : Hits, optional
         Shared with other lenses.
     """
@@ -157,7 +157,7 @@ class Tracer:
     plan: Plan
     scene: PlacedScene
     buffers: Mapping[str, cl.Buffer]
-    psf: Struct
+    psf: Struct | None
     hits: Hits | None = None
 
     @cached_property

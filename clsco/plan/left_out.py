@@ -19,6 +19,8 @@ def left_out(plan: Plan) -> tuple[tuple[str, str], ...]:
         Name of a pass or an option, and the reason.
     """
     scene, psf, forward, static = plan.scene, plan.scene.psf, plan.forward, plan.static_map
+    if not plan.color:
+        return (("image", "nobody asked for the color: neither its rays nor its blur"),)
     wide = "the forward warp moves whole pixels"
     only_warp = "only a forward warp leaves pixels missing"
     no_rays = "a static depth map: its own pixels" if static else "replaced by the forward warp"

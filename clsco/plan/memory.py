@@ -130,7 +130,7 @@ def _sum(sizes: Mapping[str, int], views: int) -> int:
 
 def fits(sizes: Mapping[str, int], limit: Limit) -> bool:
     """True if buffers of these sizes fit the limit, for all views together."""
-    return _sum(sizes, limit.views) <= limit.total and max(sizes.values()) <= limit.buffer
+    return _sum(sizes, limit.views) <= limit.total and max(sizes.values(), default=0) <= limit.buffer
 
 
 def fitted(plan: Plan, limit: Limit) -> Plan:

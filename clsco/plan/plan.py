@@ -109,6 +109,8 @@ class Plan:
         Occlusion groups, which are spread one after the other.
     truth : tuple of str
         Outputs besides color and alpha.
+    color : bool
+        True where the image is made, and not ground truth alone.
     alpha : bool
         The last channel is coverage.
     taps : float
@@ -142,6 +144,7 @@ class Plan:
     strip_rows: int = 0
     least_slots: int = 0
     alpha: bool = False
+    color: bool = True
 
     @property
     def colors(self) -> int:
@@ -210,6 +213,11 @@ class Plan:
         """Textures that lie on surfaces: 0 none, 1 with coordinates that are linear in a point, 2 with any."""
         kinds = {item.mapped for item in self.scene.objects} - {None}
         return int(bool(kinds)) + int(not kinds <= {"card", "plane", "triplanar"})
+
+    @property
+    def exposes(self) -> bool:
+        """True where something is run for each time sample."""
+        return any(each.kind != "ground truth" for each in self.passes)
 
     @property
     def background(self) -> int | None:
@@ -289,6 +297,7 @@ def make_plan(
     eye: Eye = "left",
     maps: Maps | None = None,
     device: DeviceFacts | None = None,
+    color: bool = True,
 ) -> Plan:
     """The passes that a scene needs.
 
@@ -309,6 +318,8 @@ def make_plan(
         (`clsco.inputs.depth_maps.load_scene_depths`).
     device : DeviceFacts, optional
         Device that it is to run on; by default this machine's processor.
+    color : bool
+        False for ground truth alone.
 
     Returns
     -------
@@ -353,47 +364,67 @@ def make_plan(
     area = (rows + 2 * guard) * (columns + 2 * guard)
     lit = np.pi * (psf_extent(psf, seen) + 0.7) ** 2
     times = samples * (2 if "subframes" in truth else 1)
-    taps = float((w > 0).mean() * area * times * (lit.mean() if lit.size else 0.0)) if blur != "none" else 0.0
+    taps = float((w > 0).mean() * area * times * (lit.mean() if lit.size else 0.0)) if blur != "none" and color else 0.0
     return Plan(
         scene, device, eye, channels + alpha, rows, columns, samples, guard, smallest, largest, blur, silhouettes, tilt,
-        forward, static, scene.moves, occlusion, found, truth, taps, alpha=alpha,
+        forward, static, scene.moves, occlusion, found, truth, taps, alpha=alpha, color=color,
     )  # fmt: skip
 
 
 def _passes(plan: Plan) -> tuple[Pass, ...]:
     """See `Plan.passes`."""
-    scene, spec, grid = plan.scene, plan.spec, plan.grid
+    found = list(_moving_passes(plan)) if plan.color or "missing" in plan.truth else []
+    found += _image_passes(plan) if plan.color else ()
+    if plan.truth:
+        found.append(_truth_pass(plan))
+    return tuple(found)
+
+
+def _moving_passes(plan: Plan) -> Iterator[Pass]:
+    """The passes of a forward warp, where there is one; its filling counts the missing pixels of each time sample."""
+    scene, grid = plan.scene, plan.grid
+    if not plan.forward:
+        return
+    moved = f"every pixel of the {_shapes(scene)} to its nearest pixel, with a depth test"
+    yield Pass("reproject", (("pixels", moved), *_of_frame(plan)), _of_warp(plan) | _of_scene(plan))
+    kind: Kind = "fill" if scene.fill.method != "none" else "count missing"
+    rule = f"{scene.fill.method}, domain {scene.fill.domain}" if kind == "fill" else "pixels are counted"
+    yield Pass(kind, (("missing", rule),), _named("fill", fill_sizes(scene, grid)))
+
+
+def _image_passes(plan: Plan) -> Iterator[Pass]:
+    """The passes of the image of a time sample, after those of a forward warp."""
+    spec, grid = plan.spec, plan.grid
     layered, rays = plan.occlusion == "layered", not (plan.forward or plan.static_map)
-    found: list[Pass] = []
     if plan.static_map:
-        found.append(Pass("static image", (("pixels", "as the depth map and its image have them"),), map_buffers(grid)))
-    if plan.forward:
-        moved = f"every pixel of the {_shapes(scene)} to its nearest pixel, with a depth test"
-        sizes = warp_buffers(scene, grid, plan.device)
-        found.append(Pass("reproject", (("pixels", moved), *_of_frame(plan)), _named("warp", sizes) | _of_scene(plan)))
-        kind: Kind = "fill" if scene.fill.method != "none" else "count missing"
-        rule = f"{scene.fill.method}, domain {scene.fill.domain}" if kind == "fill" else "pixels are counted"
-        found.append(Pass(kind, (("missing", rule),), _named("fill", fill_sizes(scene, grid))))
+        yield Pass("static image", (("pixels", "as the depth map and its image have them"),), map_buffers(grid))
     if rays and layered:
-        found.append(Pass("pinhole", _of_rays(plan), map_buffers(grid) | _of_scene(plan)))
+        yield Pass("pinhole", _of_rays(plan), map_buffers(grid) | _of_scene(plan))
     if rays and not layered:
         for group in plan.layers:
-            found += _group_passes(plan, group)
+            yield from _group_passes(plan, group)
     elif layered:
         sizes = _named("depth layer", layered_buffers(spec, grid, plan.device))
-        found.append(Pass("depth layers", _of_blur(plan), sizes | _blur_sizes(plan)))
+        yield Pass("depth layers", _of_blur(plan), sizes | _blur_sizes(plan))
     else:
         if plan.blur in MANY_RADII:
             slope = (("gradient", "from differences of R"),) if plan.tilt else ()
-            found.append(
-                Pass("sources", (("R", "from the inverse depth of every pixel"), *slope), source_buffers(spec, grid))
-            )
-        found.append(_blur_pass(plan))
-    if plan.truth:
-        what = (("outputs", ", ".join(plan.truth)),)
-        sizes = _named("truth", truth_buffers(plan.device_truth, grid)) if scene.is_analytic else {}
-        found.append(Pass("ground truth", what, sizes))
-    return tuple(found)
+            source = source_buffers(spec, grid)
+            yield Pass("sources", (("R", "from the inverse depth of every pixel"), *slope), source)
+        yield _blur_pass(plan)
+
+
+def _truth_pass(plan: Plan) -> Pass:
+    sizes = _named("truth", truth_buffers(plan.device_truth, plan.grid)) | _of_scene(plan)
+    if not plan.scene.is_analytic:
+        sizes = {}
+    if plan.forward:
+        sizes |= _of_warp(plan) | _named("fill", fill_sizes(plan.scene, plan.grid))
+    return Pass("ground truth", (("outputs", ", ".join(plan.truth)),), sizes)
+
+
+def _of_warp(plan: Plan) -> Sizes:
+    return _named("warp", warp_buffers(plan.scene, plan.grid, plan.device))
 
 
 def _group_passes(plan: Plan, group: Layer) -> Iterator[Pass]:

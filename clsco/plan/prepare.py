@@ -169,10 +169,10 @@ def _planned(scene: Scene, channels: int, request: Request, device: DeviceFacts 
 
     def plans_of(scene: Scene) -> list[Plan]:
         options = (request.truth, request.method)
-        return [make_plan(scene, channels, *options, eye, maps, device) for eye in views(scene)]
+        return [make_plan(scene, channels, *options, eye, maps, device, request.color) for eye in views(scene)]
 
     plans, report = plans_of(sized), None
-    if request.tolerance is not None:
+    if request.tolerance is not None and request.color:
         fewer, report = fewer_samples(plans[0], request.tolerance, lambda: files.textures(sized), maps)
         plans = plans if fewer is sized else plans_of(fewer)
     limit = replace(limit_of(request.memory, device), views=len(plans))

@@ -21,6 +21,8 @@ class Request:
         Precision of the geometry; by default double where the device has it.
     memory : int or str, optional
         Most that buffers on the device take; by default half of what is free.
+    color : bool
+        Whether the image is wanted.
     """
 
     truth: tuple[str, ...] = ()
@@ -28,3 +30,4 @@ class Request:
     tolerance: float | None = None
     precision: str | None = None
     memory: str | int | None = None
+    color: bool = True

@@ -248,3 +248,12 @@ def iter_of(count: int, wrong: int | None = None):  # type: ignore[no-untyped-de
         if number == wrong:
             raise ValueError(f"at {number}")
         yield number
+
+
+def test_a_set_without_color_makes_no_image(tmp_path: Path) -> None:
+    job = job_of(tmp_path / "set", 2)
+    make_here(replace(job, identity=replace(job.identity, arrays=("depth",))))
+    record = clsco.data.open(str(tmp_path / "set"))[0]
+    assert list(record.arrays) == ["depth"]
+    assert not Renderer(choose(), ("depth",), "double").request.color
+    assert Renderer(choose(), ("color", "depth"), "double").request.color
