@@ -246,7 +246,7 @@ def expose(renderers: Sequence[Renderer], index: int) -> None:
     strips = renderers[0].plan.strips
     for renderer in renderers:
         renderer.begin(times.tolist())
-    if not renderers[0].plan.exposes:
+    if {step.kind for step in renderers[0].plan.passes} <= {"ground truth"}:
         return
     for number, strip in enumerate(strips):
         for renderer in renderers:

@@ -215,11 +215,6 @@ class Plan:
         return int(bool(kinds)) + int(not kinds <= {"card", "plane", "triplanar"})
 
     @property
-    def exposes(self) -> bool:
-        """True where something is run for each time sample."""
-        return any(each.kind != "ground truth" for each in self.passes)
-
-    @property
     def background(self) -> int | None:
         """Number of the object that is the background, None where there is none."""
         return next((k for k, item in enumerate(self.scene.objects) if item.is_background), None)
@@ -386,7 +381,8 @@ def _moving_passes(plan: Plan) -> Iterator[Pass]:
     if not plan.forward:
         return
     moved = f"every pixel of the {_shapes(scene)} to its nearest pixel, with a depth test"
-    yield Pass("reproject", (("pixels", moved), *_of_frame(plan)), _of_warp(plan) | _of_scene(plan))
+    sizes = _named("warp", warp_buffers(scene, grid, plan.device))
+    yield Pass("reproject", (("pixels", moved), *_of_frame(plan)), sizes | _of_scene(plan))
     kind: Kind = "fill" if scene.fill.method != "none" else "count missing"
     rule = f"{scene.fill.method}, domain {scene.fill.domain}" if kind == "fill" else "pixels are counted"
     yield Pass(kind, (("missing", rule),), _named("fill", fill_sizes(scene, grid)))
@@ -415,16 +411,13 @@ def _image_passes(plan: Plan) -> Iterator[Pass]:
 
 
 def _truth_pass(plan: Plan) -> Pass:
-    sizes = _named("truth", truth_buffers(plan.device_truth, plan.grid)) | _of_scene(plan)
-    if not plan.scene.is_analytic:
-        sizes = {}
+    sizes: Sizes = {}
+    if plan.scene.is_analytic:
+        sizes = _named("truth", truth_buffers(plan.device_truth, plan.grid)) | _of_scene(plan)
     if plan.forward:
-        sizes |= _of_warp(plan) | _named("fill", fill_sizes(plan.scene, plan.grid))
+        sizes |= _named("warp", warp_buffers(plan.scene, plan.grid, plan.device))
+        sizes |= _named("fill", fill_sizes(plan.scene, plan.grid))
     return Pass("ground truth", (("outputs", ", ".join(plan.truth)),), sizes)
-
-
-def _of_warp(plan: Plan) -> Sizes:
-    return _named("warp", warp_buffers(plan.scene, plan.grid, plan.device))
 
 
 def _group_passes(plan: Plan, group: Layer) -> Iterator[Pass]:

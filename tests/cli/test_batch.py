@@ -11,10 +11,12 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
 import clsco
+import clsco.data
 from clsco.cli.main import main
 from clsco.data import pool
 from clsco.data.shards import ShardMaker
@@ -172,6 +174,19 @@ def test_what_cannot_be_is_told_before_anything_is_written(
     lines = fault(make("-o", "set", *words), status)
     assert message in "\n".join(lines)
     assert sorted(path.name for path in place.iterdir()) == ["set.toml"]
+
+
+def test_a_set_can_have_truth_alone(place: Path) -> None:
+    assert make("-o", "alone", "--count", 2, "--truth", "depth", "--no-color").exit_code == 0
+    assert make("-o", "both", "--count", 2, "--truth", "depth").exit_code == 0
+    (alone, _), (both, _) = (clsco.data.open(str(place / name)) for name in ("alone", "both"))
+    assert (list(alone.arrays), list(both.arrays)) == (["depth"], ["color", "depth"])
+    np.testing.assert_array_equal(alone["depth"], both["depth"], strict=True)
+    assert batch("verify", "alone", "--sample", 2).stdout == "alone: 2 samples as recorded, 2 rendered again\n"
+    for words, message in (("alpha", "must be without alpha"), ("", "needs --truth")):
+        result = make("-o", "none", "--count", 2, "--no-color", "--truth", words)
+        assert result.exit_code == 2
+        assert message in result.stderr
 
 
 def test_a_folder_without_a_set_is_no_set(place: Path) -> None:

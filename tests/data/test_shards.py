@@ -250,10 +250,6 @@ def iter_of(count: int, wrong: int | None = None):  # type: ignore[no-untyped-de
         yield number
 
 
-def test_a_set_without_color_makes_no_image(tmp_path: Path) -> None:
-    job = job_of(tmp_path / "set", 2)
-    make_here(replace(job, identity=replace(job.identity, arrays=("depth",))))
-    record = clsco.data.open(str(tmp_path / "set"))[0]
-    assert list(record.arrays) == ["depth"]
+def test_a_set_without_color_makes_no_image() -> None:
     assert not Renderer(choose(), ("depth",), "double").request.color
     assert Renderer(choose(), ("color", "depth"), "double").request.color
