@@ -2,198 +2,45 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pyopencl as cl
 import pytest
-from numpy.typing import NDArray
 
 from clsco.constants import ITEMS_BYTES, ROW_TILE, WIDE_LANES
 from clsco.frame import strips
-from clsco.frame.strips import Grid, frame_struct
 from clsco.opencl.buffers import download, empty, upload
-from clsco.opencl.program import build, kernel, launch
+from clsco.opencl.program import build, launch
 from clsco.opencl.session import Session
 from clsco.optics import psf as psf_weights
 from clsco.optics.psf import reach
 from clsco.optics.psf_tables import psf_table
 from clsco.passes import blur as spread
-from clsco.passes.blur import FILES_OF, PIXELS, FrameSum, TableBlur
-from clsco.passes.frame_blur import make_blur
+from clsco.passes.blur import FILES_OF
 from clsco.passes.pack import psf_struct
 from clsco.plan.buffers import source_bytes
-from clsco.plan.methods import Blur, BlurSpec
-from clsco.records import Struct, flat, structs
+from clsco.plan.methods import Blur
+from clsco.records import flat
 from clsco.reference.blur import blur as twin
-from clsco.reference.common.geometry import table_coordinate, tilt_slope
-from clsco.reference.trace.trace import Sources, SubpixelSources
 from clsco.scene.model import Psf
-from tests.kernels.conftest import download_sources, source_planes
+from tests.kernels.conftest import download_sources
+from tests.kernels.sources import (
+    FIGURE,
+    PSFS,
+    RNG,
+    ROUNDING,
+    SMOOTH,
+    STRUCTS,
+    assert_close,
+    blurred,
+    features,
+    light,
+    name_of,
+    records,
+    renormalized,
+)
 from tests.slow import combined, mostly_slow
-
-Array = NDArray[Any]
-RNG = np.random.default_rng
-STRUCTS = structs("double")
-PSFS = [Psf(model=model, edge=edge) for model in ("pillbox", "gaussian") for edge in ("sampled", "area", "integrated")]
-# Float32 adds some 200 terms, each rounded by 2^-24 of a sum of about 1: at worst 1e-5, as a random walk below 1e-6.
-ROUNDING = 1.5e-6
-# The weights of a table are off by 1e-5 in sum with `integrated` and 1e-4 where they have kinks (test_psf.py), to
-# both sides and not for most radii; over sources of many radii, a twentieth of that is left in a pixel.
-FIGURE = {"sampled": ROUNDING, "area": 6e-6, "integrated": 2e-6}
-
-
-def name_of(psf: Psf) -> str:
-    return f"{psf.model}-{psf.edge}"
-
-
-def random_sources(shape: tuple[int, int], smallest: float, largest: float, steepest: float, channels: int) -> Sources:
-    """Sources of either sign and any gradient up to `steepest` px per px, a tenth of the pixels empty."""
-    rng = RNG(41)
-    label = (rng.random(shape) < 0.9).astype(np.uint8)
-    there = label > 0
-    angle, length = rng.uniform(0, 2 * np.pi, shape), rng.uniform(0, steepest, shape)
-    gradient = np.stack([length * np.cos(angle), length * np.sin(angle)], axis=-1)
-    radius = np.where(there, rng.choice([-1, 1], shape) * rng.uniform(smallest, largest, shape), 0.0)
-    radiance = np.where(there[..., None], rng.random((*shape, channels)), 0.0)
-    return Sources(radiance, np.ones(shape), label, radius, gradient, there)
-
-
-def random_subpixels(sources: Sources, samples: int, count: int, smallest: float, largest: float) -> SubpixelSources:
-    """Sub-pixel sources in `count` random pixels, whether those have a source of their own or not."""
-    rng = RNG(43)
-    height, width, channels = sources.radiance.shape
-    pixel = rng.choice(height * width, count, replace=False)
-    shape = (count, samples, samples)
-    return SubpixelSources(
-        row=pixel // width,
-        column=pixel % width,
-        hit=rng.random(shape) < 0.7,
-        radius=rng.choice([-1, 1], shape) * rng.uniform(smallest, largest, shape),
-        gradient=rng.uniform(-0.6, 0.6, (*shape, 2)),
-        radiance=rng.random((*shape, channels)),
-    )
-
-
-@dataclass(frozen=True)
-class Light:
-    """Sources of a frame and their blur: all that the host hands to the kernels."""
-
-    psf: Psf
-    sources: Sources
-    shape: tuple[int, int]
-    guard: int
-    smallest: float
-    largest: float
-    sub: SubpixelSources | None = None
-
-    @property
-    def channels(self) -> int:
-        return int(self.sources.radiance.shape[2])
-
-    @property
-    def samples(self) -> int:
-        return 0 if self.sub is None else int(self.sub.hit.shape[1])
-
-    def camera(self) -> Struct:
-        return frame_struct(*self.shape, self.guard, "double")
-
-    def expected(self) -> Array:
-        """By the twin, (rows, columns, channels)."""
-        return twin.scatter(self.psf, self.sources, self.sub, self.shape, self.guard)
-
-    def constant(self, radius: float) -> Light:
-        """The same with one radius and no gradient."""
-        there = self.sources.lit
-        alike = replace(self.sources, radius=np.where(there, radius, 0.0), gradient=0 * self.sources.gradient)
-        return replace(self, sources=alike, sub=None, smallest=abs(radius), largest=abs(radius))
-
-
-def light(
-    psf: Psf, shape: tuple[int, int] = (37, 45), guard: int = 5, largest: float = 4.0, smallest: float = 0.0,
-    steepest: float = 1.5, channels: int = 1, samples: int = 0,
-) -> Light:  # fmt: skip
-    size = (shape[0] + 2 * guard, shape[1] + 2 * guard)
-    sources = random_sources(size, smallest, largest, steepest, channels)
-    sub = random_subpixels(sources, samples, size[0] * size[1] // 6, smallest, largest) if samples else None
-    return Light(psf, sources, shape, guard, smallest, largest, sub)
-
-
-def records(given: Light, radius: Array, gradient: Array, there: Array, subpixel: bool) -> Array:
-    """Sources (..., 4) as trace.cl writes them, slots left out."""
-    table = psf_table(given.psf, given.smallest, given.largest, given.samples if subpixel else 0)
-    out = np.zeros((*radius.shape, 4), np.float32)
-    coordinate = table_coordinate(given.psf, radius, subpixel, table.low, table.end - table.low, table.count)
-    out[..., 0] = np.where(there, coordinate, np.float32(-1))
-    out[..., 1:3] = np.where(there[..., None], tilt_slope(gradient, radius), 0.0)
-    return out
-
-
-def on_device(session: Session, given: Light, weight: float) -> spread.Sources:
-    """The sources in the layout of trace.cl; values are written to by `renormalize`."""
-    sources, sub = given.sources, given.sub
-    source = records(given, sources.radius, sources.gradient, sources.lit, False)
-    source[..., 3].view(np.int32)[...] = -1
-    held = (empty(session, 0), empty(session, 0), 0)
-    if sub is not None:
-        capacity = len(sub.row) + 3  # some slots stay empty
-        slots = RNG(44).permutation(len(sub.row)).astype(np.int32)
-        source[..., 3].view(np.int32)[sub.row, sub.column] = slots
-        records_by_slot = np.full((capacity, given.samples, given.samples, 4), np.nan, np.float32)
-        records_by_slot[slots] = records(given, sub.radius, sub.gradient, sub.hit, True)
-        value = np.zeros((given.channels, capacity, given.samples, given.samples), np.float32)
-        value[:, slots] = (
-            np.moveaxis(np.where(sub.hit[..., None], sub.radiance, 0.0), -1, 0) / given.samples**2 * weight
-        )
-        held = (upload(session, records_by_slot), copied(session, value), capacity)
-    value = copied(session, flat(sources.radiance * weight, np.float32))
-    planes = source_planes(source, given.psf.tilt, given.samples > 0)
-    return spread.Sources(upload(session, planes), value, *held)
-
-
-def copied(session: Session, array: Array) -> Any:
-    """A buffer of its own, for kernels to write to."""
-    buffer = empty(session, array.nbytes)
-    cl.enqueue_copy(session.queue, buffer, array)
-    return buffer
-
-
-def features(psf: Psf, channels: int, samples: int, largest: float = 0.0) -> dict[str, int]:
-    """All kernels in one program, so that few have to be compiled; tests/architecture builds them one by one."""
-    spec = BlurSpec(psf, "gather", 0.0, largest, samples, psf.tilt)
-    kernels = spread.blur_features(spec, channels, True, "wide")
-    return kernels | dict.fromkeys(("GATHER", "SCATTER", "RENORMALIZE", "PREPARE"), 1)
-
-
-def blur_of(session: Session, given: Light, method: Blur) -> FrameSum:
-    psf, ends = given.psf, (given.smallest, given.largest)
-    spec = BlurSpec(psf, method, *ends, given.samples, psf.tilt)
-    chosen = features(psf, given.channels, given.samples, given.largest)
-    if method == "tiles":  # in a file of its own
-        chosen |= spread.blur_features(spec, given.channels, True, "none") | {"RENORMALIZE": 1}
-    program = build(session, spread.FILES_OF[method], chosen, STRUCTS, "double")
-    grid = Grid.whole(*given.shape, given.guard, given.channels)
-    return make_blur(spread.Target(session, program, "double"), spec, grid, given.camera())
-
-
-def blurred(session: Session, given: Light, method: Blur, moments: int = 1) -> Array:
-    """Frame (rows, columns, channels) of a method; moments: that many equal shares of the light."""
-    owner = blur_of(session, given, method)
-    owner.clear()
-    sources = on_device(session, given, 1.0 / moments)
-    for _ in range(moments):
-        owner.add(replace(sources, radius=given.largest), [])
-    image = owner.image([])
-    return image if given.channels > 1 else image[..., None]
-
-
-def assert_close(found: Array, expected: Array, limit: float) -> None:
-    error = np.abs(found - expected)
-    worst = np.unravel_index(int(error.argmax()), error.shape)
-    assert error.max() < limit, (
-        f"{error.max():.2e} at {worst}: {found[worst]} for {expected[worst]}, {(error >= limit).sum()} pixels"
-    )
 
 
 @pytest.mark.parametrize("method", ["gather", "scatter"])
@@ -243,9 +90,6 @@ def test_rows_of_any_length(session: Session) -> None:
         sources = replace(given.sources, radius=np.where(given.sources.lit, 25.0 + 0.03 * places - 0.01 * rows, 0.0))
         given = replace(given, sources=sources)
         assert_close(blurred(session, given, "gather"), blurred(session, given, "scatter"), ROUNDING)
-
-
-SMOOTH = Psf(model="gaussian", sigma_ratio=0.3)
 
 
 @pytest.mark.parametrize("tilt", [False, pytest.param(True, marks=pytest.mark.slow)])
@@ -347,16 +191,7 @@ def test_renormalized_borders(session: Session, samples: int, method: Blur) -> N
 def test_renormalize_divides_by_what_stays(session: Session) -> None:
     """The kernel itself: values after it against the twin's radiance."""
     given = light(Psf(border="renormalize"), shape=(24, 31), guard=0, channels=3, samples=2)
-    owner = blur_of(session, given, "gather")
-    sources = on_device(session, given, 1.0)
-    assert sources.source is not None
-    assert sources.sub_source is not None
-    assert sources.sub_value is not None
-    assert isinstance(owner, TableBlur)
-    head = (given.camera(), owner.struct, sources.source, sources.value, *owner.tables[0])
-    tail = (sources.sub_source, sources.sub_value, np.int32(sources.capacity), *owner.tables[1])
-    launch(session, kernel(owner.target.program, "renormalize"), (31, 24), PIXELS, *head, *tail)
-    value = download(session, sources.value, (3, 24, 31), np.float32)
+    value = download(session, renormalized(session, given, "gather").value, (3, 24, 31), np.float32)
     scaled, _ = twin.renormalize(given.psf, given.sources, given.sub, given.shape, 0)
     assert given.sub is not None
     own = given.sources.lit.copy()

@@ -6,37 +6,37 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
 from clsco.frame.strips import BAND
-from clsco.opencl.buffers import download, upload
-from clsco.opencl.program import build, kernel, launch
+from clsco.opencl.buffers import download
+from clsco.opencl.program import build
 from clsco.opencl.session import Session
 from clsco.optics.psf_tables import psf_table
 from clsco.passes import blur as spread
-from clsco.passes.blur import FILES_OF, PIXELS, TableBlur
+from clsco.passes.blur import FILES_OF, PIXELS
 from clsco.passes.pack import psf_struct
 from clsco.plan import buffers
 from clsco.plan.buffers import band_scratch, column_bytes, margin
 from clsco.reference.blur import blur as twin
 from clsco.scene.model import Psf
 from tests.kernels.conftest import source_planes
-from tests.kernels.launches import Amid
-from tests.kernels.test_blur import (
+from tests.kernels.launches import Amid, run
+from tests.kernels.sources import (
     FIGURE,
     RNG,
     ROUNDING,
     STRUCTS,
     Light,
     assert_close,
-    blur_of,
     blurred,
     features,
+    gather,
     light,
     on_device,
     records,
+    renormalized,
 )
 
 Array = NDArray[Any]
@@ -53,13 +53,12 @@ def test_prepare_sources_writes_those_of_its_work_items(session: Session, tilt: 
     valid = RNG(48).random(coc.shape) < 0.98
     valid[-1, -8:] = True
     program = build(session, FILES_OF["gather"], features(psf, 1, 2), STRUCTS, "double")
-    table = psf_table(psf, 0.0, given.largest)
     expected = source_planes(records(given, coc, twin.prepare_sources(coc, valid), valid, False), tilt, True)
     expected[-1] = np.full(coc.shape, -1, np.int32).view(np.float32)
     out = Amid(session, np.full_like(expected, LEFT_ALONE), LEFT_ALONE)
-    maps = Amid(session, coc, 9.0), Amid(session, valid.astype(np.uint8), 1)
-    args = given.camera(), psf_struct(psf, table, None, "double"), maps[0].buffer, maps[1].buffer, out.buffer
-    launch(session, kernel(program, "prepare_sources"), (items, coc.shape[0]), (items, 1), *args)
+    planes = {"camera": given.camera(), "psf": psf_struct(psf, given.table(), None, "double"), "source": out}
+    planes |= {"coc": Amid(session, coc, 9.0), "valid": Amid(session, valid.astype(np.uint8), 1)}
+    run(session, program, "prepare_sources", (items, coc.shape[0]), (items, 1), **planes)
     found = out.now()
     np.testing.assert_allclose(found[:-1, :, : 8 * items], expected[:-1, :, : 8 * items], rtol=2.5e-7)
     assert (found[-1].view(np.int32)[:, : 8 * items] == -1).all()
@@ -71,8 +70,8 @@ def test_resolve_writes_the_frame_alone(session: Session) -> None:
     program = build(session, FILES_OF["gather"], features(given.psf, 3, 0), STRUCTS, "double")
     sums = RNG(49).integers(0, 2**40, (3, 5, 70))
     total = Amid(session, np.full((3, 5, 88), LEFT_ALONE, np.float32), LEFT_ALONE)
-    layout = np.float32(2**40), np.int32(88), np.int32(8), upload(session, sums), total.buffer
-    launch(session, kernel(program, "resolve"), (70, 5), PIXELS, given.camera(), *layout)
+    planes = {"scale": 2.0**40, "pitch": 88, "pad": 8, "sums": sums, "total": total}
+    run(session, program, "resolve", (70, 5), PIXELS, camera=given.camera(), **planes)
     found = total.now()
     np.testing.assert_allclose(found[..., 8:78], sums / 2.0**40, rtol=2.0**-23)
     assert (found[..., :8] == LEFT_ALONE).all()
@@ -88,16 +87,11 @@ def test_renormalized_subpixel_sources(session: Session) -> None:
     gradient = np.where(edge[:, None, None, None], -40.0, given.sub.gradient)
     given = replace(given, sub=replace(given.sub, radius=radius, gradient=gradient))
     assert given.sub is not None
-    owner, sources = blur_of(session, given, "scatter"), on_device(session, given, 1.0)
-    assert sources.source is not None
-    assert sources.sub_source is not None
+    untouched, sources = on_device(session, given, 1.0), renormalized(session, given, "scatter")
+    assert untouched.sub_value is not None
     assert sources.sub_value is not None
     shape = (3, sources.capacity, 2, 2)
-    before = download(session, sources.sub_value, shape, np.float32)
-    assert isinstance(owner, TableBlur)
-    head = (given.camera(), owner.struct, sources.source, sources.value, *owner.tables[0])
-    tail = (sources.sub_source, sources.sub_value, np.int32(sources.capacity), *owner.tables[1])
-    launch(session, kernel(owner.target.program, "renormalize"), (11, 9), PIXELS, *head, *tail)
+    before = download(session, untouched.sub_value, shape, np.float32)
     found = download(session, sources.sub_value, shape, np.float32)
     _, scaled = twin.renormalize(given.psf, given.sources, given.sub, given.shape, 0)
     assert scaled is not None
@@ -119,24 +113,15 @@ def test_subpixel_sources_in_focus(session: Session) -> None:
 
 
 def gathered(
-    session: Session, given: Light, group: int, start: int, kept: dict[str, int], scratch: tuple[Any, ...], part: Amid
+    session: Session, given: Light, group: int, start: int, kept: dict[str, int], scratch: dict[str, Any], part: Amid
 ) -> Array:
     """The frame (channels, rows, columns) after two work-items, from band `start` on; kept: features for `scratch`."""
-    psf, (rows, columns) = given.psf, given.shape
-    table = psf_table(psf, given.smallest, given.largest)
-    struct = psf_struct(psf, table, None, "double")
-    chosen = features(psf, given.channels, 0, given.largest) | kept
-    program = build(session, FILES_OF["gather"], chosen, STRUCTS, "double")
-    pad, pitch = margin(columns, given.guard, table.reach)
+    pad, pitch = margin(given.shape[1], given.guard, given.table().reach)
+    total = Amid(session, np.zeros((given.channels, given.shape[0], pitch), np.float32), LEFT_ALONE)
     sources = on_device(session, given, 1.0)
-    total = Amid(session, np.zeros((given.channels, rows, pitch), np.float32), LEFT_ALONE)
-    arrays = (table.intervals, table.coefficients, table.taps, table.outlines)
-    head = (given.camera(), struct, sources.source, sources.value, *(upload(session, each) for each in arrays))
-    whole = cl.cltypes.make_int2(0, 0)  # type: ignore[attr-defined]
-    position = upload(session, np.zeros(2, np.int32))
-    layout = (np.int32(group), part.buffer, np.int32(pitch), np.int32(pad), total.buffer)
-    launch(session, kernel(program, "gather"), (2,), (1,), *head, *scratch, np.int32(start), whole, position, *layout)
-    return total.now()[..., pad : pad + columns]
+    planes = {"source": sources.source, "value": sources.value, "total": total, "part": part}
+    gather(session, given, 2, kept, group=group, start=start, position=np.zeros(2, np.int32), **planes, **scratch)
+    return total.now()[..., pad : pad + given.shape[1]]
 
 
 @pytest.mark.parametrize(("group", "start"), [(1, 1), (3, 1), (3, 2)])
@@ -147,7 +132,7 @@ def test_gather_source_by_source(session: Session, group: int, start: int) -> No
     given = given.constant(4.0)
     _, pitch = margin(17, 5, psf_table(psf, 4.0, 4.0).reach)
     part = Amid(session, np.zeros((2, 2 * BAND, pitch), np.float32), 1.0)
-    found = gathered(session, given, group, start, {"BY_ROWS": 0}, (), part)
+    found = gathered(session, given, group, start, {"BY_ROWS": 0}, {}, part)
     expected = np.moveaxis(given.expected(), -1, 0)
     assert_close(found[:, start * BAND :], expected[:, start * BAND :], ROUNDING)
     assert not found[:, : start * BAND].any()
@@ -172,7 +157,7 @@ def test_gather_with_parts_of_its_own(session: Session) -> None:
     part = Amid(session, own, 1.0)
     size = column_bytes(psf, 2, far) // 8
     scratch = Amid(session, np.zeros((2, size)), 0.0)
-    found = gathered(session, given, 1, 0, {}, (scratch.buffer, np.int32(size)), part)
+    found = gathered(session, given, 1, 0, {}, {"scratch": scratch, "scratch_size": size}, part)
     assert_close(found, np.moveaxis(given.expected(), -1, 0), 2e-5)
     assert found.any()
     assert (part.now() == own).all()

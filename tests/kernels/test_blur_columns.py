@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
@@ -16,13 +15,8 @@ from clsco import reference
 from clsco.cli.check import compare
 from clsco.constants import ROW_TILE
 from clsco.frame.strips import BAND
-from clsco.opencl.buffers import download, upload
-from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Session
 from clsco.optics.psf import axis_weights
-from clsco.optics.psf_tables import psf_table
-from clsco.passes.blur import FILES_OF
-from clsco.passes.pack import psf_struct
 from clsco.plan.buffers import band_scratch, column_bytes, margin, row_bytes
 from clsco.records import flat
 from clsco.reference.blur.blur import tilt_factor
@@ -31,18 +25,7 @@ from clsco.scene.file import parse_scene
 from clsco.scene.model import Psf
 from tests.kernels.conftest import source_planes
 from tests.kernels.launches import Amid
-from tests.kernels.test_blur import (
-    FIGURE,
-    ROUNDING,
-    SMOOTH,
-    STRUCTS,
-    Light,
-    assert_close,
-    blurred,
-    features,
-    light,
-    records,
-)
+from tests.kernels.sources import FIGURE, ROUNDING, SMOOTH, Light, Signed, assert_close, blurred, gather, light, records
 
 Array = NDArray[Any]
 DISC = Psf(edge="sampled", tilt=False)
@@ -64,20 +47,6 @@ def test_small_discs_in_several_tiles(session: Session) -> None:
     np.testing.assert_allclose(found[~dim], expected[~dim], rtol=2e-6)
 
 
-class Signed(Amid):
-    """A plane of zeros amid -0.0, which does not stay so where a 0 is added to it."""
-
-    def __init__(self, session: Session, shape: tuple[int, ...]) -> None:
-        super().__init__(session, np.zeros(shape, np.float32), -0.0)
-
-    def now(self) -> Array:
-        whole, found = download(self.session, self.all, self.held.shape, self.held.dtype), super().now()
-        beside = (len(whole) - found.size) // 2
-        assert np.signbit(whole[:beside]).all()
-        assert np.signbit(whole[-beside:]).all()
-        return found
-
-
 def gathered(session: Session, given: Light, group: int = 0, part: Amid | None = None) -> Array:
     """The frame (rows, columns, channels) after one work-item, of the first band; group, part: of blur.cl.
 
@@ -85,14 +54,7 @@ def gathered(session: Session, given: Light, group: int = 0, part: Amid | None =
     gives to a work-item.
     """
     psf, (rows, columns) = given.psf, given.shape
-    table = psf_table(psf, given.smallest, given.largest)
-    program = build(
-        session,
-        FILES_OF["gather"],
-        features(psf, given.channels, 0, given.largest),
-        STRUCTS,
-        "double",
-    )
+    table = given.table()
     pad, pitch = margin(columns, given.guard, table.reach)
     source = source_planes(
         records(given, given.sources.radius, given.sources.gradient, given.sources.lit, False), psf.tilt, False
@@ -108,13 +70,11 @@ def gathered(session: Session, given: Light, group: int = 0, part: Amid | None =
     own = np.zeros((3, -(-size // 128) * 32), np.float32)  # that of three work-items, and the one in the middle runs
     memory = Amid(session, own, 0.0)
     begin = memory.buffer.offset + own[0].nbytes
-    scratch = memory.all.get_sub_region(begin, own[0].nbytes), np.int32(own[0].nbytes // 8)
-    arrays = (table.intervals, table.coefficients, table.taps, table.outlines)
-    head = (given.camera(), psf_struct(psf, table, None, "double"), planes.buffer, value.buffer)
-    tail = (np.int32(group), (part or total).buffer, np.int32(pitch), np.int32(pad), total.buffer)
-    tables = tuple(upload(session, each) for each in arrays)
-    whole = (cl.cltypes.make_int2(0, 0), None)  # type: ignore[attr-defined]
-    launch(session, kernel(program, "gather"), (1,), (1,), *head, *tables, *scratch, np.int32(0), *whole, *tail)
+    scratch = memory.all.get_sub_region(begin, own[0].nbytes)
+    gather(
+        session, given, 1, {}, source=planes, value=value, total=total, group=group, part=part or total,
+        scratch=scratch, scratch_size=own[0].nbytes // 8,
+    )  # fmt: skip
     assert memory.now().view(np.uint32).any(axis=1).tolist() == [False, True, False]
     return np.moveaxis(total.now()[..., pad : pad + columns], 0, -1)
 

@@ -16,7 +16,7 @@ from clsco.passes.frame_blur import make_blur
 from clsco.plan.methods import BlurSpec
 from clsco.records import structs
 from clsco.scene.model import Psf
-from tests.kernels.test_blur import RNG, ROUNDING, assert_close, blurred, features, light, on_device
+from tests.kernels.sources import RNG, ROUNDING, assert_close, blurred, features, light, on_device
 
 
 @pytest.mark.parametrize("model", ["pillbox", "gaussian"])

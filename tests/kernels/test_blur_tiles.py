@@ -12,8 +12,17 @@ from numpy.typing import NDArray
 from clsco.constants import ROW_TILE
 from clsco.opencl.session import Session
 from clsco.scene.model import Psf
-from tests.kernels.test_blur import ROUNDING, Light, assert_close, blur_of, blurred, features, light, on_device
-from tests.kernels.test_blur_columns import Signed
+from tests.kernels.sources import (
+    ROUNDING,
+    Light,
+    Signed,
+    assert_close,
+    blur_of,
+    blurred,
+    features,
+    light,
+    on_device,
+)
 
 Array = NDArray[Any]
 BOUND_COLUMNS = 64  # columns, as in discs.clh

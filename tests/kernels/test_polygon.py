@@ -18,7 +18,7 @@ from clsco.scene.changes import dump
 from clsco.scene.model import Aperture, Psf
 from tests.engine.test_defocus import picture
 from tests.engine.test_defocus import reference as blurred_by_reference
-from tests.kernels.test_blur import ROUNDING, assert_close, blurred, light
+from tests.kernels.sources import ROUNDING, assert_close, blurred, light
 from tests.scenes import scene_from
 from tests.slow import mostly_slow
 

@@ -18,7 +18,7 @@ from clsco.reference.layered.layered import layered
 from clsco.scene.file import parse_scene
 from clsco.scene.model import Psf
 from tests.engine.test_defocus import reference as blurred_by_reference
-from tests.kernels.test_blur import FIGURE, PSFS, ROUNDING, assert_close, blurred, light
+from tests.kernels.sources import FIGURE, PSFS, ROUNDING, assert_close, blurred, light
 from tests.slow import combined, mostly_slow
 
 KEPT = [(PSFS[0], False), (PSFS[5], True)]
