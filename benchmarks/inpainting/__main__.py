@@ -5,8 +5,8 @@ of scikit-image with five kinds of holes. Ours (auto, texture, biharmonic, and t
 stages) on the OpenCL device, kernels compiled before; OpenCV's Telea and NS (radius 3), xphoto's FSR and SHIFTMAP;
 scikit-image's biharmonic. python -m benchmarks.inpainting.speed times the thesis' method and NS in turns.
 FSR best takes 10 to 40 times as long as FSR fast, SHIFTMAP up to 15 times: they fill the cases of --slow only, with
---slow all every one, which takes most of an hour. Figures go to the terminal and to benchmarks/results/NAME.json and
-NAME.md. --images takes any picture of skimage.data by name.
+--slow all every one, which takes most of an hour. Figures go to the terminal and, as NAME.json
+and NAME.md, to benchmarks/results. --images takes any picture of skimage.data by name.
 """
 
 from __future__ import annotations

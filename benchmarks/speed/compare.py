@@ -116,16 +116,16 @@ def comparison(grid: Grid, quick: bool, whole: bool) -> Comparison:
     Parameters
     ----------
     grid : Grid
-        Of the blur.
+        Grid of the blur.
     quick : bool
-        Whether Mitsuba gets fewer rays.
+        Mitsuba gets fewer rays.
     whole : bool
-        Whether whole frames and warps are made, too.
+        Whole frames and warps are made, too.
 
     Raises
     ------
     ClscoError
-        Where no peer is installed.
+        No peer is installed.
     """
     tools, missing = peers.require_peers()
     frames = QUICK if quick else Frames()

@@ -1,6 +1,6 @@
 """Input of the ray tracer: shapes as ten coefficients in frames of their own, and the poses of these.
 
-A scene is read by attribute names only (`scene.camera.focal_length`, ...): no code is shared with the package.
+A scene is read by attribute names only ("scene.camera.focal_length", ...): no code is shared with the package.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ class Setting:
     error : str
         PSNR against a ray-traced lens, and of what.
     page : str
-        Of the documentation, where its table is.
+        Page of the documentation that has its table.
     """
 
     key: str
@@ -54,12 +54,12 @@ def cheaper_settings(prepared: Prepared, cost: Cost) -> list[tuple[Setting, floa
     ----------
     prepared : Prepared
     cost : Cost
-        Of the scene as it is.
+        Cost of the scene as it is.
 
     Returns
     -------
     list of (Setting, float)
-        Those of `SETTINGS` that the scene has not, can have, and that take at most WORTH of the time, and of another
+        Settings of `SETTINGS` that the scene has not, can have, and that take at most WORTH of the time, and of another
         value of the same key that is nearer to the lens.
     """
     found, most = list[tuple[Setting, float]](), dict[str, float]()

@@ -29,7 +29,7 @@ class Cost:
     views : tuple of dict
         Kind of pass -> seconds of all of that kind, as they are run; of each view.
     host : float
-        What is done besides.
+        Other work of the host.
     cores : int
         That were reckoned with.
     """

@@ -65,7 +65,7 @@ class Lattice:
     Attributes
     ----------
     row, column : ndarray of float64, (n,) and (m,)
-        Of the frame, px.
+        Positions in the frame, px.
     step_y, step_x : float
         Between them, px.
     """

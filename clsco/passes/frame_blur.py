@@ -24,7 +24,7 @@ def make_blur(target: Target, spec: BlurSpec, grid: Grid, camera: Struct) -> Fra
         Its program has the kernels of `FILES_OF[spec.method]`.
     spec : BlurSpec
     grid : Grid
-        Of the frame, or the tallest of its strips.
+        Grid of the frame, or the tallest of its strips.
     camera : numpy.void
         camera_t of the strip that it begins with.
 

@@ -98,7 +98,7 @@ def fewer_samples(
     Parameters
     ----------
     plan : Plan
-        Of all samples.
+        Plan with all samples.
     tolerance : float
         RMS error of white.
     textures : callable

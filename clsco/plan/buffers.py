@@ -233,7 +233,7 @@ def layered_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
     Parameters
     ----------
     spec : BlurSpec
-        Of the frame.
+        Blur of the frame.
     grid : Grid
     device : DeviceFacts
 
@@ -271,7 +271,7 @@ def warp_buffers(scene: Scene, grid: Grid, device: DeviceFacts) -> Sizes:
     ----------
     scene : Scene
     grid : Grid
-        Of the whole frame.
+        Grid of the whole frame.
     device : DeviceFacts
 
     Returns
@@ -299,7 +299,7 @@ def fill_buffers(grid: Grid, several: bool, far: bool, smooths: bool) -> Sizes:
     Parameters
     ----------
     grid : Grid
-        Of the whole frame.
+        Grid of the whole frame.
     several : bool
         There are several objects.
     far : bool

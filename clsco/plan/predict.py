@@ -140,7 +140,7 @@ def image_path(scene: Scene, number: int, depth: Array | None, frame: int, every
     ----------
     scene : Scene
     number : int
-        Of the object.
+        Number of the object.
     depth : ndarray, optional
         Its inverse depth in 1/mm where it is a depth map.
     frame : int

@@ -41,7 +41,7 @@ class Prepared:
     request : Request
     files : InputFiles
     approximation : ApproximationReport, optional
-        Of the samples, where the request has a tolerance.
+        Approximation by fewer samples, where the request has a tolerance.
     """
 
     scene: Scene

@@ -14,7 +14,7 @@ class Request:
     truth : tuple of str
         Names of the outputs besides color.
     method : str
-        Of the blur: "auto", or a method by name (`clsco.plan.methods.check_method`).
+        Method of the blur: "auto", or a method by name (`clsco.plan.methods.check_method`).
     tolerance : float, optional
         RMS error of white up to which fewer samples are taken; None for all samples.
     precision : {"single", "double"}, optional

@@ -15,6 +15,13 @@ FIRST_WORD = re.compile(r"\W*(\w+)")
 HEADS = re.compile(r"(?:^//[^\n]*\n)+", re.MULTILINE)  # of a file, a function, a struct or a macro
 
 
+def entries(text: str) -> Iterator[tuple[int, str]]:
+    """Lines and texts of entries in NumPy's sections: what stands, indented, below a parameter, a field or a type."""
+    for line, found in docstrings(text):
+        for entry in re.finditer(r"\n( *)\S[^\n]*\n\1 {4}(?=(\S[^\n]*))", found):
+            yield line + found.count("\n", 0, entry.end()), entry[2]
+
+
 def docstrings(text: str) -> Iterator[tuple[int, str]]:
     """Lines and texts of docstrings: of modules, classes, functions and attributes."""
     for node in ast.walk(ast.parse(text)):
@@ -44,7 +51,8 @@ def test_first_words_are_nouns_or_verbs() -> None:
     found = {
         f"{path.relative_to(ROOT)}:{line}"
         for path in files
-        for line in hollow((docstrings if path.suffix == ".py" else heads)(path.read_text("utf-8")))
+        for find in ((docstrings, entries) if path.suffix == ".py" else (heads,))
+        for line in hollow(find(path.read_text("utf-8")))
     }
     assert sorted(found) == []
 
@@ -60,6 +68,12 @@ def test_first_words_are_nouns_or_verbs() -> None:
 )
 def test_a_hollow_docstring_is_found(text: str, line: int | None) -> None:
     assert hollow(docstrings(text)) == ([] if line is None else [line])
+
+
+def test_a_hollow_entry_is_found() -> None:
+    section = "Parameters\n    ----------\n    a : int\n        Of both.\n    b : int\n        Whether."
+    text = f'def f() -> None:\n    """Do it.\n\n    {section}\n    """'
+    assert hollow(entries(text)) == [7, 9]
 
 
 def test_a_hollow_head_is_found() -> None:

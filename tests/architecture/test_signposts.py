@@ -19,7 +19,7 @@ NAME = r"(`\w+`|\w+_\w+|[A-Z]\w*[A-Z]\w*)"  # bare words are left alone, unless 
 FILE = re.compile(rf"(?<![\w/.]){PATH}")
 DOTTED = re.compile(r"`((?:\w+\.)+(?!jsonl?`)\w+)")
 NAMED = re.compile(rf"{NAME} (?:of|in) ({PATH})")
-SEEN = re.compile(rf"\b[Ss]ee {NAME}(?!\w| (?:of|in) )")
+SEEN = re.compile(rf"\b[Ss]ee {NAME}(?!\w|\.\w| (?:of|in) )")
 
 
 def prose(path: Path, text: str) -> str:
@@ -30,7 +30,7 @@ def prose(path: Path, text: str) -> str:
 
 
 def is_file(name: str) -> bool:
-    return (ROOT / name).exists() or any(path.as_posix().endswith(f"/{name}") for path in KERNELS)
+    return (ROOT / name).exists() or any(path.as_posix().endswith(f"/{name}") for path in sources("kernels", "tests"))
 
 
 def defines(path: Path, name: str) -> bool:
@@ -74,7 +74,8 @@ def lost(path: Path, text: str) -> list[str]:
 
 
 def test_signposts_lead_to_files_and_definitions() -> None:
-    paths = [*sources("clsco"), *KERNELS]
+    paths = [*sources("clsco", "tests", "benchmarks"), *KERNELS]
+    paths.remove(Path(__file__))
     assert [f"{path.relative_to(ROOT)}: {name}" for path in paths for name in lost(path, path.read_text("utf-8"))] == []
 
 

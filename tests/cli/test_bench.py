@@ -43,7 +43,7 @@ from clsco.plan.buffers import row_bytes
 from clsco.plan.methods import Blur
 from clsco.scene.model import Psf
 
-FIGURE = 1e-5  # of white, as in tests/test_defocus.py
+FIGURE = 1e-5  # of white, as in tests/engine/test_defocus.py
 METHODS = set(get_args(Blur)) - {"none"}
 FILES = ["bench.csv", "bench.json", "radius.png", "roofline.png", "size.png", "speed_error.png"]
 SMALL = Grid(

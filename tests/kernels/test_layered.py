@@ -1,4 +1,4 @@
-"""layer.cl against its twin: each kernel where it is whole numbers, whole frames, and that no bit changes."""
+"""layered.cl against its twin: each kernel where it is whole numbers, whole frames, and that no bit changes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Each kernel of layer.cl against its twin on planes that stand amid other numbers, with work-items beyond them.
+"""Each kernel of layered.cl against its twin on planes that stand amid other numbers, with work-items beyond them.
 
 Whole frames hardly tell of what is rare in them: ends of rows, ties, radii at a bound, levels of which little is known.
 """

@@ -60,7 +60,7 @@ class Copy:
             self.collected = None
 
     def recorded(self, file: str, switched: bool, timeout: float) -> dict[str, Any]:
-        """Launches of each test of a file, see `Recorder`. Raises RuntimeError where one fails."""
+        """Launches of each test of a file (`tests.mutation.recorder.Recorder`). Raises RuntimeError where one fails."""
         status = self._tests([file], switched).run(self.records, 0, timeout)
         self.stop()
         if status not in (0, pytest.ExitCode.NO_TESTS_COLLECTED):  # none that are not slow

@@ -70,7 +70,7 @@ TESTS = {
     "trace/truth.cl": "kernels/test_trace kernels/test_trace_bounds kernels/test_trace_hidden",
     "trace/trace.cl": "kernels/test_silhouettes kernels/test_trace_hidden kernels/test_trace_bounds "
     "kernels/test_trace kernels/test_geometry pipeline/test_views pipeline/test_scenes",
-    "warp/warp.cl": "kernels/test_reproject_planes kernels/test_reproject kernels/test_warp pipeline/test_scenes",
+    "warp/warp.cl": "kernels/test_warp_amid kernels/test_warp_kernels kernels/test_warp pipeline/test_scenes",
 }
 """File -> tests that reach it, the quickest first; kernels by their folder there."""
 

@@ -73,7 +73,7 @@ def test_device_against_reference(name: str, occlusion: str) -> None:
     for method in ("gather", "scatter"):
         frame = image(wanted, method=method)
         assert frame.metadata["blur_method"] == method
-        # Weights to 1e-6 of their sum, shares of the lens to some 1e-6 (tests/kernels/test_occlusion.py).
+        # Weights to 1e-6 of their sum, shares of the lens to some 1e-6 (tests/kernels/test_visibility.py).
         assert [found for found in compare(frame, exact) if found.count] == []
 
 

@@ -1,4 +1,4 @@
-"""reproject.cl against its twin: where pixels go, who wins, what they bring, and that its two depth tests agree."""
+"""warp.cl against its twin: where pixels go, who wins, what they bring, and that its two depth tests agree."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Kernels of reproject.cl on planes of numbers that stand amid others: what they look at, and what they leave alone."""
+"""Kernels of warp.cl on planes of numbers that stand amid others: what they look at, and what they leave alone."""
 
 from __future__ import annotations
 
