@@ -47,7 +47,7 @@ class Workspace:
     plan : Plan
     scene : PlacedScene
     making : (Target, FrameSum), optional
-        What makes the image, where it is wanted.
+        Makes the image, where it is wanted.
     buffers : mapping
         Buffers of `SHARED` that the plan has.
     tracer : Tracer

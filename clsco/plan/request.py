@@ -22,7 +22,7 @@ class Request:
     memory : int or str, optional
         Most that buffers on the device take; by default half of what is free.
     color : bool
-        Whether the image is wanted.
+        The image is wanted.
     """
 
     truth: tuple[str, ...] = ()
