@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 def report_inputs(planned: Sequence[PreparedFile]) -> None:
     """Say on stderr what is to be known of the images of scenes; for each depth map whether it may not be upright,
     which of its pixels have no depth, and what the lens makes of it; and which samples are taken with a tolerance."""
-    from clsco.inputs.focus import lens_line
     from clsco.scene.model import DepthMap
 
     for path, labels, prepared in planned:
@@ -31,6 +30,8 @@ def report_inputs(planned: Sequence[PreparedFile]) -> None:
                 for item in maps:
                     _report_depth(each, item)
             for item in maps:
+                from clsco.inputs.focus import lens_line  # 1 ms, and few scenes have depth maps
+
                 where = f"{item.depth} (with {label})" if label else str(item.depth)
                 line = lens_line(each.scene.camera, each.files.map(each.scene, item))
                 echo(f"{where}: {line}", err=True)

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from clsco.errors import ImageError
 from clsco.files.images import check_sizes
 from clsco.inputs.depth_files import read_depth
-from clsco.inputs.soft_edges import assign_soft_edges
 from clsco.inputs.textures import load_texture
 from clsco.optics.lens import LARGEST_BLUR, blur_radius, blur_scale, focus_power, ray_step
 from clsco.scene.arrays import ArrayInput
@@ -226,6 +225,8 @@ def _without_soft_edges(
     values: DepthValues, depth: Array | None, camera: Camera, image: Callable[[], NDArray[np.float32]] | None
 ) -> DepthValues:
     """depth: numbers of the file where they are not linear in the blur radius."""
+    from clsco.inputs.soft_edges import assign_soft_edges  # 1 ms, and few scenes have depth maps
+
     w, per_px = values.inverse_depth, abs(blur_scale(camera))
     radius = w * per_px
     if values.invalid:
