@@ -20,8 +20,7 @@ from clsco.plan.approximation import checked_tolerance
 from clsco.plan.memory import Limit, device_bytes, fitted, hit_bytes, limit_of, parse_size
 from clsco.plan.methods import check_method
 from clsco.plan.plan import Plan
-from clsco.plan.predict import without_lens
-from clsco.plan.prepare import Prepared, prepare_sweep
+from clsco.plan.prepare import Prepared, lens_groups, prepare_sweep
 from clsco.plan.request import Request
 from clsco.scene.file import SceneLike, scene_of
 from clsco.scene.model import Scene
@@ -228,7 +227,7 @@ def render_prepared(
     keeps_rays: what rays hit stays with the session, for later renderings of the same objects.
     """
     with session.reporting():
-        for group in _groups([each.scene for each in prepared]):
+        for group in lens_groups([each.scene for each in prepared]):
             for k, frame in _render_group(session, [prepared[k] for k in group], frames, keeps_rays):
                 yield group[k], frame
 
@@ -237,7 +236,7 @@ def _render_scenes(
     session: Session, scenes: Sequence[Scene], request: Request, frames: Sequence[int] | None
 ) -> Iterator[tuple[int, Frame]]:
     """As `render_prepared`; scenes that share their rays are prepared together, when their turn comes."""
-    for group in _groups(scenes):
+    for group in lens_groups(scenes):
         sweep = Sweep(("",) * len(group), tuple(scenes[k] for k in group))
         for k, frame in render_prepared(session, prepare_sweep(sweep, request, session.device), frames):
             yield group[k], frame
@@ -253,17 +252,6 @@ def frame_numbers(scenes: Sequence[Scene], frames: Iterable[SupportsIndex]) -> l
     wrong = [number for number in found if not 0 <= number < count]
     if wrong and scenes:
         raise SceneError(f"frames: must lie from 0 to {count - 1}; got {wrong[0]}")
-    return found
-
-
-def _groups(scenes: Sequence[Scene]) -> list[list[int]]:
-    """Numbers of scenes that follow each other and differ in the lens only."""
-    found: list[list[int]] = []
-    for k, scene in enumerate(scenes):
-        if k and without_lens(scenes[k - 1]) == without_lens(scene):
-            found[-1].append(k)
-        else:
-            found.append([k])
     return found
 
 

@@ -33,6 +33,7 @@ from clsco.plan.predict import Maps, image_path, seen_depths
 from clsco.scene.model import Psf, Scene, Sequence
 
 Array = NDArray[np.float64]
+Samples = tuple[int, int]
 
 SIDE, LINES = 256, 64  # px of a segment of a texture whose spectrum is taken, and how many segments along each axis
 FREQUENCIES = np.arange(1, SIDE + 1) / SIDE  # cycles per px; textures have half of them, outlines all
@@ -66,6 +67,11 @@ class ApproximationReport:
     silhouette_samples: int
     of_silhouette_samples: int
 
+    @property
+    def taken(self) -> Samples:
+        """Time samples, and sub-pixel sources along an axis."""
+        return self.samples, self.silhouette_samples
+
     def line(self) -> str:
         """Report in a line."""
         time, silhouettes = (self.samples, self.of_samples), (self.silhouette_samples, self.of_silhouette_samples)
@@ -91,7 +97,7 @@ def checked_tolerance(tolerance: float) -> float:
 
 
 def fewer_samples(
-    plan: Plan, tolerance: float, textures: Callable[[], tuple[Texture, ...]], maps: Maps
+    plan: Plan, tolerance: float, textures: Callable[[], tuple[Texture, ...]], maps: Maps, least: Samples = (1, 1)
 ) -> tuple[Scene, ApproximationReport]:
     """Take the fewest samples whose estimated error is within a tolerance: time samples first, which save most.
 
@@ -105,6 +111,8 @@ def fewer_samples(
         Gives those of all objects; not called where nothing can be saved.
     maps : sequence
         As for `clsco.plan.plan.make_plan`.
+    least : tuple of int
+        Time samples and silhouette samples that are taken at least.
 
     Returns
     -------
@@ -120,10 +128,10 @@ def fewer_samples(
         cycles = *_cycles(scene.psf, parts), outlines / (12.0 * exact[1] ** 2)
         of_time = partial(_of_time, scene.sequence, *cycles, exact[0])
         of_coverage = partial(_of_coverage, outlines, exact[1])
-        samples = _fewest(range(1, exact[0]), tolerance**2, of_time) or exact[0]
+        samples = _fewest(range(least[0], exact[0]), tolerance**2, of_time) or exact[0]
         square = of_time(samples) if samples < exact[0] else 0.0
         if not needs_detail(scene, plan.largest_blur):
-            halves = tuple(2**n for n in range(4) if 2**n < exact[1])
+            halves = tuple(2**n for n in range(4) if least[1] <= 2**n < exact[1])
             silhouettes = _fewest(halves, tolerance**2 - square, of_coverage) or exact[1]
             square += of_coverage(silhouettes) if silhouettes < exact[1] else 0.0
     report = ApproximationReport(tolerance, sqrt(square), samples, exact[0], silhouettes, exact[1])

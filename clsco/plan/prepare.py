@@ -17,10 +17,11 @@ from clsco.files.color import SRGB, Color
 from clsco.frame.provenance import views
 from clsco.inputs.files import InputFiles, Maps, shared_files
 from clsco.inputs.textures import Texture, is_gray, mapped_size, texture_size, with_coverage
-from clsco.plan.approximation import ApproximationReport, fewer_samples
+from clsco.plan.approximation import ApproximationReport, Samples, fewer_samples
 from clsco.plan.buffers import DeviceFacts
 from clsco.plan.memory import fitted, limit_of
 from clsco.plan.plan import Plan, make_plan
+from clsco.plan.predict import without_lens
 from clsco.plan.request import Request
 from clsco.scene.faults import at_most
 from clsco.scene.model import DepthMap, Scene
@@ -119,20 +120,47 @@ def prepare(
 def prepare_sweep(
     sweep: Sweep, request: Request | None = None, device: DeviceFacts | None = None, files: InputFiles | None = None
 ) -> tuple[Prepared, ...]:
-    """`prepare` for all scenes of a sweep. Raises SceneError with the faults of all of them."""
+    """`prepare` for all scenes of a sweep. Raises SceneError with the faults of all of them.
+
+    With a tolerance, scenes that differ in the lens only have the samples of the one that needs most: they share rays.
+    """
     wanted, known = request or Request(), files or shared_files()
-    found, faults, channels = [], dict[str, None](), dict[Hashable, int]()
-    for label, scene in zip(sweep.labels, sweep.scenes, strict=True):
+    found, faults, channels = list[Prepared](), dict[str, None](), dict[Hashable, int]()
+
+    def channels_of(scene: Scene) -> int:
         names = tuple(tuple(item.inputs().items()) for item in scene.objects)
         if names not in channels:  # all scenes of a sweep have the same files and arrays
             channels[names] = _channels(scene, known)
+        return channels[names]
+
+    for label, scene in zip(sweep.labels, sweep.scenes, strict=True):
+        count = channels_of(scene)
         try:
-            found.append(_planned(scene, channels[names], wanted, device, known))
+            found.append(_planned(scene, count, wanted, device, known))
         except SceneError as error:
             faults.update(dict.fromkeys(f"{message}{label and f' (with {label})'}" for message in error.messages))
     if faults:
         raise SceneError(list(faults))
+    chosen = wanted.tolerance is not None and wanted.color
+    for group in lens_groups([each.scene for each in found]) if chosen else ():
+        counts = [each.taken for each in (found[k].approximation for k in group) if each is not None]
+        most = max(samples for samples, _ in counts), max(silhouettes for _, silhouettes in counts)
+        for k, taken in zip(group, counts, strict=True):
+            if taken != most:
+                scene = found[k].scene
+                found[k] = _planned(scene, channels_of(scene), wanted, device, known, most)
     return tuple(found)
+
+
+def lens_groups(scenes: Sequence[Scene]) -> list[list[int]]:
+    """Numbers of scenes that follow each other and differ in the lens only."""
+    found: list[list[int]] = []
+    for k, scene in enumerate(scenes):
+        if k and without_lens(scenes[k - 1]) == without_lens(scene):
+            found[-1].append(k)
+        else:
+            found.append([k])
+    return found
 
 
 def prepare_files(
@@ -163,7 +191,11 @@ def with_resolution(scene: Scene) -> Scene:
     return scene.model_copy(update={"camera": camera})
 
 
-def _planned(scene: Scene, channels: int, request: Request, device: DeviceFacts | None, files: InputFiles) -> Prepared:
+def _planned(
+    scene: Scene, channels: int, request: Request, device: DeviceFacts | None, files: InputFiles,
+    least: Samples = (1, 1),
+) -> Prepared:  # fmt: skip
+    """Plan one scene; least: samples that it takes at least, where a tolerance lets it choose."""
     sized = with_resolution(scene)
     maps = _maps(sized, files)
 
@@ -173,7 +205,7 @@ def _planned(scene: Scene, channels: int, request: Request, device: DeviceFacts 
 
     plans, report = plans_of(sized), None
     if request.tolerance is not None and request.color:
-        fewer, report = fewer_samples(plans[0], request.tolerance, lambda: files.textures(sized), maps)
+        fewer, report = fewer_samples(plans[0], request.tolerance, lambda: files.textures(sized), maps, least)
         plans = plans if fewer is sized else plans_of(fewer)
     limit = replace(limit_of(request.memory, device), views=len(plans))
     return Prepared(sized, tuple(fitted(plan, limit) for plan in plans), request, files, report)

@@ -268,7 +268,7 @@ def test_passes_that_a_scene_has_no_use_for_are_not_run() -> None:
 def test_wrong_calls(tmp_path: Path) -> None:
     ball = scene(BALL)
     for options, error, rule in (
-        ({"method": "fft"}, SceneError, "method: must be one of auto, gather, scatter, tiles, convolve, "),
+        ({"method": "fft"}, SceneError, "method: must be one of auto, gather, scatter, tiles, convolve; got fft"),
         ({"method": "convolve"}, SceneError, "method: convolve needs one blur radius"),
         ({"precision": "half"}, SceneError, "precision: must be single or double; got half"),
         ({"device": "abacus"}, DeviceError, '^device: must be a part of .*; got "abacus"'),

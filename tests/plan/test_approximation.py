@@ -13,8 +13,9 @@ from click.testing import CliRunner
 import clsco
 from clsco.cli.main import main
 from clsco.plan.approximation import ApproximationReport
-from clsco.plan.prepare import Prepared, prepare
+from clsco.plan.prepare import Prepared, prepare, prepare_sweep
 from clsco.plan.request import Request
+from clsco.scene.sweep import Sweep
 from tests.scenes import scene_file
 from tests.slow import mostly_slow
 
@@ -132,6 +133,21 @@ def test_the_choice_is_reported_and_a_frame_of_another_tolerance_is_made_again(t
             assert f"{report.samples} of {report.of_samples} time samples and " in done.stderr
             assert f"silhouette samples: estimated RMS error {report.rms_error:.2g} of white" in done.stderr
     assert written[0] == written[1] < written[2] < written[3]
+
+
+def test_lenses_that_share_rays_have_the_samples_of_the_one_that_needs_most() -> None:
+    scenes = [
+        clsco.parse_scene(SCENES["camera"]).replace("camera.aperture_diameter", aperture)
+        for aperture in (0.5, 12.0, 40.0)
+    ]
+    alone = [prepare(scene, Request(tolerance=0.01)).plan for scene in scenes]
+    assert len({plan.samples for plan in alone}) == 3
+    together = [each.plan for each in prepare_sweep(Sweep(("",) * 3, tuple(scenes)), Request(tolerance=0.01))]
+    assert {plan.samples for plan in together} == {max(plan.samples for plan in alone)}
+    assert {plan.silhouettes for plan in together} == {max(plan.silhouettes for plan in alone)}
+    moved = clsco.parse_scene(SCENES["stripes"])
+    other = prepare_sweep(Sweep(("", ""), (scenes[2], moved)), Request(tolerance=0.01))
+    assert other[0].plan.samples == alone[2].samples
 
 
 def test_views_of_a_stereo_pair_have_the_same_samples() -> None:
