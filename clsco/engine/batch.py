@@ -112,6 +112,7 @@ def prepare(
     image = ["color"] if prepared.plan.color else []
     held = {FILE_NAMES[name] for name in (*image, *prepared.plan.truth, *(["alpha"] if prepared.plan.alpha else []))}
     subframes = (prepared.plan.samples if scene.moves else 1) if "subframes" in request.truth else 0
+    tolerance = None if prepared.approximation is None else prepared.approximation.tolerance
 
     def is_there(index: int) -> bool:
         content = read_complete(folder, index)
@@ -122,7 +123,7 @@ def prepare(
         whole = frame_files(index, scene.stereo is not None, files, subframes, held) <= set(content["files"])
         whole = whole and holds_truth(content, files)
         views = content["views"].values() if scene.stereo is not None else [content]
-        alike = all(same_tolerance(view.get("approximation"), request.tolerance) for view in views)
+        alike = all(same_tolerance(view.get("approximation"), tolerance) for view in views)
         return whole and alike and all(request.precision in (None, view.get("precision")) for view in views)
 
     left = tuple(index for index in frames if not (resume and is_there(index)))

@@ -135,6 +135,16 @@ def test_the_choice_is_reported_and_a_frame_of_another_tolerance_is_made_again(t
     assert written[0] == written[1] < written[2] < written[3]
 
 
+def test_frames_without_color_have_all_samples_and_are_left_as_they_are(tmp_path: Path) -> None:
+    text = '[camera]\nresolution = [24, 16]\npixel_pitch = 0.1\n[[object]]\nshape = "sphere"\n'
+    command = ["render", str(scene_file(tmp_path / "ball.toml", text)), "-o", str(tmp_path / "out"), "--resume"]
+    command += ["--no-color", "--truth", "npz", "--tolerance", "0.1"]
+    outputs = [CliRunner().invoke(main, command) for _ in range(2)]
+    assert [done.exit_code for done in outputs] == [0, 0], outputs[0].output
+    assert "all frames are there already" in outputs[1].output
+    assert json.loads((tmp_path / "out" / "frame_0000.json").read_text())["approximation"] is None
+
+
 def test_lenses_that_share_rays_have_the_samples_of_the_one_that_needs_most() -> None:
     scenes = [
         clsco.parse_scene(SCENES["camera"]).replace("camera.aperture_diameter", aperture)
