@@ -30,6 +30,7 @@ SHARED = (
     "depth",
     "label",
     "pixels",
+    "sub_label",
     "sub_source",
     "sub_value",
     "sub_depth",

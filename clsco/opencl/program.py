@@ -38,7 +38,13 @@ GATHER_HEADERS = tuple(
 # With the feature TEXTURED.
 MAPPING_HEADERS = ("common/angles.clh", *(f"trace/{name}.clh" for name in ("mapping", "footprint", "detail")))
 HEADERS_OF = {
-    "trace/trace.cl": ("common/sources.clh", *MAPPING_HEADERS, "trace/light.clh", "trace/texture.clh"),
+    "trace/trace.cl": (
+        "common/sources.clh",
+        *MAPPING_HEADERS,
+        "trace/light.clh",
+        "trace/texture.clh",
+        "trace/outline.clh",
+    ),
     "trace/truth.cl": (*MAPPING_HEADERS, "trace/light.clh", "trace/texture.clh"),
     "blur/blur.cl": ("common/sources.clh", "common/psf.clh"),
     "blur/cpu/gather.cl": (

@@ -199,27 +199,19 @@ class Tracer:
         cl.enqueue_fill_buffer(self.target.session.queue, statistics, np.zeros(1, np.int32), 4 * STATISTIC_SLOTS, 4)
         marks = (work.camera, buffers["label"], slots, source, buffers["pixels"], statistics)
         self._per_pixel("mark_silhouettes", work, *marks)
-        subs = (buffers["sub_source"], buffers["sub_value"], statistics)
+        subs, labels = (buffers["sub_source"], buffers["sub_value"]), buffers["sub_label"]
         sub_depth = buffers.get("sub_depth")
         occluded = (sub_depth,) if sub_depth is not None else ()
         head = (*self._head(work), np.float32(work.sample.weight), *self._appearance(work))
-        size = (plan.slots * plan.silhouettes**2,)
-        self.target.run(
-            "trace_subpixels", size, PIXELS[:1], work.events, *head, buffers["pixels"], slots, *subs, *occluded
-        )
+        size, slotted = (plan.slots * plan.silhouettes**2,), (*head, buffers["pixels"], slots)
+        traced = (*slotted, *subs, labels, statistics, *occluded)
+        self.target.run("trace_subpixels", size, PIXELS[:1], work.events, *traced)
+        covered = (*slotted, source, labels, *subs, statistics, *occluded)
+        self.target.run("cover_outlines", (plan.slots,), PIXELS[:1], work.events, *covered)
         value = work.sources.value
         if "sharper" in buffers:
-            self.target.run(
-                "trace_detail",
-                (plan.slots,),
-                PIXELS[:1],
-                work.events,
-                *head,
-                buffers["pixels"],
-                slots,
-                *subs,
-                *occluded,
-            )
+            detailed = (*slotted, *subs, statistics, *occluded)
+            self.target.run("trace_detail", (plan.slots,), PIXELS[:1], work.events, *detailed)
             value = buffers["sharper"]
             self._per_pixel("sharpen", work, work.camera, work.sources.value, buffers["share"], source, value)
         work.sources = replace(

@@ -196,12 +196,14 @@ __kernel void mark_silhouettes(const camera_t camera, __global const uchar *labe
     fine = mark == FINE;
     detailed = fine || mark == DETAILED;
 #endif
-    if (x >= 2 && x < camera.width - 2) {
-        // Five labels of a row at a time, four of them as one int.
-        for (int i = MAX(y - 2, 0); i <= MIN(y + 2, camera.height - 1); ++i) {
-            __global const uchar *line = label + i * camera.width + x - 2;
-            differs |= LOAD_FOUR_BYTES(line) != own * 0x01010101u || line[4] != own;
+    if (x >= 2 && x < camera.width - 2 && y >= 2 && y < camera.height - 2) {
+        // Five labels of a row at a time, as two ints that overlap.
+        uint other = 0;
+        for (int i = -2; i <= 2; ++i) {
+            __global const uchar *line = label + at + i * camera.width - 2;
+            other |= (LOAD_FOUR_BYTES(line) ^ own * 0x01010101u) | (LOAD_FOUR_BYTES(line + 1) ^ own * 0x01010101u);
         }
+        differs = other != 0;
     } else {
         for (int i = MAX(y - 2, 0); i <= MIN(y + 2, camera.height - 1); ++i)
             for (int j = MAX(x - 2, 0); j <= MIN(x + 2, camera.width - 1); ++j)
@@ -218,12 +220,12 @@ __kernel void mark_silhouettes(const camera_t camera, __global const uchar *labe
 
 // SUBPIXELS x SUBPIXELS point sources of every marked pixel. Out, per slot and sub-pixel in row-major order: sub_source
 // float4 (coordinate, tilt right, tilt down, WHOLE or PARTLY_OCCLUDED), sub_value float (CHANNELS, slots, SUBPIXELS^2),
-// sub_depth wide_t.
+// sub_label uchar, the label before any visibility test, sub_depth wide_t.
 __kernel void trace_subpixels(const camera_t camera, __constant surface_t *surfaces, const layer_t layer,
                               const psf_t psf, const float weight,
                               __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
                               __global const int *pixels, const int capacity, __global float4 *sub_source,
-                              __global float *sub_value, __global int *statistics
+                              __global float *sub_value, __global uchar *sub_label, __global int *statistics
 #if OCCLUDED
                               , __global wide_t *sub_depth
 #endif
@@ -242,12 +244,80 @@ __kernel void trace_subpixels(const camera_t camera, __constant surface_t *surfa
     uchar root;
     int object;
     const wide_t w = nearest_surface(surfaces, layer, ray, &root, &object);
+    sub_label[id] = root;
     take_radiance(camera, surfaces, ray, w, root, row, column, SUBPIXELS, weight / each, texture TEXTURE_MAPS LIGHT,
                   sub_value + id, capacity * each);
     sub_source[id] = source_record(camera, surfaces, layer, psf, ray, w, 1, &root, statistics);
 #if OCCLUDED
     sub_depth[id] = w;
 #endif
+}
+
+// Coverage of these sources where an outline is beside them, see outline.clh. In: marks of source, sub_label. In and
+// out: sub_source, sub_value.
+__kernel void cover_outlines(const camera_t camera, __constant surface_t *surfaces, const layer_t layer,
+                             const psf_t psf, const float weight,
+                             __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
+                             __global const int *pixels, const int capacity, __global float *source,
+                             __global const uchar *sub_label, __global float4 *sub_source, __global float *sub_value,
+                             __global int *statistics
+#if OCCLUDED
+                             , __global const wide_t *sub_depth
+#endif
+)
+{
+    const int slot = get_global_id(0), each = SUBPIXELS * SUBPIXELS;
+    if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] < 0)
+        return;
+    uchar labels[CELLS_AROUND * CELLS_AROUND];
+    __global const float *marks = MARKS(source, camera.height * camera.width);
+    if (!labels_around(camera, marks, pixels, sub_label, slot, labels))
+        return;
+    const int row = FRAME_ROW(camera, pixels[slot] / camera.width), column = pixels[slot] % camera.width - camera.guard;
+    coverage_t found;
+    cell_coverage(camera, surfaces, row, column, labels, &found);
+    for (int sub = 0; sub < each; ++sub) {
+        const int i = sub / SUBPIXELS, j = sub % SUBPIXELS, cell = (i + 1) * CELLS_AROUND + j + 1;
+        const int id = slot * each + sub;
+        const real covered = found.covered[cell], right = found.right[cell], down = found.down[cell];
+        uchar own = labels[cell], there;
+        if (own == 0 || (covered == 1 && right == 0 && down == 0))
+            continue;
+        const wide_t below = widened((i + (real)0.5 + down) / SUBPIXELS - (real)0.5);
+        const wide_t aside = widened((j + (real)0.5 + right) / SUBPIXELS - (real)0.5);
+        const wide3_t ray = pixel_ray(camera, wide_add(widened(row), below), wide_add(widened(column), aside));
+        int object;
+        const wide_t w = nearest_surface(surfaces, layer, ray, &there, &object);
+        if (there != own) {
+            // Beside a corner.
+            for (int c = 0; c < CHANNELS; ++c)
+                sub_value[c * capacity * each + id] *= (float)covered;
+            continue;
+        }
+        take_radiance(camera, surfaces, ray, w, own, row, column, SUBPIXELS, weight * (float)covered / each,
+                      texture TEXTURE_MAPS LIGHT, sub_value + id, capacity * each);
+        const wide_t radius = blur_radius(camera, w);
+        float4 record = (float4)(table_coordinate(psf, radius, 1), 0, 0, as_float(WHOLE));
+#if TILT
+        record.yz = tilt_slope(blur_gradient(camera, surface_slope(surfaces + object, ray, w)), narrow(radius));
+#endif
+#if OCCLUDED
+        // The lens is tested from the middle of the cell, as by the blur.
+        const wide_t middle_down = widened((i + (real)0.5) / SUBPIXELS - (real)0.5);
+        const wide_t middle_right = widened((j + (real)0.5) / SUBPIXELS - (real)0.5);
+        const wide3_t middle = pixel_ray(camera, wide_add(widened(row), middle_down),
+                                         wide_add(widened(column), middle_right));
+        const real size = narrow(blur_radius(camera, sub_depth[id]));
+        const lens_t lens = lens_of(size, psf.lens_extent, (real)1 / SUBPIXELS, record.yz);
+        bool edge;
+        const int seen = check_visibility(camera, surfaces, layer, middle, sub_depth[id], lens, 0, &edge);
+        record = seen == HIDDEN ? (float4)(-1, 0, 0, record.w) : record;
+        record.w = as_float(seen == PARTLY ? PARTLY_OCCLUDED : WHOLE);
+#endif
+        if (record.x >= 0)
+            note_radius(statistics, narrow(radius));
+        sub_source[id] = record;
+    }
 }
 
 #if TEXTURED

@@ -24,6 +24,7 @@ HEADERS = sorted(
 WITHOUT_TWIN = {
     "trace": {
         "aim": "the rest of trace, for one of several lenses",
+        "cover_outlines": "part of trace_subpixels",
         "pinhole": "trace of all objects, with nothing in their way",
         "trace_detail": "part of trace_subpixels",
     },
@@ -116,6 +117,8 @@ OTHERWISE = {
     "texels_of": "one axis after the other",
     "laplacian": "pixel by pixel, of an image or a vector",
     "outside_frame": "column and row are in one vector",
+    "labels_around": "all pixels at once",
+    "share_square": "a coverage_t is changed in place",
     "occluded_among": "objects and their bounds are in surface_t",
 }
 

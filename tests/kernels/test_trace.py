@@ -199,6 +199,7 @@ def traced(
     sizes = {
         "source": source_bytes(area, plan.tilt, marked), "value": 4 * plan.channels * area, "label": area,
         "pixels": 4 * capacity, "sub_source": 16 * capacity * each, "sub_value": 4 * capacity * each * plan.channels,
+        "sub_label": capacity * each,
     }  # fmt: skip
     sizes |= {"depth": 8 * area, "sub_depth": 8 * capacity * each} if occluded else {}
     given: dict[str, Any] = {name: empty(session, size) for name, size in sizes.items()}
@@ -217,6 +218,7 @@ def traced(
     if each:
         run(session, program, "mark_silhouettes", grid, local, **given)
         run(session, program, "trace_subpixels", (capacity * each,), (local[0] * local[1],), **given)
+        run(session, program, "cover_outlines", (capacity,), (local[0] * local[1],), **given)
     found = Traced(
         plan,
         download(session, given["label"], shape, np.uint8) if each else np.zeros(shape, np.uint8),
@@ -349,18 +351,6 @@ def test_subpixel_sources(session: Session, name: str, samples: int) -> None:
     # The texture is sampled where each sub-pixel's point was at rest.
     limit = 0.3 / samples**2 * 40 * SINGLE
     np.testing.assert_allclose(value, 0.3 / samples**2 * expected.radiance[hit], rtol=0, atol=limit)
-
-
-def test_range_of_radii_is_noted(session: Session) -> None:
-    plan = planned(*SCENES["sphere moved, 2 x 2"])
-    sources = twin.trace(view(plan, 0.55), plan.layers[0], GUARD)
-    sub = twin.trace_subpixels(view(plan, 0.55), plan.layers[0], GUARD, twin.mark_silhouettes(sources.label))
-    radii = np.abs(np.concatenate([sources.radius[sources.label > 0], sub.radius[sub.hit]]))
-    noted = traced(session, plan, 0.55).statistics[:2].view(np.float32)
-    # Rounded to float32; the largest is at the limb, good to the root of 1e-15 of some 60 px.
-    np.testing.assert_allclose(noted, [radii.max(), radii.min()], rtol=1e-6)
-    nothing = traced(session, planned(*SCENES["nothing in visibility"]), 0.0).statistics
-    assert nothing.tolist() == EMPTY_STATISTICS.tolist()
 
 
 @pytest.mark.parametrize("name", mostly_slow([*SOME[1:3], "bounded paraboloid", "three in a row"], SOME[2:3]))

@@ -259,7 +259,7 @@ def test_passes_that_a_scene_has_no_use_for_are_not_run() -> None:
     assert passes(sharp) == {"trace", "accumulate"}
     assert passes(scene({"shape": "plane", "distance": 260.0})) == {"trace", "convolve"}
     assert passes(scene({"shape": "plane", "slope_x": 1.0})) == {"trace", "gather"}
-    assert passes(scene(BALL)) == {"trace", "mark_silhouettes", "trace_subpixels", "gather"}
+    assert passes(scene(BALL)) == {"trace", "mark_silhouettes", "trace_subpixels", "cover_outlines", "gather"}
     forward = passes(scene({**BALL, "motion": GOING}, motion={"warp": "forward"}))
     assert not any(name.startswith("trace") and name != "trace_labels" for name in forward)
     assert any(name.startswith("reproject") for name in forward)

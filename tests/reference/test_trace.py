@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clsco.optics.lens import blur_radius
+from clsco.optics.lens import blur_radius, ray_step
 from clsco.optics.motion import pose_at
 from clsco.optics.psf import subpixel_offsets
 from clsco.optics.quadrics import PlacedSurface
@@ -110,11 +110,18 @@ def test_subpixels_are_rays_of_their_own(moved: bool, at: Placer) -> None:
     assert sub.hit.shape == (mark_silhouettes(own.label).sum(), 3, 3)
     assert 0.2 < sub.hit.mean() < 0.8
     np.testing.assert_allclose(subpixel_offsets(3), [-1 / 3, 0.0, 1 / 3])
+    # Sources that no outline is beside: their cell and those around it are hit, or none of them.
+    cells = np.repeat(np.repeat(own.label > 0, 3, axis=0), 3, axis=1)
+    at_cell = (sub.row[:, None, None] * 3 + np.arange(3)[:, None], sub.column[:, None, None] * 3 + np.arange(3))
+    cells[at_cell] = sub.hit
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(cells, 1, mode="edge"), (3, 3))
+    whole = (around == cells[..., None, None]).all(axis=(-1, -2))[at_cell]
+    assert 0.5 < whole.mean() < 0.9
     # The middle one is the pixel's own ray.
-    at_pixel = (sub.row, sub.column)
+    at_pixel, middle = (sub.row, sub.column), whole[:, 1, 1]
     assert (sub.hit[:, 1, 1] == (own.label[at_pixel] > 0)).all()
-    assert (sub.radius[:, 1, 1] == own.radius[at_pixel]).all()
-    hit = sub.hit[:, 1, 1]
+    assert (sub.radius[:, 1, 1] == own.radius[at_pixel])[middle].all()
+    hit = sub.hit[:, 1, 1] & middle
     assert (sub.radiance[hit, 1, 1] == own.radiance[at_pixel][hit]).all()
     # One row up and one column right of it: a grid three times as fine sees the same.
     i, j = 0, 2
@@ -122,11 +129,25 @@ def test_subpixels_are_rays_of_their_own(moved: bool, at: Placer) -> None:
     w, label = solve_quadric(surface, None, rays)
     assert (sub.hit[:, i, j] == (label > 0)).all()
     expected = np.where(label > 0, blur_radius(scene.camera, w), 0.0)
-    np.testing.assert_allclose(sub.radius[:, i, j], expected, atol=1e-6)  # sqrt(eps) at the limb, times 10 px
+    there = whole[:, i, j]
+    np.testing.assert_allclose(sub.radius[there, i, j], expected[there], atol=1e-6)
     if not moved:
-        # They share the pixel's texel, and have no light where nothing is hit.
+        # They share the pixel's texel, times the cells that they cover, and have no light where nothing is hit.
         texel = np.pad(texture, ((4, 4), (4, 4), (0, 0)), mode="symmetric")[at_pixel][:, None, None]
-        assert (sub.radiance == np.where(sub.hit[..., None], texel, 0.0)).all()
+        assert (sub.radiance[whole] == np.where(sub.hit[..., None], texel, 0.0)[whole]).all()
+        covered = np.where(sub.hit, (sub.radiance / texel).mean(axis=-1), 0.0)
+        assert covered.min() >= 0.0
+        assert 0.6 < (covered[sub.hit & ~whole] != 1.0).mean() < 0.9
+        # The area of the ball's outline, an ellipse, in cells: its sections by the tangent cone.
+        x, y, z = item.center
+        away, slant = np.hypot(np.hypot(x, y), z), np.hypot(x, y) / z
+        cone = np.arcsin(item.radius / away)
+        tilt = np.arctan(slant)
+        across = 0.5 * (np.tan(tilt + cone) - np.tan(tilt - cone))
+        along = across * np.sqrt(1.0 - (np.sin(tilt) / np.cos(cone)) ** 2)
+        area = np.pi * across * along / ray_step(scene.camera) ** 2
+        replaced = np.where(mark_silhouettes(own.label), 0.0, own.label > 0).sum()
+        assert abs(replaced + covered.sum() / 9 - area) < 0.15
 
 
 def test_truth_of_a_plane() -> None:

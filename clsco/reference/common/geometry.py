@@ -112,6 +112,20 @@ def quarter_discriminant(surface: PlacedSurface, d: Array) -> Array:
     return np.asarray(shape.k * leading - twist + linear * linear + 2.0 * mixed)
 
 
+def both_roots(surface: PlacedSurface, a: Array, b: Array, root: Array) -> tuple[Array, Array]:
+    """Roots (-B + sqrt(D))/C and (-B - sqrt(D))/C of C w^2 + 2 B w + A = 0, whose labels are 1 and 2.
+
+    a, b, root: (...), A, B and the root of D. Finite or not, as D and C are.
+    """
+    # -B and -sign(B) sqrt(D) have one sign: their sum does not cancel. The other root comes from A = C w1 w2.
+    t = -b - np.copysign(root, b)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        sum_root = t / surface.constant if surface.constant != 0.0 else np.zeros_like(t)
+        product_root = np.where(t != 0.0, a / t, 0.0)
+    negative = np.signbit(b)
+    return np.where(negative, sum_root, product_root), np.where(negative, product_root, sum_root)
+
+
 def root_counts(surface: PlacedSurface, bounds: Bounds | None, d: Array, own: Array, w: Array) -> NDArray[np.bool_]:
     """Mark roots (...) that are in front of the lens, on the right nappe, within the bounds, and on the disc.
 
@@ -160,19 +174,14 @@ def solve_root(
     b = ((shape.q * surface.offset + shape.l) * d).sum(axis=-1)
     discriminant = quarter_discriminant(surface, d)
     root = np.sqrt(np.maximum(discriminant, 0.0))
-    # -B and -sign(B) sqrt(D) have one sign: their sum does not cancel. The other root comes from A = C w1 w2.
-    t = -b - np.copysign(root, b)
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        sum_root = t / surface.constant if surface.constant != 0.0 else np.zeros_like(t)
-        product_root = np.where(t != 0.0, a / t, 0.0)
-    minus_is_sum = ~np.signbit(b)
+    plus, minus = both_roots(surface, a, b, root)
     inverse_depth = np.zeros_like(a)
     label = np.zeros(a.shape, dtype=np.uint8)
     # They differ by 2 sqrt(D) / C: the nearer one first.
     plus_first = (surface.constant > 0.0) | (root == 0.0)
     for first in (True, False):
         number = np.where(plus_first == first, np.uint8(1), np.uint8(2))
-        w = np.where(minus_is_sum == (number == 2), sum_root, product_root)
+        w = np.where(number == 1, plus, minus)
         wanted = (label == 0) & (discriminant >= 0.0) & ((only == 0) | (number == only))
         counts = wanted & root_counts(surface, bounds, d, own, w)
         inverse_depth = np.where(counts, w, inverse_depth)

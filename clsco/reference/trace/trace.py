@@ -18,6 +18,7 @@ from clsco.optics.psf import subpixel_offsets
 from clsco.optics.quadrics import PlacedSurface, cutting_bounds, place
 from clsco.optics.visibility import Layer
 from clsco.reference.common.geometry import (
+    SMALLEST_RADIUS,
     Array,
     blur_gradient,
     blur_radius,
@@ -33,6 +34,7 @@ from clsco.reference.trace.detail import detailed_texture
 from clsco.reference.trace.footprint import parts_of, sharpening, surface_texture
 from clsco.reference.trace.light import shade
 from clsco.reference.trace.mapping import MappedTexture
+from clsco.reference.trace.outline import UNMARKED, cell_coverage, labels_around
 from clsco.scene.model import Camera, Scene
 
 SILHOUETTE_RANGE = 2  # px, Chebyshev distance from a silhouette within which pixels get sub-pixel sources
@@ -66,8 +68,8 @@ class SubpixelSources:
 
     row, column (M,): padded-grid pixel; hit (M, S, S): there is surface that is visible from the lens; visibility: the
     occluders of those, in their order, None for none at all; radius (M, S, S) px; gradient (M, S, S, 2) px per px;
-    radiance (M, S, S, C). Source (i, j) is `clsco.optics.psf.subpixel_offsets(S)[i]` rows and [j]
-    columns off the pixel's center.
+    radiance (M, S, S, C), times the cells that each covers. Source (i, j) is spread from its cell,
+    `clsco.optics.psf.subpixel_offsets(S)[i]` rows and [j] columns off the pixel's center.
     """
 
     row: NDArray[np.int64]
@@ -276,8 +278,9 @@ def trace_subpixels(
 ) -> SubpixelSources:
     """Sub-pixel sources of the pixels (H, W) of the padded grid that are marked, and of those of `sources` with parts.
 
-    Their number per axis is psf.silhouette_samples. In the reference pose those of marked pixels share their pixel's
-    own texel, else each samples the texture at its own position. Other arguments as for `trace`.
+    Their number per axis is psf.silhouette_samples; beside outlines each stands for what its surface covers.
+    In the reference pose those of marked pixels share their pixel's own texel, else each samples the texture at its own
+    position. Other arguments as for `trace`.
     """
     scene = view.scene
     samples = scene.psf.silhouette_samples
@@ -290,22 +293,57 @@ def trace_subpixels(
     at_column = (column - guard)[:, None, None] + offsets[None, :]
     texel = ((row - guard)[:, None, None], (column - guard)[:, None, None])
     hit = cast(view, layer, at_row, at_column, texel, samples)
+    lens_radius = hit.radius  # of visibility tests
+    hit = _covering(view, layer, hit, marked, (row, column), guard)
     cut = parts[row, column]
     if sources is not None and cut.any():
         hit = _with_parts(view, hit, sources, (row, column), cut, guard)
+        lens_radius = np.where((cut > 0)[:, None, None], hit.radius, lens_radius)
     lit, visibility = hit.label > 0, None
     if layer.occluders:
         rays = pixel_ray(scene.camera, at_row, at_column)[lit]
         x, y = (np.broadcast_to(n, lit.shape)[lit] for n in (offsets[None, :], offsets[:, None]))
         bounds = [cutting_bounds(item) for item in scene.objects]
+        # Records have the gradient over the radius of what is covered.
+        size = np.maximum(np.abs(lens_radius), SMALLEST_RADIUS) / np.maximum(np.abs(hit.radius), SMALLEST_RADIUS)
+        tilted = hit.gradient * (size * np.where(lens_radius * hit.radius < 0.0, -1.0, 1.0))[..., None]
         state, _, visibility = check_visibility(
             scene.camera, view.surfaces, bounds, layer, scene.psf,
-            Points(rays, hit.w[lit], hit.radius[lit], x, y, 1.0 / samples, hit.gradient[lit] * scene.psf.tilt),
+            Points(rays, hit.w[lit], lens_radius[lit], x, y, 1.0 / samples, tilted[lit] * scene.psf.tilt),
         )  # fmt: skip
         seen = state != HIDDEN
         lit[lit] = seen
         visibility = visibility.of(seen)
     return SubpixelSources(row, column, lit, hit.radius, hit.gradient, hit.radiance, visibility)
+
+
+def _covering(
+    view: View, layer: Layer, hit: Cast, marked: NDArray[np.bool_], pixel: tuple[NDArray[np.intp], NDArray[np.intp]],
+    guard: int,
+) -> Cast:  # fmt: skip
+    """Replace radius, gradient and radiance of hits of rays (M, S, S) beside outlines by those of what they cover.
+
+    marked: (H, W); pixel: rows and columns (M,), of which those that are not marked keep theirs.
+    """
+    samples, bounds = view.scene.psf.silhouette_samples, [cutting_bounds(item) for item in view.scene.objects]
+    label = np.where(marked[pixel][:, None, None], hit.label, UNMARKED).astype(np.uint8)
+    place = (pixel[0] - guard, pixel[1] - guard)
+    around = labels_around(*pixel, label, marked.shape)
+    found = cell_coverage(view.scene.camera, view.surfaces, bounds, *place, around)
+    covered, right, down = (n[:, 1:-1, 1:-1] for n in (found.covered, found.right, found.down))
+    beside = (hit.label > 0) & ((covered != 1.0) | (right != 0.0) | (down != 0.0))
+    slot, i, j = np.nonzero(beside)
+    offsets, texel = subpixel_offsets(samples), (place[0][slot], place[1][slot])
+    shown = cast(
+        view, layer, texel[0] + offsets[i] + down[beside] / samples, texel[1] + offsets[j] + right[beside] / samples,
+        texel, samples,
+    )  # fmt: skip
+    same = shown.label == hit.label[beside]  # but for beside a corner
+    planes = {name: getattr(hit, name).copy() for name in ("radius", "gradient", "radiance")}
+    for name, plane in planes.items():
+        plane[slot[same], i[same], j[same]] = getattr(shown, name)[same]
+    planes["radiance"] *= np.where(beside, covered, 1.0)[..., None]
+    return replace(hit, **planes)
 
 
 def _with_parts(

@@ -1,0 +1,188 @@
+"""Coverage of outlines, in NumPy float64: cells, and parts of those beside them, that sub-pixel sources stand for.
+
+The formulas stand at the head of kernels/trace/outline.clh. Arrays of cells have those of a pixel in rows and columns
+1 to S of S + 2, and one cell of each neighbor around them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.optics.quadrics import PlacedSurface
+from clsco.reference.common.geometry import Array, Bounds, both_roots, pixel_ray, quarter_discriminant, turned
+from clsco.scene.model import Camera
+
+UNMARKED = 255  # the label of cells without sources of their own
+Labels = NDArray[np.uint8]
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Coverage:
+    """Cells (M, S + 2, S + 2) that each source covers, and where its radius, tilt and radiance are taken, cells to the
+    right and down of its middle; whole for the cells of the pixel itself."""
+
+    covered: Array
+    right: Array
+    down: Array
+
+
+def root_margins(
+    surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], label: int, rays: Array
+) -> tuple[Array, Array]:
+    """Inverse depth (n,) of a root along rays (n, 3), and what decides whether it counts (conditions, n): below 0 where
+    it does not. Where a ray misses the surface, that where it passes it.
+
+    label: of the root and its object, from 1.
+    """
+    number = (label - 1) // 2
+    surface, box = surfaces[number], bounds[number]
+    shape, d, own = surface.canonical, turned(surface.turn, rays), turned(surface.own_turn, rays)
+    a, b = (shape.q * d * d).sum(axis=-1), ((shape.q * surface.offset + shape.l) * d).sum(axis=-1)
+    discriminant = quarter_discriminant(surface, d)
+    plus, minus = both_roots(surface, a, b, np.sqrt(np.maximum(discriminant, 0.0)))
+    # Of the two roots of a plane one is 0; which one changes at the horizon.
+    w = (plus if label & 1 else minus) if shape.q.any() else plus + minus
+    margins = [discriminant, w, shape.nappe * (surface.offset[2] * w + d[..., 2])]
+    for axis, (low, high) in enumerate(box or ()):
+        position = surface.own_offset[axis] * w + own[..., axis]
+        margins += [position - low * w] if low > -np.inf else []
+        margins += [high * w - position] if high < np.inf else []
+    if shape.radius < np.inf:
+        margins.append(shape.radius * w - np.hypot(*(surface.offset[k] * w + d[..., k] for k in range(2))))
+    return w, np.stack(margins)
+
+
+def end_of_root(
+    surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], label: int, start: Array, stop: Array
+) -> Array:
+    """Share (n,) of the way from rays (n, 3), where a root counts, to others at which it ends; 1: beyond.
+
+    label: of the root and its object.
+    """
+    here, there = (root_margins(surfaces, bounds, label, rays)[1] for rays in (start, stop))
+    inside, fails = np.maximum(here, 0.0), there < 0.0
+    return np.asarray(np.where(fails, inside / np.where(fails, inside - there, 1.0), 1.0).min(axis=0))
+
+
+def outline_place(
+    surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], first: int, second: int,
+    start: Array, stop: Array,
+) -> Array:  # fmt: skip
+    """Share (n,) of the way from rays (n, 3) to others at which the label changes from the first to the second."""
+    end, begin = np.ones(len(start)), np.ones(len(start))
+    if first:
+        end = end_of_root(surfaces, bounds, first, start, stop)
+    if second:
+        begin = end_of_root(surfaces, bounds, second, stop, start)
+    through = np.full(len(start), 0.5)
+    if first and second:
+        # They pass through one another.
+        here, there = (
+            sign * (root_margins(surfaces, bounds, first, rays)[0] - root_margins(surfaces, bounds, second, rays)[0])
+            for sign, rays in ((1.0, start), (-1.0, stop))
+        )
+        usable = (here >= 0.0) & (there >= 0.0) & (here + there > 0.0)
+        through = np.where(usable, here / np.where(usable, here + there, 1.0), 0.5)
+    return np.where(end < 1.0, end, np.where(begin < 1.0, 1.0 - begin, through))
+
+
+def labels_around(row: Index, column: Index, label: Labels, shape: tuple[int, int]) -> Labels:
+    """Labels (M, S + 2, S + 2) of the cells (M, S, S) of pixels and of those around them.
+
+    row, column: (M,); shape: of the grid of pixels.
+    """
+    samples = label.shape[1]
+    slot = np.full((shape[0] + 2, shape[1] + 2), -1)
+    slot[row + 1, column + 1] = np.arange(len(row))
+    cells = np.concatenate([label, np.full((1, samples, samples), UNMARKED, np.uint8)])
+    sides = ((0, slice(0, 1), slice(-1, None)), (1, slice(1, -1), slice(None)), (2, slice(-1, None), slice(0, 1)))
+    around = np.empty((len(row), samples + 2, samples + 2), np.uint8)
+    for below, rows, of_rows in sides:
+        for beside, columns, of_columns in sides:
+            around[:, rows, columns] = cells[slot[row + below, column + beside]][:, of_rows, of_columns]
+    return around
+
+
+def crossing_between(
+    camera: Camera, surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], row: Index, column: Index,
+    label: Labels, first: Index, second: Index,
+) -> Array:  # fmt: skip
+    """Shares (M, sides) of the way from cells to others at which outlines cross it, -1 without one.
+
+    row, column: (M,) of the pixels; label: (M, S + 2, S + 2); first, second: (sides,), indices of cells.
+    """
+    side = label.shape[1]
+    flat = label.reshape(len(label), side * side)
+    pairs = np.stack([flat[:, first], flat[:, second]], axis=-1)
+    there = (pairs[..., 0] != pairs[..., 1]) & (pairs != UNMARKED).all(axis=-1)
+    found = np.full(there.shape, -1.0)
+    for one, other in {*map(tuple, pairs[there].tolist())}:
+        here = np.nonzero(there & (pairs == (one, other)).all(axis=-1))
+        start, stop = (
+            pixel_ray(
+                camera,
+                row[here[0]] + (cell[here[1]] // side - 0.5) / (side - 2) - 0.5,
+                column[here[0]] + (cell[here[1]] % side - 0.5) / (side - 2) - 0.5,
+            )
+            for cell in (first, second)
+        )
+        found[here] = outline_place(surfaces, bounds, one, other, start, stop)
+    return found
+
+
+def share_square(found: Coverage, i: int, j: int, top: Array, bottom: Array, left: Array, right: Array) -> None:
+    """Give what is more than their quarters of squares (n,) between four cells to the cells of one surface.
+
+    i, j: the upper left one; top, bottom, left, right: (n,), where an outline crosses the sides, two of them.
+    """
+    sides = {
+        ((i, j), (i, j + 1)): top,
+        ((i + 1, j), (i + 1, j + 1)): bottom,
+        ((i, j), (i + 1, j)): left,
+        ((i, j + 1), (i + 1, j + 1)): right,
+    }
+    straight = (top < 0.0) == (bottom < 0.0)
+    for (first, second), place in sides.items():
+        moved = found.right if first[0] == second[0] else found.down
+        for cell, sign in ((first, 1.0), (second, -1.0)):
+            there, more = place >= 0.0, place - 0.5
+            moved[:, *cell] += np.where(there, np.where(straight, 0.5, 0.25) * (0.75 * more + sign * 0.25), 0.0)
+            found.covered[:, *cell] += np.where(there & straight, sign * 0.5 * more, 0.0)
+    # One corner against three.
+    for row, across in enumerate((top, bottom)):
+        for column, along in enumerate((left, right)):
+            here = ~straight & (across >= 0.0) & (along >= 0.0)
+            x, y = (np.where(turned_over, 1.0 - n, n) for turned_over, n in ((column, across), (row, along)))
+            more = np.where(here, 0.5 * x * y - 0.25, 0.0)
+            found.covered[:, i + row, j + column] += more
+            found.covered[:, i + row, j + 1 - column] -= 0.5 * more
+            found.covered[:, i + 1 - row, j + column] -= 0.5 * more
+
+
+def cell_coverage(
+    camera: Camera, surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], row: Index, column: Index,
+    label: Labels,
+) -> Coverage:  # fmt: skip
+    """Coverage of the cells of pixels (M,), with labels as of `labels_around`."""
+    side = label.shape[1]
+    cell = np.arange(side * side).reshape(side, side)
+    across, along = (
+        crossing_between(camera, surfaces, bounds, row, column, label, first.ravel(), second.ravel())
+        for first, second in ((cell[:, :-1], cell[:, 1:]), (cell[:-1], cell[1:]))
+    )
+    across, along = across.reshape(-1, side, side - 1), along.reshape(-1, side - 1, side)
+    found = Coverage(np.ones(label.shape), np.zeros(label.shape), np.zeros(label.shape))
+    for i in range(side - 1):
+        for j in range(side - 1):
+            edges = np.stack([across[:, i, j], across[:, i + 1, j], along[:, i, j], along[:, i, j + 1]])
+            marked = (label[:, i : i + 2, j : j + 2] != UNMARKED).all(axis=(1, 2))
+            # Three surfaces, or two outlines, leave the quarters as they are.
+            usable = marked & ((edges >= 0.0).sum(axis=0) == 2)
+            if usable.any():
+                share_square(found, i, j, *np.where(usable, edges, -1.0))
+    return found

@@ -1,0 +1,64 @@
+"""Outlines along and across columns: the light in a row of pixels is the area beside an outline, in closed form."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import clsco
+from clsco.optics.lens import ray_step
+from clsco.scene.model import Camera
+from tests.scenes import scene_from
+
+SIDE, DISTANCE, HALF = 24, 250.0, 300.0  # px, mm, mm
+CAMERA: dict[str, Any] = {
+    "resolution": [SIDE, SIDE],
+    "pixel_pitch": 0.1,
+    "focus_distance": 245.0,
+    "aperture_diameter": 2.0,
+}
+MIDDLE = slice(8, 16)  # rows that an outline at 45 degrees crosses inside of the frame
+STEP = ray_step(Camera(**CAMERA))
+Engine = Literal["device", "reference"]
+
+
+def light(item: dict[str, Any], samples: int, engine: Engine) -> NDArray[np.float64]:
+    """Image (SIDE, SIDE) of a white thing that is blurred a little."""
+    made = scene_from({"camera": CAMERA, "psf": {"silhouette_samples": samples}}, {**item, "texture": "#ffffff"})
+    frame = next(iter(clsco.reference.render(made))) if engine == "reference" else clsco.render_frame(made, truth=())
+    return np.asarray(frame.color, np.float64).reshape(SIDE, SIDE)
+
+
+@pytest.mark.parametrize(("samples", "engine"), [(4, "device"), (4, "reference"), (3, "device")])
+@pytest.mark.parametrize("angle", [0.0, 2.0, 9.0, 45.0])
+@pytest.mark.parametrize("upright", [True, False])
+def test_light_beside_a_straight_edge(angle: float, upright: bool, samples: int, engine: Engine) -> None:
+    """A card ends in the frame, `angle` degrees from a column or row, anywhere between cells."""
+    turn = angle if upright else angle + 90.0
+    normal = np.array([math.cos(math.radians(turn)), math.sin(math.radians(turn))])
+    at = (np.arange(SIDE) - 0.5 * (SIDE - 1))[MIDDLE]  # rows down or columns right of the middle, px
+    for offset in (0.0, 0.06, 0.12, 0.19):
+        end = np.array([offset, 0.0] if upright else [0.0, -offset])  # px right and up
+        center = [*(end * STEP * DISTANCE - HALF * normal), DISTANCE]
+        card = {"shape": "rectangle", "center": center, "size": [2 * HALF, 2 * HALF], "rotation": [0.0, 0.0, -turn]}
+        found = light(card, samples, engine).sum(axis=1 if upright else 0)[MIDDLE]
+        expected = 0.5 * SIDE + (offset if upright else -offset) + at * math.tan(math.radians(angle))
+        np.testing.assert_allclose(found, expected, atol=0.015)
+
+
+@pytest.mark.parametrize("engine", ["device", "reference"])
+@pytest.mark.parametrize("upright", [True, False])
+def test_light_beside_the_outline_of_a_cylinder(upright: bool, engine: Engine) -> None:
+    for offset in (0.0, 0.3, 0.6, 0.9):
+        radius, aside = 8.0, offset * STEP * DISTANCE
+        away = math.hypot(aside, DISTANCE)
+        middle, half = math.atan2(aside, DISTANCE), math.asin(radius / away)
+        expected = (math.tan(middle + half) - math.tan(middle - half)) / STEP
+        center, axis = ([aside, 0.0], [0.0, 1.0, 0.0]) if upright else ([0.0, aside], [1.0, 0.0, 0.0])
+        post = {"shape": "cylinder", "center": [*center, DISTANCE], "radius": radius, "axis": axis}
+        found = light(post, 4, engine).sum(axis=1 if upright else 0)[MIDDLE]
+        np.testing.assert_allclose(found, expected, atol=0.01)
