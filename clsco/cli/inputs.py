@@ -67,9 +67,10 @@ def _report_images(prepared: Prepared) -> None:
         report_notes(path, prepared.files.about(path).notes)
     if prepared.color.is_plain:
         for path, color in prepared.colors.items():
-            if not color.is_plain:
-                line = f"frames are in sRGB, and colors of the profile {color.name} are taken as such"
-                echo(f"{path}: {line}", err=True)
+            if not color.is_plain and not prepared.files.about(path).is_gray:
+                converted = color.to_srgb is not None and prepared.scene.image.transfer == "srgb"
+                taken = "converted to it" if converted else "taken as such"
+                echo(f"{path}: frames are in sRGB, and colors of the profile {color.name} are {taken}", err=True)
 
 
 def _report_depth(prepared: Prepared, item: DepthMap) -> None:

@@ -1,7 +1,8 @@
 """Color spaces that image files name: the curve that decodes their codes, and what an output needs to look the same.
 
 Codes become linear radiance in the primaries of their own profile, and outputs get codes of the same curve with the
-profile beside them: pixels that stay as they are have their codes, and their looks.
+profile beside them: pixels that stay as they are have their codes, and their looks. Where images of several profiles
+meet, a matrix takes each to the primaries of sRGB.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.files.primaries import CICP_CHROMATICITIES, Matrix, chromaticities_to_srgb, colorants_to_srgb
 from clsco.files.transfer import CODES, Curve, decode
 
 LARGEST_PROFILE = 2**22  # bytes
@@ -45,6 +47,8 @@ class Color:
         Channels of images that the profile is for; 0 for any.
     curve : Curve, optional
         Curve of its codes; None for that of sRGB.
+    to_srgb : ndarray of float64, (3, 3), optional
+        Matrix from its linear red, green and blue to those of sRGB; None where there is none, or nothing to convert.
     note : str
         Note on what could not be taken from the file, in one line; "" where all was.
     """
@@ -54,6 +58,7 @@ class Color:
     chunks: tuple[tuple[bytes, bytes], ...] = ()
     channels: int = 0
     curve: Curve | None = field(default=None, compare=False)
+    to_srgb: Matrix | None = field(default=None, compare=False)
     note: str = ""
 
     @property
@@ -83,7 +88,7 @@ SRGB = Color()
 def icc_color(icc: bytes, channels: int) -> Color:
     """The color space of an ICC profile, for an image with 1 or 3 channels; a profile that cannot be used is noted."""
     try:
-        name, found, tables = _parsed(icc)
+        name, found, tables, matrix = _parsed(icc)
     except (ValueError, struct.error, IndexError, ArithmeticError) as error:
         got = " ".join(str(error).split()) or type(error).__name__
         return Color(note=f"the color profile is left out, as it cannot be read: {got}")
@@ -91,10 +96,9 @@ def icc_color(icc: bytes, channels: int) -> Color:
         kind = {1: "gray images", 3: "RGB"}.get(found, "neither gray images nor RGB")
         return Color(note=f"the color profile {name} is left out: it is for {kind}")
     if tables is None:
-        return Color(
-            name, icc, channels=channels, note=f"the color profile {name} has no curves: codes are taken as sRGB's"
-        )
-    return Color(name, icc, channels=channels, curve=_unless_srgb(tables))
+        note = f"the color profile {name} has no curves: codes are taken as sRGB's"
+        return Color(name, icc, channels=channels, to_srgb=matrix, note=note)
+    return Color(name, icc, channels=channels, curve=_unless_srgb(tables), to_srgb=matrix)
 
 
 def chunk_color(chunks: Mapping[bytes, bytes]) -> Color:
@@ -103,19 +107,28 @@ def chunk_color(chunks: Mapping[bytes, bytes]) -> Color:
     cicp, gamma = chunks.get(b"cICP", b""), chunks.get(b"gAMA", b"")
     if len(cicp) == 4:
         carried = ((b"cICP", cicp),)
+        known = CICP_CHROMATICITIES.get(cicp[0])
+        matrix = None if known is None else chromaticities_to_srgb(known)
         if cicp[1] == _CICP_SRGB:
-            return SRGB if cicp[0] == _CICP_BT709_PRIMARIES else Color("of cICP", chunks=carried)
+            return SRGB if cicp[0] == _CICP_BT709_PRIMARIES else Color("of cICP", chunks=carried, to_srgb=matrix)
         if cicp[1] in _CICP:
-            return Color("of cICP", chunks=carried, curve=_unless_srgb([_parametric(_CICP[cicp[1]])]))
+            curve = _unless_srgb([_parametric(_CICP[cicp[1]])])
+            return Color("of cICP", chunks=carried, curve=curve, to_srgb=matrix)
         note = f"the transfer curve {cicp[1]} of the chunk cICP is not known: codes are taken as sRGB's"
-        return Color("of cICP", chunks=carried, note=note)
+        return Color("of cICP", chunks=carried, to_srgb=matrix, note=note)
     if b"sRGB" in chunks:
         return SRGB
     carried = tuple((kind, chunks[kind]) for kind in (b"gAMA", b"cHRM") if kind in chunks)
     if len(gamma) == 4 and (exponent := int.from_bytes(gamma, "big") / 1e5) > 0:
+        chrm = chunks.get(b"cHRM")
+        if chrm is None:
+            matrix = np.eye(3)
+        else:
+            matrix = chromaticities_to_srgb(np.frombuffer(chrm, ">u4") / 1e5) if len(chrm) == 32 else None
         if abs(exponent - 0.45455) < 5e-5:  # which stands for sRGB (PNG, third edition, 11.3.2.2)
-            return SRGB if b"cHRM" not in chunks else Color("of gAMA", chunks=carried)
-        return Color("of gAMA", chunks=carried, curve=Curve(_parametric((1 / exponent, *_LINEAR[1:]))[None]))
+            return SRGB if chrm is None else Color("of gAMA", chunks=carried, to_srgb=matrix)
+        curve = Curve(_parametric((1 / exponent, *_LINEAR[1:]))[None])
+        return Color("of gAMA", chunks=carried, curve=curve, to_srgb=matrix)
     return SRGB
 
 
@@ -128,8 +141,11 @@ def _unless_srgb(tables: list[NDArray[np.float64]]) -> Curve | None:
     return Curve(np.stack(tables[:1] if alike else tables))
 
 
-def _parsed(icc: bytes) -> tuple[str, int, list[NDArray[np.float64]] | None]:
-    """Name, channels, and radiance of 2^16 codes of each, of an ICC profile (ICC.1:2022); None without curves."""
+def _parsed(icc: bytes) -> tuple[str, int, list[NDArray[np.float64]] | None, Matrix | None]:
+    """Name, channels, radiance of 2^16 codes of each, and matrix to sRGB, of an ICC profile (ICC.1:2022).
+
+    None without curves, and without a matrix.
+    """
     if len(icc) > LARGEST_PROFILE:
         raise ValueError(f"over {LARGEST_PROFILE} bytes")
     if len(icc) < 132 or icc[36:40] != b"acsp":
@@ -147,7 +163,15 @@ def _parsed(icc: bytes) -> tuple[str, int, list[NDArray[np.float64]] | None]:
     names = [b"kTRC"] if channels == 1 else [b"rTRC", b"gTRC", b"bTRC"]
     is_lab = channels == 1 and icc[20:24] == b"Lab "  # whose curve gives lightness
     tables = None if is_lab or not all(name in tags for name in names) else [_table(tags[name]) for name in names]
-    return _name(tags.get(b"desc", b"")), channels, tables
+    return _name(tags.get(b"desc", b"")), channels, tables, _matrix(tags) if icc[16:24] == b"RGB XYZ " else None
+
+
+def _matrix(tags: Mapping[bytes, bytes]) -> Matrix | None:
+    """The matrix to sRGB by the colorants of an RGB profile, which are X, Y and Z under D50."""
+    colorants = [tags.get(name, b"") for name in (b"rXYZ", b"gXYZ", b"bXYZ")]
+    if not all(tag[:4] == b"XYZ " and len(tag) >= 20 for tag in colorants):
+        return None
+    return colorants_to_srgb(np.stack([np.frombuffer(tag, ">i4", 3, 8) / 65536 for tag in colorants], axis=-1))
 
 
 def _name(desc: bytes) -> str:

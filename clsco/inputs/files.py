@@ -78,7 +78,7 @@ class InputFiles:
         ImageError
             As `clsco.inputs.textures.load_texture`.
         """
-        return load_scene_textures(scene, self.texture)[1]
+        return load_scene_textures(scene, self.texture, lambda path: self.about(path).color)[1]
 
     def maps(self, scene: Scene) -> Maps:
         """Inverse depth (rows, columns) in 1/mm of every object that is a depth map, None for others.
@@ -95,29 +95,33 @@ class InputFiles:
         """
         return load_scene_depths(scene, self.map)
 
-    def texture(self, source: Source, transfer: str, size: tuple[int, int] | None = None) -> Texture:
-        """`clsco.inputs.textures.load_texture`, once per content, transfer and size."""
+    def texture(
+        self, source: Source, transfer: str, size: tuple[int, int] | None = None, to_srgb: bool = False
+    ) -> Texture:  # fmt: skip
+        """`clsco.inputs.textures.load_texture`, once per content, transfer, size and primaries."""
         drawn = is_drawn(source)
         if isinstance(source, str) and not drawn:
             require_suffix(source)
         content: Hashable | None = source if drawn else self._content(source)
         if content is None:
-            return load_texture(source, transfer, size)
-        key = ("texture", content, transfer, size)
+            return load_texture(source, transfer, size, to_srgb)
+        key = ("texture", content, transfer, size, to_srgb and not drawn)
         found = self.cache.get(
             key,
-            lambda: self._texture(source, transfer, size, key),
+            lambda: self._texture(source, transfer, size, to_srgb, key),
             lambda texture: texture.radiance.nbytes,
         )
         return found if found.source == str(source) else replace(found, source=str(source))
 
-    def _texture(self, source: Source, transfer: str, size: tuple[int, int] | None, key: Hashable) -> Texture:
+    def _texture(
+        self, source: Source, transfer: str, size: tuple[int, int] | None, to_srgb: bool, key: Hashable
+    ) -> Texture:  # fmt: skip
         if source in PATTERNS:
             return Texture(self._pattern(str(source), transfer, size), 8, str(source), key)
         if is_drawn(source):
             return Texture(radiance_of(str(source), transfer, size), 8, str(source), key)
         picture = self.picture(source)
-        return Texture(radiance_of(picture, transfer, size), picture.bits, str(source), key)
+        return Texture(radiance_of(picture, transfer, size, to_srgb), picture.bits, str(source), key)
 
     @cached_property
     def _drawn(self) -> ArrayCache:

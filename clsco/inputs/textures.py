@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import ImageError
+from clsco.files.color import Color
 from clsco.files.images import Picture, image_size, read_image
 from clsco.files.transfer import decode, encode
 from clsco.inputs.mipmaps import mipmap
@@ -71,20 +72,22 @@ def radiance_span(image: NDArray[np.floating]) -> float:
     return float(image.max(initial=0.0)) - float(image.min(initial=0.0))
 
 
-def load_texture(source: TextureSource, transfer: str, size: tuple[int, int] | None = None) -> Texture:
+def load_texture(
+    source: TextureSource, transfer: str, size: tuple[int, int] | None = None, to_srgb: bool = False
+) -> Texture:  # fmt: skip
     """Load a built-in pattern, an image file or an array as linear radiance.
 
     source: bricks, checkerboard, slanted_edge, siemens_star, a color "#rrggbb", a path, or an array. transfer: "srgb"
     or "linear", of patterns and colors, which have 8 bits, and of images with 8 and 16 bits, whose own curve takes the
     place of "srgb" where their color profile has another one; floats are linear.
     size: (rows, columns) of the frame; an image of another size is resampled to it (`resample`), a pattern is
-    made for it, 512 x 512 by default.
+    made for it, 512 x 512 by default. to_srgb: whether an image gets the primaries of sRGB (`Color.to_srgb`).
     Raises ImageError where there is no such pattern or file, or the file cannot be read.
     """
     if is_drawn(source):
         return Texture(radiance_of(str(source), transfer, size), 8, str(source))
     picture = picture_of(source)
-    return Texture(radiance_of(picture, transfer, size), picture.bits, str(source))
+    return Texture(radiance_of(picture, transfer, size, to_srgb), picture.bits, str(source))
 
 
 def picture_of(source: TextureSource) -> Picture:
@@ -95,7 +98,9 @@ def picture_of(source: TextureSource) -> Picture:
     return read_image(source)
 
 
-def radiance_of(picture: Picture | str, transfer: str, size: tuple[int, int] | None = None) -> NDArray[np.float32]:
+def radiance_of(
+    picture: Picture | str, transfer: str, size: tuple[int, int] | None = None, to_srgb: bool = False
+) -> NDArray[np.float32]:  # fmt: skip
     """Linear radiance of a picture, or of a built-in pattern by its name; see `load_texture`.
 
     Returns
@@ -111,10 +116,15 @@ def radiance_of(picture: Picture | str, transfer: str, size: tuple[int, int] | N
         draw = PATTERNS[picture]
         return _by_rows((rows, columns), lambda a, b: decode(draw(rows, columns, a, b), transfer))
     stored, curve = picture.data, picture.color.transfer(transfer)
+    matrix = picture.color.to_srgb if to_srgb and stored.ndim == 3 else None
+
+    def converted(linear: Floats) -> Floats:
+        return linear if matrix is None else linear @ matrix.T
+
     if size is None or stored.shape[:2] == size:
-        return _by_rows(stored.shape, lambda a, b: decode(stored[a:b], curve))
+        return _by_rows(stored.shape, lambda a, b: converted(decode(stored[a:b], curve)))
     linear, shape = decode(stored, curve), (*size, *stored.shape[2:])
-    return _by_rows(shape, lambda a, b: resample(linear, size, a, b))
+    return _by_rows(shape, lambda a, b: converted(resample(linear, size, a, b)))
 
 
 def color_codes(color: str) -> Codes:
@@ -175,15 +185,30 @@ def texture_size(source: TextureSource) -> tuple[int, int]:
     return image_size(source)
 
 
-def load_scene_textures(scene: Scene, load: Callable[..., Texture] = load_texture) -> tuple[Scene, tuple[Texture, ...]]:
+def image_files(scene: Scene) -> list[str]:
+    """Paths of the image files of all objects, each once."""
+    paths = (path for item in scene.objects for key, path in item.files().items() if key != "depth")
+    return list(dict.fromkeys(paths))
+
+
+def color_of(path: str) -> Color:
+    """The color space of an image file. Raises ImageError as `load_texture`."""
+    return picture_of(path).color
+
+
+def load_scene_textures(
+    scene: Scene, load: Callable[..., Texture] = load_texture, color: Callable[[str], Color] = color_of
+) -> tuple[Scene, tuple[Texture, ...]]:  # fmt: skip
     """Load the textures of all objects, each file once: in the size of the frame, or in their own where they lie on a
-    surface.
+    surface; and in the primaries of sRGB, where images have different color profiles that their codes are decoded by.
 
     Parameters
     ----------
     scene : Scene
     load : callable
         `load_texture`, or what stands for it.
+    color : callable
+        `color_of`, or what stands for it.
 
     Returns
     -------
@@ -200,12 +225,14 @@ def load_scene_textures(scene: Scene, load: Callable[..., Texture] = load_textur
     names = [item.textures() for item in scene.objects]
     columns, rows = scene.camera.resolution or texture_size(names[0][0])
     camera = scene.camera.model_copy(update={"resolution": (columns, rows)})
+    paths, transfer = image_files(scene), scene.image.transfer
+    to_srgb = transfer == "srgb" and len(paths) > 1 and len({color(path) for path in paths}) > 1
     loaded: dict[Hashable, Texture] = {}
     for item, of_item in zip(scene.objects, names, strict=True):
         key = of_item, item.mapped is None
         if key not in loaded:
             sizes = [(rows, columns) if item.mapped is None else own_size(name) for name in of_item]
-            sides = [load(name, scene.image.transfer, size) for name, size in zip(of_item, sizes, strict=True)]
+            sides = [load(name, transfer, size, to_srgb) for name, size in zip(of_item, sizes, strict=True)]
             loaded[key] = sides[0] if len(sides) == 1 else cube_map(sides)
     placed = (loaded[of_item, item.mapped is None] for item, of_item in zip(scene.objects, names, strict=True))
     return scene.model_copy(update={"camera": camera}), tuple(placed)

@@ -16,7 +16,7 @@ from clsco.errors import ImageError, SceneError
 from clsco.files.color import SRGB, Color
 from clsco.frame.provenance import views
 from clsco.inputs.files import InputFiles, Maps, shared_files
-from clsco.inputs.textures import Texture, is_gray, mapped_size, texture_size, with_coverage
+from clsco.inputs.textures import Texture, image_files, is_gray, mapped_size, texture_size, with_coverage
 from clsco.plan.approximation import ApproximationReport, Samples, fewer_samples
 from clsco.plan.buffers import DeviceFacts
 from clsco.plan.memory import fitted, limit_of
@@ -77,8 +77,7 @@ class Prepared:
     @cached_property
     def colors(self) -> dict[str, Color]:
         """Color space of every image file, by its path."""
-        paths = [path for item in self.scene.objects for key, path in item.files().items() if key != "depth"]
-        return {path: self.files.about(path).color for path in paths}
+        return {path: self.files.about(path).color for path in image_files(self.scene)}
 
     @property
     def plan(self) -> Plan:

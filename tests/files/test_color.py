@@ -336,19 +336,6 @@ def test_what_cannot_be_carried_or_read_is_said(tmp_path: Path) -> None:
         assert icc_in(tmp_path / "a.png") == b""
 
 
-def test_images_of_several_profiles_make_frames_of_none(tmp_path: Path) -> None:
-    saved(tmp_path / "a.png", PHOTO, made("adobergb"))
-    write_png(tmp_path / "b.png", PHOTO)
-    scene = "[camera]\nresolution = [12, 9]\n"
-    for name, distance in (("a", 250), ("b", 260)):
-        scene += f'[[object]]\nname = "{name}"\nshape = "plane"\ndistance = {distance}\ntexture = "{name}.png"\n'
-    (tmp_path / "scene.toml").write_text(scene)
-    result = clsco_("render", tmp_path / "scene.toml", "-o", tmp_path / "out")
-    line = "frames are in sRGB, and colors of the profile Adobe RGB (compatible) are taken as such"
-    assert result.stderr == f"{tmp_path / 'a.png'}: {line}\n"
-    assert icc_in(tmp_path / "out" / "frame_0000.png") == b""
-
-
 def test_a_profile_bomb_is_cut_short(tmp_path: Path) -> None:
     content = io.BytesIO()
     Image.fromarray(PHOTO).save(content, "PNG")

@@ -1,0 +1,193 @@
+"""Images of several color profiles in one scene: LittleCMS judges their conversion to the primaries of sRGB."""
+
+from __future__ import annotations
+
+import io
+import struct
+from pathlib import Path
+from typing import Any
+
+import imagecodecs
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from numpy.typing import NDArray
+from PIL import Image, ImageCms
+
+import clsco
+from clsco.cli.main import main
+from clsco.files.color import Color, chunk_color, icc_color
+from clsco.files.images import read_image, write_png, write_tiff
+from clsco.files.primaries import CICP_CHROMATICITIES, SRGB_CHROMATICITIES, chromaticities_to_srgb
+from clsco.files.transfer import decode
+from clsco.inputs.files import InputFiles
+from clsco.inputs.textures import load_scene_textures
+
+Array = NDArray[Any]
+D65 = [0.3127, 0.329, 1.0]
+P3, ADOBE = [0.68, 0.32, 1, 0.265, 0.69, 1, 0.15, 0.06, 1], [0.64, 0.33, 1, 0.21, 0.71, 1, 0.15, 0.06, 1]
+PHOTO = np.random.default_rng(8).integers(0, 256, (48, 64, 3)).astype(np.uint8)
+
+
+def made(kind: str = "rgb", **options: Any) -> bytes:
+    return bytes(imagecodecs.cms_profile(kind, **options))
+
+
+def srgb_table() -> Array:
+    return np.rint(decode((np.arange(4096) * 65535 // 4095).astype("u2"), "srgb") * 65535).astype("u2")
+
+
+PROFILES = {
+    "Display P3": made(whitepoint=D65, primaries=P3, transferfunction=srgb_table()),
+    "Adobe RGB": made("adobergb"),
+    "white of 5000 K": made(whitepoint=[0.3457, 0.3585, 1.0], primaries=ADOBE, gamma=1.8),
+}
+SCENE = """[camera]
+resolution = [64, 48]
+aperture_diameter = 0.001
+[[object]]
+name = "left"
+shape = "rectangle"
+center = [0, 0, 250]
+size = [100, 100]
+texture = "{}"
+[[object]]
+name = "wall"
+shape = "plane"
+distance = 260
+texture = "{}"
+"""
+
+
+def scene_in(folder: Path, first: str, second: str, options: str = "") -> Path:
+    (folder / "scene.toml").write_text(options + SCENE.format(first, second))
+    return folder / "scene.toml"
+
+
+def by_littlecms(codes: Array, icc: bytes) -> Array:
+    """Codes in sRGB, by the relative colorimetric intent."""
+    source, srgb = ImageCms.ImageCmsProfile(io.BytesIO(icc)), ImageCms.createProfile("sRGB")
+    intent = ImageCms.Intent.RELATIVE_COLORIMETRIC
+    flags = ImageCms.Flags.HIGHRESPRECALC
+    found = ImageCms.profileToProfile(Image.fromarray(codes), source, srgb, intent, flags=flags)
+    assert found is not None
+    return np.asarray(found)
+
+
+@pytest.mark.parametrize("name", PROFILES)
+def test_frames_are_as_by_littlecms(tmp_path: Path, name: str) -> None:
+    icc = PROFILES[name]
+    write_png(tmp_path / "photo.png", PHOTO, Color("P", icc))
+    write_png(tmp_path / "plain.png", PHOTO)
+    path = scene_in(tmp_path, "photo.png", "plain.png")
+    result = CliRunner().invoke(main, ["render", str(path), "-o", str(tmp_path / "out")])
+    assert result.exit_code == 0, result.output
+    called = icc_color(icc, 3).name
+    line = f"frames are in sRGB, and colors of the profile {called} are converted to it"
+    assert result.stderr == f"{tmp_path / 'photo.png'}: {line}\n"
+    frame, wanted = read_image(tmp_path / "out" / "frame_0000.png"), by_littlecms(PHOTO, icc)
+    assert frame.color.icc == b""
+    off = np.abs(frame.data.astype(int) - wanted)
+    assert off.max() <= 1
+    assert np.abs(PHOTO.astype(int) - wanted).max() > 20  # taken as such
+
+
+def test_every_image_of_a_scene_is_converted_in_the_reference_too(tmp_path: Path) -> None:
+    """Two profiles, neither of them sRGB; on surfaces and projected; frames and reference have the same light."""
+    for name, key in (("a", "Display P3"), ("b", "Adobe RGB")):
+        write_tiff(tmp_path / f"{name}.tif", PHOTO, Color(key, PROFILES[key]))
+    scene = clsco.load_scene(scene_in(tmp_path, "a.tif", "b.tif"))
+    loaded = load_scene_textures(scene)[1]
+    for texture, mine, key in zip(loaded, InputFiles().textures(scene), ("Display P3", "Adobe RGB"), strict=True):
+        np.testing.assert_array_equal(texture.radiance, mine.radiance)
+        wanted = decode(by_littlecms(PHOTO, PROFILES[key]), "srgb")
+        inside = (texture.radiance >= 0) & (texture.radiance <= 1)
+        assert np.abs(texture.radiance - wanted)[inside].max() < 0.006  # of a code near white
+        assert (texture.radiance < 0).any()  # outside of sRGB: kept until codes are written
+    (reference,) = clsco.reference.render(scene)
+    np.testing.assert_allclose(clsco.render_frame(scene).color, reference.color, atol=1e-5)
+
+
+def test_one_profile_keeps_its_bits(tmp_path: Path) -> None:
+    """Images of one profile, beside gray ones without color, are not converted; nor are linear codes."""
+    icc = PROFILES["Adobe RGB"]
+    write_png(tmp_path / "a.png", PHOTO, Color("P", icc))
+    write_png(tmp_path / "b.png", PHOTO[::-1].copy(), Color("P", icc))
+    write_png(tmp_path / "plain.png", PHOTO)
+    curve = icc_color(icc, 3).transfer("srgb")
+    files = InputFiles()
+    alone = files.textures(clsco.load_scene(scene_in(tmp_path, "a.png", "b.png")))
+    np.testing.assert_array_equal(alone[0].radiance, decode(PHOTO, curve).astype(np.float32))
+    mixed = files.textures(clsco.load_scene(scene_in(tmp_path, "a.png", "plain.png")))
+    assert np.abs(mixed[0].radiance - alone[0].radiance).max() > 0.1
+    np.testing.assert_array_equal(mixed[1].radiance, decode(PHOTO, "srgb").astype(np.float32))
+    again = files.textures(clsco.load_scene(scene_in(tmp_path, "a.png", "b.png")))
+    np.testing.assert_array_equal(again[0].radiance, alone[0].radiance)  # kept apart from the converted one
+    linear = files.textures(clsco.load_scene(scene_in(tmp_path, "a.png", "plain.png", 'image.transfer = "linear"\n')))
+    np.testing.assert_array_equal(linear[0].radiance, decode(PHOTO, "linear").astype(np.float32))
+
+
+def test_profiles_without_a_matrix_are_taken_as_such(tmp_path: Path) -> None:
+    lut = bytearray(128)
+    lut[16:24], lut[36:40] = b"RGB Lab ", b"acsp"
+    icc = bytes(lut) + struct.pack(">I4sII", 1, b"A2B0", 144, 44) + b"mft2" + bytes(40)
+    write_png(tmp_path / "a.png", PHOTO, Color("P", icc))
+    write_png(tmp_path / "b.png", PHOTO[..., 0].copy(), Color("P", made("gray", gamma=2.2)))
+    path = scene_in(tmp_path, "a.png", "b.png")
+    result = CliRunner().invoke(main, ["render", str(path), "-o", str(tmp_path / "out")])
+    assert result.exit_code == 0, result.output
+    no_curves = "the color profile without a name has no curves: codes are taken as sRGB's"
+    line = "frames are in sRGB, and colors of the profile without a name are taken as such"
+    assert result.stderr == f"{tmp_path / 'a.png'}: {no_curves}\n{tmp_path / 'a.png'}: {line}\n"  # gray has no colors
+    np.testing.assert_array_equal(read_image(tmp_path / "out" / "frame_0000.png").data, PHOTO)
+
+
+def test_profiles_of_srgb_have_no_matrix_but_one() -> None:
+    for icc in (made("srgb"), ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()):
+        np.testing.assert_array_equal(icc_color(icc, 3).to_srgb, np.eye(3))
+    assert icc_color(made("gray", gamma=2.2), 1).to_srgb is None
+
+
+@pytest.mark.parametrize("code", sorted(CICP_CHROMATICITIES))
+def test_primaries_of_chunks_are_as_by_littlecms(code: int) -> None:
+    """cICP, and cHRM of the same numbers, against a profile of these numbers that LittleCMS makes, adapted to D50."""
+    numbers = CICP_CHROMATICITIES[code]
+    white, *primaries = ([*numbers[k : k + 2], 1.0] for k in range(0, 8, 2))
+    icc = made(whitepoint=white, primaries=[n for primary in primaries for n in primary], gamma=1.0)
+    wanted = icc_color(icc, 3).to_srgb
+    assert wanted is not None
+    found = chunk_color({b"cICP": bytes([code, 8, 0, 1])}).to_srgb
+    chrm = struct.pack(">8I", *(round(1e5 * number) for number in numbers))
+    by_chrm = chunk_color({b"gAMA": struct.pack(">I", 100000), b"cHRM": chrm}).to_srgb
+    for matrix in (found, by_chrm):
+        assert matrix is not None
+        np.testing.assert_allclose(matrix, wanted, rtol=0, atol=3e-4)  # a profile has 16 bits, D50 four digits
+        np.testing.assert_allclose(matrix.sum(axis=1), 1.0, atol=1e-9)  # white stays
+
+
+DAMAGED = {
+    "short": b"\0" * 8,
+    "zeros": bytes(32),
+    "no y": struct.pack(">8I", 31270, 0, 64000, 33000, 30000, 60000, 15000, 6000),
+    "one line": struct.pack(">8I", 31270, 32900, 30000, 30000, 20000, 20000, 10000, 10000),
+    "huge": b"\xff" * 32,
+}
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_primaries_that_span_no_colors_have_no_matrix(name: str) -> None:
+    color = chunk_color({b"gAMA": struct.pack(">I", 45455), b"cHRM": DAMAGED[name]})
+    assert color.to_srgb is None
+    assert color.chunks
+
+
+def test_colorants_that_are_none_have_no_matrix() -> None:
+    icc = made("adobergb")
+    start = icc.index(b"gXYZ", 128)
+    (at,) = struct.unpack_from(">I", icc, start + 4)
+    damaged = icc[:at] + b"none" + icc[at + 4 :]
+    assert (icc_color(damaged, 3).to_srgb, icc_color(damaged, 3).note) == (None, "")
+
+
+def test_srgb_is_the_unit() -> None:
+    np.testing.assert_array_equal(chromaticities_to_srgb(SRGB_CHROMATICITIES), np.eye(3))
