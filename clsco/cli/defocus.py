@@ -9,12 +9,11 @@ from typing import Any
 from clsco.errors import ImageError, SceneError
 from clsco.files.atomic import refuse, same_place, writable_folder
 from clsco.files.color import SRGB, Color
-from clsco.files.images import WRITERS, check_alike, check_sizes, read_image, writer_for
+from clsco.files.images import WRITERS, check_alike, writer_for
 from clsco.files.transfer import encode
 from clsco.frame.frame import Frame
-from clsco.inputs.depth_files import DEPTH_FORMATS, read_depth
+from clsco.inputs.depth_files import DEPTH_FORMATS
 from clsco.inputs.files import shared_files
-from clsco.inputs.textures import texture_size
 from clsco.scene.changes import override
 from clsco.scene.model import DepthMap, Scene
 from clsco.scene.sweep import Sweep, parse_sweep
@@ -39,13 +38,12 @@ def scenes_from_files(
     depth_kind, no_depth, soft_edges), of [camera] (focal_length, f_number, aperture_diameter, focus_distance,
     sensor_distance, pixel_pitch) or of [psf] (model, edge, occlusion); None stands for a key that is not given.
     overrides: as of `clsco.load_sweep`, after the options. layers: of the image and of the depth, where they are EXR
-    files with several; what is in them goes into the scene as an array.
+    files with several.
     Returns scenes with one object of shape depth_map, and absolute paths. Raises SceneError with a line per fault.
     """
-    of_image, of_depth = layers
-    texture = str(image.absolute()) if of_image is None else read_image(image, layer=of_image).data
-    numbers = str(depth.absolute()) if of_depth is None else read_depth(depth, of_depth)
-    item: dict[str, Any] = {"shape": "depth_map", "name": "image", "texture": texture, "depth": numbers}
+    item: dict[str, Any] = {"shape": "depth_map", "name": "image"}
+    item |= {"texture": str(image.absolute()), "depth": str(depth.absolute())}
+    item |= {f"{key}_layer": name for key, name in zip(("texture", "depth"), layers, strict=True) if name is not None}
     tables: dict[str, dict[str, Any]] = {"object": item, "camera": {}, "psf": {}}
     for key, value in options.items():
         if value is not None:
@@ -59,12 +57,10 @@ def check_pair(scene: Scene) -> None:
     """Read an image and its depth map. Raises ImageError where one cannot be read, or where they differ in size."""
     for item in scene.objects:
         if isinstance(item, DepthMap):
-            image, depth = item.inputs()["texture"], item.inputs()["depth"]
-            rows, columns = shared_files().depth(depth).shape
-            if isinstance(image, str) and isinstance(depth, str):
-                check_alike(image, depth, (columns, rows), DEPTH_FORMATS)
-            else:
-                check_sizes(str(image), texture_size(image), str(depth), (columns, rows))
+            rows, columns = shared_files().depth(item.inputs()["depth"]).shape
+            files = item.files()
+            if "texture" in files:
+                check_alike(files["texture"], files["depth"], (columns, rows), DEPTH_FORMATS)
 
 
 def is_image_file(out: Path) -> bool:
@@ -77,18 +73,17 @@ def is_image_file(out: Path) -> bool:
     return suffix in WRITERS
 
 
-def prepare_image(scenes: Sequence[Scene], out: Path, made_of: Sequence[Path] = ()) -> None:
+def prepare_image(scenes: Sequence[Scene], out: Path) -> None:
     """Make the folder of an image file, and prove that the file can be written.
 
-    scenes: those to be rendered. made_of: files that they have as arrays. Raises SceneError where they have more than
-    one image, ImageError where OUT is what the image is made of, an extra of clsco is missing, or the folder cannot be
-    written.
+    scenes: those to be rendered. Raises SceneError where they have more than one image, ImageError where OUT is what
+    the image is made of, an extra of clsco is missing, or the folder cannot be written.
     """
     count = sum(scene.sequence.frames * (1 if scene.stereo is None else 2) for scene in scenes)
     if count != 1:
         raise SceneError(f"{out}: a file takes one image, a folder takes more; got {count}")
     named = [Path(name) for item in scenes[0].objects for name in item.files().values()]
-    for path in (*made_of, *named):
+    for path in named:
         if same_place(out, path):
             raise ImageError(f"{out}: must not be the image or the depth that it is made of; got {path}")
     writer_for(out)

@@ -63,14 +63,14 @@ def report_loss(out: Path, color: Color) -> None:
 
 
 def _report_images(prepared: Prepared) -> None:
-    for path in prepared.colors:
-        report_notes(path, prepared.files.about(path).notes)
+    for image in prepared.colors:
+        report_notes(str(image), prepared.files.about(image).notes)
     if prepared.color.is_plain:
-        for path, color in prepared.colors.items():
-            if not color.is_plain and not prepared.files.about(path).is_gray:
+        for image, color in prepared.colors.items():
+            if not color.is_plain and not prepared.files.about(image).is_gray:
                 converted = color.to_srgb is not None and prepared.scene.image.transfer == "srgb"
                 taken = "converted to it" if converted else "taken as such"
-                echo(f"{path}: frames are in sRGB, and colors of the profile {color.name} are {taken}", err=True)
+                echo(f"{image}: frames are in sRGB, and colors of the profile {color.name} are {taken}", err=True)
 
 
 def _report_depth(prepared: Prepared, item: DepthMap) -> None:

@@ -374,7 +374,7 @@ def defocus(
         return
     planned = prepare_files(loaded, request)
     found = [each for _, _, prepared in planned for each in prepared]
-    prepare_image([each.scene for each in found], out, (image, depth))
+    prepare_image([each.scene for each in found], out)
     report_inputs(planned)
     report_loss(out, found[0].color)
     require_device(computation.device)

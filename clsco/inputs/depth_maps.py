@@ -14,7 +14,7 @@ from clsco.files.images import check_sizes
 from clsco.inputs.depth_files import read_depth
 from clsco.inputs.textures import load_texture
 from clsco.optics.lens import LARGEST_BLUR, blur_radius, blur_scale, focus_power, ray_step
-from clsco.scene.arrays import ArrayInput
+from clsco.scene.arrays import ArrayInput, Input, LayerInput
 from clsco.scene.model import Camera, DepthMap, Scene
 from clsco.scene.quantities import MIN_LENGTH_MM
 
@@ -185,9 +185,11 @@ def _loaded(scene: Scene, item: DepthMap) -> Array:
     return map_values(scene, item, depth_numbers(item.inputs()["depth"]), image).inverse_depth
 
 
-def depth_numbers(source: str | ArrayInput) -> Array:
+def depth_numbers(source: Input) -> Array:
     """Numbers (rows, columns) of a depth file, or of an array, which nobody may change. Raises as `read_depth`."""
-    return read_depth(source) if isinstance(source, str) else source.array
+    if isinstance(source, ArrayInput):
+        return source.array
+    return read_depth(source, source.layer if isinstance(source, LayerInput) else None)
 
 
 def map_values(

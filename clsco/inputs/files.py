@@ -32,7 +32,7 @@ from clsco.inputs.textures import (
     require_suffix,
 )
 from clsco.resources import code_digest
-from clsco.scene.arrays import ArrayInput
+from clsco.scene.arrays import ArrayInput, Input, LayerInput
 from clsco.scene.model import DepthMap, Scene
 from clsco.scene.texture_keys import is_drawn
 
@@ -41,7 +41,6 @@ MOST_BYTES = 2**31  # of a file whose content is looked at before its header is
 SETTLED_NS = 10**8  # a file that has changed less than so long ago may change again with the same times
 V = TypeVar("V")
 Maps = tuple[NDArray[np.float64] | None, ...]
-Source = str | ArrayInput
 
 
 class About(NamedTuple):
@@ -78,7 +77,7 @@ class InputFiles:
         ImageError
             As `clsco.inputs.textures.load_texture`.
         """
-        return load_scene_textures(scene, self.texture, lambda path: self.about(path).color)[1]
+        return load_scene_textures(scene, self.texture, lambda image: self.about(image).color)[1]
 
     def maps(self, scene: Scene) -> Maps:
         """Inverse depth (rows, columns) in 1/mm of every object that is a depth map, None for others.
@@ -96,12 +95,12 @@ class InputFiles:
         return load_scene_depths(scene, self.map)
 
     def texture(
-        self, source: Source, transfer: str, size: tuple[int, int] | None = None, to_srgb: bool = False
+        self, source: Input, transfer: str, size: tuple[int, int] | None = None, to_srgb: bool = False
     ) -> Texture:  # fmt: skip
         """`clsco.inputs.textures.load_texture`, once per content, transfer, size and primaries."""
         drawn = is_drawn(source)
-        if isinstance(source, str) and not drawn:
-            require_suffix(source)
+        if not isinstance(source, ArrayInput) and not drawn:
+            require_suffix(str(source))
         content: Hashable | None = source if drawn else self._content(source)
         if content is None:
             return load_texture(source, transfer, size, to_srgb)
@@ -114,7 +113,7 @@ class InputFiles:
         return found if found.source == str(source) else replace(found, source=str(source))
 
     def _texture(
-        self, source: Source, transfer: str, size: tuple[int, int] | None, to_srgb: bool, key: Hashable
+        self, source: Input, transfer: str, size: tuple[int, int] | None, to_srgb: bool, key: Hashable
     ) -> Texture:  # fmt: skip
         if source in PATTERNS:
             return Texture(self._pattern(str(source), transfer, size), 8, str(source), key)
@@ -138,11 +137,11 @@ class InputFiles:
         self._drawn.put(key, {"radiance": radiance})
         return radiance
 
-    def picture(self, source: Source) -> Picture:
+    def picture(self, source: Input) -> Picture:
         """`clsco.inputs.textures.picture_of`, once per content."""
         return self._once("picture", source, lambda: picture_of(source), lambda picture: picture.data.nbytes)
 
-    def about(self, source: Source) -> About:
+    def about(self, source: Input) -> About:
         """Facts of `picture` without its pixels, read once per content."""
 
         def read() -> About:
@@ -151,7 +150,7 @@ class InputFiles:
 
         return self._once("about", source, read, lambda about: about.color.size)
 
-    def depth(self, source: Source) -> NDArray[np.float64]:
+    def depth(self, source: Input) -> NDArray[np.float64]:
         """`clsco.inputs.depth_maps.depth_numbers`, once per content."""
         return self._once("depth", source, lambda: depth_numbers(source), lambda array: array.nbytes)
 
@@ -189,23 +188,24 @@ class InputFiles:
             self._digests[path] = stamp, found
         return found
 
-    def _once(self, what: str, source: Source, read: Callable[[], V], size: Callable[[V], int]) -> V:
+    def _once(self, what: str, source: Input, read: Callable[[], V], size: Callable[[V], int]) -> V:
         content = self._content(source)
         if content is None or isinstance(source, ArrayInput):  # its scene keeps an array anyway
             return read()
         beyond = self.cache.limit + 1  # what was read from a file that has just changed is not kept
         return self.cache.get((what, content), read, lambda v: size(v) if self._content(source) == content else beyond)
 
-    def _content(self, source: Source) -> Hashable | None:
-        """Key of an array, or of a file's content and how it is read; None where there is none, as of a pipe."""
+    def _content(self, source: Input) -> Hashable | None:
+        """Key of an array, or of a file's content, how it is read and its layer; None where there is none, as of a
+        pipe."""
         if isinstance(source, ArrayInput):
             return "array", source.sha256
-        path = source
+        path, layer = str(source), source.layer if isinstance(source, LayerInput) else None
         try:
             found = Path(path).stat()
             if not S_ISREG(found.st_mode) or found.st_size > MOST_BYTES:
                 return None
-            return self.digest(path), Path(path).suffix.lower()
+            return self.digest(path), Path(path).suffix.lower(), layer
         except (OSError, ValueError):
             return None  # reading it says what is wrong
 

@@ -21,7 +21,7 @@ from clsco.files.images import Picture, image_size, read_image
 from clsco.files.transfer import decode, encode
 from clsco.inputs.mipmaps import mipmap
 from clsco.inputs.resampling import resample
-from clsco.scene.arrays import ArrayInput
+from clsco.scene.arrays import ArrayInput, LayerInput
 from clsco.scene.model import Scene
 from clsco.scene.texture_keys import is_drawn, missing_texture
 
@@ -31,7 +31,7 @@ ALIGNMENT = 4096  # bytes: devices that work in the host's memory then use an ar
 
 Codes = NDArray[np.uint8]
 Floats = NDArray[np.float64]
-TextureSource = str | os.PathLike[str] | ArrayInput
+TextureSource = str | os.PathLike[str] | ArrayInput  # a LayerInput is a path
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +95,7 @@ def picture_of(source: TextureSource) -> Picture:
     if isinstance(source, ArrayInput):
         return Picture(source.array)
     require_suffix(os.fspath(source))
-    return read_image(source)
+    return read_image(source, layer=source.layer if isinstance(source, LayerInput) else None)
 
 
 def radiance_of(
@@ -185,19 +185,19 @@ def texture_size(source: TextureSource) -> tuple[int, int]:
     return image_size(source)
 
 
-def image_files(scene: Scene) -> list[str]:
-    """Paths of the image files of all objects, each once."""
-    paths = (path for item in scene.objects for key, path in item.files().items() if key != "depth")
-    return list(dict.fromkeys(paths))
+def image_files(scene: Scene) -> list[str | LayerInput]:
+    """Image files of all objects, or layers of them, each once."""
+    named = (item.inputs()[key] for item in scene.objects for key in item.files() if key != "depth")
+    return [image for image in dict.fromkeys(named) if not isinstance(image, ArrayInput)]
 
 
-def color_of(path: str) -> Color:
+def color_of(image: str | LayerInput) -> Color:
     """The color space of an image file. Raises ImageError as `load_texture`."""
-    return picture_of(path).color
+    return picture_of(image).color
 
 
 def load_scene_textures(
-    scene: Scene, load: Callable[..., Texture] = load_texture, color: Callable[[str], Color] = color_of
+    scene: Scene, load: Callable[..., Texture] = load_texture, color: Callable[[str | LayerInput], Color] = color_of
 ) -> tuple[Scene, tuple[Texture, ...]]:  # fmt: skip
     """Load the textures of all objects, each file once: in the size of the frame, or in their own where they lie on a
     surface; and in the primaries of sRGB, where images have different color profiles that their codes are decoded by.
@@ -225,8 +225,8 @@ def load_scene_textures(
     names = [item.textures() for item in scene.objects]
     columns, rows = scene.camera.resolution or texture_size(names[0][0])
     camera = scene.camera.model_copy(update={"resolution": (columns, rows)})
-    paths, transfer = image_files(scene), scene.image.transfer
-    to_srgb = transfer == "srgb" and len(paths) > 1 and len({color(path) for path in paths}) > 1
+    files, transfer = image_files(scene), scene.image.transfer
+    to_srgb = transfer == "srgb" and len(files) > 1 and len({color(image) for image in files}) > 1
     loaded: dict[Hashable, Texture] = {}
     for item, of_item in zip(scene.objects, names, strict=True):
         key = of_item, item.mapped is None

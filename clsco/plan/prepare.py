@@ -23,6 +23,7 @@ from clsco.plan.memory import fitted, limit_of
 from clsco.plan.plan import Plan, make_plan
 from clsco.plan.predict import without_lens
 from clsco.plan.request import Request
+from clsco.scene.arrays import LayerInput
 from clsco.scene.faults import at_most
 from clsco.scene.model import DepthMap, Scene
 from clsco.scene.sweep import Sweep
@@ -75,9 +76,9 @@ class Prepared:
         return SRGB if color.channels not in (0, 3 if colored else 1) else color
 
     @cached_property
-    def colors(self) -> dict[str, Color]:
-        """Color space of every image file, by its path."""
-        return {path: self.files.about(path).color for path in image_files(self.scene)}
+    def colors(self) -> dict[str | LayerInput, Color]:
+        """Color space of every image file, or of a layer of it."""
+        return {image: self.files.about(image).color for image in image_files(self.scene)}
 
     @property
     def plan(self) -> Plan:

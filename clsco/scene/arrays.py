@@ -1,4 +1,4 @@
-"""Textures and depths that are given as arrays, in place of the names of files."""
+"""Textures and depths of scenes: names of files, layers of these, and arrays in their place."""
 
 from __future__ import annotations
 
@@ -59,6 +59,31 @@ class ArrayInput:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return ArrayInput, (self.array, self.kind)
+
+
+@dataclass(frozen=True)
+class LayerInput(os.PathLike[str]):
+    """A layer of an EXR file with several; in messages, and for `os.fspath`, its path.
+
+    Attributes
+    ----------
+    path : str
+    layer : str
+        Name as for `clsco.files.layers.image_channels` or `clsco.files.layers.depth_channels`.
+    """
+
+    path: str
+    layer: str
+
+    def __fspath__(self) -> str:
+        return self.path
+
+    def __str__(self) -> str:
+        return self.path
+
+
+Input = str | LayerInput | ArrayInput
+"""The name of a pattern, the path of a file, a layer of one, or an array."""
 
 
 @dataclass(frozen=True)

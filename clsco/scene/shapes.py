@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal, cast, get_args
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from clsco.scene.arrays import ArrayInput, DepthInput
+from clsco.scene.arrays import ArrayInput, DepthInput, Input, LayerInput
 from clsco.scene.quantities import (
     AngularVelocity,
     Bounds,
@@ -28,7 +28,7 @@ from clsco.scene.quantities import (
     fault,
 )
 from clsco.scene.rotations import Rotation, after, depth_row
-from clsco.scene.texture_keys import ROUND, TRIPLANAR, Mapped, SixSided, Textured, is_drawn
+from clsco.scene.texture_keys import ROUND, TRIPLANAR, Mapped, SixSided, Textured, in_layer, is_drawn
 
 BACKGROUND_MM = 1e12
 """Distance of surfaces that are infinitely far away: their blur differs from that of infinity by a part in 10^10."""
@@ -84,7 +84,7 @@ class _Object(Textured):
 
     def files(self) -> dict[str, str]:
         """Paths of the files among its inputs, by the keys that name them."""
-        named = {key: value for key, value in self.inputs().items() if isinstance(value, str)}
+        named = {key: str(value) for key, value in self.inputs().items() if isinstance(value, str | LayerInput)}
         return {key: path for key, path in named.items() if key == "depth" or not is_drawn(path)}
 
     def arrays(self) -> dict[str, ArrayInput]:
@@ -209,13 +209,16 @@ class Box(SixSided, _Object):
             ("top", (x, z), y, (90.0, 0.0, 0.0)), ("bottom", (x, z), y, (-90.0, 0.0, 0.0)),
         )  # fmt: skip
         alike = self.texture_keys() | {"motion": self.motion, "group": self.group, "center": self.center}
+        alike.pop("texture_layer", None)
         found = []
         for side, size, deep, turn in placed:
             rotation, offset = after(turn, self.rotation), -0.5 * deep
             sides = sum(0.5 * length * abs(r) for length, r in zip(size, depth_row(rotation)[:2], strict=True))
             if self.center[2] + sides + offset * depth_row(rotation)[2] > 0.0:
                 keys = {"name": f"{self.name} {side}", "size": size, "offset": offset, "rotation": rotation}
-                found.append(Rectangle.model_validate(alike | keys | {"texture": self.side(side)}))
+                image = self.side(side)
+                layer = {"texture_layer": image.layer} if isinstance(image, LayerInput) else {}
+                found.append(Rectangle.model_validate(alike | keys | {"texture": image} | layer))
         return tuple(found)
 
 
@@ -320,6 +323,9 @@ class DepthMap(_Bounded):
     depth: DepthInput
     """File of depths: PNG, TIFF, EXR, PFM, .npy or .npz; a path, relative to the scene file; in Python also a NumPy
     array."""
+    depth_layer: Name | None = None
+    """Layer of the depth, an EXR with several, such as "ViewLayer.Depth" or "Depth". Default: the only depth that there
+    is."""
     unit: Literal["mm", "m", "inverse_mm", "inverse_m", "disparity", "coc"] = "mm"
     """Quantity in the file: Z in mm or m, 1/Z in 1/mm or 1/m, disparity in px, or signed blur radius R in px."""
     scale: Annotated[float, Within(1e-12, 1e12)] = 1.0
@@ -342,8 +348,15 @@ class DepthMap(_Bounded):
     def is_analytic(self) -> bool:
         return False
 
-    def inputs(self) -> dict[str, str | ArrayInput]:
-        return super().inputs() | {"depth": cast("str | ArrayInput", self.depth)}
+    def inputs(self) -> dict[str, Input]:
+        return super().inputs() | {"depth": in_layer(self.depth, self.depth_layer)}
+
+    @field_validator("depth_layer")
+    @classmethod
+    def _of_a_file(cls, value: str | None, info: ValidationInfo) -> str | None:
+        if value is not None and isinstance(info.data.get("depth"), ArrayInput):
+            raise fault("belongs to depths in EXR files")
+        return value
 
     @field_validator("bounds")
     @classmethod

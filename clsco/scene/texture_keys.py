@@ -10,8 +10,8 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple, cast
 from pydantic import BeforeValidator, Field
 from pydantic_core import PydanticCustomError
 
-from clsco.scene.arrays import ArrayInput, TextureInput
-from clsco.scene.quantities import Angle, Length, Pair, Strict, Within, as_python, fault
+from clsco.scene.arrays import Input, LayerInput, TextureInput
+from clsco.scene.quantities import Angle, Length, Name, Pair, Strict, Within, as_python, fault
 
 BUILT_IN_TEXTURES = ("bricks", "checkerboard", "slanted_edge", "siemens_star")
 COLOR = re.compile("#[0-9a-fA-F]{6}")
@@ -23,6 +23,12 @@ Wrap = Literal["repeat", "mirror", "clamp", "none"]
 def is_drawn(texture: object) -> bool:
     """True if a texture is built in, or a color, and neither a file nor an array."""
     return isinstance(texture, str) and (texture in BUILT_IN_TEXTURES or COLOR.fullmatch(texture) is not None)
+
+
+def in_layer(source: Any, layer: str | None) -> Input:
+    """An input in the layer that a scene names for it: a file is read there, and others have none."""
+    is_file = isinstance(source, str) and not is_drawn(source)
+    return LayerInput(source, layer) if layer is not None and is_file else cast("Input", source)
 
 
 def missing_texture(name: str) -> str:
@@ -85,6 +91,9 @@ class Textured(Strict):
     texture: TextureInput = "bricks"
     """bricks, checkerboard, slanted_edge, siemens_star, a color "#rrggbb", or an image: a path, relative to the scene
     file; in Python also a NumPy array."""
+    texture_layer: Name | None = None
+    """Layer of the images, EXR files with several, such as "ViewLayer.Combined" or "Combined". Default: the only one,
+    or that which renderers call the image."""
     texture_mapping: Literal["projected", "surface", "triplanar", "cube"] = "projected"
     """projected: the image that the camera sees at t = 0. surface: an image that lies on the surface and moves with it.
     triplanar: the same from three sides, on any shape. cube: from six, on spheres and ellipsoids."""
@@ -111,11 +120,11 @@ class Textured(Strict):
         once = self.mapped == "card" and self.texture_size is None and self.texture_repeats is None
         return self.texture_wrap or ("clamp" if once else "repeat")
 
-    def inputs(self) -> dict[str, str | ArrayInput]:
-        """Inputs of the object by key: the name of a pattern, the path of a file, or an array."""
-        return {"texture": cast("str | ArrayInput", self.texture)}
+    def inputs(self) -> dict[str, Input]:
+        """Inputs of the object by key."""
+        return {"texture": in_layer(self.texture, self.texture_layer)}
 
-    def textures(self) -> tuple[str | ArrayInput, ...]:
+    def textures(self) -> tuple[Input, ...]:
         """The one texture of the object, or the six of a cube map."""
         return (self.inputs()["texture"],)
 
@@ -144,16 +153,17 @@ class SixSided(Textured):
         """True if the sides may have different images."""
         return self.texture_mapping == "cube"
 
-    def inputs(self) -> dict[str, str | ArrayInput]:
+    def inputs(self) -> dict[str, Input]:
         sides = {key: getattr(self, key) for key in SixSided.__annotations__}
-        return super().inputs() | {key: given for key, given in sides.items() if given is not None}
+        given = {key: in_layer(side, self.texture_layer) for key, side in sides.items() if side is not None}
+        return super().inputs() | given
 
-    def side(self, name: str) -> str | ArrayInput:
+    def side(self, name: str) -> Input:
         """The texture of a side: front, back, left, right, top or bottom."""
         given = self.inputs()
         return given.get(f"texture_{name}", given["texture"])
 
-    def textures(self) -> tuple[str | ArrayInput, ...]:
+    def textures(self) -> tuple[Input, ...]:
         if self.mapped != "cube":
             return super().textures()
         return tuple(self.side(name) for name in ("right", "left", "top", "bottom", "back", "front"))
@@ -175,7 +185,10 @@ def _misplaced(item: Textured) -> Iterator[tuple[str, str, Any]]:
     sides: list[tuple[str, str, Any]] = []
     if isinstance(item, SixSided) and not item.has_sides:
         rule = 'belongs to boxes, and to texture_mapping = "cube"'
-        sides = [(key, rule, value) for key, value in item.inputs().items() if key != "texture"]
+        sides = [(key, rule, getattr(item, key)) for key in item.inputs() if key != "texture"]
+    images = (value for key, value in item.inputs().items() if key != "depth")
+    if item.texture_layer is not None and not any(isinstance(image, LayerInput) for image in images):
+        yield "texture_layer", "belongs to images in EXR files", item.texture_layer
     if mapping == "projected":
         yield from sides
         for key, value in given.items():

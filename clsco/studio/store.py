@@ -277,6 +277,7 @@ def from_link(text: str, places: Iterable[Path]) -> tuple[Table, dict[str, tuple
         missing[f"object.{index}.{key}"] = name, rule
         if key == "texture":
             item[key] = SHAPES["plane"].model_fields["texture"].default
+            item.pop("texture_layer", None)
         else:
             del item[key]
     return content, missing

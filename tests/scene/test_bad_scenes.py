@@ -217,6 +217,16 @@ OBJECTS: list[tuple[str, str]] = [
         'object[0].no_depth: must be around or far; got "near"',
     ),
     ('shape = "depth_map", depth = ""', 'object[0].depth: must not be empty; got ""'),
+    ('shape = "depth_map", depth = "z.exr", depth_layer = ""', 'object[0].depth_layer: must not be empty; got ""'),
+    ('shape = "plane", texture_layer = "a"', 'object[0].texture_layer: belongs to images in EXR files; got "a"'),
+    (
+        'shape = "plane", texture = "#ff8000", texture_layer = "a"',
+        'object[0].texture_layer: belongs to images in EXR files; got "a"',
+    ),
+    (
+        'shape = "plane", texture = "a.exr", depth_layer = "a"',
+        'object[0].depth_layer: belongs to depth_map, not to plane; got "a"',
+    ),
     (
         'shape = "depth_map", depth = "z.png", unit = "cm"',
         'object[0].unit: must be mm, m, inverse_mm, inverse_m, disparity or coc; got "cm"',

@@ -34,7 +34,7 @@ from clsco.scene.model import (
 )
 
 UNMAPPED: dict[str, Any] = {"texture_mapping": "projected"}
-UNMAPPED |= dict.fromkeys((f"texture_{key}" for key in ("size", "repeats", "offset", "angle", "wrap")), None)
+UNMAPPED |= dict.fromkeys((f"texture_{key}" for key in ("layer", "size", "repeats", "offset", "angle", "wrap")), None)
 SIDES = dict.fromkeys((f"texture_{side}" for side in ("back", "left", "right", "top", "bottom")), None)
 COEFFICIENTS = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -900.0)
 
@@ -90,6 +90,7 @@ COEFFICIENTS = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -900.0)
                 "motion": {"velocity": (0.0, 0.0, 0.0), "angular_velocity": (0.0, 0.0, 0.0)},
                 "group": None,
                 "depth": "z.exr",
+                "depth_layer": None,
                 "unit": "mm",
                 "scale": 1.0,
                 "baseline": None,
