@@ -12,7 +12,9 @@ from pathlib import Path
 import pytest
 
 from clsco import SceneError, load_scene, load_sweep
+from clsco.scene.sweep import parse_sweep
 from clsco.studio.session import ConflictError, Session
+from clsco.studio.store import from_link, link_of
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SCENES = [*sorted(EXAMPLES.glob("*.toml")), *sorted(EXAMPLES.glob("thesis/*.toml"))]
@@ -341,3 +343,15 @@ def test_what_was_kept_is_recovered(session: Session) -> None:
     file.write_text("{")
     with pytest.raises(SceneError, match="must be what the studio kept"):
         other.recover(file)
+
+
+def test_a_link_without_its_image_has_no_layer_of_it(tmp_path: Path) -> None:
+    """A default stands in for the image, and has no layers; where the image is there, so is its layer."""
+    (tmp_path / "here").mkdir()
+    (tmp_path / "here" / "a.exr").write_bytes(b"v/1")
+    table = {"object": [{"shape": "plane", "texture": "a.exr", "texture_layer": "albedo"}]}
+    link = link_of(table, tmp_path / "here", tmp_path / "here")
+    assert from_link(link, [tmp_path / "here"]) == (table, {})
+    content, missing = from_link(link, [tmp_path])
+    assert list(missing) == ["object.0.texture"]
+    assert parse_sweep(content).scenes[0].objects[0].texture == "bricks"
