@@ -29,7 +29,7 @@ from clsco.cli.bench.cases import radius_map
 from clsco.cli.bench.passes import Pass
 from clsco.opencl.device import choose
 from clsco.opencl.session import Session
-from clsco.optics.psf import psf_extent
+from clsco.optics.point_spread import point_spread
 from clsco.passes.blur import Events
 from clsco.scene.model import Psf
 
@@ -70,7 +70,7 @@ def cases_of(image: Array, radius: Array) -> dict[str, tuple[Psf, list[Callable[
     }
     if largest <= LARGEST_GAUSSIAN and image.shape[2] == 1:
         psf = Psf(model="gaussian", tilt=False)
-        axis, cut = axis_table(psf, largest, 128), float(psf_extent(psf, 1.0))
+        axis, cut = axis_table(psf, largest, 128), float(1.0 * point_spread(psf).extent)
         found["gaussian"] = psf, [partial(gaussian_bands, image[..., 0], single, axis, 128.0, cut, THREADS)]
     return found
 

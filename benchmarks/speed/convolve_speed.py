@@ -23,7 +23,7 @@ from benchmarks.tables import write_table
 from clsco.cli.bench.passes import Pass
 from clsco.opencl.device import choose
 from clsco.opencl.session import Session
-from clsco.optics.psf import reach, weights
+from clsco.optics.point_spread import point_spread
 from clsco.scene.model import Psf
 
 RESULTS = Path(__file__).parents[1] / "results"
@@ -39,8 +39,8 @@ CROP = 256  # px a side
 def error_of(psf: Psf, side: int, radius: float, session: Session) -> tuple[float, float]:
     """RMS and largest error on an image of its own, at most CROP px a side."""
     image = np.random.default_rng(1).random((min(side, CROP),) * 2, dtype=np.float32)
-    span = np.arange(-reach(psf, radius), reach(psf, radius) + 1.0)
-    kernel = weights(psf, span[None, :], span[:, None], np.asarray(radius))
+    span = np.arange(-point_spread(psf).reach(radius), point_spread(psf).reach(radius) + 1.0)
+    kernel = point_spread(psf).weights(span[None, :], span[:, None], np.asarray(radius))
     expected = cv2.filter2D(image.astype(np.float64), -1, kernel, borderType=cv2.BORDER_CONSTANT)
     found = Pass(session, image, np.full(image.shape, radius), psf, "convolve", "double")([])
     return float(np.sqrt(np.mean((found - expected) ** 2))), float(np.abs(found - expected).max())

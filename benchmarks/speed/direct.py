@@ -18,7 +18,7 @@ import numpy as np
 from numba import get_num_threads, njit, prange
 from numpy.typing import NDArray
 
-from clsco.optics.psf import axis_weights, reach, weights
+from clsco.optics.point_spread import point_spread
 from clsco.scene.model import Psf
 
 Array = NDArray[Any]
@@ -171,8 +171,10 @@ def gaussian_bands(image, radius, table, steps, cut, threads):  # type: ignore[n
 @lru_cache(maxsize=2)
 def axis_table(psf: Psf, largest: float, steps: int) -> Array:
     """Weights of a Gaussian along an axis (radii, |d|) at every 1/steps px, as a user would tabulate them."""
-    offsets = np.arange(reach(psf, largest) + 2, dtype=float)
-    return axis_weights(psf, offsets, np.arange(int(largest * steps) + 3)[:, None] / steps).astype(np.float32)
+    offsets = np.arange(point_spread(psf).reach(largest) + 2, dtype=float)
+    return (
+        point_spread(psf).axis_weights(offsets, np.arange(int(largest * steps) + 3)[:, None] / steps).astype(np.float32)
+    )
 
 
 @lru_cache(maxsize=2)
@@ -184,5 +186,7 @@ def dense_table(largest: float, steps: int) -> Array:
     together = max(1, BLOCK // offsets.size**2)
     for start in range(0, radii.size, together):
         block = slice(start, start + together)
-        table[block] = weights(Psf(), offsets[None, :, None], offsets[None, None, :], radii[block, None, None])
+        table[block] = point_spread(Psf()).weights(
+            offsets[None, :, None], offsets[None, None, :], radii[block, None, None]
+        )
     return table

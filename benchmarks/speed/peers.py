@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from benchmarks.truth import mitsuba
 from clsco.cli.bench.cases import PSFS, Peer
 from clsco.errors import ClscoError
-from clsco.optics.psf import reach, weights
+from clsco.optics.point_spread import point_spread
 from clsco.scene.model import Psf
 
 Array = NDArray[Any]
@@ -70,12 +70,12 @@ def opencv(method: str, psf: Psf, image: Array, radius: float) -> Callable[[], A
     """filter2D with a radius' weights, or GaussianBlur with its sigma; linear radiance (rows, columns[, channels])."""
     import cv2
 
-    far = reach(psf, radius)
+    far = point_spread(psf).reach(radius)
     if method == "GaussianBlur":
         size, sigma = (2 * far + 1, 2 * far + 1), psf.sigma_ratio * radius
         return lambda: cv2.GaussianBlur(image, size, sigma, borderType=cv2.BORDER_CONSTANT)
     offset = np.arange(-far, far + 1.0)
-    kernel = weights(psf, offset[None, :], offset[:, None], np.asarray(radius)).astype(np.float32)
+    kernel = point_spread(psf).weights(offset[None, :], offset[:, None], np.asarray(radius)).astype(np.float32)
     return lambda: cv2.filter2D(image, -1, kernel, borderType=cv2.BORDER_CONSTANT)
 
 

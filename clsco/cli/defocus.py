@@ -82,7 +82,7 @@ def prepare_image(scenes: Sequence[Scene], out: Path) -> None:
     count = sum(scene.sequence.frames * (1 if scene.stereo is None else 2) for scene in scenes)
     if count != 1:
         raise SceneError(f"{out}: a file takes one image, a folder takes more; got {count}")
-    named = [Path(name) for item in scenes[0].objects for name in item.files().values()]
+    named = [Path(name) for _, item in scenes[0].inputs for name in item.files().values()]
     for path in named:
         if same_place(out, path):
             raise ImageError(f"{out}: must not be the image or the depth that it is made of; got {path}")

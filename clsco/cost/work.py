@@ -18,11 +18,10 @@ from clsco.frame.strips import BAND
 from clsco.inputs.focus import seen
 from clsco.inputs.textures import mapped_size
 from clsco.optics.motion import middle_time
-from clsco.optics.psf import reaches, shape_of
 from clsco.optics.psf_grid import row_lanes
 from clsco.optics.quadrics import cutting_bounds
 from clsco.optics.texture_mapping import texture_map, texture_spread
-from clsco.optics.visibility import Layer, lens_extent
+from clsco.optics.visibility import Layer
 from clsco.plan.passes import Pass
 from clsco.plan.plan import Plan
 from clsco.plan.predict import Maps
@@ -167,12 +166,12 @@ def _hits(plan: Plan, view: View, layer: Layer, lattice: Lattice) -> Hits:
         if not layer.occluders >> k & 1 or (own and layer.root == (2 if surface.constant < 0 else 1)):
             continue
         near = hit.copy()
-        near[hit] = ~out_of_the_way(camera, surface, rays[hit], w[hit], lens_extent(scene.psf))
+        near[hit] = ~out_of_the_way(camera, surface, rays[hit], w[hit], plan.psf.extent)
         size = radius[near]
         if not size.size:
             continue
         points = Points(rays[near], w[near], size, 0 * size, 0 * size, 1.0, gradient[near])
-        lens = lens_of(size, lens_extent(scene.psf), points.width, points.gradient)
+        lens = lens_of(size, plan.psf.extent, points.width, points.gradient)
         cut = bounds[k] is not None and bool(surface.canonical.q.any())
         found, edge, _ = meet_occluder(camera, surface, None if many and cut else bounds[k], points, lens, own)
         label[near] ^= edge.astype(np.uint8) << 7
@@ -249,7 +248,7 @@ def _parts(plan: Plan, view: View, hits: Hits) -> NDArray[np.intp]:
         if item.mapped is None or not here.any():
             continue
         placed = texture_map(item, *mapped_size(item.textures()))
-        texture = MappedTexture((), placed, texture_spread(scene.psf), scene.motion.texture_filter)
+        texture = MappedTexture((), placed, texture_spread(plan.psf), scene.motion.texture_filter)
         point = mapped_point(view.surfaces[k], placed, scene.camera, hits.rays[here], hits.w[here])
         texels = np.zeros(len(point.at))
         sides = [partial(along_axis, axis=axis) for axis in range(REFLECTIONS)]
@@ -298,13 +297,13 @@ def _of_blur(
     """Work of the blur of sources (n, m) of signed radii in px; finer: the share with sub-pixel sources."""
     if plan.blur == "none":
         return {"accumulated": plan.channels * lattice.total(lit)}
-    psf, channels, total = plan.scene.psf, plan.channels, lattice.total
+    psf, channels, total = plan.psf, plan.channels, lattice.total
     size = np.abs(radius)
     if plan.blur == "convolve":
-        wide = 1.0 + 2.0 * float(reaches(psf, size).max())
+        wide = 1.0 + 2.0 * float(psf.reaches(size).max())
         return {"convolved row": plan.rows * plan.columns * channels * wide}
     (visits, rows, taps), (fine_visits, _, fine_taps) = (_taps(plan, size, fine) for fine in (False, True))
-    kind, subs = shape_of(psf).kind, plan.silhouettes**2
+    kind, subs = psf.layout, plan.silhouettes**2
     partly = np.zeros(lit.shape, np.bool_) if hits is None else hits.state == PARTLY
     whole, sub = lit & ~partly, (lit & ~partly) * finer * subs
     bands = -(-plan.rows // BAND)
@@ -317,7 +316,7 @@ def _of_blur(
     }
     if hits is not None and partly.any():
         one, fine = (lit & partly) * (1.0 - finer), (lit & partly) * finer * subs
-        narrow = size * lens_extent(psf) < WIDE_LENS
+        narrow = size * psf.extent < WIDE_LENS
         met, tested = one * visits + fine * fine_visits, one * taps + fine * fine_taps
         found |= {
             "hidden source": total(met * hits.edges),
@@ -331,6 +330,6 @@ def _of_blur(
 
 def _taps(plan: Plan, size: Array, fine: bool) -> tuple[Array, Array, Array]:
     """Bands that sources of |radii| in px reach, their rows, and their taps in vectors."""
-    half = reaches(plan.scene.psf, size.ravel(), fine).reshape(size.shape)
+    half = plan.psf.reaches(size.ravel(), fine).reshape(size.shape)
     rows = 2.0 * half.astype(np.float64) + 1.0
     return 1.0 + 2.0 * half / BAND, rows, rows * row_lanes(half) / TAP_LANES

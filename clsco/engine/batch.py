@@ -104,7 +104,7 @@ def prepare(
     about = record(scene, digests)
     writable_folder(folder)
     remove_stale(folder)
-    for item in scene.objects:
+    for _, item in scene.inputs:
         for what, path in ((key, Path(name)) for key, name in item.files().items()):
             if path.stem.startswith("frame_") and same_place(path.parent, folder):
                 raise ImageError(f"{path}: a {what} must not lie where frames are written; got {folder}")

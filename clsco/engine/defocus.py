@@ -16,23 +16,24 @@ from clsco.engine.shrinking import Shrinking
 from clsco.errors import ImageError, SceneError
 from clsco.files.transfer import decode, encode
 from clsco.frame.strips import Grid, Strip, around, frame_struct
+from clsco.inputs.pupils import load_point_spread
 from clsco.inputs.soft_edges import assign_soft_edges
 from clsco.opencl.arrays import check_image, on_host, without_mask
 from clsco.opencl.buffers import allocate, lent
 from clsco.opencl.session import DeviceLike, Session
 from clsco.optics.lens import LARGEST_BLUR
-from clsco.optics.psf import reach
+from clsco.optics.point_spread import PointSpread
 from clsco.optics.slabs import Slabs
 from clsco.passes.blur import Sources, blur_target, prepare_sources
 from clsco.passes.frame_blur import make_blur
 from clsco.passes.layered import DepthLayers
 from clsco.passes.tables import forget_others
 from clsco.plan.buffers import image_buffers
-from clsco.plan.memory import Limit, defocus_bytes, defocus_strips, is_layered, limit_of, rows_that_fit
-from clsco.plan.methods import Blur, BlurSpec, can_convolve, check_shape, choose_blur, is_sharp
+from clsco.plan.memory import Limit, defocus_bytes, defocus_strips, limit_of, rows_that_fit
+from clsco.plan.methods import BlurSpec, can_convolve, check_shape, choose_blur
 from clsco.plan.predict import guard_band
 from clsco.records import Real, Struct, flat, in_parts
-from clsco.scene.file import PsfLike, psf_of
+from clsco.scene.file import ApertureLike, PsfLike, aperture_of, psf_of
 from clsco.scene.model import Psf
 
 Outside = Literal["mirror", "black"]
@@ -41,25 +42,29 @@ SoftEdges = Literal["assign", "keep"]
 
 @overload
 def defocus(
-    image: NDArray[Any], blur_radius: NDArray[Any], psf: PsfLike = None, *, device: DeviceLike = None,
+    image: NDArray[Any], blur_radius: NDArray[Any], psf: PsfLike = None, *, aperture: ApertureLike = None,
+    device: DeviceLike = None,
     method: str = "auto", memory: str | int | None = None,
     outside: Outside = "mirror", soft_edges: SoftEdges = "assign", return_report: Literal[False] = False,
 ) -> NDArray[Any]: ...  # fmt: skip
 @overload
 def defocus(
-    image: NDArray[Any], blur_radius: NDArray[Any], psf: PsfLike = None, *, device: DeviceLike = None,
+    image: NDArray[Any], blur_radius: NDArray[Any], psf: PsfLike = None, *, aperture: ApertureLike = None,
+    device: DeviceLike = None,
     method: str = "auto", memory: str | int | None = None,
     outside: Outside = "mirror", soft_edges: SoftEdges = "assign", return_report: Literal[True],
 ) -> tuple[NDArray[Any], DefocusReport]: ...  # fmt: skip
 @overload
 def defocus(
-    image: cl_array.Array, blur_radius: cl_array.Array, psf: PsfLike = None, *, device: DeviceLike = None,
+    image: cl_array.Array, blur_radius: cl_array.Array, psf: PsfLike = None, *, aperture: ApertureLike = None,
+    device: DeviceLike = None,
     method: str = "auto", memory: str | int | None = None,
     outside: Outside = "mirror", soft_edges: SoftEdges = "assign", return_report: Literal[False] = False,
 ) -> cl_array.Array: ...  # fmt: skip
 @overload
 def defocus(
-    image: cl_array.Array, blur_radius: cl_array.Array, psf: PsfLike = None, *, device: DeviceLike = None,
+    image: cl_array.Array, blur_radius: cl_array.Array, psf: PsfLike = None, *, aperture: ApertureLike = None,
+    device: DeviceLike = None,
     method: str = "auto", memory: str | int | None = None,
     outside: Outside = "mirror", soft_edges: SoftEdges = "assign", return_report: Literal[True],
 ) -> tuple[cl_array.Array, DefocusReport]: ...  # fmt: skip
@@ -68,6 +73,7 @@ def defocus(
     blur_radius: NDArray[Any] | cl_array.Array,
     psf: PsfLike = None,
     *,
+    aperture: ApertureLike = None,
     device: DeviceLike = None,
     method: str = "auto",
     memory: str | int | None = None,
@@ -87,6 +93,8 @@ def defocus(
     psf : Psf, mapping or str, optional
         Keys of the scene file's [psf] with their values, or its `model` alone: "pillbox" or "gaussian". Occlusion is
         "layered" or "none"; by default layered.
+    aperture : Aperture, mapping or str, optional
+        Keys of the scene file's [aperture] with their values, or its `shape` alone; by default a circle.
     device : str, pyopencl.Device, Context or CommandQueue, optional
         Part of a device's name, "cpu" or "gpu", or where to work. The queue of pyopencl arrays is worked in.
     method : str
@@ -136,7 +144,8 @@ def defocus(
     >>> bool(abs(blurred[12, 16] - 1 / (np.pi * 3.0**2)) < 1e-4), round(float(blurred.sum()), 4)
     (True, 1.0)
     """
-    model = psf_of(psf).of_images()
+    asked = psf_of(psf).of_images()
+    spread = load_point_spread(asked, aperture_of(aperture, asked))
     for name, value, kinds in (("outside", outside, Outside), ("soft_edges", soft_edges, SoftEdges)):
         if value not in get_args(kinds):
             names = " or ".join(f'"{kind}"' for kind in get_args(kinds))
@@ -145,10 +154,13 @@ def defocus(
     picture, radii = without_mask("image", picture), without_mask("blur_radius", radii)
     codes = picture.dtype in (np.uint8, np.uint16)
     linear = decode(picture, "srgb").astype(np.float32) if codes else picture
-    given = _checked(linear, radii, outside == "mirror" and model.border == "lose")
+    given = _checked(linear, radii, outside == "mirror" and asked.border == "lose")
     given, soft = _with_hard_edges(given) if soft_edges == "assign" else (given, 0)
     with session.reporting():
-        result = _defocus(session, given, model, method, memory)
+        limit = limit_of(memory, session.device)
+        if limit.given:
+            forget_others(session)
+        result = _blurred(session, given, _spec(given, spread, asked, method, session.device.kind == "gpu"), limit)
         blurred = as_given(encode(result, 8 * picture.dtype.itemsize, "srgb") if codes else result)
     return (blurred, DefocusReport(soft)) if return_report else blurred
 
@@ -218,37 +230,31 @@ def _with_hard_edges(given: _Given) -> tuple[_Given, int]:
     return replace(given, coc=coc.astype(np.promote_types(given.coc.dtype, np.float16), copy=False)), len(pixels)
 
 
-def _choose(psf: Psf, method: str, given: _Given, gpu: bool) -> Blur:
+def _spec(given: _Given, psf: PointSpread, asked: Psf, method: str, gpu: bool) -> BlurSpec:
     check_shape(psf, method)
-    constant = given.smallest == given.largest and can_convolve(psf)
-    return choose_blur(method, is_sharp(psf, given.largest), constant, gpu)
+    constant = given.smallest == given.largest and can_convolve(psf, asked.border)
+    blur = choose_blur(method, psf.is_sharp(given.largest), constant, gpu)
+    layered = asked.occlusion == "layered" and blur != "convolve"
+    return BlurSpec(
+        psf, blur, given.smallest, given.largest, tilt=asked.tilt, brightest=given.brightest, border=asked.border,
+        layered=layered,
+    )  # fmt: skip
 
 
-def _defocus(session: Session, given: _Given, psf: Psf, method: str, memory: str | int | None) -> NDArray[np.float32]:
-    device = session.device
-    limit = limit_of(memory, device)
-    if limit.given:
-        forget_others(session)
-    ends, blur = (given.smallest, given.largest), _choose(psf, method, given, device.kind == "gpu")
-    spec = BlurSpec(psf, blur, *ends, tilt=psf.tilt, brightest=given.brightest)
-    return _blurred(session, given, spec, limit)
-
-
-def _guard(given: _Given, psf: Psf, blur: Blur) -> int:
-    lanes = 2 * TAP_LANES if blur == "convolve" else 0
+def _guard(given: _Given, spec: BlurSpec) -> int:
+    lanes = 2 * TAP_LANES if spec.method == "convolve" else 0
     if given.mirrored:
-        return guard_band(psf, given.largest) + lanes
-    return reach(psf, given.largest) + lanes if lanes else 0
+        return guard_band(spec.psf, spec.border, given.largest) + lanes
+    return spec.psf.reach(given.largest) + lanes if lanes else 0
 
 
 def _strips(given: _Given, spec: BlurSpec, tallest: int) -> tuple[Strip, ...]:
     """Strips of up to `tallest` rows."""
-    guard = _guard(given, spec.psf, spec.method)
-    return defocus_strips(spec.psf, spec.method, len(given.coc), guard, given.largest, tallest)
+    return defocus_strips(spec, len(given.coc), _guard(given, spec), tallest)
 
 
 def _grid(given: _Given, spec: BlurSpec, strips: Sequence[Strip]) -> Grid:
-    return Grid.of(strips, given.coc.shape[1], _guard(given, spec.psf, spec.method), given.channels)
+    return Grid.of(strips, given.coc.shape[1], _guard(given, spec), given.channels)
 
 
 def _blurred(session: Session, given: _Given, spec: BlurSpec, limit: Limit) -> NDArray[np.float32]:
@@ -282,11 +288,11 @@ class _Engine:
     """Owns the buffers and the program for the strips of one image."""
 
     def __init__(self, session: Session, given: _Given, spec: BlurSpec, strips: Sequence[Strip]) -> None:
-        self.given, self.guard = given, _guard(given, spec.psf, spec.method)
+        self.given, self.guard = given, _guard(given, spec)
         real: Real = "double" if session.device.has_fp64 else "float"
-        layered = is_layered(spec.psf, spec.method)  # which has a plane of its own
+        layered = spec.layered  # which has a plane of its own
         # Of an image that is blurred as a whole kernels read the caller's arrays, where they write to none.
-        self.lends = len(strips) == 1 and not self.guard and spec.psf.border == "lose"
+        self.lends = len(strips) == 1 and not self.guard and spec.border == "lose"
         self.floats = self.lends and not layered and np.can_cast(given.coc.dtype, np.float32)
         self.target = blur_target(session, spec, given.channels, real, "float" if self.floats else "wide")
         grid = _grid(given, spec, strips)

@@ -66,7 +66,7 @@ class Renderer:
         wants_double = precision == "double" or (precision is None and device.has_fp64)
         real: Real = "double" if wants_double else "float"
         self.plan, self.limit, self.prepared, self.hits = plan, limit, prepared, hits
-        self.scene = PlacedScene(session, plan.scene, prepared.textures, real, plan.eye, plan.alpha)
+        self.scene = PlacedScene(session, plan.scene, plan.psf, prepared.textures, real, plan.eye, plan.alpha)
         self.space: Workspace | None = None
         self.moved = self._pixels()
         self.space = self._workspace()

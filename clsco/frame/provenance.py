@@ -11,8 +11,9 @@ from typing import Any, get_args
 from clsco import __version__
 from clsco.files.atomic import refuse, sha256
 from clsco.optics.motion import Eye
-from clsco.scene.changes import dump
-from clsco.scene.model import AnyShape, Scene, Within
+from clsco.scene.arrays import HasInputs
+from clsco.scene.changes import dump, table_at
+from clsco.scene.model import Scene, Within
 
 # Units of derived parameters and of a frame's metadata, where the name does not say them.
 DERIVED_UNITS = {"derived.aperture_diameter": "mm", "derived.sensor_distance": "mm"}
@@ -75,7 +76,7 @@ def file_digests(scenes: Iterable[Scene]) -> dict[str, str]:
     ImageError
         A file cannot be read.
     """
-    paths = [path for scene in scenes for item in scene.objects for path in item.files().values()]
+    paths = [path for scene in scenes for _, item in scene.inputs for path in item.files().values()]
     return {path: _digest(path) for path in dict.fromkeys(paths)}
 
 
@@ -86,8 +87,8 @@ def _digest(path: str) -> str:
         refuse(Path(path), "must be a file that can be read", error, error)
 
 
-def _digests(item: AnyShape, known: Mapping[str, str]) -> dict[str, str]:
-    """SHA-256 of an object's files and arrays, by key."""
+def _digests(item: HasInputs, known: Mapping[str, str]) -> dict[str, str]:
+    """SHA-256 of the files and arrays of a table, by key."""
     files = {key: known[path] for key, path in item.files().items()}
     return files | {key: array.sha256 for key, array in item.arrays().items()}
 
@@ -113,8 +114,8 @@ def scene_sha256(scene: Scene, digests: Mapping[str, str] | None = None) -> str:
     """
     known = file_digests([scene]) if digests is None else digests
     content = dump(scene)
-    for written, item in zip(content["object"], scene.objects, strict=True):
-        written |= _digests(item, known)
+    for place, item in scene.inputs:
+        table_at(content, place).update(_digests(item, known))
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -142,14 +143,14 @@ def record(scene: Scene, digests: Mapping[str, str] | None = None) -> dict[str, 
     """
     camera = scene.camera
     known = file_digests([scene]) if digests is None else digests
-    digests_of = [(item, _digests(item, known)) for item in scene.objects]
+    digests_of = [(item, _digests(item, known)) for _, item in scene.inputs]
 
     def of(what: str) -> dict[str, str]:
         return {str(item.inputs()[what]): found[what] for item, found in digests_of if what in found}
 
     content = dump(scene)
-    for written, item in zip(content["object"], scene.objects, strict=True):
-        written |= {key: str(array) for key, array in item.arrays().items()}
+    for place, item in scene.inputs:
+        table_at(content, place).update({key: str(array) for key, array in item.arrays().items()})
     return {
         "version": __version__,
         "scene_sha256": scene_sha256(scene, known),
@@ -160,5 +161,6 @@ def record(scene: Scene, digests: Mapping[str, str] | None = None) -> dict[str, 
         },
         "textures_sha256": of("texture"),
         "depths_sha256": of("depth"),
+        **({"apertures_sha256": pupils} if (pupils := of("image")) else {}),
         "units": units(scene) | _record_units(scene),
     }

@@ -10,9 +10,10 @@ import numpy as np
 
 from clsco.errors import SceneError
 from clsco.files.atomic import together, whole_file
-from clsco.scene.changes import given
+from clsco.scene.changes import given, table_at
 from clsco.scene.file import absolute
 from clsco.scene.model import Scene
+from clsco.scene.text import key_name
 from clsco.scene.toml import toml_text
 
 
@@ -58,22 +59,22 @@ def dump_scene(scene: Scene, path: str | os.PathLike[str] | None = None) -> str:
     True
     """
     if path is None:
-        arrays = [(index, *each) for index, item in enumerate(scene.objects) for each in item.arrays().items()]
+        arrays = [(place, *each) for place, item in scene.inputs for each in item.arrays().items()]
         rule = "must be a name or a path to be written as text; give dump_scene a path for arrays"
         if arrays:
-            raise SceneError([f"scene: object[{index}].{key}: {rule}; got {array}" for index, key, array in arrays])
+            raise SceneError([f"scene: {key_name((*place, key))}: {rule}; got {array}" for place, key, array in arrays])
         return toml_text(given(scene))
     target = Path(path)
     if target.suffix.lower() != ".toml":
         raise SceneError(f"{target}: a scene is written to a file that ends in .toml; got {target.suffix!r}")
     data: dict[str, Any] = given(absolute(scene, Path.cwd()))
     with together(target.parent, target.name) as made:
-        for index, item in enumerate(scene.objects):
+        for place, item in scene.inputs:
             for key, array in item.arrays().items():
-                name = f"{target.stem}_object_{index}_{key}.npy"
+                name = "_".join(map(str, (target.stem, *place, key))) + ".npy"
                 with whole_file(made / name) as file:
                     np.lib.format.write_array(file, array.array, allow_pickle=False)
-                data["object"][index][key] = name
+                table_at(data, place)[key] = name
         text = toml_text(data)
         with whole_file(made / target.name) as file:
             file.write(text.encode())

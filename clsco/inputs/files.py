@@ -21,6 +21,7 @@ from clsco.files.color import Color
 from clsco.files.images import Picture
 from clsco.inputs import textures
 from clsco.inputs.depth_maps import DepthValues, depth_numbers, load_scene_depths, map_values
+from clsco.inputs.pupils import scene_point_spread
 from clsco.inputs.textures import (
     PATTERNS,
     Texture,
@@ -31,6 +32,7 @@ from clsco.inputs.textures import (
     radiance_of,
     require_suffix,
 )
+from clsco.optics.point_spread import PointSpread
 from clsco.resources import code_digest
 from clsco.scene.arrays import ArrayInput, Input, LayerInput
 from clsco.scene.model import DepthMap, Scene
@@ -93,6 +95,10 @@ class InputFiles:
             As `clsco.inputs.depth_maps.load_scene_depths`.
         """
         return load_scene_depths(scene, self.map)
+
+    def point_spread(self, scene: Scene) -> PointSpread:
+        """`clsco.inputs.pupils.scene_point_spread`. Raises ImageError as it does."""
+        return scene_point_spread(scene, self.picture)
 
     def texture(
         self, source: Input, transfer: str, size: tuple[int, int] | None = None, to_srgb: bool = False

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.constants import POWERS
-from clsco.optics.psf import axis_weights, polygon_rows, shape_of, subpixel_offsets, subpixel_weights, weights
+from clsco.optics.point_spread import PointSpread, subpixel_offsets
 from clsco.optics.psf_grid import NODES, TO_POWERS, block_intervals, half_widths, octant_taps, row_lanes, table_radius
-from clsco.scene.model import Psf
 
 Array = NDArray[np.float64]
 RUN = 16  # intervals whose weights are computed at once, of one half-width
@@ -49,12 +48,12 @@ class WeightBlock:
         return sum(array.nbytes for array in vars(self).values())
 
 
-def weight_block(psf: Psf, first: int, subpixel: int = 0) -> WeightBlock:
+def weight_block(psf: PointSpread, first: int, subpixel: int = 0) -> WeightBlock:
     """The block that begins with an interval.
 
     Parameters
     ----------
-    psf : Psf
+    psf : PointSpread
         No sampled disc, whose one weight per interval needs no block.
     first : int
         A multiple of `block_intervals`.
@@ -68,18 +67,17 @@ def weight_block(psf: Psf, first: int, subpixel: int = 0) -> WeightBlock:
     Notes
     -----
     A weight at the radii of NODES gives a cubic in the position within an interval. Validated against
-    `clsco.optics.psf.weights` (tests/optics/test_psf.py).
+    `PointSpread.weights` (tests/optics/test_point_spread.py).
     """
     span = range(first, first + block_intervals(psf, subpixel > 0))
-    kind = shape_of(psf).kind
-    if kind == "general":
+    if psf.layout == "general":
         return _general(psf, span, subpixel)
-    if kind == "separable" and not subpixel:
+    if psf.layout == "separable" and not subpixel:
         return _separable(psf, span)
     return _symmetric(psf, span, subpixel)
 
 
-def _symmetric(psf: Psf, span: range, subpixel: int) -> WeightBlock:
+def _symmetric(psf: PointSpread, span: range, subpixel: int) -> WeightBlock:
     fine, widths = subpixel > 0, half_widths(psf, span, subpixel > 0)
     reach, coefficients = int(widths[-1]), list[NDArray[np.float32]]()
     taps = np.zeros((0 if fine else octant_taps(reach), POWERS, len(span)), np.float32)
@@ -96,14 +94,14 @@ def _symmetric(psf: Psf, span: range, subpixel: int) -> WeightBlock:
     return WeightBlock(widths.astype(np.int32), np.concatenate(coefficients), _none(), taps, outlines)
 
 
-def _general(psf: Psf, span: range, samples: int) -> WeightBlock:
+def _general(psf: PointSpread, span: range, samples: int) -> WeightBlock:
     """Whole rows, for radii and for negative ones, whose blur is mirrored in its center."""
     fine = samples > 0
     offsets = subpixel_offsets(samples) if fine else np.zeros(1)
     found: tuple[list[NDArray[np.float32]], ...] = ([], [])
     for _, radii, half_width in _runs(psf, span, fine):
-        taps, tent = np.arange(-half_width, half_width + 1.0), psf.edge == "integrated" and not fine
-        squares = [polygon_rows(psf, radii, taps - ox, taps - oy, tent) for oy in offsets for ox in offsets]
+        taps = np.arange(-half_width, half_width + 1.0)
+        squares = [psf.rows(radii, taps - ox, taps - oy, fine) for oy in offsets for ox in offsets]
         mirrored = [square[:, ::-1, ::-1] for square in reversed(squares)]
         for blocks, each in zip(found, (squares, mirrored), strict=True):
             blocks += [block.ravel() for block in _cubics(np.concatenate(each, axis=1), half_width)]
@@ -113,14 +111,14 @@ def _general(psf: Psf, span: range, samples: int) -> WeightBlock:
     return WeightBlock(widths, positive, negative, no_taps, no_outlines)
 
 
-def _separable(psf: Psf, span: range) -> WeightBlock:
+def _separable(psf: PointSpread, span: range) -> WeightBlock:
     """A Gaussian by one of its axes."""
     widths, rows = half_widths(psf, span, False), list[NDArray[np.float32]]()
     sides = np.zeros((int(widths[-1]) + 1, POWERS, len(span)), np.float32)
     for number, radii, half_width in _runs(psf, span, False):
         offsets = np.arange(-half_width, half_width + 1.0)
         nodes = radii.reshape(-1, len(NODES))
-        for k, powers in enumerate(TO_POWERS @ axis_weights(psf, offsets, nodes[..., None]), number):
+        for k, powers in enumerate(TO_POWERS @ psf.axis_weights(offsets, nodes[..., None]), number):
             block = np.zeros((POWERS, row_lanes(half_width)), dtype=np.float32)
             block[:, : len(offsets)] = powers
             sides[: half_width + 1, :, k] = block[:, half_width : 2 * half_width + 1].T
@@ -133,7 +131,7 @@ def _none() -> NDArray[np.float32]:
     return np.zeros(0, np.float32)
 
 
-def _runs(psf: Psf, span: range, subpixel: bool) -> Iterator[tuple[int, Array, int]]:
+def _runs(psf: PointSpread, span: range, subpixel: bool) -> Iterator[tuple[int, Array, int]]:
     """Intervals of one half-width in px, at most RUN at a time: number of the first, radii at NODES, half-width."""
     first = 0
     for half_width, of_same in groupby(half_widths(psf, span, subpixel).tolist()):
@@ -168,16 +166,16 @@ def _outline(block: NDArray[np.float32]) -> NDArray[np.int32]:
     return np.stack([np.minimum.accumulate(first), last], axis=1).astype(np.int32)
 
 
-def _main_rows(psf: Psf, radii: Array, half_width: int) -> Array:
+def _main_rows(psf: PointSpread, radii: Array, half_width: int) -> Array:
     """Weights (radii, |dy|, dx) of sources at pixel centers, computed once per octant."""
     low, high = np.triu_indices(half_width + 1)
-    octant = weights(psf, low.astype(float), high.astype(float), radii[:, None])
+    octant = psf.weights(low.astype(float), high.astype(float), radii[:, None])
     quadrant = np.empty((len(radii), half_width + 1, half_width + 1))
     quadrant[:, low, high] = quadrant[:, high, low] = octant
     return quadrant[:, :, np.abs(np.arange(-half_width, half_width + 1))]
 
 
-def _subpixel_rows(psf: Psf, radii: Array, half_width: int, samples: int) -> Array:
+def _subpixel_rows(psf: PointSpread, radii: Array, half_width: int, samples: int) -> Array:
     """Weights (radii, rows, dx) of point sources: for each offset oy >= 0 and each ox, rows dy = -half..half.
 
     Computed for 0 <= ox <= oy only: the others are the same, mirrored or with the axes swapped.
@@ -188,7 +186,7 @@ def _subpixel_rows(psf: Psf, radii: Array, half_width: int, samples: int) -> Arr
     for j, oy in enumerate(offsets):
         for i, ox in enumerate(offsets[: j + 1]):
             dx, dy = (span - ox)[None, None, :], (span - oy)[None, :, None]
-            squares[j, i] = subpixel_weights(psf, dx, dy, radii[:, None, None])
+            squares[j, i] = psf.subpixel_weights(dx, dy, radii[:, None, None])
             squares[i, j] = squares[j, i].swapaxes(1, 2)
     columns = [abs(2 * k + 1 - samples) // 2 for k in range(samples)]
     rows = [

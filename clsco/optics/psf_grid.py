@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.constants import POWERS, TAP_LANES
-from clsco.optics.psf import MINIMUM_BLUR, psf_extent, reaches, sampled_key
-from clsco.scene.model import Psf
+from clsco.optics.point_spread import MINIMUM_BLUR, PointSpread
 
 Array = NDArray[np.float64]
 Widths = TypeVar("Widths", int, NDArray[np.int64])
@@ -19,7 +18,7 @@ Widths = TypeVar("Widths", int, NDArray[np.int64])
 # Intervals of the tables: so many per octave of the radius and an offset (`octaves_from`), so that they grow with it.
 # The weight of a point source has a kink of order 3/2 where its circle touches a pixel's edge, first at R = 1/8 px, and
 # that of a Gaussian a corner where its cut does; the area forms have these in every weight of a frame.
-# tests/optics/test_psf.py bounds what interpolation adds to a PSF, tests/kernels/test_blur.py what it adds to a frame.
+# tests/optics/test_point_spread.py bounds what interpolation adds to a PSF, tests/kernels/test_blur.py to a frame.
 OFFSET, STEPS, AREA_STEPS = 0.125, 48, 128
 GAUSSIAN_STEPS = 64  # a power of 2: octaves are divided where the corners are, up to an extent of 2 STEPS offsets
 # A sampled Gaussian changes fastest at few taps: so many intervals per unit of dx^2 + dy^2 up to so many units.
@@ -30,74 +29,73 @@ TO_POWERS = np.linalg.inv(np.vander(NODES, POWERS, increasing=True))
 BLOCK = 64  # intervals of a sampled Gaussian that are computed together
 
 
-def sampled_steps(psf: Psf) -> tuple[int, int]:
+def sampled_steps(psf: PointSpread) -> tuple[int, int]:
     """Intervals per unit of dx^2 + dy^2 at first, and up to how many units; 1 per unit beyond (sampled PSFs)."""
-    return (1, 0) if psf.model == "pillbox" else (FINE_STEPS, FINE_UNTIL)
+    return (1, 0) if psf.uniform else (FINE_STEPS, FINE_UNTIL)
 
 
-def table_steps(psf: Psf, subpixel: bool) -> int:
+def table_steps(psf: PointSpread, subpixel: bool) -> int:
     """Intervals per octave of a table that is indexed by the radius."""
     if psf.edge == "area" and not subpixel:
         return AREA_STEPS
-    return GAUSSIAN_STEPS if psf.model == "gaussian" else STEPS
+    return GAUSSIAN_STEPS if psf.alignment else STEPS
 
 
-def octaves_from(psf: Psf) -> float:
+def octaves_from(psf: PointSpread) -> float:
     """Inverse of the offset of the radii of a table, 1 / px; a float32.
 
-    For a Gaussian OFFSET, or less, of its extent: pixel edges are at multiples of 1 / (2 silhouette_samples) px from
-    sub-pixel sources, and where the cut touches one an interval has to begin.
+    For a Gaussian OFFSET, or less, of its extent: pixel edges are at multiples of 1 / alignment px from sub-pixel
+    sources, and where the cut touches one an interval has to begin.
     """
-    if psf.model == "pillbox":
+    if not psf.alignment:
         return 1.0 / OFFSET
-    parts = 2 * psf.silhouette_samples
-    return float(np.float32(float(psf_extent(psf, 1.0)) * parts * ceil(1.0 / (parts * OFFSET))))
+    return float(np.float32(psf.extent * psf.alignment * ceil(1.0 / (psf.alignment * OFFSET))))
 
 
-def table_coordinate(psf: Psf, radius: Array, subpixel: bool = False) -> Array:
+def table_coordinate(psf: PointSpread, radius: Array, subpixel: bool = False) -> Array:
     """Coordinate u of a blur radius in px: its integer part names the interval of the table."""
     r = np.abs(np.asarray(radius, dtype=np.float64))
     if psf.edge == "sampled" and not subpixel:
-        key = np.where(r < MINIMUM_BLUR, 0.0, sampled_key(psf) * r * r)
+        key = np.where(r < MINIMUM_BLUR, 0.0, psf.key * r * r)
         steps, until = sampled_steps(psf)
         return np.where(key < until, key * steps, until * steps + (key - until))
     mantissa, exponent = np.frexp(r * octaves_from(psf) + 1.0)
     return np.asarray(table_steps(psf, subpixel) * (exponent - 1 + 2.0 * mantissa - 1.0))
 
 
-def table_radius(psf: Psf, coordinate: Array, subpixel: bool) -> Array:
+def table_radius(psf: PointSpread, coordinate: Array, subpixel: bool) -> Array:
     """Inverse of table_coordinate."""
     if psf.edge == "sampled" and not subpixel:
-        return np.maximum(np.sqrt(_sampled_reach(psf, coordinate) / sampled_key(psf)), MINIMUM_BLUR)
+        return np.maximum(np.sqrt(_sampled_reach(psf, coordinate) / psf.key), MINIMUM_BLUR)
     position = coordinate / table_steps(psf, subpixel)
     octave = np.floor(position)
     return np.asarray((2.0**octave * (1.0 + position - octave) - 1.0) / octaves_from(psf))
 
 
-def _sampled_reach(psf: Psf, coordinate: Array) -> Array:
+def _sampled_reach(psf: PointSpread, coordinate: Array) -> Array:
     """dx^2 + dy^2 up to which pixel centers are covered, from the coordinate of a sampled PSF."""
     steps, until = sampled_steps(psf)
     return np.where(coordinate < until * steps, coordinate / steps, until + coordinate - until * steps)
 
 
-def half_widths(psf: Psf, span: range, subpixel: bool) -> NDArray[np.int64]:
+def half_widths(psf: PointSpread, span: range, subpixel: bool) -> NDArray[np.int64]:
     """Half-widths in px of the rows of intervals, of which a sampled PSF has as many as R^2."""
     if psf.edge == "sampled" and not subpixel:
         return np.floor(np.sqrt(_sampled_reach(psf, np.array(span)))).astype(np.int64)
-    return reaches(psf, table_radius(psf, np.array(span) + 1.0, subpixel), subpixel)
+    return psf.reaches(table_radius(psf, np.array(span) + 1.0, subpixel), subpixel)
 
 
-def half_width(psf: Psf, index: int, subpixel: bool) -> int:
+def half_width(psf: PointSpread, index: int, subpixel: bool) -> int:
     """Half-width in px of the rows of an interval."""
     return int(half_widths(psf, range(index, index + 1), subpixel)[0])
 
 
-def block_intervals(psf: Psf, subpixel: bool) -> int:
+def block_intervals(psf: PointSpread, subpixel: bool) -> int:
     """Intervals of a table that are computed together: half an octave of radii, or BLOCK."""
     return BLOCK if psf.edge == "sampled" and not subpixel else table_steps(psf, subpixel) // 2
 
 
-def span_of(psf: Psf, smallest: float, largest: float, subpixel: bool) -> range:
+def span_of(psf: PointSpread, smallest: float, largest: float, subpixel: bool) -> range:
     """Intervals that hold the |blur radii| from smallest to largest px, and those before them in their TAP_LANES.
 
     So windows of intervals begin at the same ones whatever the smallest radius is, on which the order of sums depends.
@@ -107,7 +105,7 @@ def span_of(psf: Psf, smallest: float, largest: float, subpixel: bool) -> range:
 
 
 @lru_cache(maxsize=256)
-def table_reach(psf: Psf, largest: float, subpixel: bool = False) -> int:
+def table_reach(psf: PointSpread, largest: float, subpixel: bool = False) -> int:
     """Largest half-width in px of the rows of `psf_table` for radii up to `largest` px."""
     return half_width(psf, span_of(psf, largest, largest, subpixel)[-1], subpixel)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from clsco.constants import POWERS, TAP_LANES, WIDE_LANES
 from clsco.errors import SceneError
-from clsco.optics.psf import shape_of, weights
+from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_blocks import WeightBlock, weight_block
 from clsco.optics.psf_grid import (
     block_intervals,
@@ -22,11 +22,10 @@ from clsco.optics.psf_grid import (
     span_of,
     table_radius,
 )
-from clsco.scene.model import Psf
 
 LARGEST_TABLES = 2**30  # bytes
 SHARED_BYTES = 2**26  # up to which a table has whole blocks, for other ranges as well
-Blocks = Callable[[Psf, int, int], WeightBlock]
+Blocks = Callable[[PointSpread, int, int], WeightBlock]
 """Gives the block of a PSF that begins with an interval, for so many sub-pixel sources, as `weight_block`."""
 
 
@@ -64,45 +63,44 @@ class PsfTable:
     place: Hashable = None
 
 
-def psf_features(psf: Psf) -> dict[str, int]:
+def psf_features(psf: PointSpread) -> dict[str, int]:
     """Features that programs are compiled for: the kind of a PSF; GENERAL is the number of edges of its lens mask."""
-    shape = shape_of(psf)
-    features = {"SAMPLED": shape.sampled, "DISC": shape.kind == "disc", "SEPARABLE": shape.kind == "separable"}
-    return {name: int(value) for name, value in features.items()} | {"GENERAL": len(shape.mask)}
+    layouts = {name.upper(): int(psf.layout == name) for name in ("disc", "separable", "general")}
+    return layouts | {"SAMPLED": int(psf.sampled), "EDGES": len(psf.pupil.edges)}
 
 
 @lru_cache(maxsize=256)
-def table_sizes(psf: Psf, smallest: float, largest: float, subpixel: int = 0) -> Mapping[str, int]:
+def table_sizes(psf: PointSpread, smallest: float, largest: float, subpixel: int = 0) -> Mapping[str, int]:
     """Bytes of each array of `psf_table` of the same arguments, by its name."""
     return span_sizes(psf, rounded_span(psf, smallest, largest, subpixel), subpixel)
 
 
-def span_sizes(psf: Psf, span: range, subpixel: int) -> dict[str, int]:
+def span_sizes(psf: PointSpread, span: range, subpixel: int) -> dict[str, int]:
     """Bytes of each array of `table_of` of the same arguments, by its name."""
-    if shape_of(psf).kind == "disc" and not subpixel:
+    if psf.layout == "disc" and not subpixel:
         each = 4 * len(span)
         return {"intervals": 2 * each, "coefficients": each, "taps": each, "outlines": 4 * span.stop}
     widths = half_widths(psf, span, subpixel > 0)
     widest, row = int(widths[-1]), 4 * POWERS * row_lanes(widths)
     sizes = {"intervals": 8 * len(span), "taps": 0, "outlines": 0}
     of_taps = 4 * POWERS * WIDE_LANES * -(-len(span) // TAP_LANES)
-    if shape_of(psf).kind == "general":
+    if psf.layout == "general":
         coefficients = 2 * int((row * (2 * widths + 1) * max(subpixel, 1) ** 2).sum())
         return {"intervals": 16 * len(span), "coefficients": coefficients, "taps": 0, "outlines": 0}
     if subpixel:
         return sizes | {"coefficients": int((row * (2 * widths + 1) * subpixel * ((subpixel + 1) // 2)).sum())}
-    if shape_of(psf).kind == "separable":
+    if psf.layout == "separable":
         return sizes | {"coefficients": int(row.sum()), "taps": of_taps * (widest + 1)}
     sizes |= {"taps": of_taps * octant_taps(widest), "outlines": 8 * len(span) * (widest + 1)}
     return sizes | {"coefficients": int((row * (widths + 1)).sum())}
 
 
-def table_bytes(psf: Psf, smallest: float, largest: float, subpixel: int = 0) -> int:
+def table_bytes(psf: PointSpread, smallest: float, largest: float, subpixel: int = 0) -> int:
     """Size of `psf_table` of the same arguments."""
     return sum(table_sizes(psf, smallest, largest, subpixel).values())
 
 
-def check_tables(psf: Psf, smallest: float, largest: float, silhouettes: int) -> None:
+def check_tables(psf: PointSpread, smallest: float, largest: float, silhouettes: int) -> None:
     """Raise SceneError where the tables for |blur radii| in [smallest, largest] px take more than LARGEST_TABLES."""
     size = table_bytes(psf, smallest, largest)
     size += table_bytes(psf, smallest, largest, silhouettes) if silhouettes else 0
@@ -114,14 +112,14 @@ def check_tables(psf: Psf, smallest: float, largest: float, silhouettes: int) ->
 
 
 @lru_cache(maxsize=256)
-def rounded_span(psf: Psf, smallest: float, largest: float, subpixel: int) -> range:
+def rounded_span(psf: PointSpread, smallest: float, largest: float, subpixel: int) -> range:
     """Intervals of a table for |blur radii| from smallest to largest px.
 
     Whole blocks of them (`block_intervals`), so that a few tables serve all ranges; just those that are needed of a
     sampled disc, and where the blocks take more than SHARED_BYTES.
     """
     span = span_of(psf, smallest, largest, subpixel > 0)
-    if shape_of(psf).kind == "disc" and not subpixel:
+    if psf.layout == "disc" and not subpixel:
         return span
     size = block_intervals(psf, subpixel > 0)
     rounded = range(span.start // size * size, -(-span.stop // size) * size)
@@ -129,13 +127,13 @@ def rounded_span(psf: Psf, smallest: float, largest: float, subpixel: int) -> ra
 
 
 def psf_table(
-    psf: Psf, smallest: float, largest: float, subpixel: int = 0, blocks: Blocks = weight_block
+    psf: PointSpread, smallest: float, largest: float, subpixel: int = 0, blocks: Blocks = weight_block
 ) -> PsfTable:  # fmt: skip
     """Table for a range of |blur radii|.
 
     Parameters
     ----------
-    psf : Psf
+    psf : PointSpread
     smallest, largest : float
         px.
     subpixel : int
@@ -151,15 +149,15 @@ def psf_table(
     return narrowed(table_of(psf, span, subpixel, blocks), psf, smallest, largest, subpixel > 0)
 
 
-def narrowed(table: PsfTable, psf: Psf, smallest: float, largest: float, subpixel: bool) -> PsfTable:
+def narrowed(table: PsfTable, psf: PointSpread, smallest: float, largest: float, subpixel: bool) -> PsfTable:
     """A table for fewer radii, with the same arrays."""
     span = span_of(psf, smallest, largest, subpixel)
     return replace(table, low=span.start, end=span.stop, reach=half_width(psf, span[-1], subpixel))
 
 
-def table_of(psf: Psf, span: range, subpixel: int = 0, blocks: Blocks = weight_block) -> PsfTable:
+def table_of(psf: PointSpread, span: range, subpixel: int = 0, blocks: Blocks = weight_block) -> PsfTable:
     """The table of intervals, from the first to the last of some TAP_LANES; see `psf_table`."""
-    if shape_of(psf).kind == "disc" and not subpixel:
+    if psf.layout == "disc" and not subpixel:
         return _disc_table(psf, span)
     size = block_intervals(psf, subpixel > 0)
     starts = range(span.start // size * size, span.stop, size)
@@ -167,7 +165,7 @@ def table_of(psf: Psf, span: range, subpixel: int = 0, blocks: Blocks = weight_b
     widths = np.concatenate([block.widths for block in found])
     of_radii = [block.coefficients for block in found] + [block.negative for block in found if block.negative.size]
     sizes = _interval_size(psf, widths.astype(np.int64), subpixel)
-    if shape_of(psf).signed:
+    if psf.signed:
         widths, sizes = np.tile(widths, 2), np.tile(sizes, 2)
     intervals = np.stack([np.cumsum(sizes) - sizes, widths], axis=1).astype(np.int32)
     taps, outlines = _joined_taps(found), _joined_outlines(found)
@@ -177,7 +175,7 @@ def table_of(psf: Psf, span: range, subpixel: int = 0, blocks: Blocks = weight_b
     )  # fmt: skip
 
 
-def _part(psf: Psf, block: WeightBlock, start: int, span: range, subpixel: int) -> WeightBlock:
+def _part(psf: PointSpread, block: WeightBlock, start: int, span: range, subpixel: int) -> WeightBlock:
     """The intervals of a block that lie in a span; `start`: its first one."""
     first, end = max(span.start - start, 0), min(span.stop - start, len(block.widths))
     if (first, end) == (0, len(block.widths)):
@@ -194,18 +192,18 @@ def _part(psf: Psf, block: WeightBlock, start: int, span: range, subpixel: int) 
     )
 
 
-def _tap_count(psf: Psf, widest: int) -> int:
-    return widest + 1 if shape_of(psf).kind == "separable" else octant_taps(widest)
+def _tap_count(psf: PointSpread, widest: int) -> int:
+    return widest + 1 if psf.layout == "separable" else octant_taps(widest)
 
 
-def _interval_size(psf: Psf, widths: NDArray[np.int64], subpixel: int) -> NDArray[np.int64]:
+def _interval_size(psf: PointSpread, widths: NDArray[np.int64], subpixel: int) -> NDArray[np.int64]:
     """Coefficients of intervals by their half-widths."""
     row, rows = POWERS * row_lanes(widths), 2 * widths + 1
-    if shape_of(psf).kind == "general":
+    if psf.layout == "general":
         return row * rows * max(subpixel, 1) ** 2
     if subpixel:
         return row * rows * subpixel * ((subpixel + 1) // 2)
-    return row if shape_of(psf).kind == "separable" else row * (widths + 1)
+    return row if psf.layout == "separable" else row * (widths + 1)
 
 
 def _joined_taps(found: list[WeightBlock]) -> NDArray[np.float32]:
@@ -235,12 +233,12 @@ def _joined_outlines(found: list[WeightBlock]) -> NDArray[np.int32]:
     return joined
 
 
-def _disc_table(psf: Psf, span: range) -> PsfTable:
+def _disc_table(psf: PointSpread, span: range) -> PsfTable:
     """Table of a sampled disc: an interval for every whole number n that R^2 exceeds."""
     widths = np.floor(np.sqrt(span)).astype(np.int32)
     intervals = np.stack([np.arange(len(span)), widths], axis=1).astype(np.int32)
     center = np.zeros(1)
-    each = weights(psf, center, center, table_radius(psf, np.array(span) + 0.5, False)).astype(np.float32)
+    each = psf.weights(center, center, table_radius(psf, np.array(span) + 0.5, False)).astype(np.float32)
     roots = np.floor(np.sqrt(np.arange(span.stop))).astype(np.int32)
     return PsfTable(
         span.start, span.start, span.stop, intervals, each, int(widths[-1]), len(span), each, roots

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.constants import DISCONTINUITY_CLASSES
-from clsco.optics.psf import psf_extent
+from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_grid import table_reach
-from clsco.scene.model import Psf
 
 DISCONTINUITY, BIN = 1.0, 0.25  # px, as in kernels/layered/layered.cl
 MOST_SLABS = 8
@@ -51,12 +50,12 @@ def slab_bounds(latest: NDArray[np.int32]) -> list[int]:
     return bounds[: MOST_SLABS - 1]
 
 
-def depth_of_hidden(psf: Psf, largest_sum: int) -> int:
+def depth_of_hidden(psf: PointSpread, largest_sum: int) -> int:
     """Distance behind an edge at which surface may be visible, px: the blurs of both sides reach together as far.
 
     largest_sum: of the |radii| on both sides of a discontinuity, px.
     """
-    return ceil(float(psf_extent(psf, largest_sum))) + 2
+    return ceil(largest_sum * psf.extent) + 2
 
 
 def level_count(deep: int) -> int:
@@ -74,12 +73,12 @@ def levels_of(rows: int, columns: int, deep: int, planes: int) -> list[tuple[int
     return levels
 
 
-def most_deep(psf: Psf, largest: float) -> int:
+def most_deep(psf: PointSpread, largest: float) -> int:
     """Upper bound of `depth_of_hidden` for |radii| up to `largest` px."""
     return depth_of_hidden(psf, ceil(2.0 * largest))
 
 
-def margin_of_slabs(psf: Psf, largest: float) -> tuple[int, int]:
+def margin_of_slabs(psf: PointSpread, largest: float) -> tuple[int, int]:
     """Rows beyond those of a strip that may matter to it, and a number of rows that its grid begins at a multiple of.
 
     largest: px, no |radius| is larger. A hidden pixel that contributes to the strip is between pixels of the last level

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.constants import LONGEST_RUN
-from clsco.optics.psf import axis_weights, reach, shape_of, weights
-from clsco.scene.model import Psf
+from clsco.optics.point_spread import PointSpread
 
 SUMMED = 12  # px, half-width of discs from which rectangles are worth the sums that they need
 # What a pair of sums and a weight of the quadrant, which is four taps, take, in units of the same time.
@@ -66,17 +65,17 @@ class Stencil:
         return np.array(found, np.int32).reshape(-1, 4)
 
 
-def is_summed(psf: Psf, half_width: int) -> bool:
+def is_summed(psf: PointSpread, half_width: int) -> bool:
     """True if PSFs of this half-width in px use rectangles."""
-    return not shape_of(psf).soft and half_width >= SUMMED
+    return psf.uniform and half_width >= SUMMED
 
 
-def is_by_axes(psf: Psf) -> bool:
+def is_by_axes(psf: PointSpread) -> bool:
     """True if a PSF has two stencils, for its rows and then its columns."""
-    return shape_of(psf).kind == "separable"
+    return psf.layout == "separable"
 
 
-def stencil_sizes(psf: Psf, far: int) -> dict[str, int]:
+def stencil_sizes(psf: PointSpread, far: int) -> dict[str, int]:
     """Most bytes of the arrays of `stencils` for PSFs that reach at most `far` px, by their names and numbers.
 
     A column of a disc has at most two pieces, above and below what rectangles cover, each of which is cut into runs.
@@ -90,12 +89,12 @@ def stencil_sizes(psf: Psf, far: int) -> dict[str, int]:
 
 
 @lru_cache(maxsize=64)
-def stencils(psf: Psf, radius: float) -> tuple[Stencil, ...]:
+def stencils(psf: PointSpread, radius: float) -> tuple[Stencil, ...]:
     """Stencils whose convolution is the PSF of one radius.
 
     Parameters
     ----------
-    psf : Psf
+    psf : PointSpread
     radius : float
         |R| in px.
 
@@ -104,12 +103,12 @@ def stencils(psf: Psf, radius: float) -> tuple[Stencil, ...]:
     tuple of Stencil
         One; of a separable PSF one for each axis.
     """
-    far = reach(psf, radius)
+    far = psf.reach(radius)
     offset = np.arange(far + 1.0)
     if is_by_axes(psf):
-        line = axis_weights(psf, offset, np.asarray(radius)).astype(np.float32)
+        line = psf.axis_weights(offset, np.asarray(radius)).astype(np.float32)
         return Stencil(*_runs(line[None, :])), Stencil(*_runs(line[:, None]))
-    quadrant = weights(psf, offset[None, :], offset[:, None], np.asarray(radius)).astype(np.float32)
+    quadrant = psf.weights(offset[None, :], offset[:, None], np.asarray(radius)).astype(np.float32)
     share = quadrant[0, 0]
     rectangles = _rectangles(quadrant == share, quadrant >= share / 2) if is_summed(psf, far) else ()
     inside = np.zeros_like(quadrant)

@@ -33,8 +33,8 @@ from clsco.constants import (
     WRAP_NONE,
     WRAP_REPEAT,
 )
-from clsco.optics.psf import shape_of
-from clsco.scene.model import Cone, Cylinder, Disc, Ellipsoid, Object, Plane, Psf, Rectangle, Scene
+from clsco.optics.point_spread import PointSpread
+from clsco.scene.model import Cone, Cylinder, Disc, Ellipsoid, Object, Plane, Rectangle, Scene
 
 KINDS = {
     "card": MAP_PLANE,
@@ -84,14 +84,14 @@ class TextureMap:
     rows: int
 
 
-def needs_detail(scene: Scene, largest: float) -> bool:
+def needs_detail(scene: Scene, psf: PointSpread, largest: float) -> bool:
     """True if sources of textures on surfaces need more than their means, for |R| up to `largest` px."""
-    return scene.has_mapped_textures and texture_spread(scene.psf) * largest > DETAILED_LEAST
+    return scene.has_mapped_textures and texture_spread(psf) * largest > DETAILED_LEAST
 
 
-def texture_spread(psf: Psf) -> float:
+def texture_spread(psf: PointSpread) -> float:
     """Radius in px of the disc whose second moments a PSF with R = 1 has, 0 where its sources are no squares."""
-    return 2.0 * sqrt(shape_of(psf).second_moment) if psf.edge == "integrated" else 0.0
+    return 2.0 * sqrt(psf.pupil.second_moment) if psf.edge == "integrated" else 0.0
 
 
 def texture_map(item: Object, columns: int, rows: int) -> TextureMap:

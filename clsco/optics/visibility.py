@@ -16,12 +16,11 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.constants import LENS_CELLS
 from clsco.optics.lens import lens_radius
 from clsco.optics.motion import Pose
-from clsco.optics.psf import disc_coverage, shape_of, subpixel_weights
+from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import Extent, cutting_bounds, place
-from clsco.scene.model import Camera, Object, Plane, Psf, Rectangle
+from clsco.scene.model import Camera, Object, Plane, Rectangle
 
 Array = NDArray[np.float64]
 
@@ -40,35 +39,12 @@ class Layer:
     root: int = 0
 
 
-def lens_extent(psf: Psf) -> float:
-    """Radius of the lens that a PSF stands for, in aperture radii: a ray through lens point l arrives at offset R l."""
-    return shape_of(psf).extent
-
-
-def lens_cells(psf: Psf) -> Array:
-    """Weights (2 LENS_CELLS, 2 LENS_CELLS) of the cells of a square around the lens, up to a factor.
-
-    Cells as the image of a positive blur radius shows them; of a negative one they are mirrored where the shape of the
-    PSF is `signed`.
-    """
-    at = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS
-    x, y = np.meshgrid(at, at)
-    if shape_of(psf).signed:
-        return subpixel_weights(psf, x, y, np.asarray(float(LENS_CELLS)))
-    area = disc_coverage(x, y, np.asarray(float(LENS_CELLS)), tent=False)
-    if not shape_of(psf).soft:
-        return area
-    spread = psf.truncation / LENS_CELLS
-    return np.asarray(area * np.exp(-0.5 * (x * x + y * y) * spread**2))
-
-
-def lens_floats(psf: Psf) -> Array:
-    """Array that kernels read of a lens: its cells; where the shape is `signed`, mirrored ones and the lens mask after
-    them."""
-    cells = lens_cells(psf)
-    if not shape_of(psf).signed:
+def lens_floats(psf: PointSpread) -> Array:
+    """Lens as kernels read it: its cells; of a `signed` one mirrored cells and its straight edges after them."""
+    cells = psf.lens_cells()
+    if not psf.signed:
         return cells
-    return np.concatenate([cells.ravel(), cells[::-1, ::-1].ravel(), shape_of(psf).lens_mask.ravel()])
+    return np.concatenate([cells.ravel(), cells[::-1, ::-1].ravel(), np.ravel(psf.pupil.edges)])
 
 
 def extent(item: Object, poses: Sequence[Pose], seen: Array) -> Extent:
@@ -107,12 +83,12 @@ def is_hollow(item: Object) -> bool:
     return not isinstance(item, Plane | Rectangle) and cutting_bounds(item) is not None
 
 
-def layers(items: Sequence[Object], extents: Sequence[Extent], camera: Camera, psf: Psf) -> tuple[Layer, ...]:
+def layers(items: Sequence[Object], extents: Sequence[Extent], camera: Camera, psf: PointSpread) -> tuple[Layer, ...]:
     """Few occlusion groups for objects at `extents`, in the order of the scene: no member hides another.
 
     Each of the two roots of a hollow object is a group. One group and no occluders where nothing is hidden.
     """
-    count, reach = len(extents), lens_extent(psf)
+    count, reach = len(extents), psf.extent
     hides = [[m != k and may_hide(extents[m], extents[k], camera, reach) for m in range(count)] for k in range(count)]
     groups: list[list[int]] = []
     for k in (k for k in range(count) if not is_hollow(items[k])):

@@ -84,7 +84,7 @@ def blur_features(spec: BlurSpec, channels: int, fp64: bool, maps: Maps) -> dict
             "BY_ROWS": int(scratch == "rows"),
             "BY_COLUMNS": int(scratch == "columns"),
             "SCATTER": int(method == "scatter"),
-            "RENORMALIZE": int(psf.border == "renormalize" and method != "none"),
+            "RENORMALIZE": int(spec.border == "renormalize" and method != "none"),
             "PREPARE": MAPS.index(maps) if method in MANY_RADII else 0,
             "BAND": BAND,
         }
@@ -245,7 +245,7 @@ class TableBlur(FrameSum, ABC):
         tail: tuple[object, ...] = ()
         if self.spec.subpixels:
             tail = (sources.sub_source, sources.sub_value, np.int32(sources.capacity), *self.tables[1])
-        if self.spec.psf.border == "renormalize":
+        if self.spec.border == "renormalize":
             size = int(self.camera["columns"]), int(self.camera["height"])
             self.target.run("renormalize", size, PIXELS, events, *head, *tail)
         if sources.layer is not None:

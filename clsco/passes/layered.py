@@ -11,7 +11,6 @@ from clsco.constants import DISCONTINUITY_CLASSES, PUSH_PIXELS, REACH_PIXELS, SE
 from clsco.frame.strips import Grid
 from clsco.opencl.buffers import allocate, download, empty
 from clsco.opencl.program import build
-from clsco.optics.psf import reach
 from clsco.optics.slabs import Slabs, bins_of, depth_of_hidden, levels_of, slab_bounds
 from clsco.passes.blur import BLOCKS, PIXELS, PLAIN, Events, FrameSum, Sources, Target, blur_target, prepare_sources
 from clsco.passes.frame_blur import make_blur
@@ -36,7 +35,7 @@ class Labels:
     def __init__(self, target: Target, spec: BlurSpec, sizes: Sizes) -> None:
         self.target, self.psf = target, spec.psf
         self.low, self.bins = bins_of(spec.largest)
-        self.reach = reach(spec.psf, spec.largest)
+        self.reach = spec.psf.reach(spec.largest)
         self.latest = empty(target.session, sizes["latest"])
         self.offset = empty(target.session, sizes["offset"])
         self.slab, self.seed, self.hidden, self.edge = (

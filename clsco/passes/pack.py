@@ -14,14 +14,14 @@ from clsco.inputs.mipmaps import level_sizes
 from clsco.optics.lens import blur_scale, focus_power, lens_radius, ray_step
 from clsco.optics.light import PlacedLight
 from clsco.optics.motion import Pose
-from clsco.optics.psf import MINIMUM_BLUR, sampled_key
+from clsco.optics.point_spread import MINIMUM_BLUR, PointSpread
 from clsco.optics.psf_grid import octaves_from, sampled_steps, table_steps
 from clsco.optics.psf_tables import PsfTable
 from clsco.optics.quadrics import PlacedSurface, cutting_bounds
 from clsco.optics.texture_mapping import TextureMap, texture_spread
-from clsco.optics.visibility import Layer, lens_extent
+from clsco.optics.visibility import Layer
 from clsco.records import Real, Struct, filled, structs
-from clsco.scene.model import Camera, Object, Psf
+from clsco.scene.model import Camera, Object
 
 EVERYWHERE = ((-np.inf, np.inf),) * 3  # bounds of an object that has none, beside one that has
 
@@ -77,7 +77,7 @@ def _surface_struct(item: Object, surface: PlacedSurface, texture: int, real: Re
 
 
 def texture_map_structs(
-    maps: Sequence[TextureMap | None], bases: Sequence[int], psf: Psf, covered: float, real: Real
+    maps: Sequence[TextureMap | None], bases: Sequence[int], psf: PointSpread, covered: float, real: Real
 ) -> NDArray[np.void]:
     """texture_map_t of every object, (objects,).
 
@@ -87,7 +87,7 @@ def texture_map_structs(
         None for a projected texture.
     bases : sequence of int
         First float of each one's mipmap.
-    psf : Psf
+    psf : PointSpread
     covered : float
         Value of the last channel where there is no image: 1 of coverage, else 0.
     real : {"double", "float"}
@@ -120,7 +120,7 @@ def layer_struct(layer: Layer, objects: int) -> Struct:
     return filled("layer_t", "double", vars(layer) | {"count": objects})
 
 
-def psf_struct(psf: Psf, table: PsfTable, subpixel: PsfTable | None, real: Real) -> Struct:
+def psf_struct(psf: PointSpread, table: PsfTable, subpixel: PsfTable | None, real: Real) -> Struct:
     """psf_t for a main table and, where there are sub-pixel sources, theirs."""
     values: dict[str, Any] = {
         "first": table.first,
@@ -128,12 +128,12 @@ def psf_struct(psf: Psf, table: PsfTable, subpixel: PsfTable | None, real: Real)
         "low": table.low,
         "end": table.end,
         "reach": max(table.reach, subpixel.reach if subpixel else 0),
-        "key": sampled_key(psf),
+        "key": psf.key,
         "minimum_blur": MINIMUM_BLUR,
         "octaves_from": octaves_from(psf),
         "steps": table_steps(psf, False),
         "sub_steps": table_steps(psf, True),
-        "lens_extent": lens_extent(psf),
+        "lens_extent": psf.extent,
     }
     values["fine_steps"], values["fine_until"] = sampled_steps(psf)
     if subpixel:

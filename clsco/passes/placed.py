@@ -17,6 +17,7 @@ from clsco.opencl.buffers import upload
 from clsco.opencl.session import Session
 from clsco.optics.light import place_light
 from clsco.optics.motion import Eye, Pose, poses_at, rest_center, rest_poses
+from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import PlacedSurface, place
 from clsco.optics.texture_mapping import texture_map
 from clsco.passes.pack import light_struct, pose_structs, surface_structs, texture_map_structs, texture_planes
@@ -66,6 +67,7 @@ class PlacedScene:
     ----------
     session : Session
     scene : Scene
+    psf : PointSpread
     textures : sequence of Texture
         Texture of every object (`clsco.inputs.textures.load_scene_textures`).
     real : {"double", "float"}
@@ -84,12 +86,13 @@ class PlacedScene:
         self,
         session: Session,
         scene: Scene,
+        psf: PointSpread,
         textures: Sequence[Texture],
         real: Real,
         eye: Eye = "left",
         covered: bool = False,
     ) -> None:
-        self.session, self.scene, self.real, self.eye = session, scene, real, eye
+        self.session, self.scene, self.psf, self.real, self.eye = session, scene, psf, real, eye
         self.textures, self.covered = tuple(textures), covered
         self.bits = max(texture.bits for texture in textures)
         gains = [1.0 if item.mapped is None else MOST_DETAIL for item in scene.objects]
@@ -155,7 +158,7 @@ class PlacedScene:
             for item, texture in zip(self.scene.objects, self.textures, strict=True)
         ]
         first = [bases.get(texture, 0) for texture in self.textures]
-        return texture_map_structs(maps, first, self.scene.psf, float(self.covered), self.real)
+        return texture_map_structs(maps, first, self.psf, float(self.covered), self.real)
 
     def at(self, time: float, weight: float = 1.0, eye: Eye | None = None) -> TimeSample:
         """The objects at a time in s, as `eye` sees them."""

@@ -16,14 +16,13 @@ from clsco.cache import Cache
 from clsco.files.array_cache import ArrayCache, user_cache
 from clsco.opencl.pages import SMALLEST, in_pages, trim
 from clsco.opencl.session import Session
-from clsco.optics import polygon, psf_blocks, psf_grid
-from clsco.optics import psf as psf_module
-from clsco.optics.psf import shape_of
+from clsco.optics import point_spread, psf_blocks, psf_grid
+from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_blocks import WeightBlock, weight_block
 from clsco.optics.psf_tables import PsfTable, narrowed, rounded_span, span_sizes, table_of
+from clsco.optics.pupils import circle, differences, gaussian, image, polygon, ring
 from clsco.plan.methods import BlurSpec
 from clsco.resources import code_digest
-from clsco.scene.model import Psf
 
 CACHE_BYTES = 2**27  # of tables in this process
 BLOCK_BYTES = 2**25  # of blocks in this process
@@ -48,7 +47,7 @@ class TableStore:
         self._tables: OrderedDict[Hashable, PsfTable] = OrderedDict()
 
     def table(
-        self, psf: Psf, smallest: float, largest: float, subpixel: int = 0, go_on: Callable[[], object] = tuple
+        self, psf: PointSpread, smallest: float, largest: float, subpixel: int = 0, go_on: Callable[[], object] = tuple
     ) -> PsfTable:
         """`clsco.optics.psf_tables.psf_table`, with the arrays of an earlier one where these hold the range.
 
@@ -56,7 +55,7 @@ class TableStore:
         wide blur leaves no more than the one before it. go_on: called before each block, and may raise.
         """
 
-        def block(psf: Psf, first: int, subpixel: int) -> WeightBlock:
+        def block(psf: PointSpread, first: int, subpixel: int) -> WeightBlock:
             go_on()
             return self.block(psf, first, subpixel)
 
@@ -78,12 +77,12 @@ class TableStore:
                 self._tables.popitem(last=False)
         return narrowed(table, psf, smallest, largest, subpixel > 0)
 
-    def block(self, psf: Psf, first: int, subpixel: int) -> WeightBlock:
+    def block(self, psf: PointSpread, first: int, subpixel: int) -> WeightBlock:
         """A block of weights, from the process or the disk where it is there."""
         key = f"{_code()} {_key(psf, subpixel)} {first}"
         return self.blocks.get(key, lambda: self._block(key, psf, first, subpixel), lambda block: block.nbytes)
 
-    def _block(self, key: str, psf: Psf, first: int, subpixel: int) -> WeightBlock:
+    def _block(self, key: str, psf: PointSpread, first: int, subpixel: int) -> WeightBlock:
         found = self.disk.get(key)
         if found is not None and found.keys() == WeightBlock.__dataclass_fields__.keys():
             return _in_pages(WeightBlock(**found))
@@ -101,8 +100,9 @@ class TableStore:
 
 @cache
 def _code() -> str:
-    """Digest of the code that blocks depend on, besides their PSF."""
-    return code_digest(constants, polygon, psf_module, psf_blocks, psf_grid)
+    """Digest of the code that makes blocks."""
+    pupils = circle, differences, gaussian, image, polygon, ring
+    return code_digest(constants, point_spread, *pupils, psf_blocks, psf_grid)
 
 
 @cache
@@ -127,14 +127,9 @@ def forget_others(session: Session) -> None:
     shared_tables().clear(blocks=False)
 
 
-def _key(psf: Psf, subpixel: int) -> str:
+def _key(psf: PointSpread, subpixel: int) -> str:
     """All that the weights depend on but the radius."""
-    parts = [psf.model, psf.edge, str(subpixel)]
-    if psf.model == "gaussian":
-        parts += [repr(psf.sigma_ratio), repr(psf.truncation), str(psf.silhouette_samples)]
-    if shape_of(psf).signed:
-        parts.append(repr(psf.aperture))
-    return " ".join(parts)
+    return f"{psf!r} {subpixel}"
 
 
 def _end(table: PsfTable) -> int:
@@ -145,13 +140,13 @@ def _holds(table: PsfTable, span: range) -> bool:
     return table.first <= span.start and span.stop <= _end(table)
 
 
-def _is_disc(psf: Psf, subpixel: int) -> bool:
+def _is_disc(psf: PointSpread, subpixel: int) -> bool:
     """True if a table is that of a sampled disc."""
-    return shape_of(psf).kind == "disc" and not subpixel
+    return psf.layout == "disc" and not subpixel
 
 
 @lru_cache(maxsize=256)
-def _size(psf: Psf, span: range, subpixel: int) -> int:
+def _size(psf: PointSpread, span: range, subpixel: int) -> int:
     """Bytes of the table of a span."""
     return sum(span_sizes(psf, span, subpixel).values())
 

@@ -26,11 +26,11 @@ from clsco.errors import SceneError
 from clsco.inputs.textures import Texture
 from clsco.optics.lens import blur_radius
 from clsco.optics.motion import sample_times
-from clsco.optics.psf import shape_of
+from clsco.optics.point_spread import PointSpread
 from clsco.optics.texture_mapping import needs_detail
 from clsco.plan.plan import Plan
 from clsco.plan.predict import Maps, image_path, seen_depths
-from clsco.scene.model import Psf, Scene, Sequence
+from clsco.scene.model import Scene, Sequence
 
 Array = NDArray[np.float64]
 Samples = tuple[int, int]
@@ -120,17 +120,18 @@ def fewer_samples(
         With fewer samples, or the plan's own.
     ApproximationReport
     """
+    checked_tolerance(tolerance)
     scene, exact = plan.scene, (plan.samples, max(plan.silhouettes, 1))
     samples, silhouettes, square = *exact, 0.0
     if exact != (1, 1):
         parts = _parts(scene, textures(), maps)
-        outlines = sum(float(_passed(scene.psf, part.radius)[: SIDE // 2].mean()) * sum(part.outline) for part in parts)
-        cycles = *_cycles(scene.psf, parts), outlines / (12.0 * exact[1] ** 2)
+        outlines = sum(float(_passed(plan.psf, part.radius)[: SIDE // 2].mean()) * sum(part.outline) for part in parts)
+        cycles = *_cycles(plan.psf, parts), outlines / (12.0 * exact[1] ** 2)
         of_time = partial(_of_time, scene.sequence, *cycles, exact[0])
         of_coverage = partial(_of_coverage, outlines, exact[1])
         samples = _fewest(range(least[0], exact[0]), tolerance**2, of_time) or exact[0]
         square = of_time(samples) if samples < exact[0] else 0.0
-        if not needs_detail(scene, plan.largest_blur):
+        if not needs_detail(scene, plan.psf, plan.largest_blur):
             halves = tuple(2**n for n in range(4) if least[1] <= 2**n < exact[1])
             silhouettes = _fewest(halves, tolerance**2 - square, of_coverage) or exact[1]
             square += of_coverage(silhouettes) if silhouettes < exact[1] else 0.0
@@ -169,7 +170,7 @@ class _Part:
     outline: tuple[float, float]
 
 
-def _cycles(psf: Psf, parts: tuple[_Part, ...]) -> tuple[Array, Array]:
+def _cycles(psf: PointSpread, parts: tuple[_Part, ...]) -> tuple[Array, Array]:
     """Cycles that patterns move on by while the shutter is open, (n,), and their power in the frame, white^2, for each
     of WAYS (ways, n)."""
     longest = max((max(part.way) for part in parts), default=0.0)
@@ -206,11 +207,13 @@ def _of_coverage(outlines: float, exact: int, count: int) -> float:
     return MARGIN * outlines * float(np.mean((found - known) ** 2))
 
 
-def _passed(psf: Psf, radius: float) -> Array:
-    """H^2 by FREQUENCIES, at most: of a Gaussian, or of the disc with the second moment of another PSF."""
-    shape = shape_of(psf)
-    z = 4.0 * np.pi * sqrt(shape.second_moment) * radius * FREQUENCIES
-    if shape.soft:
+def _passed(psf: PointSpread, radius: float) -> Array:
+    """H^2 by FREQUENCIES, at most: of a Gaussian, or of the disc with the second moment of another PSF; 1 where light
+    is not spread evenly."""
+    z = 4.0 * np.pi * sqrt(psf.pupil.second_moment) * radius * FREQUENCIES
+    if not (psf.pupil.soft or psf.uniform):
+        return np.ones_like(FREQUENCIES)
+    if psf.pupil.soft:
         return np.asarray(np.exp(-0.25 * z * z))
     return 1.0 / np.maximum(np.pi / 8.0 * z**3, 1.0)  # the envelope of (2 J1(z) / z)^2
 

@@ -29,14 +29,14 @@ from clsco.constants import (
 from clsco.frame.strips import BAND, Grid
 from clsco.inputs.mipmaps import mipmap_floats
 from clsco.inputs.textures import mapped_size
-from clsco.optics.psf import shape_of
+from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_tables import rounded_span, table_sizes
 from clsco.optics.slabs import bins_of, levels_of, most_deep
 from clsco.optics.stencil import is_by_axes, is_summed, stencil_sizes
 from clsco.optics.visibility import lens_floats
 from clsco.plan.methods import MANY_RADII, BlurSpec
 from clsco.records import WIDE_BYTES, structs
-from clsco.scene.model import Psf, Scene
+from clsco.scene.model import Scene
 
 Sizes = dict[str, int]
 TABLES = ("intervals", "coefficients", "taps", "outlines")  # buffers of a table of weights
@@ -112,10 +112,10 @@ def bands_at_a_time(rows: int, cores: int) -> int:
     return min(ceil(rows / BAND), BANDS_PER_CORE * cores)
 
 
-def band_scratch(psf: Psf, fp64: bool) -> Scratch:
+def band_scratch(psf: PointSpread, fp64: bool) -> Scratch:
     """Kind of scratch that `gather` keeps for each band of a frame: whole rows of sampled discs, columns of others."""
     found: dict[str, Scratch] = {"disc": "rows" if fp64 else "none", "general": "none"}
-    return found.get(shape_of(psf).kind, "columns")
+    return found.get(psf.layout, "columns")
 
 
 def source_bytes(sources: int, tilt: bool, marked: bool = False) -> int:
@@ -136,21 +136,21 @@ def margin(columns: int, guard: int, far: int) -> tuple[int, int]:
     return pad, vectors * TAP_LANES
 
 
-def row_bytes(psf: Psf, channels: int, far: int) -> int:
+def row_bytes(tilt: bool, channels: int, far: int) -> int:
     """Scratch of a work-item of `gather` for whole rows of sources, see discs.clh; a whole number of doubles."""
     beside = (far // TAP_LANES + 3) * TAP_LANES
-    planes, width = (3 if psf.tilt else 1) * channels, ROW_TILE + 2 * beside
+    planes, width = (3 if tilt else 1) * channels, ROW_TILE + 2 * beside
     return 8 * channels * BAND * ROW_TILE + 4 * width * (1 + 3 * planes)
 
 
-def column_bytes(psf: Psf, channels: int, far: int) -> int:
+def column_bytes(psf: PointSpread, tilt: bool, channels: int, far: int) -> int:
     """The same for columns of sources, see kernels/blur/cpu/columns.clh."""
-    tiles, slopes = 8 * channels * BAND * (far // WIDE_LANES + 2 | 1) * WIDE_LANES, 2 * psf.tilt
-    if shape_of(psf).kind == "separable":
+    tiles, slopes = 8 * channels * BAND * (far // WIDE_LANES + 2 | 1) * WIDE_LANES, 2 * tilt
+    if psf.layout == "separable":
         item = 4 * WIDE_LANES * (slopes + channels + far + 1 + WIDE_LANES)
-        sums = 4 * WIDE_LANES * MOST_ASIDE * BAND * (1 + psf.tilt)
+        sums = 4 * WIDE_LANES * MOST_ASIDE * BAND * (1 + tilt)
         return sums + tiles + min(max(ITEMS_BYTES // item, 2 * WIDE_LANES), MOST_ITEMS) * (item + 8)
-    ends, sums = (1 + slopes) * channels, (1 + psf.tilt) * channels
+    ends, sums = (1 + slopes) * channels, (1 + tilt) * channels
     items = MOST_ITEMS * (4 * WIDE_LANES * (2 + slopes + 2 * channels) + ITEM_BYTES)
     return 8 * WIDE_LANES * ends * (BAND + 1) + 4 * WIDE_LANES * sums * (BAND + 2 * far) + tiles + items
 
@@ -182,9 +182,9 @@ def blur_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
         if in_parts:
             sizes["part"] = 4 * channels * bands * BAND * pitch
         if scratch == "columns":
-            sizes["scratch"] = bands * column_bytes(spec.psf, channels, reach)
+            sizes["scratch"] = bands * column_bytes(spec.psf, spec.tilt, channels, reach)
         elif scratch != "none":
-            sizes["scratch"] = bands * row_bytes(spec.psf, channels, reach)
+            sizes["scratch"] = bands * row_bytes(spec.tilt, channels, reach)
     if spec.method == "scatter":
         sizes["sums"] = 8 * channels * rows * columns
     if spec.method == "convolve":
@@ -220,7 +220,7 @@ def depth_layer_spec(spec: BlurSpec) -> BlurSpec:
     return replace(spec, smallest=0.0, subpixels=0, occluders=0, limited=False, brightest=brightest)
 
 
-def pyramid_bytes(psf: Psf, channels: int, width: int, height: int, largest: float) -> int:
+def pyramid_bytes(psf: PointSpread, channels: int, width: int, height: int, largest: float) -> int:
     """Pyramid of `clsco.passes.layered.DepthLayers` over a grid, for radii up to `largest` px."""
     planes = channels + 2  # radius, and how far it is known
     rows, columns, start = levels_of(height, width, most_deep(psf, largest), planes)[-1]

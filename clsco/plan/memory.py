@@ -22,9 +22,8 @@ from clsco.plan.buffers import (
     image_buffers,
     layered_buffers,
 )
-from clsco.plan.methods import Blur, BlurSpec
+from clsco.plan.methods import BlurSpec
 from clsco.plan.plan import Plan
-from clsco.scene.model import Psf
 
 _UNITS = {"": 1, "b": 1} | {f"{p}b": 1000**n for n, p in enumerate("kmgt", 1)}
 _UNITS |= {f"{p}ib": 1024**n for n, p in enumerate("kmgt", 1)}
@@ -92,23 +91,18 @@ def buffer_bytes(plan: Plan) -> Sizes:
     return sizes
 
 
-def is_layered(psf: Psf, method: Blur) -> bool:
-    """True if `clsco.defocus` puts its image into depth layers."""
-    return psf.occlusion == "layered" and method != "convolve"
-
-
-def defocus_strips(psf: Psf, method: Blur, rows: int, guard: int, largest: float, tallest: int) -> tuple[Strip, ...]:
-    """Strips of `clsco.defocus` of an image of so many rows with radii up to `largest` px."""
-    reach, step = margin_of_slabs(psf, largest) if is_layered(psf, method) else (table_reach(psf, largest) + 2, 1)
+def defocus_strips(spec: BlurSpec, rows: int, guard: int, tallest: int) -> tuple[Strip, ...]:
+    """Strips of `clsco.defocus` of an image of so many rows."""
+    psf, largest = spec.psf, spec.largest
+    reach, step = margin_of_slabs(psf, largest) if spec.layered else (table_reach(psf, largest) + 2, 1)
     return cut(rows, tallest, guard, reach, step)
 
 
 def defocus_bytes(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> dict[str, int]:
     """Buffers of `clsco.defocus`; arguments as for `clsco.plan.buffers.blur_buffers`."""
-    layered = is_layered(spec.psf, spec.method)
-    sizes = image_buffers(spec, grid, layered)
+    sizes = image_buffers(spec, grid, spec.layered)
     sizes |= {f"blur {name}": size for name, size in blur_buffers(spec, grid, device).items()}
-    if layered:
+    if spec.layered:
         sizes |= {f"depth layer {name}": size for name, size in layered_buffers(spec, grid, device).items()}
     return sizes
 

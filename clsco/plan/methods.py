@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import SceneError
-from clsco.optics.psf import shape_of
+from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_grid import table_reach
-from clsco.scene.model import Psf
 
 Array = NDArray[np.float64]
 Blur = Literal["gather", "scatter", "tiles", "convolve", "none"]
@@ -25,7 +24,7 @@ class BlurSpec:
 
     Attributes
     ----------
-    psf : Psf
+    psf : PointSpread
     method : Blur
     smallest, largest : float
         Range of |R| in px; other radii are clamped to it ("convolve" makes the PSF of its radius).
@@ -39,9 +38,13 @@ class BlurSpec:
         Any occluder has bounds, or one nappe of two, or is a disc.
     brightest : float
         Largest |radiance|, which sets the unit of sums of whole numbers.
+    border : {"lose", "renormalize"}
+        Fate of irradiance outside of the frame: lost, or given back to it.
+    layered : bool
+        Sources are in depth layers, of which nearer ones hide farther ones.
     """
 
-    psf: Psf
+    psf: PointSpread
     method: Blur
     smallest: float
     largest: float
@@ -50,6 +53,8 @@ class BlurSpec:
     occluders: int = 0
     limited: bool = False
     brightest: float = 1.0
+    border: Literal["lose", "renormalize"] = "lose"
+    layered: bool = False
 
     @property
     def marked(self) -> bool:
@@ -62,20 +67,15 @@ class BlurSpec:
         return max(table_reach(self.psf, self.largest, fine) for fine in {False, self.subpixels > 0})
 
 
-def can_convolve(psf: Psf) -> bool:
+def can_convolve(psf: PointSpread, border: str) -> bool:
     """True if `convolve` can blur by this PSF: the same one everywhere, and for -R."""
-    return psf.border == "lose" and not shape_of(psf).signed
+    return border == "lose" and not psf.signed
 
 
-def check_shape(psf: Psf, method: str) -> None:
+def check_shape(psf: PointSpread, method: str) -> None:
     """Raise SceneError where a method cannot take the shape of the lens."""
-    if method == "convolve" and shape_of(psf).signed:
-        raise SceneError(f'method: convolve needs aperture.shape = "circle"; got {psf.aperture.shape}')
-
-
-def is_sharp(psf: Psf, largest: float) -> bool:
-    """True if the PSF of the |blur radius| `largest` px keeps all light in its pixel."""
-    return shape_of(psf).is_sharp(largest)
+    if method == "convolve" and psf.signed:
+        raise SceneError(f"method: convolve needs an aperture that blurs alike for R and -R; got {psf.pupil.name}")
 
 
 def occluder_room(occluders: int) -> int:

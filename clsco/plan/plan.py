@@ -18,9 +18,10 @@ from clsco.constants import TAP_LANES
 from clsco.errors import SceneError
 from clsco.frame.frame import MAPPING_NAMES, MOTION_NAMES, STEREO_NAMES, TRUTH_NAMES
 from clsco.frame.strips import Grid, Strip, cut
+from clsco.inputs.pupils import scene_point_spread
 from clsco.optics.lens import LARGEST_BLUR, blur_radius
 from clsco.optics.motion import Eye, Pose, sample_times
-from clsco.optics.psf import psf_extent, shape_of
+from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_grid import table_reach
 from clsco.optics.psf_tables import check_tables, psf_features
 from clsco.optics.slabs import margin_of_slabs
@@ -51,7 +52,6 @@ from clsco.plan.methods import (
     can_convolve,
     check_shape,
     choose_blur,
-    is_sharp,
     occluder_room,
 )
 from clsco.plan.passes import HOW, Kind, Parameters, Pass
@@ -83,6 +83,8 @@ class Plan:
     ----------
     scene : Scene
         With its resolution.
+    psf : PointSpread
+        Point spread of its lens.
     device : DeviceFacts
         Device that it is to run on.
     eye : {"left", "right"}
@@ -122,6 +124,7 @@ class Plan:
     """
 
     scene: Scene
+    psf: PointSpread
     device: DeviceFacts
     eye: Eye
     channels: int
@@ -165,14 +168,14 @@ class Plan:
     def reach_px(self) -> int:
         """Distance in px at which a source may matter to a pixel: the reach of the PSF, and 2 px to find silhouettes
         in."""
-        each = (table_reach(self.scene.psf, self.largest_blur, subpixel) for subpixel in (False, True))
+        each = (table_reach(self.psf, self.largest_blur, subpixel) for subpixel in (False, True))
         return max(each) + 2
 
     @cached_property
     def strips(self) -> tuple[Strip, ...]:
         """The strips that the frame is made in, one after the other; the first one is the tallest."""
         layered = self.occlusion == "layered"
-        reach, step = margin_of_slabs(self.scene.psf, self.largest_blur) if layered else (self.reach_px, 1)
+        reach, step = margin_of_slabs(self.psf, self.largest_blur) if layered else (self.reach_px, 1)
         return cut(self.rows, self.strip_rows or self.rows, self.guard_px, reach, step)
 
     @property
@@ -185,8 +188,9 @@ class Plan:
         """Specification of the blur."""
         room = occluder_room(max(layer.occluders.bit_count() for layer in self.layers))
         return BlurSpec(
-            self.scene.psf, self.blur, self.smallest_blur, self.largest_blur, self.silhouettes, self.tilt,
-            occluders=room, limited=room > 0 and self._shapes["NAPPE"] > 0,
+            self.psf, self.blur, self.smallest_blur, self.largest_blur, self.silhouettes, self.tilt,
+            occluders=room, limited=room > 0 and self._shapes["NAPPE"] > 0, border=self.scene.psf.border,
+            layered=self.occlusion == "layered",
         )  # fmt: skip
 
     @property
@@ -228,7 +232,7 @@ class Plan:
         """Structure that the kernels that cast rays are compiled for."""
         scene, spec = self.scene, self.spec
         moved = (self.moves or self.eye_moved) and not self.forward
-        psf = psf_features(scene.psf)
+        psf = psf_features(self.psf)
         return self._shapes | {
             "CHANNELS": self.channels,
             "OCCLUDED": int(spec.occluders > 0),
@@ -241,7 +245,8 @@ class Plan:
             "TILT": int(self.tilt),
             "SUBPIXELS": self.silhouettes,
             "SAMPLED": psf["SAMPLED"],
-            "GENERAL": int(psf["GENERAL"] > 0),
+            "GENERAL": psf["GENERAL"],
+            "EDGES": psf["EDGES"],
         }
 
     @cached_property
@@ -260,7 +265,7 @@ def widened(plan: Plan, smallest: float, largest: float) -> Plan:
     """The plan for a wider range of |R| in px than it predicted. Raises SceneError beyond LARGEST_BLUR."""
     if largest > LARGEST_BLUR:
         raise SceneError(f"camera: the blur radius must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px")
-    guard = max(plan.guard_px, guard_band(plan.scene.psf, largest))
+    guard = max(plan.guard_px, guard_band(plan.psf, plan.scene.psf.border, largest))
     return replace(plan, smallest_blur=smallest, largest_blur=largest, guard_px=guard)
 
 
@@ -270,7 +275,7 @@ def _hides_nothing(scene: Scene) -> bool:
 
 
 def _occlusion(
-    scene: Scene, rays: bool, sharp: bool, poses_at_times: list[tuple[Pose, ...]], w: Array
+    scene: Scene, psf: PointSpread, rays: bool, sharp: bool, poses_at_times: list[tuple[Pose, ...]], w: Array
 ) -> tuple[Occlusion, tuple[Layer, ...]]:
     """Choose how occlusion is computed, and the occlusion groups that follow."""
     together = (Layer((1 << len(scene.objects)) - 1, 0),)
@@ -280,7 +285,7 @@ def _occlusion(
     if wanted == "layered" or not rays:
         return "layered", together
     extents = [extent(item, [poses[k] for poses in poses_at_times], w[k]) for k, item in enumerate(scene.objects)]
-    found = layers(scene.objects, extents, scene.camera, scene.psf)
+    found = layers(scene.objects, extents, scene.camera, psf)
     return ("visibility", found) if any(layer.occluders for layer in found) else ("none", together)
 
 
@@ -293,6 +298,7 @@ def make_plan(
     maps: Maps | None = None,
     device: DeviceFacts | None = None,
     color: bool = True,
+    psf: PointSpread | None = None,
 ) -> Plan:
     """The passes that a scene needs.
 
@@ -332,37 +338,37 @@ def make_plan(
         raise SceneError("camera.resolution: must be known before a scene is planned; got None")
     columns, rows = scene.camera.resolution
     device = device or ThisMachine()
-    gpu, psf = device.kind == "gpu", scene.psf
+    gpu, asked, psf = device.kind == "gpu", scene.psf, psf or scene_point_spread(scene)
     forward, static = is_forward(scene, eye), is_static_map(scene)
     maps = maps or (None,) * len(scene.objects)
     samples = _samples(scene, maps)
     poses_at_times = _predicted_poses(scene, eye)
-    smallest, largest, each, guard = _blur_range(scene, eye, poses_at_times, maps)
+    smallest, largest, each, guard = _blur_range(scene, psf, eye, poses_at_times, maps)
     w = each.max(axis=0)
-    slabs = psf.occlusion == "layered" and not _hides_nothing(scene)
+    slabs = asked.occlusion == "layered" and not _hides_nothing(scene)
     rays = not (forward or static)
-    silhouettes = psf.silhouette_samples if psf.silhouette_samples > 1 and rays and not slabs else 0
-    if silhouettes and _fills_view(scene, w) and not needs_detail(scene, largest):
+    silhouettes = asked.silhouette_samples if asked.silhouette_samples > 1 and rays and not slabs else 0
+    if silhouettes and _fills_view(scene, w) and not needs_detail(scene, psf, largest):
         silhouettes = 0
-    constant = _constant_blur(scene) and not silhouettes and can_convolve(psf)
-    sharp = is_sharp(psf, largest) and not silhouettes
+    constant = _constant_blur(scene) and not silhouettes and can_convolve(psf, asked.border)
+    sharp = psf.is_sharp(largest) and not silhouettes
     check_shape(psf, method)
-    occlusion, found = _occlusion(scene, rays, sharp, poses_at_times, each)
+    occlusion, found = _occlusion(scene, psf, rays, sharp, poses_at_times, each)
     occluded = any(layer.occluders for layer in found)
     blur = choose_blur(method, sharp, constant, gpu, occluded)
     seen = np.abs(blur_radius(scene.camera, w[w > 0]))
     if blur == "convolve":
         guard += 2 * TAP_LANES
-    tilt = psf.tilt and not _constant_blur(scene) and blur not in ("convolve", "none")
+    tilt = asked.tilt and not _constant_blur(scene) and blur not in ("convolve", "none")
     if blur in MANY_RADII:
         check_tables(psf, smallest, largest, silhouettes)
     area = (rows + 2 * guard) * (columns + 2 * guard)
-    lit = np.pi * (psf_extent(psf, seen) + 0.7) ** 2
+    lit = np.pi * (seen * psf.extent + 0.7) ** 2
     times = samples * (2 if "subframes" in truth else 1)
     taps = float((w > 0).mean() * area * times * (lit.mean() if lit.size else 0.0)) if blur != "none" and color else 0.0
     return Plan(
-        scene, device, eye, channels + alpha, rows, columns, samples, guard, smallest, largest, blur, silhouettes, tilt,
-        forward, static, scene.moves, occlusion, found, truth, taps, alpha=alpha, color=color,
+        scene, psf, device, eye, channels + alpha, rows, columns, samples, guard, smallest, largest, blur, silhouettes,
+        tilt, forward, static, scene.moves, occlusion, found, truth, taps, alpha=alpha, color=color,
     )  # fmt: skip
 
 
@@ -468,16 +474,16 @@ def _of_frame(plan: Plan) -> Parameters:
 
 
 def _of_blur(plan: Plan) -> Parameters:
-    psf, groups = plan.scene.psf, len(plan.layers)
+    groups = len(plan.layers)
     if plan.blur == "none":
         return (("radiance", "every pixel keeps its own"),)
     how = HOW[plan.blur]
     if plan.device.kind == "gpu" and plan.occlusion == "visibility" and plan.blur == "scatter":
         how += ", as tiles do not test what is in the way"
-    found = [("PSF", f"{shape_of(psf).name}, R up to {plan.largest_blur:.3g} px"), ("method", f"{plan.blur}: {how}")]
+    found = [("PSF", f"{plan.psf.name}, R up to {plan.largest_blur:.3g} px"), ("method", f"{plan.blur}: {how}")]
     if plan.tilt:
         found.append(("tilt", "weights by the gradient of the blur radius"))
-    if psf.border == "renormalize":
+    if plan.scene.psf.border == "renormalize":
         found.append(("renormalize", "light over the border is given back"))
     if plan.occlusion == "visibility":
         plural = "s" if groups > 1 else ""

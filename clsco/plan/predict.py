@@ -13,9 +13,9 @@ from clsco.constants import TAP_LANES
 from clsco.errors import SceneError
 from clsco.optics.lens import LARGEST_BLUR, blur_radius, ray_step
 from clsco.optics.motion import Eye, Pose, middle_time, poses_at, rest_center, static_rotation
-from clsco.optics.psf import reach
+from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import cutting_bounds, place, predict_inverse_depth
-from clsco.scene.model import Disc, Object, Plane, Psf, Rectangle, Scene
+from clsco.scene.model import Disc, Object, Plane, Rectangle, Scene
 
 Array = NDArray[np.float64]
 Maps = Sequence[Array | None]
@@ -27,15 +27,15 @@ PIXELS_PER_SAMPLE = 1.0  # of the largest motion, with samples = "auto": 2 lose 
 MOST_SAMPLES = 4095
 
 
-def guard_band(psf: Psf, largest: float) -> int:
+def guard_band(psf: PointSpread, border: str, largest: float) -> int:
     """Width in px of the band around the frame whose surface can light it, and 2 px to see silhouettes in.
 
     A multiple of TAP_LANES, so that vectors of sources begin in the same columns of the frame with every lens: lenses
     that share a band have the bits that each has by itself.
     """
-    if psf.border == "renormalize":
+    if border == "renormalize":
         return 0
-    needed = max(reach(psf, largest), reach(psf, largest, True)) + 2
+    needed = max(psf.reach(largest), psf.reach(largest, True)) + 2
     return -(-needed // TAP_LANES) * TAP_LANES
 
 
@@ -211,10 +211,10 @@ def _constant_blur(scene: Scene) -> bool:
 
 
 def _blur_range(
-    scene: Scene, eye: Eye, samples: list[tuple[Pose, ...]], maps: Maps
+    scene: Scene, psf: PointSpread, eye: Eye, samples: list[tuple[Pose, ...]], maps: Maps
 ) -> tuple[float, float, Array, int]:  # fmt: skip
     """Smallest and largest |R| with a margin, the inverse depths of the objects, and the guard band that follows."""
-    psf, guard = scene.psf, 0
+    guard = 0
     seen = None if scene.moves or not scene.is_analytic else without_lens(scene)
     for _ in range(2):  # the second time with the guard band that the first asked for
         w = _inverse_depths(scene, samples, maps, guard) if seen is None else _static_depths(seen, eye, guard)
@@ -228,5 +228,5 @@ def _blur_range(
             raise SceneError(f"camera: {rule}; got {largest:.4g} px ({why})")
         if not _constant_blur(scene):  # rays between those of the grid
             smallest, largest = max(0.0, 0.9 * smallest - 1.0), 1.1 * largest + 1.0
-        guard = guard_band(psf, largest)
+        guard = guard_band(psf, scene.psf.border, largest)
     return smallest, largest, w, guard

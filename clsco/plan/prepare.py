@@ -201,7 +201,8 @@ def _planned(
 
     def plans_of(scene: Scene) -> list[Plan]:
         options = (request.truth, request.method)
-        return [make_plan(scene, channels, *options, eye, maps, device, request.color) for eye in views(scene)]
+        psf = files.point_spread(scene)
+        return [make_plan(scene, channels, *options, eye, maps, device, request.color, psf) for eye in views(scene)]
 
     plans, report = plans_of(sized), None
     if request.tolerance is not None and request.color:
@@ -228,8 +229,13 @@ def _channels(scene: Scene, files: InputFiles) -> int:
         if "depth" in sources:
             with _collected(faults, f"object[{index}].depth"):
                 files.depth(sources["depth"])
-    if faults:
-        raise SceneError([f"{where}: {fault}" for fault, where in faults.items()])
+    messages = [f"{where}: {fault}" for fault, where in faults.items()]
+    try:
+        files.point_spread(scene)
+    except ImageError as error:
+        messages.append(str(error))
+    if messages:
+        raise SceneError(messages)
     return 1 if gray else 3
 
 

@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 
 from clsco.frame.frame import MAPPING_NAMES, MOTION_NAMES, Frame
 from clsco.inputs.depth_maps import load_scene_depths
+from clsco.inputs.pupils import scene_point_spread
 from clsco.inputs.textures import Texture as TextureImage
 from clsco.inputs.textures import load_scene_textures, radiance_span
 from clsco.optics.depth_truth import map_flow, map_normal, map_occluded, map_stereo
 from clsco.optics.motion import Eye, Pose, middle_time, poses_at, rest_poses
+from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import PlacedSurface, place
 from clsco.optics.texture_mapping import texture_map
 from clsco.optics.visibility import Layer
@@ -107,14 +109,13 @@ def _sources(scene: Scene, radiance: Array, w: Array, valid: NDArray[np.bool_]) 
     return Sources(radiance, w, valid.astype(np.uint8), radius, gradient, valid)
 
 
-def _image_of_planes(
-    scene: Scene, plan: Plan, sources: Sources, shape: tuple[int, int]
-) -> tuple[Array, dict[str, int]]:
+def _image_of_planes(plan: Plan, sources: Sources) -> tuple[Array, dict[str, int]]:
     """Blur a pinhole image: (m, n, C), and with `layered` occlusion the number of depth layers for the metadata."""
+    shape = plan.rows, plan.columns
     if plan.occlusion != "layered":
-        return scatter(scene.psf, sources, None, shape, plan.guard_px), {}
+        return scatter(plan.spec, sources, None, shape, plan.guard_px), {}
     planes = (sources.radiance, sources.radius, sources.lit)
-    image, count = layered(scene.psf, *planes, shape, plan.guard_px, plan.largest_blur)
+    image, count = layered(plan.spec, *planes, shape, plan.guard_px)
     return image, {"slabs": count}
 
 
@@ -146,23 +147,24 @@ def render(scene: Scene, *, subframes: bool = False, frames: Iterable[int] | Non
     """
     scene, loaded = load_scene_textures(scene)
     images = [image for texture in loaded for image in texture.images]
+    psf = scene_point_spread(scene)
     channels = max(image.shape[2] if image.ndim == 3 else 1 for image in images)
-    textures = tuple(_texture(scene, *pair, channels) for pair in zip(scene.objects, loaded, strict=True))
+    textures = tuple(_texture(scene, psf, *pair, channels) for pair in zip(scene.objects, loaded, strict=True))
     maps = load_scene_depths(scene)
     eyes: tuple[Eye, ...] = ("left",) if scene.stereo is None else ("left", "right")
-    plans = [make_plan(scene, channels, eye=eye, maps=maps) for eye in eyes]
+    plans = [make_plan(scene, channels, eye=eye, maps=maps, psf=psf) for eye in eyes]
     for frame in range(scene.sequence.frames) if frames is None else frames:
         for plan in plans:
             yield _frame(plan, textures, maps, frame, subframes)
 
 
-def _texture(scene: Scene, item: Object, texture: TextureImage, channels: int) -> Texture:
+def _texture(scene: Scene, psf: PointSpread, item: Object, texture: TextureImage, channels: int) -> Texture:
     """The texture of an object in so many channels."""
     if item.mapped is None:
         return _with_channels(texture.radiance, channels)
     images = [_with_channels(image, channels).astype(np.float32) for image in texture.images]
     rows, columns = images[0].shape[:2]
-    return mapped_texture(images, texture_map(item, columns, rows), scene.psf, scene.motion.texture_filter)
+    return mapped_texture(images, texture_map(item, columns, rows), psf, scene.motion.texture_filter)
 
 
 def _with_channels(radiance: NDArray[np.float32], channels: int) -> Array:
@@ -184,17 +186,17 @@ def _time_sample(
     none = np.zeros(shape, dtype=bool)
     if _moves_pixels(plan):
         warped = _warped_sources(scene, textures, maps, guard, time, plan.eye)
-        image, count = _image_of_planes(scene, plan, warped.sources, shape)
+        image, count = _image_of_planes(plan, warped.sources)
         return image, _crop(warped.status, guard) > 0, asdict(warped.report) | count
-    view = view_at(scene, textures, time, plan.eye, plan.moves or plan.eye_moved)
+    view = view_at(scene, textures, time, plan.eye, plan.moves or plan.eye_moved, plan.psf)
     if plan.occlusion == "layered":
         visible = trace(view, plan.layers[0], guard)
-        image, count = _image_of_planes(scene, plan, visible, shape)
+        image, count = _image_of_planes(plan, visible)
         return image, none, asdict(FillReport()) | count
     image = np.zeros((*shape, plan.channels))
     for layer in plan.layers:
         sources, sub = _cast_sources(view, layer, guard, plan.silhouettes > 0)
-        image = image + scatter(scene.psf, sources, sub, shape, guard)
+        image = image + scatter(plan.spec, sources, sub, shape, guard)
     return image, none, asdict(FillReport())
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
@@ -145,6 +146,22 @@ def _check_shape(array: NDArray[Any], right: bool, wanted: str) -> None:
     masked = int(np.count_nonzero(np.ma.getmaskarray(array))) if isinstance(array, np.ma.MaskedArray) else 0
     if masked:
         raise fault("an array must have no masked values", f"{masked} of them")
+
+
+class HasInputs(ABC):
+    """Table of a scene whose keys name files, patterns or arrays."""
+
+    @abstractmethod
+    def inputs(self) -> dict[str, Input]:
+        """Inputs by key."""
+
+    def files(self) -> dict[str, str]:
+        """Paths of the files among its inputs, by key."""
+        return {key: str(value) for key, value in self.inputs().items() if not isinstance(value, ArrayInput)}
+
+    def arrays(self) -> dict[str, ArrayInput]:
+        """The arrays among its inputs, by key."""
+        return {key: value for key, value in self.inputs().items() if isinstance(value, ArrayInput)}
 
 
 Given = str | os.PathLike[str] | NDArray[Any] | ArrayInput

@@ -5,13 +5,16 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from pydantic import BaseModel
 
 from clsco.errors import SceneError
 from clsco.scene.faults import parsed
 from clsco.scene.text import brief, shown
+
+APERTURE_KEYS = {"blades": "polygon", "rotation": "polygon", "obstruction": "ring", "image": "image"}
+"""Keys of [aperture] that belong to one shape."""
 
 # (key, its new value or None for any, key of the file that would contradict it)
 _DISPLACED: tuple[tuple[str, str | None, str], ...] = (
@@ -21,8 +24,12 @@ _DISPLACED: tuple[tuple[str, str | None, str], ...] = (
     ("camera.sensor_distance", None, "camera.focus_distance"),
     ("light.direction", None, "light.position"),
     ("light.position", None, "light.direction"),
-    ("aperture.shape", "circle", "aperture.blades"),
-    ("aperture.shape", "circle", "aperture.rotation"),
+    *(
+        ("aperture.shape", shape, f"aperture.{key}")
+        for key, own in APERTURE_KEYS.items()
+        for shape in ("circle", "polygon", "ring", "image")
+        if shape != own
+    ),
     ("psf.model", "pillbox", "psf.sigma_ratio"),
     ("psf.model", "pillbox", "psf.truncation"),
     ("motion.warp", "forward", "motion.texture_filter"),
@@ -122,9 +129,17 @@ def dump(scene: Any) -> dict[str, Any]:
         displace(data, key, data[section][key.rpartition(".")[2]])
     if scene.psf.occlusion == "visibility" and not scene.is_ray_castable:
         del data["psf"]["occlusion"]  # the default, which only the plan can resolve
-    for written, item in zip(data["object"], scene.objects, strict=True):
-        written |= item.arrays()
+    for place, item in scene.inputs:
+        table_at(data, place).update(item.arrays())
     return data
+
+
+def table_at(data: dict[str, Any], place: Sequence[str | int]) -> dict[str, Any]:
+    """Table of a scene's mapping at a place of `Scene.inputs`."""
+    found: Any = data
+    for part in place:
+        found = found[part]
+    return cast("dict[str, Any]", found)
 
 
 def given(value: Any) -> Any:

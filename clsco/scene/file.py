@@ -8,7 +8,7 @@ import os
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, get_args, get_origin
+from typing import Any, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
@@ -16,16 +16,21 @@ from clsco.errors import SceneError
 from clsco.resources import read_regular
 from clsco.scene.changes import override
 from clsco.scene.faults import MAX_MESSAGES, at_most, items, messages, parsed, sections
-from clsco.scene.model import AnyShape, ObjectMotion, Psf, Scene
+from clsco.scene.model import AnyShape, Aperture, ObjectMotion, Psf, Scene
+from clsco.scene.spread import misfit
 from clsco.scene.text import key_name, shown
 from clsco.scene.texture_keys import SixSided, is_drawn, missing_texture
 
 MAX_FILE_BYTES = 2**20
+FILES_ONLY = ("depth", "image")  # keys that name no built-in pattern
 MAX_OUTPUTS = 4096  # of a sweep
 MAX_DOTS = 100  # per line: tomllib needs memory with the square of the parts of a dotted key
 
 SceneLike = Scene | Mapping[str, Any] | str | os.PathLike[str]
+ApertureLike = Aperture | Mapping[str, Any] | str | None
 PsfLike = Psf | Mapping[str, Any] | str | None
+Owner = TypeVar("Owner", AnyShape, Aperture)
+Section = TypeVar("Section", Psf, Aperture)
 Location = tuple[str | int, ...]  # of a key: ("object", 0, "motion", "velocity")
 
 SECTIONS = sections(Scene)
@@ -131,26 +136,32 @@ def absolute(scene: Scene, folder: Path) -> Scene:
     Scene
     """
 
-    def placed(item: AnyShape) -> AnyShape:
+    def placed(item: Owner) -> Owner:
         return item.model_copy(update={key: str(folder / path) for key, path in item.files().items()})
 
-    return scene.model_copy(update={"objects": tuple(map(placed, scene.objects))})
+    return scene.model_copy(update={"aperture": placed(scene.aperture), "objects": tuple(map(placed, scene.objects))})
 
 
 def missing_files(data: Mapping[str, Any], folder: Path, where: str) -> list[str]:
     """Messages on files that do not exist, for a scene with other faults: files of a valid scene are read anyway."""
+    aperture = data.get("aperture")
+    tables: list[tuple[str, Mapping[str, Any], tuple[str, ...]]] = []
+    tables += [("aperture", aperture, ("image",))] if isinstance(aperture, Mapping) else []
+    keys = ("texture", *SixSided.__annotations__, "depth")
+    tables += [(f"object[{index}]", item, keys) for index, item in enumerate(items(data)[:MAX_MESSAGES])]
     return [
-        f"{where}: object[{index}].{key}: {missing_input(key, name)}; got {shown(name)}"
-        for index, item in enumerate(items(data)[:MAX_MESSAGES])
-        for key in ("texture", *SixSided.__annotations__, "depth")
-        if isinstance(name := item.get(key), str) and name and not _exists(folder, name)
-        if key == "depth" or not is_drawn(name)
+        f"{where}: {place}.{key}: {missing_input(key, name)}; got {shown(name)}"
+        for place, table, of_table in tables
+        for key in of_table
+        for name in (table.get(key),)
+        if isinstance(name, str) and name and not _exists(folder, name)
+        if key in FILES_ONLY or not is_drawn(name)
     ]
 
 
 def missing_input(key: str, name: str) -> str:
-    """Rule for a file that there is not, which an object names under a key."""
-    return "must be an existing file" if key == "depth" else missing_texture(name)
+    """Rule for a file that there is not, which a scene names under a key."""
+    return "must be an existing file" if key in FILES_ONLY else missing_texture(name)
 
 
 def _exists(folder: Path, name: str) -> bool:
@@ -247,15 +258,45 @@ def psf_of(psf: PsfLike) -> Psf:
     SceneError
         As `parse_scene`, and for other types.
     """
-    if isinstance(psf, Psf):
-        return psf
-    given = {"model": psf} if isinstance(psf, str) else {} if psf is None else psf
+    return _section(Psf, psf, "psf", "model")
+
+
+def aperture_of(aperture: ApertureLike, psf: Psf) -> Aperture:
+    """Aperture of any form that users may pass, which a PSF can have.
+
+    Parameters
+    ----------
+    aperture : Aperture, mapping, str or None
+        A mapping with the keys of [aperture], or the name of a shape; None: a circle.
+    psf : Psf
+
+    Returns
+    -------
+    Aperture
+
+    Raises
+    ------
+    SceneError
+        As `parse_scene`, for other types, and where they do not go together.
+    """
+    found = _section(Aperture, aperture, "aperture", "shape")
+    if rule := misfit(psf, found):
+        raise SceneError(f"aperture.shape: {rule}; got {found.shape}")
+    return found
+
+
+def _section(model: type[Section], value: Any, name: str, shorthand: str) -> Section:
+    """Section of a scene from a mapping, or from the value of one of its keys. Raises SceneError."""
+    if isinstance(value, model):
+        return value
+    given = {shorthand: value} if isinstance(value, str) else {} if value is None else value
     if not isinstance(given, Mapping):
-        raise SceneError(f"psf: must be a Psf, a mapping or the name of a model; got {type(given).__name__}")
+        kinds = f"must be {model.__name__}, a mapping or the name of a {shorthand}"
+        raise SceneError(f"{name}: {kinds}; got {type(given).__name__}")
     try:
-        return Psf.model_validate(dict(given))
+        return model.model_validate(dict(given))
     except ValidationError as error:
-        found = messages(error, Scene, ("psf",))
+        found = messages(error, Scene, (name,))
     raise SceneError(found)
 
 

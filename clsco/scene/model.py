@@ -11,9 +11,9 @@ import math
 from functools import partial
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import ConfigDict, Field, PrivateAttr, ValidationInfo, field_validator, model_validator
+from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
-from clsco.errors import SceneError
+from clsco.scene.arrays import HasInputs
 from clsco.scene.changes import replaced
 from clsco.scene.faults import refusal
 from clsco.scene.groups import Group, Groups, unknown_groups
@@ -24,7 +24,6 @@ from clsco.scene.quantities import (
     AngularVelocity,
     Direction,
     Duration,
-    Flag,
     FNumber,
     Length,
     Point,
@@ -53,7 +52,11 @@ from clsco.scene.shapes import (
     Sphere,
     origin,
 )
+from clsco.scene.spread import NEEDS_RAYS, Aperture, Psf, misfit
 from clsco.scene.texture_keys import BUILT_IN_TEXTURES, Fault
+
+Place = tuple[str] | tuple[str, int]
+"""Table of a scene file: ("aperture",) or ("object", 0)."""
 
 __all__ = [
     "BUILT_IN_TEXTURES",
@@ -86,8 +89,6 @@ __all__ = [
     "Within",
     "origin",
 ]
-
-NEEDS_RAYS = '"visibility" needs analytic surfaces, which rays can be cast at; use "layered" or "none"'
 
 
 def _aperture_mm(data: dict[str, Any]) -> float:
@@ -173,87 +174,6 @@ class Camera(Strict):
         if info.data.get(other, "refused") is not None:  # a refused value is missing from `data`
             raise fault(f"give {other} or {info.field_name}, not both")
         return value
-
-
-class Aperture(Strict):
-    """Opening of the lens: a circle, or a regular polygon inscribed in it; the light through it is the same."""
-
-    shape: Literal["circle", "polygon"] = "circle"
-    """A circle, or straight blades."""
-    blades: Annotated[int, Within(3, 32)] = 6
-    """Number of blades; only with shape = "polygon"."""
-    rotation: Annotated[float, Within(-360.0, 360.0, "deg")] = 0.0
-    """Turn, counter-clockwise in the image of a far light, deg; at 0 an edge faces right; only with
-    shape = "polygon"."""
-
-    @field_validator("blades", "rotation")
-    @classmethod
-    def _of_the_polygon(cls, value: float, info: ValidationInfo) -> float:
-        if info.data.get("shape") == "circle":
-            raise fault('belongs to aperture.shape = "polygon", not "circle"')
-        return value
-
-
-class Psf(Strict):
-    """Point spread function, and how exactly it is evaluated."""
-
-    model: Literal["pillbox", "gaussian"] = "pillbox"
-    """A disc of radius |R|, or a Gaussian of standard deviation sigma_ratio |R|."""
-    edge: Literal["integrated", "area", "sampled"] = "integrated"
-    """Integrated over source and detector pixel, over the detector pixel only, or taken at pixel centers."""
-    tilt: Flag = True
-    """Weight by the gradient of the blur radius."""
-    silhouette_samples: Annotated[int, Within(1, 16)] = 4
-    """Sources per pixel and axis near silhouettes; 1: off."""
-    occlusion: Literal["visibility", "layered", "none"] = "visibility"
-    """Occlusion by nearer surfaces: visibility tests towards the lens, depth layers of the image, or none. Default,
-    where surfaces are not analytic (depth maps, forward warp): layered."""
-    sigma_ratio: Annotated[float, Within(1e-6, 10.0)] = math.sqrt(0.5)
-    """sigma / |R|; only with model = "gaussian"."""
-    truncation: Annotated[float, Within(1.0, 6.0)] = Field(
-        default_factory=lambda data: 2.0 if data["edge"] == "sampled" else 3.0
-    )
-    """Cut of the Gaussian, in sigma; only with model = "gaussian". Default 3, with edge = "sampled" 2."""
-    border: Literal["lose", "renormalize"] = "lose"
-    """Irradiance outside the image is lost, or returned to the pixels inside."""
-
-    @field_validator("sigma_ratio", "truncation")
-    @classmethod
-    def _of_the_gaussian(cls, value: float, info: ValidationInfo) -> float:
-        if info.data.get("model") == "pillbox":
-            raise fault('belongs to psf.model = "gaussian", not "pillbox"')
-        return value
-
-    _aperture: Aperture = PrivateAttr(default=Aperture())
-
-    @property
-    def asks_for_rays(self) -> bool:
-        """True where visibility tests are given, not only the default."""
-        return self.occlusion == "visibility" and "occlusion" in self.model_fields_set
-
-    def of_images(self) -> Self:
-        """The PSF for images whose surfaces are not analytic: layered, unless it says how nearer surfaces hide farther
-        ones. Raises SceneError where that is by visibility tests."""
-        if self.asks_for_rays:
-            raise SceneError(f"psf.occlusion: {NEEDS_RAYS}; got {self.occlusion}")
-        return self.model_copy(update={"occlusion": "layered"}) if self.occlusion == "visibility" else self
-
-    @property
-    def aperture(self) -> Aperture:
-        """The opening whose blur this is; a circle, but for what `through` gives."""
-        return self._aperture
-
-    def through(self, aperture: Aperture) -> Self:
-        """The PSF of another aperture; any but a circle needs a pillbox that is not sampled."""
-        if aperture.shape != "circle" and self.model == "gaussian":
-            rule = f'"{aperture.shape}" needs psf.model = "pillbox"'
-            raise at_keys([(("aperture", "shape"), fault(rule), aperture.shape)])
-        if aperture.shape != "circle" and self.edge == "sampled":
-            rule = f'"{aperture.shape}" needs psf.edge = "integrated" or "area"'
-            raise at_keys([(("aperture", "shape"), fault(rule), aperture.shape)])
-        changed = self.model_copy()
-        changed._aperture = aperture
-        return changed
 
 
 class Sequence(Strict):
@@ -408,9 +328,9 @@ class Scene(Strict):
         return value
 
     @model_validator(mode="after")
-    def _psf_of_the_aperture(self) -> Self:
-        if self.psf.aperture != self.aperture:
-            self.__dict__["psf"] = self.psf.through(self.aperture)  # frozen for everybody else
+    def _psf_fits_the_aperture(self) -> Self:
+        if rule := misfit(self.psf, self.aperture):
+            raise at_keys([(("aperture", "shape"), fault(rule), self.aperture.shape)])
         return self
 
     @model_validator(mode="after")
@@ -465,6 +385,12 @@ class Scene(Strict):
         20.0
         """
         return replaced(self, path, value)
+
+    @property
+    def inputs(self) -> tuple[tuple[Place, HasInputs], ...]:
+        """Tables that name files or arrays, with their places in a scene file."""
+        objects = ((("object", index), item) for index, item in enumerate(self.objects))
+        return (("aperture",), self.aperture), *objects
 
     @property
     def moves(self) -> bool:

@@ -28,7 +28,7 @@ from clsco.scene.quantities import (
     fault,
 )
 from clsco.scene.rotations import Rotation, after, depth_row
-from clsco.scene.texture_keys import ROUND, TRIPLANAR, Mapped, SixSided, Textured, in_layer, is_drawn
+from clsco.scene.texture_keys import ROUND, TRIPLANAR, Mapped, SixSided, Textured, in_layer
 
 BACKGROUND_MM = 1e12
 """Distance of surfaces that are infinitely far away: their blur differs from that of infinity by a part in 10^10."""
@@ -81,15 +81,6 @@ class _Object(Textured):
     def is_background(self) -> bool:
         """True if the object is behind all others, and no surface in the ground truth."""
         return False
-
-    def files(self) -> dict[str, str]:
-        """Paths of the files among its inputs, by the keys that name them."""
-        named = {key: str(value) for key, value in self.inputs().items() if isinstance(value, str | LayerInput)}
-        return {key: path for key, path in named.items() if key == "depth" or not is_drawn(path)}
-
-    def arrays(self) -> dict[str, ArrayInput]:
-        """The arrays among its inputs, by key."""
-        return {key: value for key, value in self.inputs().items() if isinstance(value, ArrayInput)}
 
 
 class _Bounded(_Object):

@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple, cast
 from pydantic import BeforeValidator, Field
 from pydantic_core import PydanticCustomError
 
-from clsco.scene.arrays import Input, LayerInput, TextureInput
+from clsco.scene.arrays import HasInputs, Input, LayerInput, TextureInput
 from clsco.scene.quantities import Angle, Length, Name, Pair, Strict, Within, as_python, fault
 
 BUILT_IN_TEXTURES = ("bricks", "checkerboard", "slanted_edge", "siemens_star")
@@ -82,7 +82,7 @@ _Shift = Annotated[float, Within(-1e6, 1e6)]
 _Shifts = Annotated[tuple[_Shift, _Shift], Pair]
 
 
-class Textured(Strict):
+class Textured(HasInputs, Strict):
     """Keys of the texture of an object."""
 
     MAPPINGS: ClassVar[Mapping[str, Mapped]] = TRIPLANAR
@@ -121,8 +121,10 @@ class Textured(Strict):
         return self.texture_wrap or ("clamp" if once else "repeat")
 
     def inputs(self) -> dict[str, Input]:
-        """Inputs of the object by key."""
         return {"texture": in_layer(self.texture, self.texture_layer)}
+
+    def files(self) -> dict[str, str]:
+        return {key: path for key, path in super().files().items() if key == "depth" or not is_drawn(path)}
 
     def textures(self) -> tuple[Input, ...]:
         """The one texture of the object, or the six of a cube map."""

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from clsco.files.transfer import encode
 from clsco.frame.frame import Frame
+from clsco.inputs.pupils import scene_point_spread
 from clsco.optics.lens import SHARP, blur_radius, blur_scale, focus_power, ray_step
 from clsco.optics.motion import middle_time, poses_at, rest_center
-from clsco.optics.psf import reach, weights
 from clsco.reference.blur.blur import tilt_factor
 from clsco.reference.common.geometry import tilt_slope
 from clsco.scene.model import Scene
@@ -56,8 +56,9 @@ def inspected(frame: Frame, scene: Scene, x: int, y: int, is_tilted: bool = Fals
         item = scene.objects[known]
         values["object"] = item.name or item.shape
     radius, depth = values.get("blur_radius"), values.get("depth")
-    if radius is not None and scene.psf.model == "gaussian":
-        values["sigma"] = scene.psf.sigma_ratio * abs(radius)
+    if radius is not None:
+        lengths = scene_point_spread(scene).pupil.lengths
+        values |= {name: length * abs(radius) for name, length in lengths.items()}
     found: dict[str, Any] = {"index": frame.index, "eye": eye_of(frame), "values": values}
     found["lens"] = lens_figures(scene, depth)
     if radius is not None and values["mask"]:
@@ -132,10 +133,10 @@ def point_spread(scene: Scene, radius: float, gradient: NDArray[np.float64]) -> 
     dict
         As `figures_of`, and `radius`.
     """
-    psf = scene.psf.through(scene.aperture)
-    far = max(reach(psf, abs(radius)), 1)
+    psf = scene_point_spread(scene)
+    far = max(psf.reach(abs(radius)), 1)
     offset = np.arange(-far, far + 1, dtype=np.float64)
-    table = weights(psf, offset, offset[:, None], np.asarray(radius))
+    table = psf.weights(offset, offset[:, None], np.asarray(radius))
     table = table * tilt_factor(offset, offset[:, None], tilt_slope(gradient, radius))
     return figures_of(table, far, far) | {"radius": radius}
 

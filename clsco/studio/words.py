@@ -24,7 +24,8 @@ LABELS = {  # words of the thesis
     "angular_velocity": "Rotation", "half_angle": "Apex half angle",
 }  # fmt: skip
 LABELS_AT = {
-    "aperture.shape": "Aperture", "aperture.rotation": "Turn of the aperture", "motion.rotation": "Kind of rotation",
+    "aperture.shape": "Aperture", "aperture.rotation": "Turn of the aperture", "aperture.obstruction": "Covered middle",
+    "aperture.image": "Image of the aperture", "motion.rotation": "Kind of rotation",
     "camera.motion.velocity": "Translation of the camera", "camera.motion.angular_velocity": "Rotation of the camera",
     "psf.model": "PSF model", "fill.method": "Filling", "stereo.baseline": "Baseline", "psf.edge": "Edge of the PSF",
     "light.direction": "Direction of the light", "light.position": "Position of the light",

@@ -27,11 +27,11 @@ from clsco.passes.blur import FILES_OF, PLAIN, blur_features
 from clsco.passes.trace import TRACE_FILES
 from clsco.passes.warp import KERNELS as FORWARD
 from clsco.passes.warp import forward_features
-from clsco.plan.methods import BlurSpec
 from clsco.records import Real, structs
 from clsco.scene.model import Psf, Sphere
 from tests.scenes import plan_of
 from tests.slow import mostly_slow
+from tests.spreads import spec_of
 
 KERNELS = Path(__file__).resolve().parents[2] / "kernels"
 ON_OR_OFF: tuple[int, ...] = (0, 1)
@@ -41,7 +41,7 @@ GEOMETRY: dict[str, tuple[int, ...]] = {
     "CHANNELS": (1, 3),
     "FILTER": (0, 2, 1),
 }
-GENERAL = {"GENERAL": (0, 0, 6)}  # not with what is alike in all octants
+GENERAL = {"GENERAL": (0, 0, 1), "EDGES": (0, 0, 6)}  # not with what is alike in all octants
 
 BLUR = (
     *("SAMPLED", "TILT", "GATHER", "BY_ROWS", "SCATTER", "RENORMALIZE"),
@@ -55,7 +55,7 @@ GATHER, SCATTER = FILES_OF["gather"], FILES_OF["scatter"]
 PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     TRACE_FILES: GEOMETRY
     | dict.fromkeys(("MOVED", "TILT", "OCCLUDED", "LIMITED", "GATHER"), ON_OR_OFF)
-    | {"SUBPIXELS": (0, 4, 2, 3), "TEXTURED": (0, 2, 1), "LIT": (0, 1, 3)},
+    | {"SUBPIXELS": (0, 4, 2, 3), "TEXTURED": (0, 2, 1), "LIT": (0, 1, 3), "EDGES": (0,)},
     GATHER: dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(BLUR, ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BAND": (1, BAND), "BY_COLUMNS": (0, 0, 1)}
@@ -118,6 +118,7 @@ def variants(features: dict[str, tuple[int, ...]]) -> list[dict[str, int]]:
     others = [on | {name: value} for name, values in features.items() for value in values if value != on[name]]
     none = dict.fromkeys(NOT_BY_COLUMNS, 0)
     alone = dict.fromkeys((*NOT_BY_COLUMNS, "SEPARABLE", "SAMPLED", "BY_COLUMNS"), 0)
+    others = [one | {"GENERAL": 1} if one.get("EDGES") else one for one in others]
     others = [one | dict.fromkeys(alone.keys() & one.keys(), 0) if one.get("GENERAL") else one for one in others]
     return [one | none if one.get("BY_COLUMNS") or one.get("DISC") == 0 else one for one in (off, on, *others)]
 
@@ -145,7 +146,7 @@ def test_every_feature_is_known(files: tuple[str, ...]) -> None:
 
 def test_what_the_host_asks_for_is_what_the_files_know() -> None:
     plan = plan_of(Sphere())
-    spreading = blur_features(BlurSpec(Psf(), "gather", 0.0, 1.0), 1, True, "wide").keys()
+    spreading = blur_features(spec_of(Psf(), 1.0), 1, True, "wide").keys()
     assert PROGRAMS[TRACE_FILES].keys() == plan.features().keys()
     assert PROGRAMS[GATHER].keys() == spreading
     assert forward_features(plan, owned=True).keys() == PROGRAMS[FORWARD].keys()

@@ -88,7 +88,11 @@ def test_signposts_lead_to_files_and_definitions() -> None:
             "clsco/reference/trace/gone.py",
         ),
         ("a.clh", "// As in trace.cl and gone.cl.\n", "gone.cl"),
-        ("a.clh", "// see tilt_slope, see PsfTable in clsco/optics/psf.py\n", "PsfTable of clsco/optics/psf.py"),
+        (
+            "a.clh",
+            "// see tilt_slope, see PsfGrid in clsco/optics/psf_grid.py\n",
+            "PsfGrid of clsco/optics/psf_grid.py",
+        ),
         ("a.clh", "// see gone_slope\n", "gone_slope"),
         ("a.py", '"""Arguments as for `clsco.render`; `clsco.optics.lens.gone`."""', "clsco.optics.lens.gone"),
         ("a.py", '"""A plane, see `f`; a\nplane, see `gone`."""\ndef f() -> int: ...\n', "`gone`"),

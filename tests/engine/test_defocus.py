@@ -18,6 +18,7 @@ from clsco.reference.layered.layered import layered
 from clsco.reference.trace.trace import Sources
 from clsco.scene.model import Psf
 from tests.slow import mostly_slow
+from tests.spreads import spec_of
 
 Array = NDArray[Any]
 # Float32 weights and sums over some hundred taps leave about 1e-6 of white, interpolation in the tables as much.
@@ -28,7 +29,7 @@ def reference(image: Array, coc: Array, psf: Psf) -> Array:
     valid = np.ones(coc.shape, bool)
     values = np.asarray(image, np.float64).reshape(*coc.shape, -1)
     sources = Sources(values, np.ones(coc.shape), valid.astype(np.uint8), coc, prepare_sources(coc, valid), valid)
-    return np.asarray(scatter(psf, sources, None, coc.shape, 0)).reshape(image.shape)
+    return np.asarray(scatter(spec_of(psf), sources, None, coc.shape, 0)).reshape(image.shape)
 
 
 def apart(image: Array, coc: Array, psf: Psf | None = None, method: str = "auto") -> Array:
@@ -115,7 +116,7 @@ def test_what_is_nearer_hides_what_is_farther(psf: Psf, method: str) -> None:
     image, coc = np.where(disc[..., None], 0.2 * image, image), np.where(disc, -4.0, 1.0 + 0.6 * np.abs(coc))
     found = defocus(image, coc, model, **black)
     light, largest = np.asarray(image, np.float64), float(np.abs(coc).max())
-    expected, count = layered(model, light, coc, np.ones(coc.shape, bool), coc.shape, 0, largest)
+    expected, count = layered(spec_of(model, largest), light, coc, np.ones(coc.shape, bool), coc.shape, 0)
     assert count == 2
     assert np.abs(expected - reference(image, coc, psf)).max() > 0.1
     assert np.abs(found - expected).max() < FIGURE

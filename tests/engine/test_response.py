@@ -9,7 +9,7 @@ import pytest
 
 import clsco
 from clsco.engine.response import only_lit
-from clsco.optics.psf import weights
+from clsco.optics.point_spread import point_spread
 from clsco.scene.model import Scene
 from tests.scenes import scene_from
 from tests.slow import mostly_slow
@@ -71,7 +71,7 @@ def test_the_light_of_the_border_is_lost_and_that_beside_the_frame_comes_in() ->
     radius = clsco.render_frame(scene).blur_radius
     assert radius is not None
     offset = np.arange(-12.0, 13.0)
-    spread = weights(scene.psf, offset, offset[:, None], radius[5, 7])  # of the source at (12, 12)
+    spread = point_spread(scene.psf).weights(offset, offset[:, None], radius[5, 7])  # of the source at (12, 12)
     for x, y in ((7, 5), (0, 5), (13, 0), (-2, 5)):
         expected = spread[12 - y : 23 - y, np.clip(np.arange(14) - x + 12, 0, 24)]
         np.testing.assert_allclose(clsco.response(scene, x, y), expected, atol=2e-6)

@@ -174,7 +174,7 @@ class Case:
     def forward(self, session: Session, owned: bool | None = None) -> ForwardWarp:
         textures = [Texture(gray(texture), 8, f"{number}") for number, texture in enumerate(self.textures)]
         return ForwardWarp(
-            self.plan, PlacedScene(session, self.plan.scene, textures, self.real), self.maps, owned
+            self.plan, PlacedScene(session, self.plan.scene, self.plan.psf, textures, self.real), self.maps, owned
         )  # fmt: skip
 
     def warp(self, session: Session, owned: bool | None = None) -> dict[str, Array]:

@@ -10,23 +10,26 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clsco.frame.strips import Grid, frame_struct
+from clsco.inputs.pupils import load_point_spread
 from clsco.opencl.buffers import download, empty, upload
 from clsco.opencl.program import build
 from clsco.opencl.session import Session
+from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_tables import PsfTable, psf_table
 from clsco.passes import blur as spread
 from clsco.passes.blur import FILES_OF, PIXELS, FrameSum, TableBlur
 from clsco.passes.frame_blur import make_blur
 from clsco.passes.pack import psf_struct
 from clsco.plan.buffers import margin
-from clsco.plan.methods import Blur, BlurSpec
+from clsco.plan.methods import Blur
 from clsco.records import Struct, flat, structs
 from clsco.reference.blur import blur as twin
 from clsco.reference.common.geometry import table_coordinate, tilt_slope
 from clsco.reference.trace.trace import Sources, SubpixelSources
-from clsco.scene.model import Psf
+from clsco.scene.model import Aperture, Psf
 from tests.kernels.conftest import source_planes
 from tests.kernels.launches import Amid, run
+from tests.spreads import spec_of
 
 Array = NDArray[Any]
 RNG = np.random.default_rng
@@ -35,8 +38,9 @@ PSFS = [Psf(model=model, edge=edge) for model in ("pillbox", "gaussian") for edg
 SMOOTH = Psf(model="gaussian", sigma_ratio=0.3)
 # Float32 adds some 200 terms, each rounded by 2^-24 of a sum of about 1: at worst 1e-5, as a random walk below 1e-6.
 ROUNDING = 1.5e-6
-# The weights of a table are off by 1e-5 in sum with `integrated` and 1e-4 where they have kinks (test_psf.py), to
-# both sides and not for most radii; over sources of many radii, a twentieth of that is left in a pixel.
+# The weights of a table are off by 1e-5 in sum with `integrated` and 1e-4 where they have kinks
+# (test_point_spread.py), to both sides and not for most radii; over sources of many radii, a twentieth of that is
+# left in a pixel.
 FIGURE = {"sampled": ROUNDING, "area": 6e-6, "integrated": 2e-6}
 
 
@@ -83,6 +87,11 @@ class Light:
     smallest: float
     largest: float
     sub: SubpixelSources | None = None
+    aperture: Aperture | None = None
+
+    @property
+    def spread(self) -> PointSpread:
+        return load_point_spread(self.psf, self.aperture or Aperture())
 
     @property
     def channels(self) -> int:
@@ -97,11 +106,11 @@ class Light:
 
     def expected(self) -> Array:
         """By the twin, (rows, columns, channels)."""
-        return twin.scatter(self.psf, self.sources, self.sub, self.shape, self.guard)
+        return twin.scatter(spec_of(self.psf, aperture=self.aperture), self.sources, self.sub, self.shape, self.guard)
 
     def table(self) -> PsfTable:
         """Weights of whole pixels."""
-        return psf_table(self.psf, self.smallest, self.largest)
+        return psf_table(self.spread, self.smallest, self.largest)
 
     def constant(self, radius: float) -> Light:
         """The same with one radius and no gradient."""
@@ -112,19 +121,19 @@ class Light:
 
 def light(
     psf: Psf, shape: tuple[int, int] = (37, 45), guard: int = 5, largest: float = 4.0, smallest: float = 0.0,
-    steepest: float = 1.5, channels: int = 1, samples: int = 0,
+    steepest: float = 1.5, channels: int = 1, samples: int = 0, aperture: Aperture | None = None,
 ) -> Light:  # fmt: skip
     size = (shape[0] + 2 * guard, shape[1] + 2 * guard)
     sources = random_sources(size, smallest, largest, steepest, channels)
     sub = random_subpixels(sources, samples, size[0] * size[1] // 6, smallest, largest) if samples else None
-    return Light(psf, sources, shape, guard, smallest, largest, sub)
+    return Light(psf, sources, shape, guard, smallest, largest, sub, aperture)
 
 
 def records(given: Light, radius: Array, gradient: Array, there: Array, subpixel: bool) -> Array:
     """Sources (..., 4) as trace.cl writes them, slots left out."""
-    table = psf_table(given.psf, given.smallest, given.largest, given.samples if subpixel else 0)
+    table = psf_table(given.spread, given.smallest, given.largest, given.samples if subpixel else 0)
     out = np.zeros((*radius.shape, 4), np.float32)
-    coordinate = table_coordinate(given.psf, radius, subpixel, table.low, table.end - table.low, table.count)
+    coordinate = table_coordinate(given.spread, radius, subpixel, table.low, table.end - table.low, table.count)
     out[..., 0] = np.where(there, coordinate, np.float32(-1))
     out[..., 1:3] = np.where(there[..., None], tilt_slope(gradient, radius), 0.0)
     return out
@@ -159,17 +168,19 @@ def copied(session: Session, array: Array) -> Any:
     return buffer
 
 
-def features(psf: Psf, channels: int, samples: int, largest: float = 0.0) -> dict[str, int]:
+def features(
+    psf: Psf, channels: int, samples: int, largest: float = 0.0, aperture: Aperture | None = None
+) -> dict[str, int]:
     """All kernels in one program, so that few have to be compiled; tests/architecture builds them one by one."""
-    spec = BlurSpec(psf, "gather", 0.0, largest, samples, psf.tilt)
+    spec = spec_of(psf, largest, aperture=aperture, subpixels=samples, border="lose")
     kernels = spread.blur_features(spec, channels, True, "wide")
     return kernels | dict.fromkeys(("GATHER", "SCATTER", "RENORMALIZE", "PREPARE"), 1)
 
 
 def blur_of(session: Session, given: Light, method: Blur) -> FrameSum:
-    psf, ends = given.psf, (given.smallest, given.largest)
-    spec = BlurSpec(psf, method, *ends, given.samples, psf.tilt)
-    chosen = features(psf, given.channels, given.samples, given.largest)
+    sizes: dict[str, Any] = {"smallest": given.smallest, "subpixels": given.samples}
+    spec = spec_of(given.psf, given.largest, method, given.aperture, **sizes)
+    chosen = features(given.psf, given.channels, given.samples, given.largest, given.aperture)
     if method == "tiles":  # in a file of its own
         chosen |= spread.blur_features(spec, given.channels, True, "none") | {"RENORMALIZE": 1}
     program = build(session, spread.FILES_OF[method], chosen, STRUCTS, "double")
@@ -212,7 +223,7 @@ def gather(session: Session, given: Light, items: int, kept: dict[str, int], **p
     chosen = features(given.psf, given.channels, 0, given.largest) | kept
     program, table = build(session, FILES_OF["gather"], chosen, STRUCTS, "double"), given.table()
     names = ("intervals", "coefficients", "taps", "outlines")
-    planes |= {name: getattr(table, name) for name in names} | {"psf": psf_struct(given.psf, table, None, "double")}
+    planes |= {name: getattr(table, name) for name in names} | {"psf": psf_struct(given.spread, table, None, "double")}
     pad, pitch = margin(given.shape[1], given.guard, table.reach)
     run(session, program, "gather", (items,), (1,), camera=given.camera(), pad=pad, pitch=pitch, **planes)
 

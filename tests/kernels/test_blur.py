@@ -13,8 +13,7 @@ from clsco.frame import strips
 from clsco.opencl.buffers import download, empty, upload
 from clsco.opencl.program import build, launch
 from clsco.opencl.session import Session
-from clsco.optics import psf as psf_weights
-from clsco.optics.psf import reach
+from clsco.optics.point_spread import point_spread
 from clsco.optics.psf_tables import psf_table
 from clsco.passes import blur as spread
 from clsco.passes.blur import FILES_OF
@@ -41,6 +40,7 @@ from tests.kernels.sources import (
     renormalized,
 )
 from tests.slow import combined, mostly_slow
+from tests.spreads import spec_of
 
 
 @pytest.mark.parametrize("method", ["gather", "scatter"])
@@ -100,8 +100,8 @@ def test_more_rows_of_wide_gaussians_than_are_kept_at_a_time(session: Session, t
     rows, columns = np.indices(given.sources.lit.shape)
     radius = np.where(given.sources.lit, 55.0 + 0.05 * rows - 0.1 * columns, 0.0)
     given = replace(given, sources=replace(given.sources, radius=radius))
-    item = 4 * WIDE_LANES * reach(psf, 55.0)
-    assert item * min(strips.BAND + reach(psf, 55.0), shape[0] + 2 * guard) > ITEMS_BYTES
+    item = 4 * WIDE_LANES * point_spread(psf).reach(55.0)
+    assert item * min(strips.BAND + point_spread(psf).reach(55.0), shape[0] + 2 * guard) > ITEMS_BYTES
     assert_close(blurred(session, given, "gather"), blurred(session, given, "scatter"), ROUNDING)
 
 
@@ -161,7 +161,7 @@ def test_gather_is_scatter(session: Session, channels: int, samples: int) -> Non
 @pytest.mark.parametrize("radius", [0.0, 0.4, 1.0, -2.7, 6.3])
 @pytest.mark.parametrize("psf", mostly_slow(PSFS, [PSFS[0], PSFS[2], PSFS[5]]), ids=name_of)
 def test_one_radius(session: Session, psf: Psf, radius: float) -> None:
-    guard = psf_weights.reach(psf, abs(radius))
+    guard = point_spread(psf).reach(abs(radius))
     given = light(psf.model_copy(update={"tilt": False}), guard=guard, channels=3).constant(radius)
     expected = given.expected()
     for method in ("gather", "scatter"):
@@ -192,7 +192,7 @@ def test_renormalize_divides_by_what_stays(session: Session) -> None:
     """The kernel itself: values after it against the twin's radiance."""
     given = light(Psf(border="renormalize"), shape=(24, 31), guard=0, channels=3, samples=2)
     value = download(session, renormalized(session, given, "gather").value, (3, 24, 31), np.float32)
-    scaled, _ = twin.renormalize(given.psf, given.sources, given.sub, given.shape, 0)
+    scaled, _ = twin.renormalize(spec_of(given.psf), given.sources, given.sub, given.shape, 0)
     assert given.sub is not None
     own = given.sources.lit.copy()
     own[given.sub.row, given.sub.column] = False
@@ -277,9 +277,9 @@ def test_scatter_with_32_bits(session: Session) -> None:
 def test_prepare_sources(session: Session, psf: Psf, tilt: bool) -> None:
     given = light(psf.model_copy(update={"tilt": tilt}), shape=(19, 23), guard=2)
     coc, valid = given.sources.radius, given.sources.lit
-    table = psf_table(psf, 0.0, given.largest)
+    table = psf_table(point_spread(psf), 0.0, given.largest)
     program = build(session, FILES_OF["gather"], features(given.psf, 1, 0), STRUCTS, "double")
-    struct, out = psf_struct(psf, table, None, "double"), empty(session, source_bytes(coc.size, tilt))
+    struct, out = psf_struct(point_spread(psf), table, None, "double"), empty(session, source_bytes(coc.size, tilt))
     maps = (upload(session, coc), upload(session, valid.astype(np.uint8)))
     target = spread.Target(session, program, "double")
     spread.prepare_sources(target, given.camera(), struct, maps, out, [])

@@ -13,6 +13,7 @@ from clsco.frame.strips import BAND
 from clsco.opencl.buffers import download
 from clsco.opencl.program import build
 from clsco.opencl.session import Session
+from clsco.optics.point_spread import point_spread
 from clsco.optics.psf_tables import psf_table
 from clsco.passes import blur as spread
 from clsco.passes.blur import FILES_OF, PIXELS
@@ -38,6 +39,7 @@ from tests.kernels.sources import (
     records,
     renormalized,
 )
+from tests.spreads import spec_of
 
 Array = NDArray[Any]
 LEFT_ALONE = 7.0
@@ -56,7 +58,11 @@ def test_prepare_sources_writes_those_of_its_work_items(session: Session, tilt: 
     expected = source_planes(records(given, coc, twin.prepare_sources(coc, valid), valid, False), tilt, True)
     expected[-1] = np.full(coc.shape, -1, np.int32).view(np.float32)
     out = Amid(session, np.full_like(expected, LEFT_ALONE), LEFT_ALONE)
-    planes = {"camera": given.camera(), "psf": psf_struct(psf, given.table(), None, "double"), "source": out}
+    planes = {
+        "camera": given.camera(),
+        "psf": psf_struct(point_spread(psf), given.table(), None, "double"),
+        "source": out,
+    }
     planes |= {"coc": Amid(session, coc, 9.0), "valid": Amid(session, valid.astype(np.uint8), 1)}
     run(session, program, "prepare_sources", (items, coc.shape[0]), (items, 1), **planes)
     found = out.now()
@@ -93,7 +99,7 @@ def test_renormalized_subpixel_sources(session: Session) -> None:
     shape = (3, sources.capacity, 2, 2)
     before = download(session, untouched.sub_value, shape, np.float32)
     found = download(session, sources.sub_value, shape, np.float32)
-    _, scaled = twin.renormalize(given.psf, given.sources, given.sub, given.shape, 0)
+    _, scaled = twin.renormalize(spec_of(given.psf), given.sources, given.sub, given.shape, 0)
     assert scaled is not None
     slots = RNG(44).permutation(len(given.sub.row))
     expected = np.moveaxis(scaled.radiance, -1, 0) / 4
@@ -130,7 +136,7 @@ def test_gather_source_by_source(session: Session, group: int, start: int) -> No
     psf = Psf(edge="sampled", tilt=False)
     given = light(psf, shape=(3 * BAND, 17), guard=5, largest=4.0, channels=2)
     given = given.constant(4.0)
-    _, pitch = margin(17, 5, psf_table(psf, 4.0, 4.0).reach)
+    _, pitch = margin(17, 5, psf_table(point_spread(psf), 4.0, 4.0).reach)
     part = Amid(session, np.zeros((2, 2 * BAND, pitch), np.float32), 1.0)
     found = gathered(session, given, group, start, {"BY_ROWS": 0}, {}, part)
     expected = np.moveaxis(given.expected(), -1, 0)
@@ -149,13 +155,13 @@ def test_gather_with_parts_of_its_own(session: Session) -> None:
     gradient = np.where(steep[..., None], (30.0, -30.0), np.zeros(2))
     sources = replace(given.sources, lit=there, gradient=gradient, radius=np.where(there, 6.6, 0.0))
     given = replace(given, sources=sources)
-    assert band_scratch(psf, True) == "columns"
-    far = psf_table(psf, given.smallest, given.largest).reach
+    assert band_scratch(point_spread(psf), True) == "columns"
+    far = psf_table(point_spread(psf), given.smallest, given.largest).reach
     _, pitch = margin(8, 4, far)
     own = np.zeros((2, 2, BAND, pitch), np.float32)
     own[:, 0] = LEFT_ALONE
     part = Amid(session, own, 1.0)
-    size = column_bytes(psf, 2, far) // 8
+    size = column_bytes(point_spread(psf), psf.tilt, 2, far) // 8
     scratch = Amid(session, np.zeros((2, size)), 0.0)
     found = gathered(session, given, 1, 0, {}, {"scratch": scratch, "scratch_size": size}, part)
     assert_close(found, np.moveaxis(given.expected(), -1, 0), 2e-5)

@@ -16,7 +16,7 @@ from clsco.cli.check import compare
 from clsco.constants import ROW_TILE
 from clsco.frame.strips import BAND
 from clsco.opencl.session import Session
-from clsco.optics.psf import axis_weights
+from clsco.optics.point_spread import point_spread
 from clsco.plan.buffers import band_scratch, column_bytes, margin, row_bytes
 from clsco.records import flat
 from clsco.reference.blur.blur import tilt_factor
@@ -35,7 +35,7 @@ LEFT_ALONE = 7.0
 def test_small_discs_in_several_tiles(session: Session) -> None:
     """Two whole tiles and a part of one, colors, any tilt; very bright sources where the second tile's row begins."""
     given = light(Psf(edge="sampled"), shape=(9, 2 * ROW_TILE + 45), guard=7, largest=7.4, steepest=1.0, channels=2)
-    assert band_scratch(given.psf, True) == "rows"
+    assert band_scratch(point_spread(given.psf), True) == "rows"
     radiance = given.sources.radiance.copy()
     radiance[:, ROW_TILE - 32 : ROW_TILE - 25] *= 1e5
     given = replace(given, sources=replace(given.sources, radiance=radiance))
@@ -62,11 +62,11 @@ def gathered(session: Session, given: Light, group: int = 0, part: Amid | None =
     planes = Amid(session, source, float(source[0].max()))
     value = Amid(session, flat(given.sources.radiance, np.float32), 1.0)
     total = Signed(session, (given.channels, rows, pitch))
-    kept = band_scratch(psf, True)
+    kept = band_scratch(point_spread(psf), True)
     if kept == "columns":
-        size = column_bytes(psf, given.channels, table.reach)
+        size = column_bytes(point_spread(psf), psf.tilt, given.channels, table.reach)
     else:
-        size = row_bytes(psf, given.channels, table.reach)
+        size = row_bytes(psf.tilt, given.channels, table.reach)
     own = np.zeros((3, -(-size // 128) * 32), np.float32)  # that of three work-items, and the one in the middle runs
     memory = Amid(session, own, 0.0)
     begin = memory.buffer.offset + own[0].nbytes
@@ -93,7 +93,7 @@ def summed(given: Light) -> Array:
     radius = np.abs(sources.radius[sources.lit])
     down: Array = np.arange(rows)[:, None] - y
     right: Array = np.arange(columns)[:, None] - x
-    along = [axis_weights(given.psf, np.abs(offset).astype(float), radius) for offset in (down, right)]
+    along = [point_spread(given.psf).axis_weights(np.abs(offset).astype(float), radius) for offset in (down, right)]
     share = along[0][:, None] * along[1]
     if given.psf.tilt:
         slope = tilt_slope(sources.gradient[sources.lit], sources.radius[sources.lit])
@@ -151,7 +151,7 @@ def test_discs_that_are_taken_one_by_one(
         size[row, place], there[row, place] = radius, True
     sources = replace(sources, lit=there, radius=size * there, gradient=0 * sources.gradient)
     given = Light(DISC, sources, (side, width), 0, 0.0, 45.0)
-    assert band_scratch(DISC, True) == "rows"
+    assert band_scratch(point_spread(DISC), True) == "rows"
     beside, pitch = margin(width, 0, 45)
     part = np.zeros((2, BAND, pitch), np.float32)
     part[..., : beside - 45] = LEFT_ALONE

@@ -10,6 +10,7 @@ import pytest
 from clsco.frame.strips import BAND, Grid, frame_struct
 from clsco.opencl.program import build
 from clsco.opencl.session import Session
+from clsco.optics.point_spread import point_spread
 from clsco.optics.psf_tables import psf_table
 from clsco.passes.blur import FILES_OF, Target
 from clsco.passes.frame_blur import make_blur
@@ -56,7 +57,7 @@ def test_a_last_column_of_one_tap(session: Session, model: str, edge: str) -> No
     """The row of the source alone is lit there: once, not from above and from below."""
     psf = Psf.model_validate({"model": model, "edge": edge, "tilt": False})
     given = light(psf, shape=(23, 24), guard=9, largest=5.0)
-    table = psf_table(psf, given.smallest, given.largest)
+    table = psf_table(point_spread(psf), given.smallest, given.largest)
     assert (table.outlines[:, 1:, 1] == 0).any()
     assert_close(blurred(session, given, "gather"), blurred(session, given, "scatter"), ROUNDING)
 
@@ -70,7 +71,7 @@ def test_a_device_without_doubles(session: Session, monkeypatch: pytest.MonkeyPa
     chosen = features(given.psf, 1, 0, given.largest)
     program = build(session, FILES_OF["gather"], chosen, structs("float"), "float")
     camera = frame_struct(*given.shape, given.guard, "float")
-    spec = BlurSpec(given.psf, "gather", given.smallest, given.largest, tilt=tilt)
+    spec = BlurSpec(point_spread(given.psf), "gather", given.smallest, given.largest, tilt=tilt)
     grid = Grid.whole(*given.shape, given.guard, 1)
     owner = make_blur(Target(session, program, "float"), spec, grid, camera)
     owner.clear()

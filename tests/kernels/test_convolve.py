@@ -14,7 +14,7 @@ from clsco.frame.strips import Grid, frame_struct
 from clsco.opencl.buffers import download, empty
 from clsco.opencl.program import launch
 from clsco.opencl.session import Session
-from clsco.optics.psf import reach
+from clsco.optics.point_spread import point_spread
 from clsco.optics.stencil import SUMMED
 from clsco.passes import blur
 from clsco.passes import convolve as convolution
@@ -39,7 +39,7 @@ def name_of(psf: Psf) -> str:
 
 
 def guard_of(psf: Psf, radius: float) -> int:
-    return reach(psf, abs(radius)) + 2 * TAP_LANES
+    return point_spread(psf).reach(abs(radius)) + 2 * TAP_LANES
 
 
 def lit(psf: Psf, radius: float, shape: tuple[int, ...]) -> Array:
@@ -55,7 +55,7 @@ class Convolver:
     def __init__(self, session: Session, psf: Psf, light: Array, radius: float, brightest: float = 1.0) -> None:
         guard, size = guard_of(psf, radius), abs(radius)
         camera = frame_struct(light.shape[0] - 2 * guard, light.shape[1] - 2 * guard, guard, "double")
-        spec = BlurSpec(psf, "convolve", size, size, brightest=brightest)
+        spec = BlurSpec(point_spread(psf), "convolve", size, size, brightest=brightest)
         rows, columns, channels = light.shape
         grid = Grid.whole(rows - 2 * guard, columns - 2 * guard, guard, channels)
         blur = make_blur(Target(session, {}, "double"), spec, grid, camera)
@@ -74,7 +74,7 @@ class Convolver:
 
 def assert_exact(session: Session, psf: Psf, radius: float, shape: tuple[int, ...]) -> None:
     light = lit(psf, radius, shape)
-    expected = convolve(psf, light.astype(np.float32).astype(np.float64), radius, guard_of(psf, radius))
+    expected = convolve(point_spread(psf), light.astype(np.float32).astype(np.float64), radius, guard_of(psf, radius))
     error = Convolver(session, psf, light, radius)() - expected
     assert np.sqrt(np.mean(error**2)) < RMS
     assert np.abs(error).max() < LARGEST
@@ -113,10 +113,10 @@ def test_channels(session: Session, psf: Psf, channels: int) -> None:
 @pytest.mark.parametrize("psf", PSFS, ids=name_of)
 def test_a_lamp_lights_its_disc_only(session: Session, psf: Psf, radius: float) -> None:
     """Light of 1e4 white: nothing of it where the PSF has no weight, and no error there; never less than nothing."""
-    light, guard, far = lit(psf, radius, (90, 130, 1)), guard_of(psf, radius), reach(psf, radius)
+    light, guard, far = lit(psf, radius, (90, 130, 1)), guard_of(psf, radius), point_spread(psf).reach(radius)
     lamp = np.zeros_like(light)
     lamp[guard + 40, guard + 60] = 1e4
-    at_most = 1e4 * np.abs(convolve(psf, lamp / 1e4, radius, guard))
+    at_most = 1e4 * np.abs(convolve(point_spread(psf), lamp / 1e4, radius, guard))
     rows, columns = np.indices((90, 130))
     away = np.maximum(abs(rows - 40), abs(columns - 60)) > far
     assert away.any()
@@ -125,7 +125,7 @@ def test_a_lamp_lights_its_disc_only(session: Session, psf: Psf, radius: float) 
     assert (alone >= 0).all()
     np.testing.assert_allclose(alone, at_most, rtol=1e-6, atol=1e-12)
     both = Convolver(session, psf, light + lamp, radius, 1e4)()
-    expected = convolve(psf, light, radius, guard)
+    expected = convolve(point_spread(psf), light, radius, guard)
     np.testing.assert_allclose(both[away], expected[away], atol=LARGEST)
 
 
@@ -133,13 +133,13 @@ def test_sums_of_either_width(session: Session) -> None:
     """Both find the same, but for what rounding of each pixel to a part of the brightest light leaves."""
     psf, radius = Psf(), 23.4
     light = lit(psf, radius, (50, 70, 1))
-    expected = convolve(psf, light.astype(np.float32).astype(np.float64), radius, guard_of(psf, radius))
+    expected = convolve(point_spread(psf), light.astype(np.float32).astype(np.float64), radius, guard_of(psf, radius))
     for brightest in (convolution.BRIGHTEST, 1e3 * convolution.BRIGHTEST):
         found = Convolver(session, psf, light, radius, brightest)
         assert found.blur.wide == (brightest > convolution.BRIGHTEST)
         error = np.abs(found() - expected)
         assert error.max() < 1e-7 * (4.0 if brightest == convolution.BRIGHTEST else 2.0)
-    assert reach(psf, radius) > SUMMED
+    assert point_spread(psf).reach(radius) > SUMMED
 
 
 @pytest.mark.parametrize("psf", [Psf(), Psf(model="gaussian")], ids=name_of)
@@ -147,7 +147,7 @@ def test_dark_images(session: Session, psf: Psf) -> None:
     """Errors are relative to the brightest value of an image, if it is not black."""
     for brightest in (1e-9, 0.0):
         light = brightest * lit(psf, 13.3, (30, 40, 1))
-        expected = convolve(psf, light, 13.3, guard_of(psf, 13.3))
+        expected = convolve(point_spread(psf), light, 13.3, guard_of(psf, 13.3))
         found = Convolver(session, psf, light, 13.3, brightest)()
         np.testing.assert_allclose(found, expected, rtol=0, atol=LARGEST * brightest)
 

@@ -466,7 +466,7 @@ def test_missing_pixels_of_the_thesis(
     scene = scene_of(item, size=(512, 512), motion=Motion(warp="forward"), fill=method)
     plan = make_plan(scene, 1)
     texture = Texture(np.random.default_rng(3).random((512, 512)).astype(np.float32), 8, "noise")
-    placed = PlacedScene(session, scene, [texture], real)
+    placed = PlacedScene(session, scene, plan.psf, [texture], real)
     warp = ForwardWarp(plan, placed, [None])
     counters = warp.warp(placed.posed([pose_at(motion, 1.0, "euler")]), []).counters
     assert counters["filled_first_sweep"] == count

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from clsco.opencl.buffers import download, empty
 from clsco.opencl.session import Session
 from clsco.optics.motion import pose_at
+from clsco.optics.point_spread import point_spread
 from clsco.optics.psf_tables import psf_table
 from clsco.optics.quadrics import place
 from clsco.passes.pack import camera_struct, psf_struct, surface_structs
@@ -182,10 +183,10 @@ def test_table_coordinate_tilt_mirror_and_difference_agree_with_the_twin(
     d[3:] = (radius * b / np.where(c == 0, 1, c) * (1 + 1e-9 * rng.standard_normal(count)))[3:]  # nearly a b = c d
     if real == "float":
         radius, b, c, d = (held(v) for v in (radius, b, c, d))
-    main, sub = psf_table(psf, 0.2, 8.0), psf_table(psf, 0.2, 8.0, 2)
+    main, sub = psf_table(point_spread(psf), 0.2, 8.0), psf_table(point_spread(psf), 0.2, 8.0, 2)
     sizes = (8, 4, 4, 8, 4)
     out = [empty(session, size * count) for size in sizes]
-    struct = psf_struct(psf, main, sub, real)
+    struct = psf_struct(point_spread(psf), main, sub, real)
     features = {"SAMPLED": int(psf.edge == "sampled")}
     numbers = (in_parts(v, real) for v in (radius, b, c, d))
     run_source(SOURCE, "small", real, features, count, struct, *numbers, np.int32(count), *out)
@@ -200,7 +201,7 @@ def test_table_coordinate_tilt_mirror_and_difference_agree_with_the_twin(
         )
     )
     for found, table, subpixel in ((coordinate, main, False), (sub_coordinate, sub, True)):
-        expected = twin.table_coordinate(psf, radius, subpixel, table.low, table.end - table.low)
+        expected = twin.table_coordinate(point_spread(psf), radius, subpixel, table.low, table.end - table.low)
         if psf.edge == "sampled" and not subpixel:
             np.testing.assert_array_equal(np.floor(found), np.floor(expected))  # else the tables are continuous
         # u of some 300 is formed by another order of operations: the rounding to float32 may fall on the other side.

@@ -13,17 +13,18 @@ from clsco.frame.strips import Grid, frame_struct
 from clsco.opencl.buffers import download, empty, upload
 from clsco.opencl.session import Session
 from clsco.optics import slabs
-from clsco.optics.psf import reach
+from clsco.optics.point_spread import point_spread
 from clsco.passes.blur import Events, blur_target
 from clsco.passes.blur import Sources as Light
 from clsco.passes.frame_blur import make_blur
 from clsco.passes.layered import DepthLayers
-from clsco.plan.methods import Blur, BlurSpec
+from clsco.plan.methods import Blur
 from clsco.records import Real, flat, in_parts
 from clsco.reference.blur.blur import prepare_sources, scatter
 from clsco.reference.layered import layered as twin
 from clsco.reference.trace.trace import Sources
 from clsco.scene.model import Psf
+from tests.spreads import spec_of
 
 Array = NDArray[Any]
 RNG = np.random.default_rng
@@ -59,14 +60,16 @@ class View:
         return float(np.abs(self.coc).max())
 
     def expected(self) -> tuple[Array, int]:
-        return twin.layered(self.psf, self.radiance, self.coc, self.valid, self.shape, self.guard, self.largest)
+        return twin.layered(
+            spec_of(self.psf, self.largest), self.radiance, self.coc, self.valid, self.shape, self.guard
+        )
 
     def plain(self) -> Array:
         """Without occlusion."""
         gradient = prepare_sources(self.coc, self.valid)
         ones = np.ones(self.coc.shape)
         sources = Sources(self.radiance, ones, self.valid.astype(np.uint8), self.coc, gradient, self.valid)
-        return scatter(self.psf, sources, None, self.shape, self.guard)
+        return scatter(spec_of(self.psf), sources, None, self.shape, self.guard)
 
 
 class Device:
@@ -74,7 +77,7 @@ class Device:
 
     def __init__(self, session: Session, view: View, method: Blur = "gather", real: Real = "double") -> None:
         psf, channels = view.psf, view.radiance.shape[2]
-        spec = BlurSpec(psf, method, 0.0, view.largest, tilt=psf.tilt)
+        spec = spec_of(psf, view.largest, method)
         target = blur_target(session, spec, channels, real)
         camera = frame_struct(*view.shape, view.guard, real)
         self.session, self.view = session, view
@@ -139,7 +142,7 @@ def test_labels_are_those_of_the_twin(session: Session) -> None:
     low, bins = twin.bins_of(view.largest)
     assert (device.layers.labels.low, device.layers.labels.bins) == (low, bins)
     latest, largest_sum = twin.find_discontinuities(
-        view.coc, view.valid, low, bins, 2 * reach(view.psf, view.largest) + 1
+        view.coc, view.valid, low, bins, 2 * point_spread(view.psf).reach(view.largest) + 1
     )
     device.layers.find(device.coc, device.valid, [])
     found = download(session, device.layers.labels.latest, (latest.size + 1,), np.int32)
@@ -147,7 +150,7 @@ def test_labels_are_those_of_the_twin(session: Session) -> None:
     slab = twin.label_depth_layers(view.coc, view.valid, low, bins, twin.slab_bounds(latest))
     seed = twin.seed_hidden(view.coc, slab)
     offset = twin.column_seeds(seed)
-    hidden, edge = twin.reach_hidden(slab, seed, offset, twin.depth_of_hidden(view.psf, largest_sum))
+    hidden, edge = twin.reach_hidden(slab, seed, offset, twin.depth_of_hidden(point_spread(view.psf), largest_sum))
     assert count == slab.max() > 3
     assert (hidden > 0).any()
     assert not edge.all()
@@ -173,7 +176,7 @@ def test_seeds_of_frames_taller_than_any_blur(session: Session) -> None:
     assert np.abs(offset[:, 1]).max() > 10000
     np.testing.assert_array_equal(device.read("seed", np.uint8), seed)
     np.testing.assert_array_equal(device.read("offset", np.int32), offset)
-    deep = twin.depth_of_hidden(view.psf, 7)
+    deep = twin.depth_of_hidden(point_spread(view.psf), 7)
     hidden, edge = twin.reach_hidden(slab, seed, offset, deep)
     np.testing.assert_array_equal(device.read("hidden", np.uint8), hidden)
     np.testing.assert_array_equal(device.read("edge", np.bool_), edge)
@@ -187,9 +190,9 @@ def test_the_last_slab_is_extended_as_by_the_twin(session: Session) -> None:
     device.image()
     slab, hidden = device.read("slab", np.uint8), device.read("hidden", np.uint8)
     _, largest_sum = twin.find_discontinuities(
-        view.coc, view.valid, *twin.bins_of(4.5), 2 * reach(view.psf, view.largest) + 1
+        view.coc, view.valid, *twin.bins_of(4.5), 2 * point_spread(view.psf).reach(view.largest) + 1
     )
-    deep = twin.depth_of_hidden(view.psf, largest_sum)
+    deep = twin.depth_of_hidden(point_spread(view.psf), largest_sum)
     value, radius, there = twin.extend_slab(view.radiance, view.coc, slab, hidden, int(slab.max()), deep)
     assert [twin.level_count(n) for n in range(1, 99)] == [slabs.level_count(n) for n in range(1, 99)]
     size = view.coc.shape

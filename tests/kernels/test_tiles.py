@@ -20,6 +20,7 @@ from clsco.scene.model import Psf
 from tests.engine.test_defocus import reference as blurred_by_reference
 from tests.kernels.sources import FIGURE, PSFS, ROUNDING, assert_close, blurred, light
 from tests.slow import combined, mostly_slow
+from tests.spreads import spec_of
 
 KEPT = [(PSFS[0], False), (PSFS[5], True)]
 
@@ -149,8 +150,8 @@ def test_an_image_on_a_gpu(occlusion: Any, on_a_gpu: list[str]) -> None:
     coc, psf = np.where(near, -3.0, 2.0 + 0.05 * columns), Psf(occlusion=occlusion)
     expected = blurred_by_reference(image, coc, psf)
     if occlusion == "layered":
-        values = (image[..., None].astype(np.float64), coc, np.ones(coc.shape, bool), coc.shape, 0, 4.0)
-        expected = layered(psf, *values)[0][..., 0]
+        values = (image[..., None].astype(np.float64), coc, np.ones(coc.shape, bool), coc.shape, 0)
+        expected = layered(spec_of(psf, 4.0), *values)[0][..., 0]
         assert np.abs(expected - blurred_by_reference(image, coc, psf)).max() > 0.1
     assert_close(clsco.defocus(image, coc, psf, outside="black"), expected, 1e-5)  # as in test_defocus.py
     assert {"tiles", "prepare_sources"} <= set(on_a_gpu)

@@ -16,6 +16,7 @@ from clsco.opencl.buffers import copied, download, empty, upload
 from clsco.opencl.program import build
 from clsco.opencl.session import Program, Session
 from clsco.optics.motion import Eye, Pose, middle_time, poses_at, rest_poses
+from clsco.optics.point_spread import point_spread
 from clsco.optics.psf_tables import psf_table
 from clsco.optics.quadrics import place
 from clsco.optics.visibility import Layer
@@ -192,7 +193,7 @@ def traced(
     wanted, each, area = plan.scene, plan.silhouettes**2, plan.width * plan.height
     capacity = area if capacity is None else capacity
     tables = [
-        psf_table(wanted.psf, plan.smallest_blur, plan.largest_blur, n) for n in (0, *[plan.silhouettes] * (each > 0))
+        psf_table(plan.psf, plan.smallest_blur, plan.largest_blur, n) for n in (0, *[plan.silhouettes] * (each > 0))
     ]
     occluded, shape = plan.features()["OCCLUDED"], (plan.height, plan.width)
     marked, slots = bool(each or occluded), (capacity, plan.silhouettes, plan.silhouettes)
@@ -207,7 +208,7 @@ def traced(
         "camera": camera_struct(wanted.camera, plan.guard_px, real),
         "surfaces": on_device(session, plan, time, real),
         "layer": layer_struct(layer or plan.layers[0], len(wanted.objects)),
-        "psf": psf_struct(wanted.psf, tables[0], tables[1] if each else None, real),
+        "psf": psf_struct(plan.psf, tables[0], tables[1] if each else None, real),
         "weight": weight,
         "texture": stack(session, plan),
         "capacity": capacity,
@@ -236,11 +237,11 @@ def traced(
 def assert_records(plan: Plan, found: Array, radius: Array, gradient: Array, there: Array, subpixel: bool) -> None:
     """Records (..., 4) against the twin's radius and gradient, where `there`; -1 elsewhere."""
     psf = plan.scene.psf
-    table = psf_table(psf, plan.smallest_blur, plan.largest_blur, plan.silhouettes if subpixel else 0)
+    table = psf_table(point_spread(psf), plan.smallest_blur, plan.largest_blur, plan.silhouettes if subpixel else 0)
     assert (found[~there][..., :3] == [-1.0, 0.0, 0.0]).all()
     if not there.any():
         return
-    expected = table_coordinate(psf, radius, subpixel, table.low, table.end - table.low)[there]
+    expected = table_coordinate(point_spread(psf), radius, subpixel, table.low, table.end - table.low)[there]
     # At a limb the root of a vanishing discriminant amplifies rounding of some 1e-15 to the root of that.
     np.testing.assert_allclose(found[there][:, 0], expected, rtol=2.0**-22, atol=1e-5)
     assert (np.floor(found[there][:, 0]) == np.floor(expected)).mean() > 0.999

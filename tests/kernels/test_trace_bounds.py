@@ -73,12 +73,12 @@ def written(session: Session, buffer: cl.Buffer, shape: tuple[int, ...], dtype: 
 
 def pixel_arguments(session: Session, plan: Plan, layer: Layer) -> dict[str, Any]:
     wanted = plan.scene
-    tables = [psf_table(wanted.psf, plan.smallest_blur, plan.largest_blur, n) for n in (0, plan.silhouettes)]
+    tables = [psf_table(plan.psf, plan.smallest_blur, plan.largest_blur, n) for n in (0, plan.silhouettes)]
     return {
         "camera": camera_struct(wanted.camera, plan.guard_px, "double"),
         "surfaces": on_device(session, plan, TIME, "double"),
         "layer": layer_struct(layer, len(wanted.objects)),
-        "psf": psf_struct(wanted.psf, tables[0], tables[1], "double"),
+        "psf": psf_struct(plan.psf, tables[0], tables[1], "double"),
         "weight": WEIGHT,
         "texture": stack(session, plan),
     }

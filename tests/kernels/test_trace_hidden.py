@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from clsco.opencl.buffers import download, empty
 from clsco.opencl.session import Session
-from clsco.optics.psf import subpixel_offsets
+from clsco.optics.point_spread import subpixel_offsets
 from clsco.passes.trace import EMPTY_STATISTICS
 from clsco.records import Real, in_parts
 from clsco.reference.trace import trace as twin

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from clsco.opencl.buffers import download, empty
 from clsco.opencl.session import Session
 from clsco.optics.motion import Pose
+from clsco.optics.point_spread import point_spread
 from clsco.optics.psf_tables import psf_table
 from clsco.optics.quadrics import cutting_bounds, place
-from clsco.optics.visibility import Layer, lens_cells
+from clsco.optics.visibility import Layer
 from clsco.passes.pack import camera_struct, layer_struct, psf_struct, surface_structs
 from clsco.plan.plan import make_plan
 from clsco.records import Real
@@ -140,10 +141,12 @@ def see(
     features |= {"OCCLUDED": layer.occluders.bit_count(), "LIMITED": features["NAPPE"], "GATHER": gather}
     features["SOURCES"] = count
     buffers = [empty(session, 4 * count * size) for size in (1, 1, len(taps), len(taps))]
+    spread = point_spread(psf)
     run(
         KERNEL, "see_taps", real, features, count, camera_struct(camera, 0, real),
         surface_structs(items, surfaces, real), layer_struct(layer, len(items)),
-        psf_struct(psf, psf_table(psf, 0.0, 20.0), None, real), lens_cells(psf).astype(np.float32), np.float32(width),
+        psf_struct(spread, psf_table(spread, 0.0, 20.0), None, real), spread.lens_cells().astype(np.float32),
+        np.float32(width),
         np.concatenate([at, offset], axis=-1).astype(np.float32), np.int32(len(taps)), taps, *buffers,
     )  # fmt: skip
     state, edge = (download(session, one, (count,), np.int32) for one in buffers[:2])
@@ -156,7 +159,7 @@ def see(
     w, radius, (x, y) = w[there], blur_radius(camera, w[there]), offset[there].T
     gradient = np.broadcast_to([0.2, -0.1], (w.size, 2))
     found, outline, visibility = check_visibility(
-        camera, surfaces, bounds, layer, psf, Points(rays[there], w, radius, x, y, width, gradient)
+        camera, surfaces, bounds, layer, point_spread(psf), Points(rays[there], w, radius, x, y, width, gradient)
     )
     cells, expected, wide = cell_visibility(visibility), np.ones((w.size, len(taps))), np.zeros(w.size, dtype=bool)
     for n, (dx, dy) in enumerate(taps.astype(float).tolist()):

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from clsco.opencl.buffers import download, empty
 from clsco.opencl.session import Session
 from clsco.optics.motion import Pose
+from clsco.optics.point_spread import point_spread
 from clsco.optics.quadrics import cutting_bounds, place
-from clsco.optics.visibility import Layer, lens_extent
+from clsco.optics.visibility import Layer
 from clsco.passes.pack import camera_struct, surface_structs
 from clsco.records import Real, in_parts
 from clsco.reference.common.occluder import Occluder
@@ -159,7 +160,7 @@ def meet(
 ) -> Met:  # fmt: skip
     """given: of points the surface, own, root, x, y, w, radius; width: of the sources, px."""
     items, placed = [item for item, _ in surfaces], [place(*one) for one in surfaces]
-    count, words, extent = given["w"].size, sum(FIELDS.values()), lens_extent(psf)
+    count, words, extent = given["w"].size, sum(FIELDS.values()), point_spread(psf).extent
     features = {"OCCLUDED": 1, "POINTS": count, "BYTES": 4 * words, "GATHER": gather, "LIMITED": 1}
     buffers = [empty(session, 4 * count * size) for size in (4, 4, words)]
     number = np.float64 if real == "double" else np.float32
@@ -182,7 +183,8 @@ def meet(
         (k, own, root, _), at = key.tolist(), np.flatnonzero((chosen == key).all(axis=1))
         rays, nothing = np.stack([given["x"][at], given["y"][at], np.ones(at.size)], axis=-1), np.zeros(at.size)
         state[at], edge[at], visibility = check_visibility(
-            CAMERA, placed[k : k + 1], [cutting_bounds(items[k])], Layer(1, 1, 0 if own else -1, root), psf,
+            CAMERA, placed[k : k + 1], [cutting_bounds(items[k])], Layer(1, 1, 0 if own else -1, root),
+            point_spread(psf),
             Points(rays, given["w"][at], given["radius"][at], nothing, nothing, width, gradient[at]),
         )  # fmt: skip
         occluders += [
@@ -243,7 +245,7 @@ def test_any_surface_before_any_point(session: Session, run_source: Runner, psf:
     assert (met.edge == met.expected_edge).all()
     assert met.edge.mean() > 0.1
     assert (met.count == (met.state == PARTLY)).all()
-    across = np.abs(given["radius"]) * lens_extent(psf)
+    across = np.abs(given["radius"]) * point_spread(psf).extent
     assert (met.wide == (across >= 3.2)).all()
     rim = np.maximum(across, 1.0)
     assert_close(met.rims, np.stack([rim / 2, 0.5 / rim, 1 / (3 * rim)], axis=-1), FLOAT)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from clsco.opencl.buffers import download, empty
 from clsco.opencl.session import Session
-from clsco.optics.visibility import lens_cells, lens_extent
+from clsco.optics.point_spread import point_spread
 from clsco.reference.common.occluder import Occluder
 from clsco.reference.common.visibility import SOFT_BOX, Visibility
 from clsco.reference.common.visibility_test import cell_visibility, tap_share
@@ -122,7 +122,7 @@ def test_vectors_are_decided_where_all_of_them_are_clear_or_hidden(session: Sess
 def test_a_lens_larger_than_the_aperture_through_its_cells(session: Session, run_source: Runner) -> None:
     """The lens of a Gaussian has twice the radius, and so have its cells: an edge across it, from every tap."""
     psf, rng, count = Psf(model="gaussian"), np.random.default_rng(7), 20
-    extent, turn = lens_extent(psf), rng.uniform(0, 2 * np.pi, count)
+    extent, turn = point_spread(psf).extent, rng.uniform(0, 2 * np.pi, count)
     radius = rng.choice([-1.0, 1.0], count) * rng.uniform(0.3, 4.0, count) / extent
     offset = rng.integers(-2, 3, (count, 2)) / 8
     slope = 0.5 / SOFT_BOX * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
@@ -130,7 +130,8 @@ def test_a_lens_larger_than_the_aperture_through_its_cells(session: Session, run
     source = np.concatenate([radius[:, None], offset, h], axis=-1).astype(np.float32)
     shares = empty(session, 4 * count * 15 * 15)
     run_source(
-        THROUGH, "see_through", "double", FEATURES, count, np.int32(count), lens_cells(psf).astype(np.float32),
+        THROUGH, "see_through", "double", FEATURES, count, np.int32(count),
+        point_spread(psf).lens_cells().astype(np.float32),
         np.float32(extent), source, shares,
     )  # fmt: skip
     found = download(session, shares, (count, 15, 15), np.float32)
@@ -139,7 +140,7 @@ def test_a_lens_larger_than_the_aperture_through_its_cells(session: Session, run
     edge = Occluder(h, zero, none[:, :5], np.full(count, 2), none[:, :3], zero, none, none, zero, (), ())
     there = np.ones(count, dtype=bool)
     x, y = offset.T
-    lens = extent, lens_cells(psf), none[:0, :3]
+    lens = extent, point_spread(psf).lens_cells(), none[:0, :3]
     visibility = Visibility(np.arange(count), radius, ~there, x, y, ((there, edge),), *lens)
     cells = cell_visibility(visibility)
     taps = range(-7, 8)

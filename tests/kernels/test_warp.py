@@ -108,7 +108,7 @@ def test_objects_may_share_textures(session: Session, make_case: Maker, warps: W
     case = make_case(*warps["near and far"])
     shared = replace(case, textures=np.stack([case.textures[0], case.textures[0]]))
     texture = Texture(gray(case.textures[0]), 8, "both")
-    placed = PlacedScene(session, case.plan.scene, [texture, texture], "double")
+    placed = PlacedScene(session, case.plan.scene, case.plan.psf, [texture, texture], "double")
     done = ForwardWarp(case.plan, placed, case.maps).warp(placed.posed(case.poses), [])
     value = download(session, done.value, case.shape, np.float32)
     assert (value == shared.warp(session)["value"][..., 0]).all()
@@ -241,7 +241,9 @@ def test_a_map_of_a_surface_moves_as_the_surface(session: Session, make_case: Ma
     case = make_case((item,), (64, 64))
     depth = reproject_rest(case.plan.scene, case.rest, case.maps)[0]
     mapped = make_case((DepthMap(depth="ball.npy", center=item.center, motion=MOTION),), (64, 64))
-    placed = PlacedScene(session, mapped.plan.scene, [Texture(gray(case.textures[0]), 8, "ball")], "double")
+    placed = PlacedScene(
+        session, mapped.plan.scene, mapped.plan.psf, [Texture(gray(case.textures[0]), 8, "ball")], "double"
+    )
     warp = ForwardWarp(replace(mapped.plan, guard_px=case.guard), placed, [depth])
     done, expected = warp.warp(placed.posed(case.poses), []), case.warp(session)
     assert 100 < expected["valid"].sum() < 4000

@@ -45,7 +45,7 @@ TESTS = {
     "kernels/test_trace kernels/test_trace_hidden pipeline/test_views pipeline/test_strips",
     "common/lanes.clh": "kernels/test_tiles",
     "common/occluder.clh": "kernels/test_visibility_occluders kernels/test_visibility pipeline/test_occlusion",
-    "common/psf.clh": "kernels/test_blur kernels/test_polygon kernels/test_tiles engine/test_defocus",
+    "common/psf.clh": "kernels/test_blur kernels/test_pupils kernels/test_tiles engine/test_defocus",
     "common/sources.clh": "kernels/test_blur kernels/test_trace kernels/test_visibility pipeline/test_occlusion",
     "common/visibility.clh": "kernels/test_visibility_shares kernels/test_visibility kernels/test_blur "
     "pipeline/test_occlusion",

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from clsco.constants import LONGEST_RUN
-from clsco.optics.psf import reach, shape_of, weights
+from clsco.optics.point_spread import point_spread
 from clsco.optics.stencil import SUMMED, Stencil, is_summed, stencils
 from clsco.scene.model import Psf
 
@@ -38,34 +38,34 @@ def summed_up(stencil: Stencil, far: int) -> NDArray[np.float64]:
 @pytest.mark.parametrize("radius", [0.0, 0.4, 1.0, 2.7, 9.3, 12.0, 12.6, 20.0, 33.3, 60.0])
 @pytest.mark.parametrize("psf", PSFS, ids=name_of)
 def test_a_stencil_is_its_psf(psf: Psf, radius: float) -> None:
-    far = reach(psf, radius)
-    each = [summed_up(stencil, far) for stencil in stencils(psf, radius)]
+    far = point_spread(psf).reach(radius)
+    each = [summed_up(stencil, far) for stencil in stencils(point_spread(psf), radius)]
     found = each[0]
-    if shape_of(psf).kind == "separable":
+    if point_spread(psf).layout == "separable":
         across, down = each
         assert not np.delete(across, far, 0).any()
         assert not np.delete(down, far, 1).any()
         found = down[:, far, None] * across[far]
     span = np.arange(-far, far + 1.0)
     # Rounded to float32 once, or a product of two that are.
-    expected = weights(psf, span[None, :], span[:, None], np.asarray(radius))
+    expected = point_spread(psf).weights(span[None, :], span[:, None], np.asarray(radius))
     np.testing.assert_allclose(found, expected, rtol=2.5 * 2.0**-24, atol=1e-14)
 
 
 @pytest.mark.parametrize("psf", PSFS, ids=name_of)
 def test_wide_discs_have_rectangles(psf: Psf) -> None:
     for radius in (10.0, 20.0):
-        far = reach(psf, radius)
-        rectangles = stencils(psf, radius)[-1].rectangles
-        assert bool(rectangles) == is_summed(psf, far) == (psf.model == "pillbox" and far >= SUMMED)
+        far = point_spread(psf).reach(radius)
+        rectangles = stencils(point_spread(psf), radius)[-1].rectangles
+        assert bool(rectangles) == is_summed(point_spread(psf), far) == (psf.model == "pillbox" and far >= SUMMED)
         # Narrower and higher ones after wider ones, and most of the disc.
         assert list(rectangles) == sorted(rectangles, key=lambda rectangle: (-rectangle[0], rectangle[1]))
         if rectangles:
-            assert stencils(psf, radius)[0].area > 0.8 * np.pi * (radius - 1.5) ** 2
+            assert stencils(point_spread(psf), radius)[0].area > 0.8 * np.pi * (radius - 1.5) ** 2
 
 
 def test_wide_discs_take_few_weights() -> None:
     """The weights that rectangles leave grow as the radius does, not as its square."""
     for psf, most in zip(PSFS[:3], (3.0, 6.0, 10.0), strict=True):
         for radius in (20.0, 60.0):
-            assert len(stencils(psf, radius)[0].weights) < most * radius
+            assert len(stencils(point_spread(psf), radius)[0].weights) < most * radius

@@ -12,8 +12,9 @@ import pytest
 from clsco.constants import LENS_CELLS
 from clsco.optics.lens import blur_radius
 from clsco.optics.motion import Pose, poses_at, rotation_matrix
+from clsco.optics.point_spread import point_spread
 from clsco.optics.quadrics import Extent, place
-from clsco.optics.visibility import Layer, extent, is_hollow, layers, lens_cells, lens_extent, may_hide
+from clsco.optics.visibility import Layer, extent, is_hollow, layers, may_hide
 from clsco.plan.plan import Plan, make_plan
 from clsco.reference.common.geometry import nearest_surface, pixel_ray
 from clsco.reference.common.visibility import CLEAR, HIDDEN, Points, check_visibility
@@ -45,18 +46,18 @@ def plan_of(*items: Object, **sections: Any) -> Plan:
 
 
 def test_lens_of_a_psf() -> None:
-    assert lens_extent(Psf()) == 1.0
-    assert lens_extent(Psf(model="gaussian", sigma_ratio=0.4, truncation=2.5)) == 1.0
-    assert lens_extent(Psf(model="gaussian", sigma_ratio=0.5, truncation=3.0)) == 1.5
+    assert point_spread(Psf()).extent == 1.0
+    assert point_spread(Psf(model="gaussian", sigma_ratio=0.4, truncation=2.5)).extent == 1.0
+    assert point_spread(Psf(model="gaussian", sigma_ratio=0.5, truncation=3.0)).extent == 1.5
 
 
 def test_cells_of_the_lens() -> None:
-    cells = lens_cells(Psf())
+    cells = point_spread(Psf()).lens_cells()
     assert cells.shape == (2 * LENS_CELLS, 2 * LENS_CELLS)
     assert cells.sum() == pytest.approx(pi * LENS_CELLS**2, rel=1e-12)
     assert cells[LENS_CELLS, LENS_CELLS] == 1.0
     assert cells[0, 0] == 0.0
-    gaussian = lens_cells(Psf(model="gaussian", truncation=2.0))
+    gaussian = point_spread(Psf(model="gaussian", truncation=2.0)).lens_cells()
     for one in (cells, gaussian):
         np.testing.assert_allclose(one, one.T, rtol=0, atol=1e-13)  # sums of areas of 1
         np.testing.assert_allclose(one, one[::-1], rtol=0, atol=1e-13)  # sums of areas of 1
@@ -230,7 +231,7 @@ def blocked(plan: Plan, near: int, far: int, time: float) -> bool:
     radius, zero = blur_radius(scene.camera, w), np.zeros_like(w)
     layer = Layer(1 << far, 1 << near)
     points = Points(rays, w, radius, zero, zero, 1.0, np.zeros((len(w), 2)))
-    state, _, visibility = check_visibility(scene.camera, surfaces, bounds, layer, scene.psf, points)
+    state, _, visibility = check_visibility(scene.camera, surfaces, bounds, layer, plan.psf, points)
     if (state == HIDDEN).any() or (state == CLEAR).all():
         return bool((state == HIDDEN).any())
     cells = cell_visibility(visibility)
@@ -277,5 +278,5 @@ def test_random_scenes_have_pairs_of_both_kinds() -> None:
 def test_order_of_the_scene_is_kept() -> None:
     items = (Sphere(center=(0.0, 0.0, 200.0), radius=5.0), Sphere(center=(0.0, 0.0, 300.0), radius=5.0))
     extents = [extent(item, [STILL], np.zeros(1)) for item in items]
-    assert layers(items, extents, CAMERA, Psf()) == (Layer(1, 0), Layer(2, 1))
-    assert layers(items[::-1], extents[::-1], CAMERA, Psf()) == (Layer(1, 2), Layer(2, 0))
+    assert layers(items, extents, CAMERA, point_spread(Psf())) == (Layer(1, 0), Layer(2, 1))
+    assert layers(items[::-1], extents[::-1], CAMERA, point_spread(Psf())) == (Layer(1, 2), Layer(2, 0))

@@ -9,17 +9,25 @@ import numpy as np
 import pytest
 
 from clsco.files.array_cache import ArrayCache
-from clsco.optics.psf import shape_of
+from clsco.optics.point_spread import PointSpread, point_spread
 from clsco.optics.psf_blocks import WeightBlock, weight_block
 from clsco.optics.psf_tables import PsfTable, psf_table, table_sizes
+from clsco.optics.pupils.image import image_pupil
 from clsco.passes import tables
 from clsco.passes.tables import TableStore
 from clsco.scene.model import Aperture, Psf
 
 PSFS = [
-    *(Psf(model=model, edge=edge) for model in ("pillbox", "gaussian") for edge in ("integrated", "area", "sampled")),
-    Psf().through(Aperture(shape="polygon", blades=6)),
+    *(
+        point_spread(Psf(model=model, edge=edge))
+        for model in ("pillbox", "gaussian")
+        for edge in ("integrated", "area", "sampled")
+    ),
+    point_spread(Psf(), Aperture(shape="polygon", blades=6)),
+    point_spread(Psf(), Aperture(shape="ring")),
+    PointSpread(image_pupil(np.eye(6))),
 ]
+DISC = point_spread(Psf())
 
 
 @pytest.fixture
@@ -27,7 +35,7 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """First intervals of the blocks that are computed."""
     found: list[int] = []
 
-    def counted(psf: Psf, first: int, subpixel: int = 0) -> WeightBlock:
+    def counted(psf: PointSpread, first: int, subpixel: int = 0) -> WeightBlock:
         found.append(first)
         return weight_block(psf, first, subpixel)
 
@@ -41,10 +49,10 @@ def weights_of(table: PsfTable, number: int, disc: bool) -> Any:
     return width, table.coefficients[start : start + (1 if disc else 4 * (2 * width + 1))].tobytes()
 
 
-@pytest.mark.parametrize("psf", PSFS, ids=lambda psf: f"{psf.model} {psf.edge} {psf.aperture.shape}")
+@pytest.mark.parametrize("psf", PSFS, ids=lambda psf: psf.name)
 @pytest.mark.parametrize("samples", [0, 2])
-def test_tables_have_the_same_bits_whatever_came_before(tmp_path: Path, psf: Psf, samples: int) -> None:
-    alone, disc = psf_table(psf, 1.1, 2.6, samples), shape_of(psf).kind == "disc" and not samples
+def test_tables_have_the_same_bits_whatever_came_before(tmp_path: Path, psf: PointSpread, samples: int) -> None:
+    alone, disc = psf_table(psf, 1.1, 2.6, samples), psf.layout == "disc" and not samples
     store = TableStore(ArrayCache(tmp_path))
     for ends in ((0.0, 0.9), (2.0, 4.1), (1.1, 2.6)):
         table = store.table(psf, *ends, samples)
@@ -56,10 +64,10 @@ def test_tables_have_the_same_bits_whatever_came_before(tmp_path: Path, psf: Psf
 
 
 def test_no_table_is_made_for_a_range_that_is_there(tmp_path: Path, made: list[int]) -> None:
-    store, psf = TableStore(ArrayCache(tmp_path)), Psf()
+    store, psf = TableStore(ArrayCache(tmp_path)), DISC
     wide = store.table(psf, 0.0, 5.0)
     count = len(made)
-    narrow = store.table(psf.model_copy(update={"tilt": False}), 0.3, 4.0)
+    narrow = store.table(point_spread(Psf(tilt=False)), 0.3, 4.0)
     assert len(made) == count > 0
     assert narrow.coefficients is wide.coefficients
     assert narrow.reach < wide.reach
@@ -70,13 +78,13 @@ def test_no_table_is_made_for_a_range_that_is_there(tmp_path: Path, made: list[i
 
 
 def test_blocks_come_from_the_disk(tmp_path: Path, made: list[int]) -> None:
-    TableStore(ArrayCache(tmp_path)).table(Psf(), 0.0, 3.0, 4)
+    TableStore(ArrayCache(tmp_path)).table(DISC, 0.0, 3.0, 4)
     count = len(made)
-    TableStore(ArrayCache(tmp_path)).table(Psf(), 0.0, 3.0, 4)
+    TableStore(ArrayCache(tmp_path)).table(DISC, 0.0, 3.0, 4)
     assert len(made) == count
     for path in tmp_path.iterdir():
         path.write_bytes(path.read_bytes()[:-1])
-    TableStore(ArrayCache(tmp_path)).table(Psf(), 0.0, 3.0, 4)
+    TableStore(ArrayCache(tmp_path)).table(DISC, 0.0, 3.0, 4)
     assert len(made) == 2 * count
 
 

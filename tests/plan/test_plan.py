@@ -13,11 +13,11 @@ from clsco.constants import TAP_LANES
 from clsco.errors import SceneError
 from clsco.frame.frame import TRUTH_NAMES
 from clsco.optics.lens import LARGEST_BLUR, blur_radius, ray_step
-from clsco.optics.psf import reach
+from clsco.optics.point_spread import point_spread
 from clsco.plan.buffers import ThisMachine
 from clsco.plan.left_out import left_out
 from clsco.plan.memory import device_bytes
-from clsco.plan.methods import MANY_RADII, is_sharp
+from clsco.plan.methods import MANY_RADII
 from clsco.plan.plan import Plan, exposure, make_plan, widened
 from clsco.plan.predict import guard_band, image_displacement
 from clsco.scene.model import (
@@ -289,18 +289,19 @@ def test_no_depth_of_a_map_is_missed(depth: float) -> None:
 @pytest.mark.parametrize("edge", ["sampled", "area", "integrated"])
 @pytest.mark.parametrize("model", ["pillbox", "gaussian"])
 def test_guard_band_holds_every_source_that_lights_the_frame(model: Any, edge: Any) -> None:
-    psf = Psf(model=model, edge=edge)
-    given = plan_of(TILTED, psf=psf)
-    held = given.guard_px
-    assert held == guard_band(psf, given.largest_blur)
-    assert held >= max(reach(psf, given.largest_blur), reach(psf, given.largest_blur, True))
+    asked = Psf(model=model, edge=edge)
+    given, psf = plan_of(TILTED, psf=asked), point_spread(asked)
+    held, largest = given.guard_px, given.largest_blur
+    assert held == guard_band(psf, "lose", largest)
+    assert held >= max(psf.reach(largest), psf.reach(largest, True))
     assert held % TAP_LANES == 0
-    assert held < reach(psf, given.largest_blur, True) + 3 + TAP_LANES  # 2 px to see silhouettes in
+    assert held < psf.reach(largest, True) + 3 + TAP_LANES  # 2 px to see silhouettes in
     assert (given.width, given.height) == (64 + 2 * held, 48 + 2 * held)
-    assert guard_band(psf.model_copy(update={"border": "renormalize"}), 5.0) == 0
-    flat = plan_of(STILL, psf=psf)
+    assert guard_band(psf, "renormalize", 5.0) == 0
+    flat = plan_of(STILL, psf=asked)
     assert flat.blur == "convolve"
-    assert flat.guard_px == guard_band(psf, flat.largest_blur) + 2 * TAP_LANES  # two vectors of sources may hang over
+    band = guard_band(psf, "lose", flat.largest_blur)
+    assert flat.guard_px == band + 2 * TAP_LANES  # two vectors of sources may hang over
 
 
 def test_widened() -> None:
@@ -308,7 +309,7 @@ def test_widened() -> None:
     wider = widened(given, 0.25, given.largest_blur + 7.0)
     assert wider.smallest_blur == 0.25
     assert wider.largest_blur == given.largest_blur + 7.0
-    assert wider.guard_px == guard_band(Psf(), wider.largest_blur) > given.guard_px
+    assert wider.guard_px == guard_band(point_spread(Psf()), Psf().border, wider.largest_blur) > given.guard_px
     assert widened(given, 0.0, 0.1).guard_px == given.guard_px
     with pytest.raises(SceneError, match=r"^camera: the blur radius must be at most 512 px; got 600 px$"):
         widened(given, 0.0, 600.0)
@@ -422,8 +423,8 @@ def test_unknown_methods_are_refused(method: str) -> None:
     ],
 )
 def test_what_stays_sharp(psf: Psf, largest: float, sharp: bool) -> None:
-    assert is_sharp(psf, largest) == sharp
-    assert (reach(psf, largest) == 0) == sharp
+    assert point_spread(psf).is_sharp(largest) == sharp
+    assert (point_spread(psf).reach(largest) == 0) == sharp
 
 
 def test_memory_and_work_grow_with_what_is_done() -> None:

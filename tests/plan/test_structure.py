@@ -11,10 +11,9 @@ import pytest
 from clsco.frame.frame import TRUTH_NAMES
 from clsco.frame.strips import BAND
 from clsco.optics.lens import blur_scale, focus_power
-from clsco.optics.psf import reach
+from clsco.optics.point_spread import point_spread
 from clsco.plan.buffers import ThisMachine
 from clsco.plan.left_out import left_out
-from clsco.plan.methods import is_sharp
 from clsco.plan.predict import displaced, guard_band, is_forward
 from clsco.scene.model import (
     Camera,
@@ -91,18 +90,18 @@ def test_which_cameras_see_a_plane_with_one_radius() -> None:
 
 def test_a_wide_gaussian_is_blurred_from_half_a_pixel_on() -> None:
     """There no radius is too small any more, and its cut is 10 px away."""
-    wide = Psf(model="gaussian", edge="sampled", sigma_ratio=10.0)
-    assert is_sharp(wide, 0.499)
-    assert not is_sharp(wide, 0.5)
-    assert reach(wide, 0.5) == 10
+    wide = point_spread(Psf(model="gaussian", edge="sampled", sigma_ratio=10.0))
+    assert wide.is_sharp(0.499)
+    assert not wide.is_sharp(0.5)
+    assert wide.reach(0.5) == 10
 
 
 @pytest.mark.parametrize(("model", "edge"), MODELS)
 def test_guard_bands_hold_what_lights_the_frame_and_two_pixels_more(model: Any, edge: Any) -> None:
-    psf = Psf(model=model, edge=edge)
+    psf = point_spread(Psf(model=model, edge=edge))
     for tenths in range(1, 300):
         largest = 0.1 * tenths
-        assert guard_band(psf, largest) >= max(reach(psf, largest), reach(psf, largest, True)) + 2
+        assert guard_band(psf, "lose", largest) >= max(psf.reach(largest), psf.reach(largest, True)) + 2
 
 
 @pytest.mark.parametrize("edge", ["sampled", "area", "integrated"])

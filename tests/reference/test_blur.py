@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clsco.optics import psf as psf_weights
+from clsco.optics.point_spread import point_spread
 from clsco.optics.visibility import Layer
 from clsco.reference.blur.accumulate import accumulate
 from clsco.reference.blur.blur import gather, prepare_sources, renormalize, resolve, scatter, tilt_factor
@@ -18,6 +18,7 @@ from clsco.reference.common.geometry import tilt_slope
 from clsco.reference.trace.trace import Sources, SubpixelSources, mark_silhouettes, trace, trace_subpixels, view_at
 from clsco.scene.model import Plane, Psf, Scene, Sphere
 from tests.scenes import scene_of
+from tests.spreads import spec_of
 
 Array = NDArray[np.float64]
 ALONE = Layer(1, 0)  # one object, and nothing in its way
@@ -92,7 +93,7 @@ def plain_scatter(psf: Psf, sources: Sources, sub: SubpixelSources | None, shape
             continue
         radius = sources.radius[i, j]
         dx, dy = (column - j).astype(float), (row - i).astype(float)
-        share = psf_weights.weights(psf, dx, dy, radius)
+        share = point_spread(psf).weights(dx, dy, radius)
         if psf.tilt:
             share = share * tilt_factor(dx, dy, tilt_slope(sources.gradient[i, j], radius))
         add(i, j, sources.radiance[i, j], share, 1.0)
@@ -103,7 +104,7 @@ def plain_scatter(psf: Psf, sources: Sources, sub: SubpixelSources | None, shape
             dx = column - (j + (v + 0.5) / samples - 0.5)
             dy = row - (i + (u + 0.5) / samples - 0.5)
             radius = sub.radius[k, u, v]
-            share = psf_weights.subpixel_weights(psf, dx, dy, radius)
+            share = point_spread(psf).subpixel_weights(dx, dy, radius)
             if psf.tilt:
                 share = share * tilt_factor(dx, dy, tilt_slope(sub.gradient[k, u, v], radius))
             add(i, j, sub.radiance[k, u, v], share, 1.0 / samples**2)
@@ -118,12 +119,12 @@ def test_scatter_is_the_plain_sum(psf: Psf, tilt: bool, border: str) -> None:
     sources = random_sources((17, 21), 3.0, 1.5, channels=2)
     sub = random_subpixels(sources, 2, 40)
     for some in (None, sub):
-        found = scatter(psf, sources, some, (11, 15), 3)
+        found = scatter(spec_of(psf), sources, some, (11, 15), 3)
         expected = plain_scatter(psf, sources, some, (11, 15), 3)
         assert expected.max() > 0.3
         # A few hundred terms below 1 each, added in another order.
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13)
-        assert (gather(psf, sources, some, (11, 15), 3) == found).all()
+        assert (gather(spec_of(psf), sources, some, (11, 15), 3) == found).all()
 
 
 @pytest.mark.parametrize("tilt", [True, False])
@@ -134,8 +135,8 @@ def test_light_is_conserved(psf: Psf, tilt: bool) -> None:
     The farthest pixel that is lit is 4.5 radii away, in the corner of a Gaussian cut at 3 sigma.
     """
     sources = in_the_middle(random_sources((12, 14), 4.0, 1 / 4.5, channels=3), 14)
-    assert psf_weights.reach(psf, 4.0) <= 14
-    color = scatter(psf.model_copy(update={"tilt": tilt}), sources, None, sources.lit.shape, 0)
+    assert point_spread(psf).reach(4.0) <= 14
+    color = scatter(spec_of(psf.model_copy(update={"tilt": tilt})), sources, None, sources.lit.shape, 0)
     light = sources.radiance.sum(axis=(0, 1))
     assert light.min() > 10
     np.testing.assert_allclose(color.sum(axis=(0, 1)), light, rtol=1e-12)  # the weights' own sum is 1 to 1e-12
@@ -150,7 +151,7 @@ def test_subpixel_light_is_conserved() -> None:
     sub = replace(sub, hit=sub.hit & inside[:, None, None])
     assert sub.hit.sum() > 100
     psf = Psf(tilt=False)
-    color = scatter(psf, sources, sub, sources.lit.shape, 0)
+    color = scatter(spec_of(psf), sources, sub, sources.lit.shape, 0)
     own = sources.radiance.copy()
     own[sub.row, sub.column] = 0.0
     expected = own.sum() + sub.radiance[sub.hit].sum() / 16
@@ -160,35 +161,35 @@ def test_subpixel_light_is_conserved() -> None:
 @pytest.mark.parametrize("psf", PSFS, ids=name_of)
 @pytest.mark.parametrize("radius", [0.0, 0.3, 1.0, 2.7, -2.7])
 def test_constant_image_stays_constant(psf: Psf, radius: float) -> None:
-    guard = max(psf_weights.reach(psf, abs(radius)), 1)
+    guard = max(point_spread(psf).reach(abs(radius)), 1)
     shape = (9 + 2 * guard, 12 + 2 * guard)
     radiance = np.full((*shape, 1), 0.7)
     planes = (np.ones(shape), np.ones(shape, np.uint8), np.full(shape, radius), np.zeros((*shape, 2)))
     sources = Sources(radiance, *planes, np.ones(shape, np.bool_))
-    color = scatter(psf, sources, None, (9, 12), guard)
+    color = scatter(spec_of(psf), sources, None, (9, 12), guard)
     np.testing.assert_allclose(color, 0.7, rtol=1e-12)  # the weights' own sum is 1 to 1e-12
     if guard > 1:
-        assert scatter(psf, sources, None, (9 + 2 * guard, 12 + 2 * guard), 0).min() < 0.69  # border loses
+        assert scatter(spec_of(psf), sources, None, (9 + 2 * guard, 12 + 2 * guard), 0).min() < 0.69  # border loses
 
 
 @pytest.mark.parametrize("psf", PSFS, ids=name_of)
 def test_convolve_is_scatter_of_one_radius(psf: Psf) -> None:
     sources = random_sources((18, 20), 1.0, 0.0, channels=3)
     sources = replace(sources, radius=np.where(sources.lit, -2.3, 0.0))
-    expected = scatter(psf, sources, None, (12, 14), 3)
-    np.testing.assert_allclose(convolve(psf, sources.radiance, -2.3, 3), expected, atol=1e-13)
+    expected = scatter(spec_of(psf), sources, None, (12, 14), 3)
+    np.testing.assert_allclose(convolve(point_spread(psf), sources.radiance, -2.3, 3), expected, atol=1e-13)
     dx, dy = np.meshgrid(np.arange(-9.0, 10), np.arange(-9.0, 10))
-    plain = psf_weights.weights(psf, dx, dy, np.asarray(2.3))
+    plain = point_spread(psf).weights(dx, dy, np.asarray(2.3))
     lit = np.zeros((19, 19, 1))
     lit[9, 9] = 1.0
-    np.testing.assert_allclose(convolve(psf, lit, 2.3, 0)[..., 0], plain, atol=1e-15)
+    np.testing.assert_allclose(convolve(point_spread(psf), lit, 2.3, 0)[..., 0], plain, atol=1e-15)
 
 
 def test_renormalizing_gives_all_light_back_to_the_frame() -> None:
     psf = Psf(border="renormalize")
     sources = random_sources((20, 24), 4.0, 1.8)
     sub = random_subpixels(sources, 3, 30)
-    color = scatter(psf, sources, sub, (12, 16), 4)
+    color = scatter(spec_of(psf), sources, sub, (12, 16), 4)
     frame = (slice(4, 16), slice(4, 20))
     own = sources.radiance.copy()
     own[sub.row, sub.column] = 0.0
@@ -196,7 +197,7 @@ def test_renormalizing_gives_all_light_back_to_the_frame() -> None:
     lit = sub.radiance[there][sub.hit[there]].sum() / 9
     assert lit > 1
     np.testing.assert_allclose(color.sum(), own[frame].sum() + lit, rtol=1e-12)
-    scaled, _ = renormalize(psf, sources, sub, (12, 16), 4)
+    scaled, _ = renormalize(spec_of(psf), sources, sub, (12, 16), 4)
     assert not scaled.lit[:4].any()
     assert scaled.lit[frame].any()
 
@@ -217,7 +218,7 @@ def test_a_subpixel_source_lights_its_disc(offset: tuple[int, int]) -> None:
         np.zeros((*hit.shape, 2)),
         np.ones((*hit.shape, 1)),
     )
-    color = scatter(Psf(), sources, sub, (13, 13), 0)[..., 0]
+    color = scatter(spec_of(Psf()), sources, sub, (13, 13), 0)[..., 0]
     # The disc by counting points of a 1/40 px lattice: its rim crosses each pixel along at most 2 px.
     fine = (np.arange(13 * 40) + 0.5) / 40 - 0.5
     y, x = fine[:, None] - (6 + (i + 0.5) / 4 - 0.5), fine[None, :] - (6 + (j + 0.5) / 4 - 0.5)
@@ -288,11 +289,11 @@ def test_tilted_plane_agrees_with_a_thin_lens() -> None:
     assert 2 < np.abs(sources.radius).max() < 10
     expected = thin_lens(scene, sources, texture, 10)
     error = {
-        tilt: np.sqrt(np.mean((scatter(Psf(tilt=tilt), sources, None, (24, 24), 10)[..., 0] - expected) ** 2))
+        tilt: np.sqrt(np.mean((scatter(spec_of(Psf(tilt=tilt)), sources, None, (24, 24), 10)[..., 0] - expected) ** 2))
         for tilt in (True, False)
     }
     mirrored = replace(sources, gradient=-sources.gradient)
-    wrong = np.sqrt(np.mean((scatter(Psf(), mirrored, None, (24, 24), 10)[..., 0] - expected) ** 2))
+    wrong = np.sqrt(np.mean((scatter(spec_of(Psf()), mirrored, None, (24, 24), 10)[..., 0] - expected) ** 2))
     # 600 lens points by 36 of the detector leave noise of about 0.3 / sqrt(21600) = 0.002; less, being even.
     assert error[True] < 0.002
     assert error[False] > 2 * error[True]
@@ -310,10 +311,10 @@ def test_silhouette_of_a_sphere_gains_from_subpixels() -> None:
         view = view_at(scene, (texture,), 0.0, "left", False)
         sources = trace(view, ALONE, 6)
         if samples == 1:
-            return scatter(scene.psf, sources, None, (32, 32), 6)
+            return scatter(spec_of(scene.psf), sources, None, (32, 32), 6)
         marked = np.ones_like(sources.label, dtype=bool) if everywhere else mark_silhouettes(sources.label)
         sub = trace_subpixels(view, ALONE, 6, marked)
-        return scatter(scene.psf, sources, sub, (32, 32), 6)
+        return scatter(spec_of(scene.psf), sources, sub, (32, 32), 6)
 
     fine = image(12, everywhere=True)
     assert fine.max() > 0.5

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from clsco.optics.lens import blur_radius
+from clsco.optics.point_spread import point_spread
 from clsco.optics.psf_grid import table_coordinate as coordinate_of_radius
 from clsco.optics.quadrics import PlacedSurface
 from clsco.optics.visibility import Layer
@@ -450,15 +451,15 @@ def test_table_coordinate_stays_in_its_interval(psf: Psf) -> None:
     radius = np.concatenate([np.random.default_rng(6).uniform(-6, 6, 5000), np.sqrt(np.arange(1, 36))])
     radius = np.concatenate([radius, np.nextafter(radius, 0.0)])
     for subpixel in (False, True):
-        exact = coordinate_of_radius(psf, radius, subpixel)
+        exact = coordinate_of_radius(point_spread(psf), radius, subpixel)
         last = int(exact.max())
-        found = table_coordinate(psf, radius, subpixel, 0, last + 1)
+        found = table_coordinate(point_spread(psf), radius, subpixel, 0, last + 1)
         assert found.dtype == np.float32
         # Others are continuous there: rounding may take them to where the next interval begins, and no farther.
         jumps = psf.edge == "sampled" and not subpixel
         assert ((np.floor(found) == np.floor(exact)) | (not jumps) & (found == np.ceil(exact))).all()
         np.testing.assert_allclose(found, exact, rtol=2.0**-23)  # one rounding, or one step back
-        clamped = table_coordinate(psf, radius, subpixel, 5, 3)
+        clamped = table_coordinate(point_spread(psf), radius, subpixel, 5, 3)
         assert clamped.min() == 5.0
         assert clamped.max() == np.nextafter(np.float32(8.0), np.float32(0.0))
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clsco.optics.psf import reach
 from clsco.reference.blur.blur import prepare_sources, scatter
 from clsco.reference.layered.layered import (
     BIN,
@@ -33,9 +32,11 @@ from clsco.reference.layered.layered import (
 )
 from clsco.reference.trace.trace import Sources
 from clsco.scene.model import Psf
+from tests.spreads import spec_of
 
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
+PILLBOX = spec_of(Psf())
 RNG = np.random.default_rng
 
 
@@ -46,13 +47,14 @@ def blob(shape: tuple[int, int]) -> Array:
 
 
 def cuts(coc: Array, valid: Mask, largest: float) -> list[int]:
-    return slab_bounds(find_discontinuities(coc, valid, *bins_of(largest), 2 * reach(Psf(), largest) + 1)[0])
+    reach = PILLBOX.psf.reach(largest)
+    return slab_bounds(find_discontinuities(coc, valid, *bins_of(largest), 2 * reach + 1)[0])
 
 
 def unsliced(radiance: Array, coc: Array, shape: tuple[int, int], guard: int) -> Array:
     there = np.ones(coc.shape, dtype=bool)
     sources = Sources(radiance, np.ones(coc.shape), there.astype(np.uint8), coc, prepare_sources(coc, there), there)
-    return scatter(Psf(), sources, None, shape, guard)
+    return scatter(PILLBOX, sources, None, shape, guard)
 
 
 def test_jumps_lie_between_neighbors_of_a_line() -> None:
@@ -220,7 +222,7 @@ def test_a_cut_through_a_continuous_surface_leaves_no_seam(texture: str) -> None
     coc = 0.13 * (x - 30) + 0.06 * (y - 30)
     radiance = (RNG(1).random(size) if texture == "noise" else x / 70.0)[..., None]
     slab = (1 + np.searchsorted(np.quantile(coc, [0.25, 0.5, 0.75]), coc)).astype(np.uint8)
-    cut, count = spread_slabs(Psf(), radiance, coc, slab, shape, guard, 20)
+    cut, count = spread_slabs(PILLBOX, radiance, coc, slab, shape, guard, 20)
     assert count == 4
     np.testing.assert_array_equal(cut, unsliced(radiance, coc, shape, guard))  # nothing is covered: light adds up
 
@@ -236,7 +238,7 @@ def test_a_cut_that_meets_an_edge_leaves_little() -> None:
     radiance = np.where(near, 0.2, 0.5 + 0.3 * np.sin(0.4 * x) * np.cos(0.3 * y))[..., None]
     two = np.where(near, 1, 2).astype(np.uint8)
     five = np.where(near, 1, 2 + np.searchsorted([4.2, 5.1, 5.6], plane)).astype(np.uint8)
-    images = [spread_slabs(Psf(), radiance, coc, slab, shape, guard, 14)[0] for slab in (two, five)]
+    images = [spread_slabs(PILLBOX, radiance, coc, slab, shape, guard, 14)[0] for slab in (two, five)]
     plain = unsliced(radiance, coc, shape, guard)
     cut, hidden = (np.sqrt(np.mean((image - images[0]) ** 2)) for image in (images[1], plain))
     # Of the nine places where a cut meets the edge, each is at worst an edge without occlusion, 8 px wide of 60.
@@ -252,7 +254,7 @@ def test_an_edge_before_a_plane_is_its_closed_form() -> None:
     radius, behind = 7.3, 6.1
     for sign in (1, -1):
         coc = np.where(near, -radius, sign * behind) if sign > 0 else np.where(near, -radius, -radius + 3)
-        image, count = layered(Psf(), np.where(near, 0.0, 1.0)[..., None], coc, near | True, shape, guard, 8.0)
+        image, count = layered(spec_of(Psf(), 8.0), np.where(near, 0.0, 1.0)[..., None], coc, near | True, shape, guard)
         assert count == 2
         # Across the edge at 29.5, a mean of the edge's spread over 400 points per pixel, which is right to 1e-6.
         at = np.arange(shape[1])[:, None] + (np.arange(400) + 0.5) / 400 - 0.5 - 29.5
@@ -264,11 +266,12 @@ def test_an_edge_before_a_plane_is_its_closed_form() -> None:
 def test_one_brightness_everywhere_stays_so() -> None:
     """Two facing planes of the same brightness: what one covers, the other lacks, whatever the outline is."""
     shape, largest = (40, 44), 5.0
-    guard = reach(Psf(), largest)
+    guard = PILLBOX.psf.reach(largest)
     size = (shape[0] + 2 * guard, shape[1] + 2 * guard)
     for near_radius, far_radius in ((-4.0, 5.0), (-0.3, 4.5), (1.0, 4.0), (-5.0, -1.2)):
         coc = np.where(blob(size), near_radius, far_radius)
-        image, count = layered(Psf(), np.full((*size, 1), 0.6), coc, np.ones(size, dtype=bool), shape, guard, largest)
+        light, there = np.full((*size, 1), 0.6), np.ones(size, dtype=bool)
+        image, count = layered(spec_of(Psf(), largest), light, coc, there, shape, guard)
         assert count == 2
         np.testing.assert_allclose(image, 0.6, rtol=0, atol=1e-12)
 
@@ -278,7 +281,7 @@ def test_one_slab_is_plain_scattering() -> None:
     size = (shape[0] + 2 * guard, shape[1] + 2 * guard)
     coc = np.linspace(-4, 6, size[1])[None, :] + np.zeros(size)
     radiance = RNG(2).random((*size, 2))
-    image, count = layered(Psf(), radiance, coc, np.ones(size, dtype=bool), shape, guard, 6.0)
+    image, count = layered(spec_of(Psf(), 6.0), radiance, coc, np.ones(size, dtype=bool), shape, guard)
     assert count == 1
     np.testing.assert_array_equal(image, unsliced(radiance, coc, shape, guard))
 
@@ -288,6 +291,6 @@ def test_a_sharp_object_before_a_blurred_plane_keeps_its_edge() -> None:
     size = (shape[0] + 2 * guard, shape[1] + 2 * guard)
     near = blob(size)
     image, _ = layered(
-        Psf(), np.where(near, 0.0, 1.0)[..., None], np.where(near, 0.0, 8.0), near | True, shape, guard, 8.0
+        spec_of(Psf(), 8.0), np.where(near, 0.0, 1.0)[..., None], np.where(near, 0.0, 8.0), near | True, shape, guard
     )
     np.testing.assert_allclose(image[..., 0], ~near[guard:-guard, guard:-guard], rtol=0, atol=1e-12)

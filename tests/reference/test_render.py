@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from clsco.frame.frame import TRUTH_NAMES, Frame
+from clsco.optics.point_spread import point_spread
 from clsco.reference.blur.convolve import convolve
 from clsco.reference.inpainting.fill import Method
 from clsco.reference.render import render
@@ -50,7 +51,7 @@ def test_facing_plane_is_one_convolution() -> None:
     assert 4 < radius < 5
     sharp = truth(frame, "sharp").reshape(*SHAPE, -1)
     wide = np.pad(sharp, ((6, 6), (6, 6), (0, 0)), mode="symmetric")
-    expected = convolve(Psf(), wide, radius, 6).reshape(frame.color.shape)
+    expected = convolve(point_spread(Psf()), wide, radius, 6).reshape(frame.color.shape)
     np.testing.assert_allclose(frame.color, expected, atol=1e-12)
     assert np.abs(expected - truth(frame, "sharp")).max() > 0.05
 

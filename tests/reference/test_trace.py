@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from clsco.optics.lens import blur_radius, ray_step
 from clsco.optics.motion import pose_at
-from clsco.optics.psf import subpixel_offsets
+from clsco.optics.point_spread import subpixel_offsets
 from clsco.optics.quadrics import PlacedSurface
 from clsco.optics.visibility import Layer
 from clsco.reference.common.geometry import Filter, pixel_ray, rest_pixel, solve_quadric

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from clsco.optics.lens import blur_radius, lens_radius
 from clsco.optics.motion import Pose, rest_center, rotation_matrix
+from clsco.optics.point_spread import PointSpread, point_spread
 from clsco.optics.quadrics import place
-from clsco.optics.visibility import Layer, lens_extent
+from clsco.optics.visibility import Layer
 from clsco.reference.common.geometry import nearest_surface, solve_quadric, surface_normal
 from clsco.reference.common.occluder import Part, leave_free, soft_step
 from clsco.reference.common.visibility import CLEAR, HIDDEN, Points, check_visibility
@@ -49,6 +50,9 @@ OCCLUDERS: dict[str, Object] = {
     "bowl around the lens": BOWL.model_copy(update={"center": (0.0, 5.0, -60.0)}),
     "ball around the lens": Sphere(center=(5.0, 0.0, 60.0), radius=140.0),
 }
+
+
+PILLBOX = point_spread(Psf())
 
 
 def quadric_of(item: Object) -> tuple[Array, Array, float]:
@@ -111,7 +115,7 @@ def lens_points(rays: Array, w: Array, dx: Array, dy: Array) -> Array:
 
 
 def free_shares(
-    items: Sequence[Object], poses: Sequence[Pose], rays: Array, w: Array, lens: Array, psf: Psf,
+    items: Sequence[Object], poses: Sequence[Pose], rays: Array, w: Array, lens: Array, psf: PointSpread,
     layer: Layer | None = None,
 ) -> tuple[Array, Array]:  # fmt: skip
     """State (N,) of points rays / w, and share (T, N) that is free as seen from taps R l; lens: (T, 2)."""
@@ -181,14 +185,14 @@ def decided(share: Array) -> Array:
     return np.asarray((share < 1e-6) | (share > 1 - 1e-6))
 
 
-@pytest.mark.parametrize("psf", [Psf(), Psf(model="gaussian")], ids=["pillbox", "gaussian"])
+@pytest.mark.parametrize("psf", [PILLBOX, point_spread(Psf(model="gaussian"))], ids=["pillbox", "gaussian"])
 @pytest.mark.parametrize("name", OCCLUDERS)
-def test_one_occluder_against_lines(name: str, psf: Psf) -> None:
-    item, rng = OCCLUDERS[name], np.random.default_rng([len(name), len(psf.model)])
+def test_one_occluder_against_lines(name: str, psf: PointSpread) -> None:
+    item, rng = OCCLUDERS[name], np.random.default_rng([len(name), 7 + psf.pupil.soft])
     unsure = wrong = points = hidden = seen = 0
-    for pose in random_poses(rng, item, 8, lens_extent(psf)):
+    for pose in random_poses(rng, item, 8, psf.extent):
         rays, w = random_points(rng, 400)
-        lens = random_taps(rng, 25, lens_extent(psf))
+        lens = random_taps(rng, 25, psf.extent)
         state, share = free_shares([item], [pose], rays, w, lens, psf)
         blocked = blocked_lines([item], [pose], rays, w, lens)
         assert not blocked[:, state == CLEAR].any()
@@ -209,7 +213,7 @@ def test_several_occluders_against_lines() -> None:
     poses = [random_poses(rng, item, 2, 1.0)[1] for item in items]
     rays, w = random_points(rng, 3000)
     lens = random_taps(rng, 30, 1.0)
-    _, share = free_shares(items, poses, rays, w, lens, Psf())
+    _, share = free_shares(items, poses, rays, w, lens, PILLBOX)
     blocked = blocked_lines(items, poses, rays, w, lens)
     alone = [blocked_lines([item], [pose], rays, w, lens) for item, pose in zip(items, poses, strict=True)]
     assert min(int((one & (np.sum(alone, axis=0) > 1)).sum()) for one in alone) > 10
@@ -233,7 +237,7 @@ def test_a_hollow_surface_hides_its_own_inside(name: str) -> None:
         if not w.size:
             continue
         lens = random_taps(rng, 25, 1.0)
-        _, share = free_shares([item], [pose], rays, w, lens, Psf(), layer)
+        _, share = free_shares([item], [pose], rays, w, lens, PILLBOX, layer)
         blocked = blocked_lines([item], [pose], rays, w, lens)
         # Lens points that are behind the surface at the point itself get no light of it by the tilt.
         taps = lens[:, None] * blur_radius(CAMERA, w)[None, :, None]
@@ -263,7 +267,7 @@ def test_points_inside_of_another_object_are_hidden() -> None:
             [surface],
             [None],
             Layer(0, 1),
-            Psf(),
+            PILLBOX,
             Points(rays, w, radius, middle, middle, 1.0, np.zeros((len(w), 2))),
         )
         state, edge, _ = check_visibility(CAMERA, *args)
@@ -283,7 +287,7 @@ def test_around_the_lens(name: str) -> None:
     point = rays / w[:, None] - rest_center(item)
     value = np.einsum("ni,ij,nj->n", point, matrix, point) + 2 * point @ vector + constant
     assert 0.05 < (value > 0).mean() < 0.95
-    state, _ = free_shares([item], [STILL], rays, w, random_taps(np.random.default_rng(1), 1, 1.0), Psf())
+    state, _ = free_shares([item], [STILL], rays, w, random_taps(np.random.default_rng(1), 1, 1.0), PILLBOX)
     # Not all are found to be clear at once: the bound of what h can come to is wide for strongly bent surfaces.
     assert (state[value > 0] == HIDDEN).all()
     assert (state[value < 0] != HIDDEN).all()
@@ -298,7 +302,12 @@ def test_narrow_lenses_are_weighed_cell_by_cell() -> None:
     assert 0.5 < radius[0] < 2.0
     zero, surfaces = np.zeros(1), [place(item, STILL)]
     _, _, visibility = check_visibility(
-        camera, surfaces, [item.bounds], Layer(0, 1), Psf(), Points(rays, w, radius, zero, zero, 0.0, np.zeros((1, 2)))
+        camera,
+        surfaces,
+        [item.bounds],
+        Layer(0, 1),
+        PILLBOX,
+        Points(rays, w, radius, zero, zero, 0.0, np.zeros((1, 2))),
     )
     assert (visibility.row == 0).all()
     cells = cell_visibility(visibility)

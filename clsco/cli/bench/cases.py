@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import ClscoError
-from clsco.optics.psf import psf_extent, reach, weights
+from clsco.optics.point_spread import point_spread
 from clsco.plan.methods import Blur
 from clsco.scene.model import Psf
 
@@ -184,7 +184,7 @@ def channels_of(image: Array, channels: int) -> Array:
 
 def crop_of(size: int, largest: float, psf: Psf) -> tuple[slice, slice]:
     """Rows and columns of the window whose error is measured: on the sphere's right edge, smaller for wider PSFs."""
-    wanted = CROP_TIMES_EXTENT / (float(psf_extent(psf, largest)) + 1.0)
+    wanted = CROP_TIMES_EXTENT / (float(largest * point_spread(psf).extent) + 1.0)
     side = min(size, int(np.clip(wanted, SMALLEST_CROP, LARGEST_CROP)))
     top, left = (size - side) // 2, min(round(0.9 * size) - side // 2, size - side)
     return slice(top, top + side), slice(left, left + side)
@@ -199,7 +199,7 @@ def mean_taps(psf: Psf, largest: float, scene: Scene) -> float:
 
 
 def _taps(psf: Psf, radius: float) -> int:
-    offset = np.arange(reach(psf, radius) + 1.0)
+    offset = np.arange(point_spread(psf).reach(radius) + 1.0)
     times = np.where(offset > 0, 2, 1)
-    lit = weights(psf, offset[None, :], offset[:, None], np.asarray(radius)) > 0
+    lit = point_spread(psf).weights(offset[None, :], offset[:, None], np.asarray(radius)) > 0
     return int(times @ lit @ times)

@@ -21,7 +21,7 @@ from clsco.inputs.textures import load_texture
 from clsco.opencl.session import Session
 from clsco.optics.lens import LARGEST_BLUR, blur_radius
 from clsco.optics.motion import pose_at
-from clsco.optics.psf import reach, weights
+from clsco.optics.point_spread import point_spread
 from clsco.passes.pack import pose_structs
 from clsco.plan.plan import make_plan
 from clsco.records import Real
@@ -43,7 +43,7 @@ def _times(values: int, **calls: Callable[[], object]) -> dict[str, float]:
 
 def on_device(session: Session, psf: Psf, radii: Array) -> Array:
     """The PSFs (n, side, side) of blur radii (n,) in px, as `clsco.defocus` spreads a single bright pixel."""
-    side, n = 2 * reach(psf, float(radii.max())) + 3, len(radii)
+    side, n = 2 * point_spread(psf).reach(float(radii.max())) + 3, len(radii)
     image = np.zeros((side, n * side), np.float32)
     image[side // 2, side // 2 :: side] = 1.0
     maps = np.repeat(radii, side)[None].repeat(side, axis=0)
@@ -52,19 +52,21 @@ def on_device(session: Session, psf: Psf, radii: Array) -> Array:
 
 
 def in_closed_form(psf: Psf, radii: Array) -> Array:
-    """The same by `clsco.optics.psf.weights`."""
-    offset = np.arange(-reach(psf, float(radii.max())) - 1.0, reach(psf, float(radii.max())) + 2.0)
-    return weights(psf, offset[None, None, :], offset[None, :, None], radii[:, None, None])
+    """The same by `PointSpread.weights`."""
+    offset = np.arange(
+        -point_spread(psf).reach(float(radii.max())) - 1.0, point_spread(psf).reach(float(radii.max())) + 2.0
+    )
+    return point_spread(psf).weights(offset[None, None, :], offset[None, :, None], radii[:, None, None])
 
 
 def sampled(psf: Psf, radii: Array, ratio: float, normalized: bool) -> Array:
     """The thesis in float32, on the grid of `in_closed_form`: centers within R or 2 sigma, no blur below 0.5 px."""
-    half = reach(psf, float(radii.max())) + 1
+    half = point_spread(psf).reach(float(radii.max())) + 1
     r = radii.astype(np.float32)[:, None, None]
     offset = np.arange(-half, half + 1).astype(np.float32)
     square = offset[None, None, :] ** 2 + offset[None, :, None] ** 2
     center = (square == 0) & (r < 0.5)
-    if psf.model == "pillbox":
+    if point_spread(psf).uniform:
         shares = np.where(square <= r * r, 1 / (np.float32(pi) * r * r), np.float32(0))
     else:
         sigma = np.float32(ratio) * r

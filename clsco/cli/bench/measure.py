@@ -39,10 +39,11 @@ from clsco.cli.bench.roofline import Roof, intensity, measure_roof, tap_rate
 from clsco.errors import DeviceError, SceneError
 from clsco.opencl.device import Device
 from clsco.opencl.session import Session
-from clsco.optics.psf import psf_extent
+from clsco.optics.point_spread import point_spread
 from clsco.optics.stencil import stencils
 from clsco.passes.blur import Events
 from clsco.passes.tables import shared_tables
+from clsco.plan.methods import BlurSpec
 from clsco.records import Real
 from clsco.reference.blur.blur import prepare_sources, scatter
 from clsco.reference.trace.trace import Sources
@@ -229,7 +230,8 @@ def reference(image: Array, radii: Array, psf: Psf) -> Array:
     valid = np.ones(radii.shape, bool)
     gradient = prepare_sources(radii, valid)
     sources = Sources(image.astype(np.float64), np.ones(radii.shape), valid.astype(np.uint8), radii, gradient, valid)
-    return scatter(psf, sources, None, (image.shape[0], image.shape[1]), 0)
+    spec = BlurSpec(point_spread(psf), "gather", 0.0, float(np.abs(radii).max()), tilt=psf.tilt)
+    return scatter(spec, sources, None, (image.shape[0], image.shape[1]), 0)
 
 
 def _ready(case: Case, session: Session, longest_s: float, paces: Paces, peers: Sequence[Peer] = ()) -> _Ready | str:
@@ -261,7 +263,7 @@ def _by_crop(case: Case, first: _First) -> float:
     psf, crop = PSFS[case.psf], first.crop_px
     if case.method in TAP_BY_TAP:
         return first.warm_s * (case.size / crop) ** 2 * max(1.0, mean_taps(psf, case.radius, case.scene) / crop**2)
-    return first.warm_s * (case.size / (crop + 2.0 * float(psf_extent(psf, case.radius)))) ** 2
+    return first.warm_s * (case.size / (crop + 2.0 * float(case.radius * point_spread(psf).extent))) ** 2
 
 
 def _seconds(call: Callable[[Events], Array]) -> float:

@@ -12,7 +12,7 @@ from clsco.constants import TAP_LANES
 from clsco.frame.strips import Grid, frame_struct
 from clsco.opencl.buffers import empty, upload
 from clsco.opencl.session import Session
-from clsco.optics.psf import reach
+from clsco.optics.point_spread import point_spread
 from clsco.passes.blur import Events, Sources, blur_target, prepare_sources
 from clsco.passes.frame_blur import make_blur
 from clsco.plan.buffers import source_bytes
@@ -33,9 +33,17 @@ class Pass:
         size = np.abs(radii)
         self.largest = float(size.max())
         constant, blur = method == "convolve", cast(Blur, method)
-        guard = reach(psf, self.largest) + 2 * TAP_LANES if constant else 0
+        guard = point_spread(psf).reach(self.largest) + 2 * TAP_LANES if constant else 0
         brightest = float(np.abs(image).max())
-        spec = BlurSpec(psf, blur, float(size.min()), self.largest, tilt=psf.tilt, brightest=brightest)
+        spec = BlurSpec(
+            point_spread(psf),
+            blur,
+            float(size.min()),
+            self.largest,
+            tilt=psf.tilt,
+            brightest=brightest,
+            border=psf.border,
+        )
         self.camera, self.target = frame_struct(rows, columns, guard, real), blur_target(session, spec, channels, real)
         grid = Grid.whole(rows, columns, guard, channels)
         self.blur = make_blur(self.target, spec, grid, self.camera)

@@ -18,6 +18,7 @@ from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Session
 from clsco.optics.lens import blur_scale, focus_power
 from clsco.optics.motion import pose_at, rest_center
+from clsco.optics.point_spread import point_spread
 from clsco.optics.psf_tables import psf_features
 from clsco.optics.quadrics import PlacedSurface, place
 from clsco.optics.visibility import Layer
@@ -38,7 +39,7 @@ FARTHEST_PIXEL = 2**23  # from the axis; frames have up to 2^16 px a side
 # Every shape by one program: what a shape has no use for is 0.
 FEATURES = {"SEVERAL": 0, "QUADRATIC": 1, "LINEAR": 1, "NAPPE": 1, "BOUNDED": 1, "OCCLUDED": 0, "MOVED": 0, "TILT": 0}
 FEATURES |= {"TEXTURED": 0, "LIT": 0}
-FEATURES |= {"FILTER": 0, "CHANNELS": 1, "SUBPIXELS": 0} | psf_features(Psf())
+FEATURES |= {"FILTER": 0, "CHANNELS": 1, "SUBPIXELS": 0} | psf_features(point_spread(Psf()))
 
 
 @dataclass(frozen=True)

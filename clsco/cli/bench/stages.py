@@ -26,7 +26,9 @@ class Stages:
         plan = make_plan(scene, 1, ())
         real = real or ("double" if session.device.has_fp64 else "float")
         self.session, self.scene = session, scene
-        placed = PlacedScene(session, scene, [Texture(np.ascontiguousarray(texture, np.float32), 8, "")], real)
+        placed = PlacedScene(
+            session, scene, plan.psf, [Texture(np.ascontiguousarray(texture, np.float32), 8, "")], real
+        )
         self.sample = placed.at(scene.sequence.shutter)
         self.warp = ForwardWarp(plan, placed, [None])
         self.shape, self.guard = (plan.height, plan.width), plan.guard_px

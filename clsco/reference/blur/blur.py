@@ -12,12 +12,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clsco.optics import psf as psf_weights
+from clsco.optics.point_spread import subpixel_offsets
+from clsco.plan.methods import BlurSpec
 from clsco.reference.common.geometry import Array, tilt_slope
 from clsco.reference.common.visibility import Visibility
 from clsco.reference.common.visibility_test import cell_visibility, tap_share
 from clsco.reference.trace.trace import Sources, SubpixelSources
-from clsco.scene.model import Psf
 
 Shape = tuple[int, int]
 BLOCK = 16384  # sources at a time: their intermediate results stay in the cache
@@ -77,7 +77,7 @@ def _alike(visibility: Visibility) -> list[tuple[NDArray[np.int64], Visibility, 
 
 
 def _shares(
-    psf: Psf, sources: Sources, there: NDArray[np.bool_], shape: Shape, guard: int
+    spec: BlurSpec, sources: Sources, there: NDArray[np.bool_], shape: Shape, guard: int
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Array]]:
     """For every offset: source numbers, frame pixel numbers, and the share of each source's radiance that goes there.
 
@@ -89,15 +89,15 @@ def _shares(
     at = np.flatnonzero(there)
     at = at[np.argsort(size[at], kind="stable")]  # a block's sources have nearly the same taps
     blocks = [at[start : start + BLOCK] for start in range(0, at.size, BLOCK)]
-    reaches = [psf_weights.reach(psf, float(size[block[-1]])) for block in blocks]
+    reaches = [spec.psf.reach(float(size[block[-1]])) for block in blocks]
     groups = [] if sources.visibility is None else _alike(sources.visibility)
-    alone = psf_weights.shape_of(psf).kind == "general"
+    alone = spec.psf.signed
     for right, down, offsets in _alike_offsets(max(reaches, default=-1), alone):
         weight = np.zeros(there.size)
         for block, far in zip(blocks, reaches, strict=True):
             if far >= max(abs(right), abs(down)):
                 offset = np.asarray(float(right)), np.asarray(float(down))
-                weight[block] = psf_weights.weights(psf, *offset, signed[block])
+                weight[block] = spec.psf.weights(*offset, signed[block])
         lit = np.flatnonzero(weight)
         for dx, dy in sorted(offsets):
             y, x = row[lit] + dy, column[lit] + dx
@@ -105,7 +105,7 @@ def _shares(
             source, target = lit[inside], (y * shape[1] + x)[inside]
             if not source.size:
                 continue
-            share = weight[source] * tilt_factor(dx, dy, slope[source]) if psf.tilt else weight[source]
+            share = weight[source] * tilt_factor(dx, dy, slope[source]) if spec.tilt else weight[source]
             for hidden, visibility, cells in groups:
                 place = np.minimum(np.searchsorted(source, hidden), source.size - 1)
                 found = source[place] == hidden
@@ -115,7 +115,7 @@ def _shares(
 
 
 def _subpixel_shares(
-    psf: Psf, sub: SubpixelSources, shape: Shape, guard: int
+    spec: BlurSpec, sub: SubpixelSources, shape: Shape, guard: int
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Array]]:
     """For blocks of sub-pixel sources and every offset: source numbers, frame pixel numbers, share of radiance.
 
@@ -124,7 +124,7 @@ def _subpixel_shares(
     """
     samples = sub.hit.shape[1]
     pixel, i, j = np.nonzero(sub.hit)
-    offset = psf_weights.subpixel_offsets(samples)
+    offset = subpixel_offsets(samples)
     order = np.argsort(np.abs(sub.radius[sub.hit]), kind="stable")  # a block's sources have the same taps
     size = BLOCK if sub.visibility is None else OCCLUDED_BLOCK
     for start in range(0, pixel.size, size):
@@ -132,15 +132,15 @@ def _subpixel_shares(
         p, y, x = pixel[block], offset[i[block]], offset[j[block]]
         radius = sub.radius[sub.hit][block]
         slope = tilt_slope(sub.gradient[sub.hit][block], radius)
-        far = psf_weights.reach(psf, float(np.abs(radius).max()), subpixel=True)
+        far = spec.psf.reach(float(np.abs(radius).max()), subpixel=True)
         visibility = None if sub.visibility is None else sub.visibility.of(block)
         cells = np.empty(0) if visibility is None else cell_visibility(visibility)
         for dy in range(-far, far + 1):
             for dx in range(-far, far + 1):
                 row, column = sub.row[p] - guard + dy, sub.column[p] - guard + dx
                 inside = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
-                share = psf_weights.subpixel_weights(psf, dx - x[inside], dy - y[inside], radius[inside])
-                if psf.tilt:
+                share = spec.psf.subpixel_weights(dx - x[inside], dy - y[inside], radius[inside])
+                if spec.tilt:
                     share = share * tilt_factor(dx - x, dy - y, slope)[inside]
                 if visibility is not None:
                     seen = np.ones(p.size)
@@ -160,7 +160,7 @@ def _own_sources(sources: Sources, sub: SubpixelSources | None) -> NDArray[np.bo
 
 
 def renormalize(
-    psf: Psf, sources: Sources, sub: SubpixelSources | None, shape: Shape, guard: int
+    spec: BlurSpec, sources: Sources, sub: SubpixelSources | None, shape: Shape, guard: int
 ) -> tuple[Sources, SubpixelSources | None]:
     """Sources whose radiance, as far as it would fall outside of the frame, is given back to the frame.
 
@@ -173,7 +173,7 @@ def renormalize(
     inside[guard : guard + m, guard : guard + n] = True
     there = _own_sources(sources, sub) & inside
     kept: Array = np.zeros(there.size)
-    for source, _, share in _shares(psf, replace(sources, visibility=None), there, shape, guard):
+    for source, _, share in _shares(spec, replace(sources, visibility=None), there, shape, guard):
         kept[source] += share
     kept = kept.reshape(there.shape)
     scale = np.where(kept > 0.0, 1.0 / np.where(kept > 0.0, kept, 1.0), 0.0)
@@ -182,7 +182,7 @@ def renormalize(
         return sources, None
     sub = replace(sub, hit=sub.hit & inside[sub.row, sub.column][:, None, None])
     kept_sub = np.zeros(int(sub.hit.sum()))
-    for source, _, share in _subpixel_shares(psf, replace(sub, visibility=None), shape, guard):
+    for source, _, share in _subpixel_shares(spec, replace(sub, visibility=None), shape, guard):
         np.add.at(kept_sub, source, share)
     # Shares include 1/S^2; what is divided by is the share of the source's own radiance.
     kept_sub *= sub.hit.shape[1] ** 2
@@ -191,24 +191,24 @@ def renormalize(
     return sources, replace(sub, radiance=sub.radiance * scale_sub[..., None])
 
 
-def scatter(psf: Psf, sources: Sources, sub: SubpixelSources | None, shape: Shape, guard: int) -> Array:
+def scatter(spec: BlurSpec, sources: Sources, sub: SubpixelSources | None, shape: Shape, guard: int) -> Array:
     """Defocused image (m, n, C): the sum over all sources of radiance x PSF x tilt.
 
     sources: on the padded grid (m + 2 guard, n + 2 guard); sub: sub-pixel sources that replace their pixels'
-    own, or None; shape: (m, n) of the frame; guard: px. PSF: `clsco.optics.psf.weights`, and `subpixel_weights` for
-    sub-pixel sources. border = "renormalize": see `renormalize`. Validated: energy is conserved, a constant
+    own, or None; shape: (m, n) of the frame; guard: px. With border = "renormalize" see `renormalize`. Weights are
+    `PointSpread.weights`, and `subpixel_weights` for sub-pixel sources. Validated: energy is conserved, a constant
     facing plane stays constant, linear, equal to direct sums.
     """
     m, n = shape
-    if psf.border == "renormalize":
-        sources, sub = renormalize(psf, sources, sub, shape, guard)
+    if spec.border == "renormalize":
+        sources, sub = renormalize(spec, sources, sub, shape, guard)
     color = np.zeros((m * n, sources.radiance.shape[2]))
     radiance = sources.radiance.reshape(-1, color.shape[1])
-    for source, target, share in _shares(psf, sources, _own_sources(sources, sub), shape, guard):
+    for source, target, share in _shares(spec, sources, _own_sources(sources, sub), shape, guard):
         color[target] += share[:, None] * radiance[source]  # of one offset, so no target occurs twice
     if sub is not None:
         radiance = sub.radiance[sub.hit]
-        for source, target, share in _subpixel_shares(psf, sub, shape, guard):
+        for source, target, share in _subpixel_shares(spec, sub, shape, guard):
             np.add.at(color, target, share[:, None] * radiance[source])
     return color.reshape(m, n, -1)
 
@@ -221,6 +221,6 @@ def resolve(sums: NDArray[np.int64], scale: float) -> Array:
     return np.asarray(sums / scale)
 
 
-def gather(psf: Psf, sources: Sources, sub: SubpixelSources | None, shape: Shape, guard: int) -> Array:
+def gather(spec: BlurSpec, sources: Sources, sub: SubpixelSources | None, shape: Shape, guard: int) -> Array:
     """The same sum as `scatter`, which a kernel forms target by target; arguments and result as there."""
-    return scatter(psf, sources, sub, shape, guard)
+    return scatter(spec, sources, sub, shape, guard)

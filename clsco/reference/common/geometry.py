@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clsco.optics.lens import blur_scale, focus_power, ray_step
-from clsco.optics.psf import shape_of
+from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_grid import table_coordinate as coordinate_of_radius
 from clsco.optics.quadrics import PlacedSurface
 from clsco.optics.visibility import Layer
-from clsco.scene.model import Camera, Psf
+from clsco.scene.model import Camera
 
 Array = NDArray[np.float64]
 Bounds = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
@@ -335,7 +335,7 @@ def sample_texture(texture: Array, row: Array, column: Array, texture_filter: Fi
 
 
 def table_coordinate(
-    psf: Psf, radius: Array, subpixel: bool, first: int, count: int, turned: int = 0
+    psf: PointSpread, radius: Array, subpixel: bool, first: int, count: int, turned: int = 0
 ) -> NDArray[np.float32]:
     """Coordinates (...) in a device's table of PSF weights; their integer part names the interval.
 
@@ -347,10 +347,10 @@ def table_coordinate(
     u = np.maximum(coordinate_of_radius(psf, radius, subpixel), first)
     rounded = u.astype(np.float32)
     highest = np.full(u.shape, first + count)
-    jumps = shape_of(psf).sampled and not subpixel
+    jumps = psf.sampled and not subpixel
     ceiling = (np.minimum(np.floor(u) + 1.0, highest) if jumps else highest).astype(np.float32)
     found = np.where(rounded < ceiling, rounded, np.nextafter(ceiling, np.float32(0.0)))
-    if not shape_of(psf).signed:
+    if not psf.signed:
         return found
     other, end = (values + np.float32(turned or count) for values in (found, ceiling))
     other = np.where(other < end, other, np.nextafter(end, np.float32(0.0)))

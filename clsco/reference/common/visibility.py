@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 
 from clsco.constants import LENS_CELLS
 from clsco.optics.lens import blur_scale, lens_radius
-from clsco.optics.psf import shape_of
+from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import PlacedSurface
-from clsco.optics.visibility import Layer, lens_cells, lens_extent
+from clsco.optics.visibility import Layer
 from clsco.reference.common.geometry import Array, Bounds, difference_of_products, turned
 from clsco.reference.common.occluder import TINY, Mask, Occluder, hides_all
-from clsco.scene.model import Camera, Psf
+from clsco.scene.model import Camera
 
 CLEAR, PARTLY, HIDDEN = np.uint8(0), np.uint8(1), np.uint8(2)
 SOFT_BOX = (5.0 / 12.0) ** 0.5  # half width of the cubic step that has the variance of a box 1 wide
@@ -371,7 +371,7 @@ class Visibility:
     row: (sources,) where a source is in the other arrays, -1 if nothing hides it or all is hidden. Of the M others:
     radius px; wide; x, y: place of the source in its pixel, px; occluders: per surface which of them it concerns, and
     how. extent: of the lens in lens radii; cells: weights (L, L) of its cells;
-    mask: edges (n, 3) of `lens_mask`, none where the lens is round.
+    mask: straight edges (n, 3) of the lens, none where it is round.
     """
 
     row: NDArray[np.int64]
@@ -406,7 +406,7 @@ class Visibility:
 
 
 def check_visibility(
-    camera: Camera, surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], layer: Layer, psf: Psf,
+    camera: Camera, surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], layer: Layer, psf: PointSpread,
     points: Points,
 ) -> tuple[NDArray[np.uint8], Mask, Visibility]:  # fmt: skip
     """Visibility of the lens from N points.
@@ -415,7 +415,7 @@ def check_visibility(
     HIDDEN (N,); what changes where two surfaces meet, and at outlines of occluders close to the point (N,); and what is
     to be tested for taps.
     """
-    lens = lens_of(points.radius, lens_extent(psf), points.width, points.gradient)
+    lens = lens_of(points.radius, psf.extent, points.width, points.gradient)
     state, edge = np.full(points.w.shape, CLEAR), np.zeros(points.w.shape, dtype=bool)
     found = []
     for k, surface in enumerate(surfaces):
@@ -430,5 +430,5 @@ def check_visibility(
     occluders = tuple((mask[partly], occluder.of(mask & partly)) for mask, occluder in found)
     return state, edge, Visibility(
         row, points.radius[partly], lens.wide[partly], points.x[partly], points.y[partly], occluders, lens.extent,
-        lens_cells(psf), shape_of(psf).lens_mask,
+        psf.lens_cells(), np.array(psf.pupil.edges).reshape(-1, 3),
     )  # fmt: skip

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.constants import DISCONTINUITY_CLASSES
-from clsco.optics.psf import psf_extent, reach
+from clsco.optics.point_spread import PointSpread
+from clsco.plan.methods import BlurSpec
 from clsco.reference.blur.blur import prepare_sources, scatter
 from clsco.reference.common.geometry import Array
 from clsco.reference.trace.trace import Sources
-from clsco.scene.model import Psf
 
 Mask = NDArray[np.bool_]
 Labels = NDArray[np.uint8]
@@ -239,36 +239,37 @@ def level_count(deep: int) -> int:
     return ceil(log2(deep + 2))
 
 
-def depth_of_hidden(psf: Psf, largest_sum: int) -> int:
+def depth_of_hidden(psf: PointSpread, largest_sum: int) -> int:
     """Distance behind an edge at which surface may be seen, px: the blurs of both sides reach together as far."""
-    return ceil(float(psf_extent(psf, largest_sum))) + 2
+    return ceil(largest_sum * psf.extent) + 2
 
 
 def layered(
-    psf: Psf, radiance: Array, coc: Array, valid: Mask, shape: tuple[int, int], guard: int, largest: float
+    spec: BlurSpec, radiance: Array, coc: Array, valid: Mask, shape: tuple[int, int], guard: int
 ) -> tuple[Array, int]:
     """Defocused image (m, n, C) with occlusion from the pinhole's view alone, and its number of depth layers.
 
     radiance: (H, W, C) on the padded grid, linear; coc: (H, W) signed blur radius in px; valid: (H, W) there is
-    surface; shape: (m, n) of the frame; guard: px; largest: px, no |coc| is larger. Without a discontinuity it is
-    `clsco.reference.blur.blur.scatter`. Validated: a cut through a slanted plane leaves no seam, an edge before a plane
-    is its closed form, one brightness stays so, and against the ray tracer.
+    surface; shape: (m, n) of the frame; guard: px; no |coc| is larger than `spec.largest`. Without a discontinuity it
+    is `blur.scatter`. Validated: a cut through a slanted plane leaves no seam, an edge before a plane is its closed
+    form, one brightness stays so, and against the ray tracer.
     """
+    largest = spec.largest
     low, bins = bins_of(largest)
-    latest, largest_sum = find_discontinuities(coc, valid, low, bins, 2 * reach(psf, largest) + 1)
+    latest, largest_sum = find_discontinuities(coc, valid, low, bins, 2 * spec.psf.reach(largest) + 1)
     slab = label_depth_layers(coc, valid, low, bins, slab_bounds(latest))
-    return spread_slabs(psf, radiance, coc, slab, shape, guard, depth_of_hidden(psf, largest_sum))
+    return spread_slabs(spec, radiance, coc, slab, shape, guard, depth_of_hidden(spec.psf, largest_sum))
 
 
 def spread_slabs(
-    psf: Psf, radiance: Array, coc: Array, slab: Labels, shape: tuple[int, int], guard: int, deep: int
+    spec: BlurSpec, radiance: Array, coc: Array, slab: Labels, shape: tuple[int, int], guard: int, deep: int
 ) -> tuple[Array, int]:
     """As `layered`, for given depth layers (H, W), which are extrapolated up to `deep` px behind an edge."""
 
     def blurred_sum(value: Array, radius: Array, there: Mask, near_edges: bool) -> Array:
         label, gradient = there.astype(np.uint8), prepare_sources(radius, there)
         sources = Sources(value, np.ones(coc.shape), label, radius, gradient, there)
-        return scatter(psf, keep_sources(sources, edge, near_edges), None, shape, guard)
+        return scatter(spec, keep_sources(sources, edge, near_edges), None, shape, guard)
 
     count, seed = int(slab.max(initial=0)), seed_hidden(coc, slab)
     hidden, edge = reach_hidden(slab, seed, column_seeds(seed), deep)

@@ -23,6 +23,7 @@ from clsco.constants import (
 from clsco.inputs.mipmaps import SIDES, mipmap
 from clsco.inputs.mipmaps import cube_side as side_of
 from clsco.optics.lens import ray_step
+from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import PlacedSurface
 from clsco.optics.texture_mapping import TextureMap, texture_spread
 from clsco.reference.common.geometry import (
@@ -33,7 +34,7 @@ from clsco.reference.common.geometry import (
     turned,
     turned_back,
 )
-from clsco.scene.model import Camera, Psf
+from clsco.scene.model import Camera
 
 BENT = 256.0
 FARTHEST_TEXEL = 1e6
@@ -56,7 +57,7 @@ class MappedTexture:
 
 
 def mapped_texture(
-    images: Sequence[NDArray[np.float32]], texture_map: TextureMap, psf: Psf, texture_filter: Filter
+    images: Sequence[NDArray[np.float32]], texture_map: TextureMap, psf: PointSpread, texture_filter: Filter
 ) -> MappedTexture:
     """A `MappedTexture` of images (rows, columns, channels): one, or the six of a cube map."""
     levels = tuple(level.astype(np.float64) for level in mipmap(images))

@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.inputs.pupils import scene_point_spread
 from clsco.optics.lens import ray_step
 from clsco.optics.light import PlacedLight, place_light
 from clsco.optics.motion import Eye, poses_at
-from clsco.optics.psf import subpixel_offsets
+from clsco.optics.point_spread import PointSpread, subpixel_offsets
 from clsco.optics.quadrics import PlacedSurface, cutting_bounds, place
 from clsco.optics.visibility import Layer
 from clsco.reference.common.geometry import (
@@ -69,7 +70,7 @@ class SubpixelSources:
     row, column (M,): padded-grid pixel; hit (M, S, S): there is surface that is visible from the lens; visibility: the
     occluders of those, in their order, None for none at all; radius (M, S, S) px; gradient (M, S, S, 2) px per px;
     radiance (M, S, S, C), times the cells that each covers. Source (i, j) is spread from its cell,
-    `clsco.optics.psf.subpixel_offsets(S)[i]` rows and [j] columns off the pixel's center.
+    `subpixel_offsets(S)[i]` rows and [j] columns off the pixel's center.
     """
 
     row: NDArray[np.int64]
@@ -97,14 +98,15 @@ class View:
     """All objects at one time, in the frame of the camera.
 
     surfaces: one per object; textures: one per object, with so many channels; moved: an
-    object or the camera is not exactly in its reference pose; light: of the scene, if it has one.
+    object or the camera is not exactly in its reference pose; light: of the scene, if it has one; psf: of the lens.
     """
 
     scene: Scene
     surfaces: tuple[PlacedSurface, ...]
     textures: tuple[Texture, ...]
     moved: bool
-    light: PlacedLight | None = None
+    light: PlacedLight | None
+    psf: PointSpread
 
     @property
     def channels(self) -> int:
@@ -113,11 +115,13 @@ class View:
         return int((first.levels[0] if isinstance(first, MappedTexture) else first).shape[-1])
 
 
-def view_at(scene: Scene, textures: tuple[Texture, ...], time: float, eye: Eye, moved: bool) -> View:
+def view_at(
+    scene: Scene, textures: tuple[Texture, ...], time: float, eye: Eye, moved: bool, psf: PointSpread | None = None
+) -> View:
     """The objects after `time` seconds; other arguments as for `View`."""
     placed = zip(scene.objects, poses_at(scene, time, eye), strict=True)
     surfaces = tuple(place(item, pose) for item, pose in placed)
-    return View(scene, surfaces, textures, moved, place_light(scene, time, eye))
+    return View(scene, surfaces, textures, moved, place_light(scene, time, eye), psf or scene_point_spread(scene))
 
 
 def everything(scene: Scene) -> Layer:
@@ -222,7 +226,7 @@ def trace(view: View, layer: Layer, guard: int) -> Sources:
             view.surfaces,
             bounds,
             layer,
-            scene.psf,
+            view.psf,
             Points(rays, hit.w[lit], hit.radius[lit], here, here, 1.0, hit.gradient[lit] * scene.psf.tilt),
         )
         label = label.copy()
@@ -308,7 +312,7 @@ def trace_subpixels(
         size = np.maximum(np.abs(lens_radius), SMALLEST_RADIUS) / np.maximum(np.abs(hit.radius), SMALLEST_RADIUS)
         tilted = hit.gradient * (size * np.where(lens_radius * hit.radius < 0.0, -1.0, 1.0))[..., None]
         state, _, visibility = check_visibility(
-            scene.camera, view.surfaces, bounds, layer, scene.psf,
+            scene.camera, view.surfaces, bounds, layer, view.psf,
             Points(rays, hit.w[lit], lens_radius[lit], x, y, 1.0 / samples, tilted[lit] * scene.psf.tilt),
         )  # fmt: skip
         seen = state != HIDDEN

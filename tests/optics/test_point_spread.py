@@ -12,23 +12,17 @@ from numpy.typing import NDArray
 from scipy.integrate import quad
 
 from clsco.constants import POWERS, TAP_LANES, WIDE_LANES
-from clsco.optics.psf import (
-    disc_coverage,
-    psf_extent,
-    reach,
-    shape_of,
-    subpixel_offsets,
-    subpixel_weights,
-    weights,
-)
+from clsco.optics.point_spread import PointSpread, point_spread, subpixel_offsets
 from clsco.optics.psf_grid import table_coordinate, table_radius
 from clsco.optics.psf_tables import PsfTable, psf_table, table_bytes, table_of
+from clsco.optics.pupils.circle import disc_coverage
+from clsco.optics.pupils.gaussian import Gaussian
 from clsco.reference.common.geometry import table_coordinate as float32_coordinate
 from clsco.scene.model import Psf
 
 Array = NDArray[np.float64]
 
-PSFS = [Psf(model=m, edge=e) for m in ("pillbox", "gaussian") for e in ("sampled", "area", "integrated")]
+PSFS = [point_spread(Psf(model=m, edge=e)) for m in ("pillbox", "gaussian") for e in ("sampled", "area", "integrated")]
 SMOOTH = [psf for psf in PSFS if psf.edge != "sampled"]
 SAMPLED = [psf for psf in PSFS if psf.edge == "sampled"]
 # Radii of every kind: none, tiny, each side of the thresholds, whole numbers, and any.
@@ -41,14 +35,17 @@ RADII = np.concatenate(
 )
 
 
-def name_of(psf: Psf) -> str:
-    return f"{psf.model}-{psf.edge}"
+DISC = point_spread(Psf())
 
 
-def square(psf: Psf, radius: float, half_width: int) -> Array:
+def name_of(psf: PointSpread) -> str:
+    return f"{psf.pupil.name}-{psf.edge}"
+
+
+def square(psf: PointSpread, radius: float, half_width: int) -> Array:
     """Weights (rows, columns) around a source, up to `half_width` px away."""
     span = np.arange(-half_width, half_width + 1.0)
-    return weights(psf, span[None, :], span[:, None], np.asarray(radius))
+    return psf.weights(span[None, :], span[:, None], np.asarray(radius))
 
 
 def octant(half_width: int) -> tuple[Array, Array, Array]:
@@ -111,13 +108,15 @@ def test_disc_coverage_is_the_integral(tent: bool) -> None:
 
 def test_gaussian_is_the_integral() -> None:
     rng = np.random.default_rng(12)
-    for psf in [psf for psf in SMOOTH if psf.model == "gaussian"]:
+    for psf in SMOOTH:
+        if not isinstance(psf.pupil, Gaussian):
+            continue
         tent = psf.edge == "integrated"
         checked = 0
         for _ in range(30):
             radius = float(np.exp(rng.uniform(np.log(0.1), np.log(20.0))))
-            sigma = psf.sigma_ratio * radius
-            cut = psf.truncation * sigma
+            sigma = psf.pupil.sigma * radius
+            cut = psf.pupil.cut * sigma
             half = 1.0 if tent else 0.5
             offset = np.rint(rng.uniform(-cut - half, cut + half, 2))
 
@@ -136,7 +135,7 @@ def test_gaussian_is_the_integral() -> None:
                 return sum(parts) / quad(density, -cut, cut, epsabs=1e-15)[0]
 
             expected = axis(float(offset[0])) * axis(float(offset[1]))
-            found = float(weights(psf, offset[0], offset[1], np.asarray(radius)))
+            found = float(psf.weights(offset[0], offset[1], np.asarray(radius)))
             checked += expected > 1e-6
             assert abs(found - expected) < 1e-13, (radius, offset)  # quadrature and erf each give 1e-14
         assert checked > 10
@@ -150,7 +149,7 @@ def test_integrated_is_the_mean_over_a_square_source_of_the_exact_coverage() -> 
         for dx, dy in ((0, 0), (1, 0), (1, 1), (2, 1), (3, 1)):
             x, y = dx - fine[:, None], dy - fine[None, :]
             mean = disc_coverage(x, y, np.asarray(radius), False).mean() / (pi * radius**2)
-            found = float(weights(Psf(), np.asarray(dx), np.asarray(dy), np.asarray(radius)))
+            found = float(DISC.weights(np.asarray(dx), np.asarray(dy), np.asarray(radius)))
             assert abs(found - mean) < 2 * min(2 * radius, 1.0) / (pi * radius**2) / 80
             assert (found == 0.0) == (np.hypot(max(dx - 1, 0), max(dy - 1, 0)) >= radius)
 
@@ -160,14 +159,14 @@ def test_center_of_a_small_disc_has_a_closed_form() -> None:
     # and R^2 / (2 pi); rounding is 1e-15 relative to pi R^2.
     radius = np.array([1e-6, 1e-3, 0.1, 0.5, 0.99, 1.0])
     expected = 1.0 - 8.0 * radius / (3.0 * pi) + radius**2 / (2.0 * pi)
-    np.testing.assert_allclose(weights(Psf(), np.zeros(6), np.zeros(6), radius), expected, rtol=1e-13)
+    np.testing.assert_allclose(DISC.weights(np.zeros(6), np.zeros(6), radius), expected, rtol=1e-13)
 
 
 @pytest.mark.parametrize("psf", PSFS, ids=name_of)
-def test_energy_is_one(psf: Psf) -> None:
+def test_energy_is_one(psf: PointSpread) -> None:
     for radius in RADII.tolist():
-        a, b, count = octant(reach(psf, radius))
-        share = weights(psf, a, b, np.asarray(radius))
+        a, b, count = octant(psf.reach(radius))
+        share = psf.weights(a, b, np.asarray(radius))
         assert (share >= 0.0).all()
         assert abs((share * count).sum() - 1.0) < 1e-12, radius  # what `weights` promises
 
@@ -175,11 +174,11 @@ def test_energy_is_one(psf: Psf) -> None:
 @pytest.mark.parametrize("samples", [2, 5])
 @pytest.mark.parametrize("model", ["pillbox", "gaussian"])
 def test_energy_of_a_subpixel_source_is_one(model: str, samples: int) -> None:
-    psf = Psf.model_validate({"model": model})
+    psf = point_spread(Psf.model_validate({"model": model}))
     x, y = subpixel_offsets(samples)[[0, -1]]
     for radius in RADII[RADII < 20].tolist():
-        span = np.arange(-1.0 - reach(psf, radius, True), 2.0 + reach(psf, radius, True))
-        share = subpixel_weights(psf, span[None, :] - x, span[:, None] - y, np.asarray(radius))
+        span = np.arange(-1.0 - psf.reach(radius, True), 2.0 + psf.reach(radius, True))
+        share = psf.subpixel_weights(span[None, :] - x, span[:, None] - y, np.asarray(radius))
         assert not share[[0, -1]].any()  # `reach` holds it all
         assert not share[:, [0, -1]].any()
         # A disc of 1e-9 px lies so near to nothing that (R - x)(R + x) keeps 7 digits; light is 1e-12 beyond.
@@ -196,17 +195,17 @@ def test_the_area_of_a_disc_is_covered() -> None:
             far = np.hypot(np.abs(span)[None, :] + half, np.abs(span)[:, None] + half)
             assert (covered[far <= radius] == 1.0).all()
     # The circle problem: |points - pi R^2| <= 2 sqrt(2) pi R (Gauss), and a sampled PSF shares light among them.
-    inside = 1.0 / float(weights(SAMPLED[0], np.asarray(0), np.asarray(0), np.asarray(60.0)))
+    inside = 1.0 / float(SAMPLED[0].weights(np.asarray(0), np.asarray(0), np.asarray(60.0)))
     assert inside == pytest.approx(round(inside), rel=1e-12)
     assert abs(inside - pi * 3600.0) < 2 * sqrt(2) * pi * 60.0
 
 
 @pytest.mark.parametrize("psf", SMOOTH, ids=name_of)
-def test_weights_are_continuous_in_the_radius(psf: Psf) -> None:
+def test_weights_are_continuous_in_the_radius(psf: PointSpread) -> None:
     for low, high, steps in ((0.0, 1.5, 3000), (1.5, 6.0, 2000), (17.0, 17.1, 40)):
         radius = np.linspace(low, high, steps)
-        a, b, count = octant(reach(psf, high))
-        share = weights(psf, a, b, radius[:, None])
+        a, b, count = octant(psf.reach(high))
+        share = psf.weights(a, b, radius[:, None])
         change = (np.abs(np.diff(share, axis=0)) * count).sum(axis=1) / (radius[1] - radius[0])
         assert change.max() > 0.04
         assert change.max() <= 4.0  # the figure to reach: L1 per px of radius
@@ -215,38 +214,38 @@ def test_weights_are_continuous_in_the_radius(psf: Psf) -> None:
 
 
 @pytest.mark.parametrize("psf", PSFS, ids=name_of)
-def test_no_radius_is_no_blur(psf: Psf) -> None:
+def test_no_radius_is_no_blur(psf: PointSpread) -> None:
     delta = np.zeros((5, 5))
     delta[2, 2] = 1.0
     assert (square(psf, 0.0, 2) == delta).all()
     assert np.abs(square(psf, 1e-8, 2) - delta).max() < 2e-8  # at most 2 per px of radius in one weight
-    if psf.edge == "area" and psf.model == "pillbox":
+    if psf.edge == "area" and psf.uniform:
         np.testing.assert_allclose(square(psf, 0.5, 2), delta, rtol=0, atol=1e-15)
     if psf.edge == "sampled":
         assert (square(psf, np.nextafter(0.5, 0.0), 2) == delta).all()
 
 
 @pytest.mark.parametrize("psf", PSFS, ids=name_of)
-def test_weights_have_the_symmetry_of_the_lattice_and_of_the_sign(psf: Psf) -> None:
+def test_weights_have_the_symmetry_of_the_lattice_and_of_the_sign(psf: PointSpread) -> None:
     for radius in (0.7, 2.3, 5.0):
-        share = square(psf, radius, reach(psf, radius))
-        assert (share == square(psf, -radius, reach(psf, radius))).all()
+        share = square(psf, radius, psf.reach(radius))
+        assert (share == square(psf, -radius, psf.reach(radius))).all()
         assert (share == share[::-1]).all()
         assert (share == share[:, ::-1]).all()
         np.testing.assert_allclose(share, share.T, rtol=0, atol=1e-15)  # chords along x or along y: other roundings
 
 
-def thesis(model: str, dx: int, dy: int, radius: float, k: float) -> float:
+def thesis(name: str, dx: int, dy: int, radius: float, k: float) -> float:
     """A PSF coefficient by 2.26 to 2.29 and the rules of section 2.4.2: pixel centers, circle or 2 sigma, 0.5 px."""
     if radius < 0.5:
         return float(dx == dy == 0)
     sigma = k * radius
-    extent = radius if model == "pillbox" else 2.0 * sigma
+    extent = radius if name == "circle" else 2.0 * sigma
 
     def h(x: int, y: int) -> float:
         if x * x + y * y > extent * extent:
             return 0.0
-        if model == "pillbox":
+        if name == "circle":
             return 1.0 / (pi * radius * radius)
         return exp(-(x * x + y * y) / (2.0 * sigma * sigma)) / (2.0 * pi * sigma * sigma)
 
@@ -257,24 +256,25 @@ def thesis(model: str, dx: int, dy: int, radius: float, k: float) -> float:
 
 @pytest.mark.parametrize("k", [sqrt(0.5), 0.65])
 @pytest.mark.parametrize("psf", SAMPLED, ids=name_of)
-def test_sampled_is_what_the_thesis_says(psf: Psf, k: float) -> None:
-    if psf.model == "gaussian":
-        psf = Psf(model="gaussian", edge="sampled", sigma_ratio=k)
-        assert psf.truncation == 2.0
+def test_sampled_is_what_the_thesis_says(psf: PointSpread, k: float) -> None:
+    if isinstance(psf.pupil, Gaussian):
+        psf = point_spread(Psf(model="gaussian", edge="sampled", sigma_ratio=k))
+        assert isinstance(psf.pupil, Gaussian)
+        assert psf.pupil.cut == 2.0
     for radius in (0.0, 0.3, 0.5, 0.93, 1.0, 1.42, 2.0, 3.3, 5.999, 6.1):
-        half = reach(psf, radius) + 1
+        half = psf.reach(radius) + 1
         expected = [
-            [thesis(psf.model, x, y, radius, k) for x in range(-half, half + 1)] for y in range(-half, half + 1)
+            [thesis(psf.pupil.name, x, y, radius, k) for x in range(-half, half + 1)] for y in range(-half, half + 1)
         ]
         np.testing.assert_allclose(square(psf, radius, half), expected, rtol=1e-12)  # a sum of some 200 terms
 
 
 @pytest.mark.parametrize("psf", PSFS, ids=name_of)
-def test_reach_is_exact(psf: Psf) -> None:
-    extent = float(psf_extent(psf, 1.0))
+def test_reach_is_exact(psf: PointSpread) -> None:
+    extent = psf.extent
     around = [(n + f) / extent for n in range(1, 14) for f in (-0.5, -0.499, -1e-9, 0.0, 1e-9, 0.499)]
     for radius in [*RADII[RADII < 14].tolist(), *around]:
-        held = reach(psf, radius)
+        held = psf.reach(radius)
         lit = np.argwhere(square(psf, radius, held + 2) > 0.0) - (held + 2)
         assert np.abs(lit).max() <= held <= np.abs(lit).max() + 1, radius
 
@@ -372,7 +372,7 @@ def subpixel_table(table: PsfTable, coordinate: float, samples: int, i: int, j: 
     return np.stack([read(table, coordinate, middle + sign * dy) for dy in range(-half_width, half_width + 1)])
 
 
-def coordinate_of(table: PsfTable, psf: Psf, radius: float, subpixel: bool = False) -> float:
+def coordinate_of(table: PsfTable, psf: PointSpread, radius: float, subpixel: bool = False) -> float:
     """The coordinate that a device gives a radius: rounded to float32, within the table."""
     found = float32_coordinate(psf, np.asarray(radius), subpixel, table.first, len(table.intervals))
     assert table.first <= found < table.first + len(table.intervals)
@@ -384,9 +384,9 @@ def coordinate_of(table: PsfTable, psf: Psf, radius: float, subpixel: bool = Fal
 # w = ln 2 / 48 and 4 to 12 of the pi R^2 pixels touched at once, that is 1e-5 in sum at R = 4 for kinks that the tent
 # has softened, and what is stated beyond; `area` has them in every weight, but w = ln 2 / 128.
 INTERPOLATION = {
-    ("pillbox", "sampled"): (2e-7, 2e-7),  # constant: float32 alone
-    ("pillbox", "area"): (3e-5, 1e-4),
-    ("pillbox", "integrated"): (1e-5, 5e-5),
+    ("circle", "sampled"): (2e-7, 2e-7),  # constant: float32 alone
+    ("circle", "area"): (3e-5, 1e-4),
+    ("circle", "integrated"): (1e-5, 5e-5),
     ("gaussian", "sampled"): (2e-6, 2e-6),  # smooth within an interval; the coordinate's own float32 rounding
     # An interval begins at each corner that its cut has, up to an extent of 32 px, and with half as many of 16 px.
     ("gaussian", "area"): (1e-6, 1e-4),
@@ -395,7 +395,7 @@ INTERPOLATION = {
 
 
 @pytest.mark.parametrize("psf", PSFS, ids=name_of)
-def test_table_holds_the_weights(psf: Psf) -> None:
+def test_table_holds_the_weights(psf: PointSpread) -> None:
     rng = np.random.default_rng(13)
     for low, high, count, limit in ((0.0, 6.0, 400, 0), (6.0, 20.0, 60, 1)):
         table = psf_table(psf, low, high)
@@ -406,17 +406,17 @@ def test_table_holds_the_weights(psf: Psf) -> None:
         error = energy = 0.0
         for radius in [r for r in radii if low <= r <= high]:
             coordinate = coordinate_of(table, psf, radius)
-            read_all = {"disc": disc_table, "separable": separable_table}.get(shape_of(psf).kind, pixel_table)
+            read_all = {"disc": disc_table, "separable": separable_table}.get(psf.layout, pixel_table)
             found = read_all(table, coordinate)
             half = len(found) // 2
             if read_all is pixel_table:
                 stored = stored_octant(table, coordinate)
                 np.testing.assert_array_equal(stored, found[half:, half:])
                 check_outline(table, coordinate, stored)
-            assert reach(psf, radius) <= half <= table.reach
+            assert psf.reach(radius) <= half <= table.reach
             error = max(error, float(np.abs(found - square(psf, radius, half)).sum()))
             energy = max(energy, abs(found.sum() - 1.0))
-        assert error < INTERPOLATION[psf.model, psf.edge][limit]
+        assert error < INTERPOLATION[psf.pupil.name, psf.edge][limit]
         # Interpolation keeps sums exactly; float32 rounds hundreds of coefficients by 6e-8 of each, both ways.
         assert energy < 1e-7
 
@@ -425,7 +425,7 @@ def test_table_holds_the_weights(psf: Psf) -> None:
 @pytest.mark.parametrize("model", ["pillbox", "gaussian"])
 def test_subpixel_table_holds_the_weights_of_every_position(model: str, samples: int) -> None:
     edge = "sampled" if samples == 3 else "integrated"
-    psf = Psf.model_validate({"model": model, "edge": edge, "silhouette_samples": samples})
+    psf = point_spread(Psf.model_validate({"model": model, "edge": edge, "silhouette_samples": samples}))
     low, high = 0.3, 3.5
     table = psf_table(psf, low, high, samples)
     assert table.coefficients.nbytes + table.intervals.nbytes == table_bytes(psf, low, high, samples)
@@ -437,9 +437,9 @@ def test_subpixel_table_holds_the_weights_of_every_position(model: str, samples:
             for j in range(samples):
                 found = subpixel_table(table, coordinate, samples, i, j)
                 half = len(found) // 2
-                assert reach(psf, radius, True) <= half <= table.reach
+                assert psf.reach(radius, True) <= half <= table.reach
                 span = np.arange(-half, half + 1.0)
-                exact = subpixel_weights(psf, span[None, :] - offset[j], span[:, None] - offset[i], np.asarray(radius))
+                exact = psf.subpixel_weights(span[None, :] - offset[j], span[:, None] - offset[i], np.asarray(radius))
                 # Point sources have the kinks of `area` in intervals 128 / 48 times as wide: 2.7^1.5 times 3e-5. The
                 # corners of Gaussians are between intervals.
                 assert np.abs(found - exact).sum() < (1.3e-4 if model == "pillbox" else 1e-6)
@@ -448,7 +448,7 @@ def test_subpixel_table_holds_the_weights_of_every_position(model: str, samples:
 
 @pytest.mark.parametrize("subpixel", [False, True])
 @pytest.mark.parametrize("psf", PSFS, ids=name_of)
-def test_coordinate_and_radius_are_inverse(psf: Psf, subpixel: bool) -> None:
+def test_coordinate_and_radius_are_inverse(psf: PointSpread, subpixel: bool) -> None:
     radius = np.concatenate([np.random.default_rng(15).uniform(0.5, 500.0, 500), [0.5, 0.875, 1.0, 512.0]])
     coordinate = table_coordinate(psf, radius, subpixel)
     assert (np.diff(table_coordinate(psf, np.sort(radius), subpixel)) >= 0.0).all()
@@ -458,7 +458,7 @@ def test_coordinate_and_radius_are_inverse(psf: Psf, subpixel: bool) -> None:
 
 
 @pytest.mark.parametrize("psf", SAMPLED, ids=name_of)
-def test_a_sampled_interval_has_one_set_of_lit_pixels(psf: Psf) -> None:
+def test_a_sampled_interval_has_one_set_of_lit_pixels(psf: PointSpread) -> None:
     radius = np.random.default_rng(16).uniform(0.0, 8.0, 400)
     interval = np.floor(table_coordinate(psf, radius))
     seen: dict[float, NDArray[np.bool_]] = {}
@@ -471,12 +471,12 @@ def test_a_sampled_interval_has_one_set_of_lit_pixels(psf: Psf) -> None:
 def test_tables_too_large_to_make_are_counted_at_once() -> None:
     """A sampled PSF has R^2 intervals, which a plan counts before it refuses them."""
     begun = time.process_time()
-    assert table_bytes(Psf(model="gaussian", edge="sampled"), 0.0, 500.0) > 2**40
+    assert table_bytes(point_spread(Psf(model="gaussian", edge="sampled")), 0.0, 500.0) > 2**40
     assert time.process_time() - begun < 2.0
 
 
 def test_a_table_of_fewer_radii_than_a_vector_holds_fills_one() -> None:
-    whole, few = (table_of(Psf(), range(80, end)) for end in (80 + TAP_LANES, 84))
+    whole, few = (table_of(DISC, range(80, end)) for end in (80 + TAP_LANES, 84))
     assert whole.taps.shape[1:] == few.taps.shape[1:] == (1, POWERS, WIDE_LANES)
     assert np.array_equal(few.taps[..., :4], whole.taps[: len(few.taps), ..., :4])
     assert not few.taps[..., 4:].any()

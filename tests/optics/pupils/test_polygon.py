@@ -7,16 +7,16 @@ from math import ceil, cos, pi, tau
 import numpy as np
 import pytest
 
-from clsco.optics.polygon import lens_mask, vertices
-from clsco.optics.psf import shape_of, subpixel_weights, weights
+from clsco.optics.point_spread import PointSpread, point_spread
 from clsco.optics.psf_grid import table_coordinate
 from clsco.optics.psf_tables import psf_table, table_bytes
+from clsco.optics.pupils.polygon import lens_mask, vertices
 from clsco.scene.model import Aperture, Psf
-from tests.optics.test_psf import Array
+from tests.optics.test_point_spread import Array
 
 
-def iris(blades: int, rotation: float = 0.0, edge: str = "integrated") -> Psf:
-    return Psf.model_validate({"edge": edge}).through(Aperture(shape="polygon", blades=blades, rotation=rotation))
+def iris(blades: int, rotation: float = 0.0, edge: str = "integrated") -> PointSpread:
+    return point_spread(Psf.model_validate({"edge": edge}), Aperture(shape="polygon", blades=blades, rotation=rotation))
 
 
 def grid(half: int) -> tuple[Array, Array]:
@@ -29,11 +29,11 @@ def grid(half: int) -> tuple[Array, Array]:
 @pytest.mark.parametrize("radius", [1e-9, 1e-4, 0.3, 1.0, -7.3, 40.0])
 def test_no_light_is_lost(blades: int, radius: float, edge: str) -> None:
     psf = iris(blades, 17.0, edge)
-    found = weights(psf, *grid(int(abs(radius)) + 2), np.asarray(radius))
+    found = psf.weights(*grid(int(abs(radius)) + 2), np.asarray(radius))
     assert found.min() >= 0.0
     assert found.sum() == pytest.approx(1.0, abs=1e-12)
     x, y = grid(int(abs(radius)) + 2)
-    assert subpixel_weights(psf, x - 0.375, y + 0.125, np.asarray(radius)).sum() == pytest.approx(1.0, abs=1e-12)
+    assert psf.subpixel_weights(x - 0.375, y + 0.125, np.asarray(radius)).sum() == pytest.approx(1.0, abs=1e-12)
 
 
 @pytest.mark.parametrize("blades", [3, 5, 6, 8])
@@ -41,7 +41,7 @@ def test_no_light_is_lost(blades: int, radius: float, edge: str) -> None:
 def test_moments_are_exact(blades: int, edge: str, pixel: float) -> None:
     """The centroid is the source; the variance per axis is R^2 (2 + cos(2 pi / n)) / 12 and that of the pixels."""
     psf, (x, y) = iris(blades, 11.0, edge), grid(16)
-    found = weights(psf, x, y, np.asarray(14.4))
+    found = psf.weights(x, y, np.asarray(14.4))
     expected = 14.4**2 * (2 + cos(tau / blades)) / 12
     exactly = 1e-11 if edge == "integrated" else 1e-3  # px; tents sum to the place of a source, boxes to its pixel's
     assert (found * x).sum() == pytest.approx(0.0, abs=exactly)
@@ -51,20 +51,20 @@ def test_moments_are_exact(blades: int, edge: str, pixel: float) -> None:
         assert (found * y * y).sum() == pytest.approx(expected + pixel, rel=1e-5)
     else:
         assert (found * x * x).sum() == pytest.approx(expected + pixel, rel=2e-4)
-    assert shape_of(psf).second_moment == pytest.approx(expected / 14.4**2)
+    assert psf.pupil.second_moment == pytest.approx(expected / 14.4**2)
 
 
 @pytest.mark.parametrize(("blades", "measured"), [(6, (43.1, 44.0)), (5, (40.9, 39.1))])
 def test_variances_are_those_of_cycles(blades: int, measured: tuple[float, float]) -> None:
     """Measured in Cycles with an emitter 0.92 px wide at R = 14.4 px, 2,048 samples: to 3 %."""
     x, y = grid(16)
-    found = weights(iris(blades), x, y, np.asarray(14.4))
+    found = iris(blades).weights(x, y, np.asarray(14.4))
     assert [(found * x * x).sum(), (found * y * y).sum()] == pytest.approx(measured, rel=0.03)
 
 
 def test_a_pentagon_has_an_edge_to_the_right_behind_the_focus_and_turns_over_in_front_of_it() -> None:
     psf, (x, y) = iris(5), grid(22)
-    behind, before = (weights(psf, x, y, np.asarray(radius)) for radius in (20.0, -20.0))
+    behind, before = (psf.weights(x, y, np.asarray(radius)) for radius in (20.0, -20.0))
     np.testing.assert_allclose(before, behind[::-1, ::-1], rtol=0, atol=1e-15)
     right, left = (np.flatnonzero(behind.sum(axis=0) > 1e-9)[[-1, 0]] - 22).tolist()
     assert right == ceil(20 * cos(pi / 5))  # the edge, at the apothem, and half a pixel of source and of detector
@@ -76,7 +76,7 @@ def test_rotation_is_counter_clockwise_as_the_image_is_seen() -> None:
     corners = vertices(5, 20.0) * [1, -1]  # up
     found = np.sort(np.degrees(np.arctan2(corners[:, 1], corners[:, 0])) % 360)
     np.testing.assert_allclose(found, [56, 128, 200, 272, 344])
-    upper_right = weights(iris(3, 90.0), *grid(12), np.asarray(10.0))
+    upper_right = iris(3, 90.0).weights(*grid(12), np.asarray(10.0))
     rows = np.flatnonzero(upper_right.sum(axis=1) > 1e-9) - 12
     assert (rows[0], rows[-1]) == (-5, 10)  # an edge above, a corner below
 
@@ -84,8 +84,8 @@ def test_rotation_is_counter_clockwise_as_the_image_is_seen() -> None:
 @pytest.mark.parametrize("edge", ["integrated", "area"])
 def test_many_blades_become_the_disc(edge: str) -> None:
     """The polygon lacks 1 - sin(2 pi / n) n / (2 pi) of the disc, 2 pi^2 / (3 n^2): of L1 at most twice that."""
-    disc, (x, y), radius = Psf.model_validate({"edge": edge}), grid(12), np.asarray(10.0)
-    off = [np.abs(weights(iris(n, 3.0, edge), x, y, radius) - weights(disc, x, y, radius)).sum() for n in (8, 16, 32)]
+    disc, (x, y), radius = point_spread(Psf.model_validate({"edge": edge})), grid(12), np.asarray(10.0)
+    off = [np.abs(iris(n, 3.0, edge).weights(x, y, radius) - disc.weights(x, y, radius)).sum() for n in (8, 16, 32)]
     assert off[2] < 2 * 2 * pi**2 / (3 * 32**2)
     assert off[0] / off[1] == pytest.approx(4.0, rel=0.15)
     assert off[1] / off[2] == pytest.approx(4.0, rel=0.15)
@@ -105,7 +105,7 @@ def test_weights_are_areas_by_brute_force(tent: bool) -> None:
     for dx, dy in ((0, 0), (2, 1), (-2, 0), (1, -2), (-1, 2)):
         a, b = np.abs(u - dx), np.abs(v - dy)
         seen = np.maximum(1 - a, 0) * np.maximum(1 - b, 0) if tent else (a < 0.5) & (b < 0.5)
-        found = weights(psf, np.asarray(float(dx)), np.asarray(float(dy)), np.asarray(radius))
+        found = psf.weights(np.asarray(float(dx)), np.asarray(float(dy)), np.asarray(radius))
         assert found == pytest.approx(seen.mean(), abs=2e-4)
 
 
@@ -128,9 +128,9 @@ def test_tables_hold_the_weights(samples: int, edge: str) -> None:
         x, y = grid(half)
         if samples:
             offsets = [-0.25, 0.25]
-            expected = [subpixel_weights(psf, x - ox, y - oy, np.asarray(radius)) for oy in offsets for ox in offsets]
+            expected = [psf.subpixel_weights(x - ox, y - oy, np.asarray(radius)) for oy in offsets for ox in offsets]
         else:
-            expected = [weights(psf, x, y, np.asarray(radius))]
+            expected = [psf.weights(x, y, np.asarray(radius))]
         off.append(max(np.abs(a - b).sum() for a, b in zip(found, expected, strict=True)))
     assert max(off) < 1e-4
     assert np.mean(off) < 2e-5

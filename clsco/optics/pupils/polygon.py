@@ -1,19 +1,73 @@
-"""Blur of a polygonal iris: exact areas by Green's theorem along its edges (float64, pure).
+"""Polygonal pupil, as the blades of an iris leave it: areas by Green's theorem along its edges (float64, pure).
 
-Axes of an image: x to the right, y down. The polygon of one lens radius is scaled by the signed blur radius R, as a ray
-through lens point l arrives at x' = x + R l; a negative R mirrors it in its center.
+Axes of an image: x to the right, y down. A negative blur radius mirrors the polygon in its center.
 """
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from dataclasses import dataclass
+from functools import cached_property, partial
+from math import cos, pi
 
-Array = NDArray[np.float64]
+import numpy as np
+
+from clsco.optics.pupils.differences import grid_share, share_at
+from clsco.optics.pupils.pupil import Array, Edges, Pupil
+
 GAUSS = (0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0))  # nodes on [0, 1], exact for cubics
-# px: weights of smaller radii follow from those of this one, where differences are exact to 1e-14.
-SMALL = 0.25
-SMALL_POINT = 1e-2  # px: a smaller source within a pixel is a point; pixel edges are at least 1 / 32 px away
+
+
+@dataclass(frozen=True)
+class Polygon(Pupil):
+    """Regular polygon inscribed in the unit circle.
+
+    Attributes
+    ----------
+    blades : int
+        Number of edges.
+    rotation : float
+        deg, counter-clockwise in the image; at 0 an edge faces to the right.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from clsco.optics.pupils.polygon import Polygon
+    >>> float(Polygon(6).share(np.array(0.0), np.array(0.0), np.array(10.0), tent=True).round(5))
+    0.00385
+    """
+
+    blades: int = 6
+    rotation: float = 0.0
+
+    symmetry = "none"
+    uniform = True
+
+    @property
+    def name(self) -> str:
+        return f"{self.blades} blades"
+
+    @property
+    def second_moment(self) -> float:
+        return (2.0 + cos(2.0 * pi / self.blades)) / 12.0
+
+    @cached_property
+    def edges(self) -> Edges:
+        return tuple((float(x), float(y), float(distance)) for x, y, distance in lens_mask(self.blades, self.rotation))
+
+    @cached_property
+    def corners(self) -> Array:
+        """Corners (blades, 2), each at the end of its edge."""
+        return vertices(self.blades, self.rotation)
+
+    def transmission(self, x: Array, y: Array) -> Array:
+        inside = [nx * x + ny * y <= distance for nx, ny, distance in self.edges]
+        return np.all(inside, axis=0).astype(np.float64)
+
+    def share(self, dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
+        return share_at(partial(_share, self.corners, tent=tent), dx, dy, radius, tent)
+
+    def rows(self, radii: Array, dx: Array, dy: Array, tent: bool) -> Array:
+        return grid_share(partial(running_integral, self.corners, tent=tent), radii, dx, dy, tent)
 
 
 def lens_mask(blades: int, rotation: float) -> Array:
@@ -90,24 +144,6 @@ def running_integral(corners: Array, radius: Array, x: Array, y: Array, tent: bo
     return np.asarray(total / (area * radius * radius))
 
 
-def _held(radius: Array, tent: bool) -> tuple[Array, Array]:
-    """Radii of which integrals are made, and what part of them the radii are."""
-    least = SMALL if tent else SMALL_POINT
-    held = np.where(np.abs(radius) < least, np.where(radius < 0.0, -least, least), radius)
-    return held, np.abs(radius) / np.abs(held)
-
-
-def _shrunk(share: Array, across: Array, down: Array, center_x: Array, center_y: Array, part: Array) -> Array:
-    """Weights of `part` of a radius within SMALL from its own, and their sums per column and row.
-
-    Over |u| < 1 the tents at -1, 0, 1 are linear for either sign of u, so that the weight of a polygon smaller by s is
-    (1 - s) of that of a point and s of that of the whole polygon, along each axis.
-    """
-    rest = 1.0 - part
-    inner = rest * (center_x * down + center_y * across) + part * share
-    return np.asarray(rest * rest * center_x * center_y + part * inner)
-
-
 def _share(corners: Array, dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
     """Integral of the pixel's response over the polygon, per area of it: along each edge, between the places where the
     response changes its polynomial, that of S(x) T(y) dy, with T the response along an axis and S its integral."""
@@ -134,34 +170,3 @@ def _share(corners: Array, dx: Array, dy: Array, radius: Array, tent: bool) -> A
                 integral, response = np.clip(x, -0.5, 0.5) + 0.5, (np.abs(y) < 0.5).astype(np.float64)
             total += (integral * response * length).sum(axis=0) * (0.5 * step_y)
     return np.asarray(np.maximum(total / (area * radius * radius), 0.0))
-
-
-def polygon_share(corners: Array, dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
-    """Share of the polygon's energy in a pixel at (dx, dy) px, see `running_integral`; sums to 1 over the pixels.
-
-    With the tent the offsets are whole numbers; else pixel edges are at least SMALL_POINT px away, or the radius is.
-    """
-    dx, dy, radius = (np.asarray(v, np.float64) for v in np.broadcast_arrays(dx, dy, radius))
-    held, part = _held(radius, tent)
-    share = _share(corners, dx, dy, held, tent)
-    small = part < 1.0
-    if tent and small.any():
-        x, y, r = dx[small], dy[small], held[small]
-        beside = (-1.0, 0.0, 1.0)
-        across = np.sum([_share(corners, x, np.full_like(y, j), r, tent) for j in beside], axis=0)
-        down = np.sum([_share(corners, np.full_like(x, i), y, r, tent) for i in beside], axis=0)
-        share[small] = _shrunk(share[small], across, down, 1.0 * (x == 0), 1.0 * (y == 0), part[small])
-    return share
-
-
-def polygon_grid(corners: Array, radii: Array, dx: Array, dy: Array, tent: bool) -> Array:
-    """`polygon_share` (radii, dy, dx) where dx and dy rise by 1 px: every running integral is made once."""
-    half, order = (1.0, 2) if tent else (0.5, 1)
-    held, part = _held(radii[:, None, None], tent)
-    x, y = (axis[0] - half + np.arange(len(axis) + order) for axis in (dx, dy))
-    whole = running_integral(corners, held, x[None, None, :], y[None, :, None], tent)
-    share = np.maximum(np.diff(np.diff(whole, order, axis=1), order, axis=2), 0.0)
-    if tent:
-        sums = share.sum(axis=1, keepdims=True), share.sum(axis=2, keepdims=True)
-        share = np.where(part < 1.0, _shrunk(share, *sums, 1.0 * (dx == 0), 1.0 * (dy == 0)[:, None], part), share)
-    return np.asarray(share)

@@ -1,0 +1,77 @@
+"""Point spreads whose pupil may be an image file or an array."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import PurePath
+
+import numpy as np
+
+from clsco.errors import ImageError
+from clsco.files.images import Picture
+from clsco.files.transfer import decode
+from clsco.inputs.resampling import resample
+from clsco.inputs.textures import picture_of
+from clsco.optics.point_spread import PointSpread, point_spread
+from clsco.optics.pupils.image import MOST_CELLS, Image, image_pupil
+from clsco.scene.arrays import Input
+from clsco.scene.model import Aperture, Psf, Scene
+
+Load = Callable[[Input], Picture]
+
+
+def load_point_spread(psf: Psf, aperture: Aperture, transfer: str = "srgb", load: Load = picture_of) -> PointSpread:
+    """Point spread of a PSF and an aperture, with the image of its pupil.
+
+    Parameters
+    ----------
+    psf : Psf
+    aperture : Aperture
+    transfer : {"srgb", "linear"}
+        Transfer of images with 8 and 16 bits, as for textures.
+    load : callable
+        `clsco.inputs.textures.picture_of`, or what stands for it.
+
+    Returns
+    -------
+    PointSpread
+
+    Raises
+    ------
+    ImageError
+        The image of the aperture cannot be read, is no square or not gray, or lets no light pass.
+    """
+    source = aperture.inputs().get("image")
+    if source is None:
+        return point_spread(psf, aperture)
+    if isinstance(source, str) and not PurePath(source).suffix:
+        raise ImageError(f"aperture.image: must be an image file; got {source!r}")
+    try:
+        return point_spread(psf, aperture, _pupil(load(source), transfer))
+    except ImageError as error:
+        raise ImageError(f"aperture.image: {error}") from None
+
+
+def scene_point_spread(scene: Scene, load: Load = picture_of) -> PointSpread:
+    """Point spread of a scene, see `load_point_spread`."""
+    return load_point_spread(scene.psf, scene.aperture, scene.image.transfer, load)
+
+
+def _pupil(picture: Picture, transfer: str) -> Image:
+    """Pupil of a picture, of at most MOST_CELLS a side."""
+    rows, columns = picture.data.shape[:2]
+    if rows != columns:
+        raise ImageError(f"must be a square; got {columns} x {rows} px")
+    linear = decode(picture.data, picture.color.transfer(transfer))
+    if linear.ndim == 3:
+        if (linear != linear[..., :1]).any():
+            raise ImageError("must be gray; got colors")
+        linear = linear[..., 0]
+    if linear.min() < 0.0:
+        raise ImageError(f"must be at least 0 everywhere; got {linear.min():g}")
+    side = min(rows, MOST_CELLS)
+    cells = resample(linear, (side, side))
+    at = (np.arange(side) + 0.5) / side - 0.5
+    if not cells[at[:, None] ** 2 + at**2 < 0.25].any():
+        raise ImageError("must let light pass inside its circle; got black")
+    return image_pupil(cells)

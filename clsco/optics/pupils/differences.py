@@ -1,0 +1,70 @@
+"""Shares of pupils without symmetry, of any blur radius: by differences of integrals, which small blurs need exactly
+(float64, pure)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from clsco.optics.pupils.pupil import Array
+
+# px: weights of smaller radii follow from those of this one, where differences are exact to 1e-14.
+SMALL = 0.25
+SMALL_POINT = 1e-2  # px: a smaller source within a pixel is a point; pixel edges are at least 1 / 32 px away
+
+
+def share_at(share: Callable[[Array, Array, Array], Array], dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
+    """Share of the energy in pixels at (dx, dy) px, see `Pupil.share`, from one that holds where radii are not small.
+
+    With the tent the offsets are whole numbers; else pixel edges are at least SMALL_POINT px away, or the radius is.
+    """
+    dx, dy, radius = (np.asarray(v, np.float64) for v in np.broadcast_arrays(dx, dy, radius))
+    at, part = _held(radius, tent)
+    found = share(dx, dy, at)
+    small = part < 1.0
+    if tent and small.any():
+        x, y, r = dx[small], dy[small], at[small]
+        beside = (-1.0, 0.0, 1.0)
+        across = np.sum([share(x, np.full_like(y, j), r) for j in beside], axis=0)
+        down = np.sum([share(np.full_like(x, i), y, r) for i in beside], axis=0)
+        found[small] = _shrunk(found[small], across, down, 1.0 * (x == 0), 1.0 * (y == 0), part[small])
+    return found
+
+
+def grid_share(
+    running_integral: Callable[[Array, Array, Array], Array], radii: Array, dx: Array, dy: Array, tent: bool
+) -> Array:
+    """Shares (radii, dy, dx) where dx and dy rise by 1 px, see `Pupil.rows`.
+
+    running_integral(radius, x, y): of the pupil, per energy, what lies left of x and above y, times its distance from
+    both for the tent. Each is made once: first differences over a pixel are its area in the pupil, second differences
+    the pupil between a square source and a square detector.
+    """
+    half, order = (1.0, 2) if tent else (0.5, 1)
+    at, part = _held(radii[:, None, None], tent)
+    x, y = (axis[0] - half + np.arange(len(axis) + order) for axis in (dx, dy))
+    whole = running_integral(at, x[None, None, :], y[None, :, None])
+    share = np.maximum(np.diff(np.diff(whole, order, axis=1), order, axis=2), 0.0)
+    if tent:
+        sums = share.sum(axis=1, keepdims=True), share.sum(axis=2, keepdims=True)
+        share = np.where(part < 1.0, _shrunk(share, *sums, 1.0 * (dx == 0), 1.0 * (dy == 0)[:, None], part), share)
+    return np.asarray(share)
+
+
+def _held(radius: Array, tent: bool) -> tuple[Array, Array]:
+    """Radii of which integrals are made, and what part of them the radii are."""
+    least = SMALL if tent else SMALL_POINT
+    used = np.where(np.abs(radius) < least, np.where(radius < 0.0, -least, least), radius)
+    return used, np.abs(radius) / np.abs(used)
+
+
+def _shrunk(share: Array, across: Array, down: Array, center_x: Array, center_y: Array, part: Array) -> Array:
+    """Weights of `part` of a radius within SMALL from its own, and their sums per column and row.
+
+    Over |u| < 1 the tents at -1, 0, 1 are linear for either sign of u, so that the weight of a blur smaller by s is
+    (1 - s) of that of a point and s of that of the whole blur, along each axis.
+    """
+    rest = 1.0 - part
+    inner = rest * (center_x * down + center_y * across) + part * share
+    return np.asarray(rest * rest * center_x * center_y + part * inner)

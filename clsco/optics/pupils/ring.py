@@ -1,0 +1,48 @@
+"""Ring pupil: a lens whose middle is covered, as a mirror lens has it; the difference of two discs (float64, pure)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from clsco.optics.pupils.circle import disc_coverage
+from clsco.optics.pupils.pupil import Array, Pupil
+
+
+@dataclass(frozen=True)
+class Ring(Pupil):
+    """Light passes where obstruction < |l| <= 1.
+
+    Attributes
+    ----------
+    obstruction : float
+        Radius of what is covered, in aperture radii, more than 0 and less than 1.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from clsco.optics.pupils.ring import Ring
+    >>> Ring(0.5).share(np.array([0.0, 6.0]), np.zeros(2), np.array(8.0), tent=False).round(5)
+    array([0.     , 0.00663])
+    """
+
+    obstruction: float
+
+    @property
+    def name(self) -> str:
+        return f"ring, {self.obstruction:g} covered"
+
+    @property
+    def second_moment(self) -> float:
+        return 0.25 * (1.0 + self.obstruction**2)
+
+    def transmission(self, x: Array, y: Array) -> Array:
+        square = x * x + y * y
+        return np.asarray(((square > self.obstruction**2) & (square <= 1.0)).astype(np.float64))
+
+    def share(self, dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
+        outer = np.abs(radius)
+        inner = self.obstruction * outer
+        ring = disc_coverage(dx, dy, outer, tent) - disc_coverage(dx, dy, inner, tent)
+        return np.asarray(np.maximum(ring, 0.0) / (np.pi * (outer * outer - inner * inner)))

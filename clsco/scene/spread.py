@@ -1,0 +1,101 @@
+"""Opening of the lens and point spread function: sections [aperture] and [psf] of a scene file."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal, Self, cast
+
+from pydantic import Field, ValidationInfo, field_validator, model_validator
+
+from clsco.errors import SceneError
+from clsco.scene.arrays import HasInputs, Input, TextureInput
+from clsco.scene.changes import APERTURE_KEYS
+from clsco.scene.quantities import Flag, Strict, Within, at_keys, fault
+
+NEEDS_RAYS = '"visibility" needs analytic surfaces, which rays can be cast at; use "layered" or "none"'
+
+
+class Aperture(HasInputs, Strict):
+    """Opening of the lens: a circle, or a polygon, ring or image inscribed in it; the light through it is the same."""
+
+    shape: Literal["circle", "polygon", "ring", "image"] = "circle"
+    """A circle, straight blades, a circle whose middle is covered, or what an image shows."""
+    blades: Annotated[int, Within(3, 32)] = 6
+    """Number of blades; only with shape = "polygon"."""
+    rotation: Annotated[float, Within(-360.0, 360.0, "deg")] = 0.0
+    """Turn, counter-clockwise in the image of a far light, deg; at 0 an edge faces right; only with
+    shape = "polygon"."""
+    obstruction: Annotated[float, Within(0.01, 0.99)] = 0.5
+    """Radius of what is covered, in radii of the aperture; only with shape = "ring"."""
+    image: TextureInput | None = None
+    """Square gray image of the transmission, as a far light's blur shows it; the circle in it is the rim of the lens;
+    only with shape = "image"."""
+
+    @field_validator("blades", "rotation", "obstruction", "image")
+    @classmethod
+    def _of_its_shape(cls, value: Any, info: ValidationInfo) -> Any:
+        shape = APERTURE_KEYS[str(info.field_name)]
+        if info.data.get("shape", shape) != shape:
+            raise fault(f'belongs to aperture.shape = "{shape}", not "{info.data["shape"]}"')
+        return value
+
+    @model_validator(mode="after")
+    def _has_an_image(self) -> Self:
+        if self.shape == "image" and self.image is None:
+            raise at_keys([(("image",), fault('is needed by aperture.shape = "image"', got="none"), None)])
+        return self
+
+    def inputs(self) -> dict[str, Input]:
+        return {} if self.image is None else {"image": cast("Input", self.image)}
+
+
+class Psf(Strict):
+    """Point spread function, and how exactly it is evaluated."""
+
+    model: Literal["pillbox", "gaussian"] = "pillbox"
+    """A disc of radius |R|, or a Gaussian of standard deviation sigma_ratio |R|."""
+    edge: Literal["integrated", "area", "sampled"] = "integrated"
+    """Integrated over source and detector pixel, over the detector pixel only, or taken at pixel centers."""
+    tilt: Flag = True
+    """Weight by the gradient of the blur radius."""
+    silhouette_samples: Annotated[int, Within(1, 16)] = 4
+    """Sources per pixel and axis near silhouettes; 1: off."""
+    occlusion: Literal["visibility", "layered", "none"] = "visibility"
+    """Occlusion by nearer surfaces: visibility tests towards the lens, depth layers of the image, or none. Default,
+    where surfaces are not analytic (depth maps, forward warp): layered."""
+    sigma_ratio: Annotated[float, Within(1e-6, 10.0)] = math.sqrt(0.5)
+    """sigma / |R|; only with model = "gaussian"."""
+    truncation: Annotated[float, Within(1.0, 6.0)] = Field(
+        default_factory=lambda data: 2.0 if data["edge"] == "sampled" else 3.0
+    )
+    """Cut of the Gaussian, in sigma; only with model = "gaussian". Default 3, with edge = "sampled" 2."""
+    border: Literal["lose", "renormalize"] = "lose"
+    """Irradiance outside the image is lost, or returned to the pixels inside."""
+
+    @field_validator("sigma_ratio", "truncation")
+    @classmethod
+    def _of_the_gaussian(cls, value: float, info: ValidationInfo) -> float:
+        if info.data.get("model") == "pillbox":
+            raise fault('belongs to psf.model = "gaussian", not "pillbox"')
+        return value
+
+    @property
+    def asks_for_rays(self) -> bool:
+        """True where visibility tests are given, not only the default."""
+        return self.occlusion == "visibility" and "occlusion" in self.model_fields_set
+
+    def of_images(self) -> Self:
+        """The PSF for images whose surfaces are not analytic: layered, unless it says how nearer surfaces hide farther
+        ones. Raises SceneError where that is by visibility tests."""
+        if self.asks_for_rays:
+            raise SceneError(f"psf.occlusion: {NEEDS_RAYS}; got {self.occlusion}")
+        return self.model_copy(update={"occlusion": "layered"}) if self.occlusion == "visibility" else self
+
+
+def misfit(psf: Psf, aperture: Aperture) -> str | None:
+    """Rule that a PSF and an aperture break together; None if they can be."""
+    if aperture.shape != "circle" and psf.model == "gaussian":
+        return f'"{aperture.shape}" needs psf.model = "pillbox"'
+    if aperture.shape != "circle" and psf.edge == "sampled":
+        return f'"{aperture.shape}" needs psf.edge = "integrated" or "area"'
+    return None

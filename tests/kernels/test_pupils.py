@@ -1,0 +1,149 @@
+"""Pupils other than a circle on the device: all methods against their twin, whole scenes, refusals."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import clsco
+from clsco import reference
+from clsco.engine.defocus import defocus
+from clsco.errors import SceneError
+from clsco.inputs.pupils import load_point_spread
+from clsco.opencl.session import Session
+from clsco.plan.methods import Blur, BlurSpec
+from clsco.plan.plan import make_plan
+from clsco.reference.blur.blur import prepare_sources, scatter
+from clsco.reference.layered.layered import layered
+from clsco.reference.trace.trace import Sources
+from clsco.scene.model import Aperture, Psf
+from tests.engine.test_defocus import picture
+from tests.kernels.sources import ROUNDING, assert_close, blurred, light
+from tests.scenes import scene_from
+from tests.slow import mostly_slow
+from tests.spreads import spec_of
+
+FIGURE = 1e-5  # of white
+METHODS: list[Blur] = ["gather", "scatter", "tiles"]
+
+
+def heart(count: int = 64) -> NDArray[np.float32]:
+    """(x^2 + y^2 - a)^3 < b x^2 y^3, upright."""
+    at = (np.arange(count) + 0.5) * 2 / count - 1
+    x, y = at[None, :], 0.1 - at[:, None]
+    return ((x * x + y * y - 0.35) ** 3 < 1.2 * x * x * y**3).astype(np.float32)
+
+
+APERTURES = {
+    "pentagon": Aperture(shape="polygon", blades=5, rotation=8.0),
+    "ring": Aperture(shape="ring", obstruction=0.4),
+    "heart": Aperture(shape="image", image=heart()),
+}
+SOURCES = mostly_slow([("integrated", "lose"), ("area", "renormalize")], [("integrated", "lose")])
+SIGNED = ("pentagon", "heart")
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(("edge", "border"), SOURCES)
+@pytest.mark.parametrize("name", APERTURES)
+def test_every_kind_of_source(session: Session, name: str, edge: str, border: str, method: Blur) -> None:
+    guard = 0 if border == "renormalize" else 5
+    psf = Psf.model_validate({"edge": edge, "border": border})
+    given = light(psf, shape=(13, 21), guard=guard, channels=3, samples=2, aperture=APERTURES[name])
+    limit = 4 * FIGURE if border == "renormalize" else FIGURE  # a share of the light is divided by
+    assert_close(blurred(session, given, method), given.expected(), limit)
+    assert_close(blurred(session, given, method), blurred(session, given, "scatter"), ROUNDING)
+
+
+def by_reference(image: NDArray[Any], coc: NDArray[Any], spec: BlurSpec) -> NDArray[np.float64]:
+    there = np.ones(coc.shape, bool)
+    values, ones = np.asarray(image, np.float64)[..., None], np.ones(coc.shape)
+    sources = Sources(values, ones, there.astype(np.uint8), coc, prepare_sources(coc, there), there)
+    return scatter(spec, sources, None, coc.shape, 0)[..., 0]
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("name", APERTURES)
+def test_an_image_of_radii_of_both_signs(name: str, method: str) -> None:
+    image, coc = picture(30, 44)
+    coc = coc - 2.5
+    psf, aperture = Psf(occlusion="none"), APERTURES[name]
+    found = defocus(image, coc, psf, aperture=aperture, method=method, outside="black")
+    assert coc.min() < -2
+    assert coc.max() > 2
+    assert np.abs(found - by_reference(image, coc, spec_of(psf, aperture=aperture))).max() < FIGURE
+    assert np.abs(found - defocus(image, coc, Psf(), method=method)).max() > 0.01
+
+
+@pytest.mark.parametrize("radius", [9.3, -9.3])
+@pytest.mark.parametrize("name", APERTURES)
+def test_a_point_of_light_shows_the_pupil(name: str, radius: float) -> None:
+    image = np.zeros((31, 31), np.float32)
+    image[15, 15] = 1.0
+    span = np.arange(-15.0, 16.0)
+    found = defocus(image, np.full(image.shape, radius), aperture=APERTURES[name])
+    expected = load_point_spread(Psf(), APERTURES[name]).weights(span[None, :], span[:, None], np.asarray(radius))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=2e-7)
+    assert found.sum() == pytest.approx(1.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("name", APERTURES)
+def test_layers_of_depth(name: str) -> None:
+    image, coc = picture(30, 44)
+    coc[8:20, 10:25] = -6.0
+    spec = spec_of(Psf(), float(np.abs(coc).max()), aperture=APERTURES[name])
+    expected, _ = layered(spec, image.astype(np.float64)[..., None], coc, np.ones(coc.shape, bool), coc.shape, 0)
+    found = defocus(image, coc, {"occlusion": "layered"}, aperture=APERTURES[name], outside="black")
+    assert np.abs(found - expected[..., 0]).max() < FIGURE
+
+
+OBJECTS = [
+    {"shape": "sphere", "center": [-3.0, 1.0, 190.0], "radius": 7.0, "texture": "bricks"},
+    {
+        "shape": "cylinder",
+        "center": [3.0, 0.0, 270.0],
+        "radius": 9.0,
+        "axis": [0.2, 1.0, 0.0],
+        "texture": "siemens_star",
+    },
+    {"shape": "plane", "distance": 380.0, "texture": "checkerboard"},
+]
+CAMERA = {"camera": {"focus_distance": 250.0, "pixel_pitch": 0.04, "resolution": [40, 28]}}
+PENTAGON = CAMERA | {"aperture": {"shape": "polygon", "blades": 5, "rotation": 8.0}}
+
+
+@pytest.mark.parametrize("method", METHODS[:2])
+@pytest.mark.parametrize("psf", [{}, {"occlusion": "layered"}], ids=str)
+@pytest.mark.parametrize("name", APERTURES)
+def test_scenes_of_several_objects(name: str, psf: dict[str, object], method: str) -> None:
+    wanted = scene_from(CAMERA | {"aperture": APERTURES[name]}, *OBJECTS, psf=psf)
+    (found,), (exact,) = clsco.render(wanted, method=method), reference.render(wanted)
+    assert np.abs(found.color - exact.color).max() < FIGURE
+    (round_one,) = clsco.render(wanted.replace("aperture", {}), method=method)
+    assert np.abs(found.color - round_one.color).max() > 1e-3
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_ball_and_its_silhouette(method: str) -> None:
+    wanted = scene_from(PENTAGON, *OBJECTS[:1])
+    (found,), (exact,) = clsco.render(wanted, method=method), reference.render(wanted)
+    assert np.abs(found.color - exact.color).max() < FIGURE
+
+
+def test_convolution_takes_a_ring_and_refuses_what_turns_over() -> None:
+    image = np.zeros((16, 16), np.float32)
+    for name in SIGNED:
+        with pytest.raises(
+            SceneError, match=r"^method: convolve needs an aperture that blurs alike for R and -R; got "
+        ):
+            defocus(image, np.full(image.shape, 5.0), aperture=APERTURES[name], method="convolve")
+    with pytest.raises(SceneError, match=r"got 5 blades$"):
+        make_plan(scene_from(PENTAGON, *OBJECTS[2:]), 1, method="convolve")
+    assert make_plan(scene_from(PENTAGON, *OBJECTS[2:]), 1).blur in METHODS
+    image, spec = picture(40, 50)[0], spec_of(Psf(), 14.3, aperture=APERTURES["ring"])
+    radii = np.full(image.shape, 14.3)
+    found = defocus(image, radii, aperture=APERTURES["ring"], method="convolve", outside="black")
+    assert np.abs(found - by_reference(image, radii, spec)).max() < FIGURE
