@@ -119,6 +119,11 @@ def fewer_samples(
     Scene
         With fewer samples, or the plan's own.
     ApproximationReport
+
+    Raises
+    ------
+    SceneError
+        The tolerance is no number above 0.
     """
     checked_tolerance(tolerance)
     scene, exact = plan.scene, (plan.samples, max(plan.silhouettes, 1))
