@@ -22,9 +22,9 @@ def reads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     found: list[str] = []
 
     def counted(read: Any) -> Any:
-        def counting(path: str) -> Any:
+        def counting(path: str, **options: Any) -> Any:
             found.append(Path(path).name)
-            return read(path)
+            return read(path, **options)
 
         return counting
 
