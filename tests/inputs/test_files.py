@@ -22,9 +22,9 @@ def reads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     found: list[str] = []
 
     def counted(read: Any) -> Any:
-        def counting(path: str, **options: Any) -> Any:
+        def counting(path: str, *options: Any, **names: Any) -> Any:
             found.append(Path(path).name)
-            return read(path, **options)
+            return read(path, *options, **names)
 
         return counting
 
