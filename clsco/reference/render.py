@@ -36,6 +36,7 @@ from clsco.reference.trace.trace import (
     everything,
     mark_silhouettes,
     sharpen,
+    spread_sources,
     trace,
     trace_subpixels,
     view_at,
@@ -49,14 +50,15 @@ def _cast_sources(view: View, layer: Layer, guard: int, detail: bool) -> tuple[S
     """Sources of one occlusion group from rays cast at its objects: the inverse warp, and every static scene. detail:
     with sub-pixel sources where textures need them."""
     sources = trace(view, layer, guard)
+    spread = spread_sources(sources) if view.scene.psf.tilt else sources
     if view.scene.psf.silhouette_samples == 1:
-        return sources, None
+        return spread, None
     marked = mark_silhouettes(sources.label)
     if not detail:
         sources = replace(sources, parts=None)
     several = marked if sources.parts is None else marked | (sources.parts > 0)
     finer = trace_subpixels(view, layer, guard, marked, sources) if several.any() else None
-    return sharpen(sources, several) if detail else sources, finer
+    return sharpen(spread, several) if detail else spread, finer
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from clsco.inputs.pupils import scene_point_spread
 from clsco.optics.lens import SHARP, blur_radius, blur_scale, focus_power, ray_step
 from clsco.optics.motion import middle_time, poses_at, rest_center
 from clsco.reference.blur.blur import tilt_factor
-from clsco.reference.common.geometry import tilt_slope
+from clsco.reference.common.geometry import pixel_tilt
 from clsco.scene.model import Scene
 from clsco.studio.moments import eye_of
 
@@ -136,8 +136,8 @@ def point_spread(scene: Scene, radius: float, gradient: NDArray[np.float64]) -> 
     psf = scene_point_spread(scene)
     far = max(psf.reach(abs(radius)), 1)
     offset = np.arange(-far, far + 1, dtype=np.float64)
-    table = psf.weights(offset, offset[:, None], np.asarray(radius))
-    table = table * tilt_factor(offset, offset[:, None], tilt_slope(gradient, radius))
+    slope, spread = pixel_tilt(gradient, radius)
+    table = psf.weights(offset, offset[:, None], spread) * tilt_factor(offset, offset[:, None], slope)
     return figures_of(table, far, far) | {"radius": radius}
 
 

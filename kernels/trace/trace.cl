@@ -27,8 +27,10 @@ static float4 source_record(const camera_t camera, __constant surface_t *surface
     const real radius = narrow(whole_radius);
     __constant surface_t *surface = surfaces + (*label - 1) / 2;
     float2 tilt = 0;
+    real spread = radius;
 #if TILT
-    tilt = tilt_slope(blur_gradient(camera, surface_slope(surface, ray, w)), radius);
+    const real2 gradient = blur_gradient(camera, surface_slope(surface, ray, w));
+    tilt = subpixel ? tilt_slope(gradient, radius) : pixel_tilt(gradient, radius, &spread);
 #endif
 #if OCCLUDED
     bool edge;
@@ -39,8 +41,8 @@ static float4 source_record(const camera_t camera, __constant surface_t *surface
         return record;
     record.w = as_float(seen == PARTLY ? PARTLY_OCCLUDED : WHOLE);
 #endif
-    note_radius(statistics, radius);
-    record.x = table_coordinate(psf, whole_radius, subpixel);
+    note_radius(statistics, spread);
+    record.x = table_coordinate(psf, spread == radius ? whole_radius : widened(spread), subpixel);
     record.yz = tilt;
     return record;
 }
@@ -346,7 +348,9 @@ __kernel void trace_detail(const camera_t camera, __constant surface_t *surfaces
 #if OCCLUDED
     bool edge;
     const real middle = narrow(whole_radius);
-    const lens_t lens = lens_of(middle, psf.lens_extent, 1, TILT ? tilt_slope(gradient, middle) : (float2)(0, 0));
+    real spread;
+    const float2 tilt = TILT ? pixel_tilt(gradient, middle, &spread) : (float2)(0, 0);
+    const lens_t lens = lens_of(middle, psf.lens_extent, 1, tilt);
     const bool partly = check_visibility(camera, surfaces, layer, ray, w, lens, 0, &edge) == PARTLY;
 #endif
     float values[FINE_PARTS * FINE_PARTS * CHANNELS];

@@ -67,7 +67,8 @@ __kernel void sample(const camera_t camera, __global const float *texture, __glo
 
 __kernel void small(const psf_t psf, __global const real *a, __global const real *b, __global const real *c,
                     __global const real *d, const int count, __global real *difference, __global float *coordinate,
-                    __global float *sub_coordinate, __global float2 *tilt, __global int *mirrored)
+                    __global float *sub_coordinate, __global float2 *tilt, __global float2 *pixel,
+                    __global real *spread, __global int *mirrored)
 {
     const int i = get_global_id(0);
     if (i >= count)
@@ -76,7 +77,11 @@ __kernel void small(const psf_t psf, __global const real *a, __global const real
     PUT(difference, i, product);
     coordinate[i] = table_coordinate(psf, radius, 0);
     sub_coordinate[i] = table_coordinate(psf, radius, 1);
-    tilt[i] = tilt_slope((real2)(narrow(GET(b, i)), narrow(GET(c, i))), narrow(radius));
+    const real2 gradient = (real2)(narrow(GET(b, i)), narrow(GET(c, i)));
+    real spread_by;
+    tilt[i] = tilt_slope(gradient, narrow(radius));
+    pixel[i] = pixel_tilt(gradient, narrow(radius), &spread_by);
+    PUT(spread, i, widened(spread_by));
     mirrored[i] = mirror_index(i - 50, 7);
 }
 """
@@ -184,19 +189,19 @@ def test_table_coordinate_tilt_mirror_and_difference_agree_with_the_twin(
     if real == "float":
         radius, b, c, d = (held(v) for v in (radius, b, c, d))
     main, sub = psf_table(point_spread(psf), 0.2, 8.0), psf_table(point_spread(psf), 0.2, 8.0, 2)
-    sizes = (8, 4, 4, 8, 4)
+    sizes = (8, 4, 4, 8, 8, 8, 4)
     out = [empty(session, size * count) for size in sizes]
     struct = psf_struct(point_spread(psf), main, sub, real)
     features = {"SAMPLED": int(psf.edge == "sampled")}
     numbers = (in_parts(v, real) for v in (radius, b, c, d))
     run_source(SOURCE, "small", real, features, count, struct, *numbers, np.int32(count), *out)
-    difference = whole(session, out[0], (count,), real)
-    coordinate, sub_coordinate, tilt, mirrored = (
+    difference, spread = (whole(session, out[k], (count,), real) for k in (0, 5))
+    coordinate, sub_coordinate, tilt, pixel, mirrored = (
         download(session, buffer, shape, dtype)
         for buffer, shape, dtype in zip(
-            out[1:],
-            [(count,), (count,), (count, 2), (count,)],
-            [np.float32, np.float32, np.float32, np.int32],
+            [*out[1:5], out[6]],
+            [(count,), (count,), (count, 2), (count, 2), (count,)],
+            [np.float32, np.float32, np.float32, np.float32, np.int32],
             strict=True,
         )
     )
@@ -213,6 +218,13 @@ def test_table_coordinate_tilt_mirror_and_difference_agree_with_the_twin(
         slope = twin.tilt_slope(np.stack([b, c], axis=1), radius)
     np.testing.assert_allclose(tilt, slope, rtol=4 * FLOAT)  # two conversions, a quotient and a product
     assert np.abs(tilt).max() == 1e6
+    with np.errstate(over="ignore"):
+        slope, radii = twin.pixel_tilt(np.stack([b, c], axis=1), radius)
+    # Below 1/2 px differences of corners, of some 1 px, over their mean, which is one float where `real` is that.
+    unit = UNIT["double"] if real == "double" else FLOAT
+    np.testing.assert_allclose(pixel, slope, rtol=4 * FLOAT, atol=4 * FLOAT)
+    np.testing.assert_allclose(spread, radii, rtol=4 * unit)
+    assert (np.abs(spread) > np.abs(radius)).sum() > 100
     assert (mirrored == twin.mirror_index(np.arange(count) - 50, 7)).all()
     usual = slice(3, None)
     exact = twin.difference_of_products(radius, b, c, d)

@@ -25,7 +25,7 @@ from clsco.passes.trace import EMPTY_STATISTICS, TRACE_FILES
 from clsco.plan.buffers import TRUTH_BUFFERS, source_bytes
 from clsco.plan.plan import Plan, make_plan
 from clsco.records import Real, flat, structs
-from clsco.reference.common.geometry import table_coordinate, tilt_slope
+from clsco.reference.common.geometry import pixel_tilt, table_coordinate, tilt_slope
 from clsco.reference.trace import trace as twin
 from clsco.reference.trace.truth import ground_truth
 from clsco.scene.model import (
@@ -236,8 +236,11 @@ def traced(
 
 def assert_records(plan: Plan, found: Array, radius: Array, gradient: Array, there: Array, subpixel: bool) -> None:
     """Records (..., 4) against the twin's radius and gradient, where `there`; -1 elsewhere."""
-    psf = plan.scene.psf
+    psf, slope = plan.scene.psf, tilt_slope(gradient, radius)[there]
     table = psf_table(point_spread(psf), plan.smallest_blur, plan.largest_blur, plan.silhouettes if subpixel else 0)
+    if plan.tilt and not subpixel:
+        tilt, radius = pixel_tilt(gradient, radius)
+        slope = tilt[there]
     assert (found[~there][..., :3] == [-1.0, 0.0, 0.0]).all()
     if not there.any():
         return
@@ -245,7 +248,6 @@ def assert_records(plan: Plan, found: Array, radius: Array, gradient: Array, the
     # At a limb the root of a vanishing discriminant amplifies rounding of some 1e-15 to the root of that.
     np.testing.assert_allclose(found[there][:, 0], expected, rtol=2.0**-22, atol=1e-5)
     assert (np.floor(found[there][:, 0]) == np.floor(expected)).mean() > 0.999
-    slope = tilt_slope(gradient, radius)[there]
     if not plan.tilt:
         assert not found[there][:, 1:3].any()
         return

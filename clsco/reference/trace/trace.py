@@ -19,6 +19,7 @@ from clsco.optics.point_spread import PointSpread, subpixel_offsets
 from clsco.optics.quadrics import PlacedSurface, cutting_bounds, place
 from clsco.optics.visibility import Layer
 from clsco.reference.common.geometry import (
+    HALF_PIXEL,
     SMALLEST_RADIUS,
     Array,
     blur_gradient,
@@ -26,6 +27,7 @@ from clsco.reference.common.geometry import (
     mirror_index,
     nearest_surface,
     pixel_ray,
+    pixel_tilt,
     rest_pixel,
     sample_texture,
     surface_slope,
@@ -219,7 +221,9 @@ def trace(view: View, layer: Layer, guard: int) -> Sources:
     label, lit, visibility = hit.label, hit.label > 0, None
     if layer.occluders:
         rays = pixel_ray(scene.camera, row, column)[lit]
-        here = np.zeros(len(rays))
+        here, radius = np.zeros(len(rays)), hit.radius[lit]
+        tilt, _ = pixel_tilt(hit.gradient[lit], radius)
+        size = np.maximum(np.abs(radius), np.minimum(2.0 * np.abs(radius), 1.0)) * np.where(radius < 0.0, -1.0, 1.0)
         bounds = [cutting_bounds(item) for item in scene.objects]
         state, edge, seen = check_visibility(
             scene.camera,
@@ -227,7 +231,7 @@ def trace(view: View, layer: Layer, guard: int) -> Sources:
             bounds,
             layer,
             view.psf,
-            Points(rays, hit.w[lit], hit.radius[lit], here, here, 1.0, hit.gradient[lit] * scene.psf.tilt),
+            Points(rays, hit.w[lit], radius, here, here, 1.0, tilt * size[:, None] * scene.psf.tilt),
         )
         label = label.copy()
         label[lit] |= edge.astype(np.uint8) << 7
@@ -246,6 +250,14 @@ def trace(view: View, layer: Layer, guard: int) -> Sources:
         np.where(lit, hit.parts, 0),
         np.where(lit, hit.share, 0.0),
     )
+
+
+def spread_sources(sources: Sources) -> Sources:
+    """Sources with radius and gradient of what `scatter` makes of each: those of a whole pixel, see `pixel_tilt`."""
+    tilt, radius = pixel_tilt(sources.gradient, sources.radius)
+    near = np.abs(sources.radius) < HALF_PIXEL
+    gradient = np.where(radius < 0.0, -1.0, 1.0)[..., None] * tilt
+    return replace(sources, radius=radius, gradient=np.where(near[..., None], gradient, sources.gradient))
 
 
 def mark_silhouettes(label: NDArray[np.uint8]) -> NDArray[np.bool_]:
