@@ -69,7 +69,7 @@ def alone(scene: Scene, **options: Any) -> Frame:
         return clsco.render_frame(scene, device=session.queue, **options)
 
 
-@pytest.mark.parametrize("name", mostly_slow(list(SCENES), ["visibility", "gaussian"]))
+@pytest.mark.parametrize("name", mostly_slow(list(SCENES), ["gaussian"]))
 def test_frames_have_the_bits_of_frames_alone(live: Live, name: str) -> None:
     scene = SCENES[name]
     for key, value in CHANGES:

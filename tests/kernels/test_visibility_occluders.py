@@ -174,7 +174,9 @@ def meet(
     )  # fmt: skip
     found = download(session, buffers[0], (count, 4), np.int32)
     rims, sent = (download(session, b, (count, n), np.float32) for b, n in zip(buffers[1:], (4, words), strict=True))
-    if width == 1.0:  # what is left of it in records of whole pixels near the focus, see pixel_tilt
+    if (
+        width == 1.0
+    ):  # what is left of it in records of whole pixels near the focus, as `pixel_tilt` of geometry.clh has it
         gradient = gradient * np.minimum(2.0 * np.abs(given["radius"]), 1.0)[:, None]
     fields = dict(zip(FIELDS, np.split(sent, np.cumsum(list(FIELDS.values()))[:-1], axis=1), strict=True))
     for name in ("limits", "crossings"):
