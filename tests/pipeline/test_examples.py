@@ -74,6 +74,7 @@ LONG |= {"background"}  # see tests/pipeline/test_background.py
 LONG |= {"disc"}  # see tests/pipeline/test_rotated.py
 LONG |= {"lit"}  # see tests/pipeline/test_surface_textures.py and test_light.py
 LONG |= {"card", "ellipsoid"}  # see tests/pipeline/test_occlusion.py
+LONG |= {"plane_moving", "plane_turning"}  # as plane_approaching moves
 # Figures of the thesis that vary others by their numbers alone.
 LONG |= {
     f"fig_{number}" for number in ("3_04_left", "3_05_left", "3_08_left", "3_12_left", "3_15_left", "4_02", "4_14")
