@@ -195,7 +195,7 @@ class PointSpread:
         return value * np.exp(-square / (2.0 * sigma * sigma)) / total
 
 
-def point_spread(psf: Psf, aperture: Aperture | None = None, picture: Pupil | None = None) -> PointSpread:
+def point_spread(psf: Psf, aperture: Aperture | None = None, image: Pupil | None = None) -> PointSpread:
     """The point spread that a scene asks for.
 
     Parameters
@@ -204,7 +204,7 @@ def point_spread(psf: Psf, aperture: Aperture | None = None, picture: Pupil | No
         Section [psf].
     aperture : Aperture, optional
         Section [aperture]; by default a circle.
-    picture : Pupil, optional
+    image : Pupil, optional
         Pupil of aperture.shape = "image".
 
     Returns
@@ -226,7 +226,7 @@ def point_spread(psf: Psf, aperture: Aperture | None = None, picture: Pupil | No
         "circle": Circle(),
         "polygon": Polygon(aperture.blades, aperture.rotation),
         "ring": Ring(aperture.obstruction),
-        "image": picture,
+        "image": image,
     }
     pupil = pupils[aperture.shape]
     assert pupil is not None
