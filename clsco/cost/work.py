@@ -17,7 +17,7 @@ from clsco.constants import MAP_TRIPLANAR, TAP_LANES
 from clsco.frame.strips import BAND
 from clsco.inputs.focus import seen
 from clsco.inputs.textures import mapped_size
-from clsco.optics.motion import middle_time
+from clsco.optics.exposure import middle_time
 from clsco.optics.psf_grid import row_lanes
 from clsco.optics.quadrics import cutting_bounds
 from clsco.optics.texture_mapping import texture_map, texture_spread

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from clsco.data.folder import RefusedError
 from clsco.errors import SceneError
+from clsco.optics.exposure import middle_time
 from clsco.optics.lens import LARGEST_BLUR, blur_radius, ray_step
-from clsco.optics.motion import middle_time, poses_at, rest_center
+from clsco.optics.motion import poses_at, rest_center
 from clsco.optics.quadrics import place, predict_inverse_depth
 from clsco.plan.predict import without_lens
 from clsco.scene.model import Rectangle, Scene

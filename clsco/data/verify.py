@@ -22,7 +22,8 @@ from clsco.errors import ClscoError, ImageError, SceneError
 from clsco.files.atomic import sha256
 from clsco.frame.frame import Frame
 from clsco.opencl.device import choose
-from clsco.optics.motion import Eye, middle_time, poses_at, rest_center
+from clsco.optics.exposure import middle_time
+from clsco.optics.motion import Eye, poses_at, rest_center
 from clsco.reference.common.geometry import pixel_ray, project
 from clsco.scene.model import Scene
 from clsco.scene.sweep import parse_sweep

@@ -20,6 +20,7 @@ from clsco.frame.strips import Strip
 from clsco.opencl.buffers import download
 from clsco.opencl.pace import spent
 from clsco.opencl.session import Progress, Session
+from clsco.optics.exposure import frame_exposure
 from clsco.optics.slabs import Slabs
 from clsco.passes.blur import Events
 from clsco.passes.pack import camera_struct
@@ -29,7 +30,7 @@ from clsco.passes.trace import EMPTY_STATISTICS, Hits, Work
 from clsco.passes.truth import GroundTruth
 from clsco.passes.warp import ForwardWarp
 from clsco.plan.memory import Limit, device_bytes, fitted
-from clsco.plan.plan import Plan, exposure, widened
+from clsco.plan.plan import Plan, widened
 from clsco.plan.prepare import Prepared
 from clsco.records import Real, Struct
 
@@ -242,8 +243,9 @@ def _without_alpha(image: NDArray[np.float32]) -> NDArray[np.float32]:
 def expose(renderers: Sequence[Renderer], index: int) -> None:
     """Radiance of the frame of this number, strip by strip and time sample by time sample, for renderers with the same
     of both."""
-    times, weights = exposure(renderers[0].plan, index)
-    strips = renderers[0].plan.strips
+    plan = renderers[0].plan
+    exposure, strips = frame_exposure(plan.scene, index, plan.samples), plan.strips
+    times, weights = exposure.times, exposure.weights
     for renderer in renderers:
         renderer.begin(times.tolist())
     if {step.kind for step in renderers[0].plan.passes} <= {"ground truth"}:

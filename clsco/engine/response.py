@@ -16,6 +16,7 @@ from clsco.frame.frame import Frame
 from clsco.inputs.files import InputFiles
 from clsco.inputs.focus import seen
 from clsco.opencl.session import DeviceLike
+from clsco.optics.exposure import shutter_span
 from clsco.optics.lens import ray_step
 from clsco.optics.motion import poses_at, rest_center, rest_poses
 from clsco.optics.quadrics import place, predict_inverse_depth
@@ -173,7 +174,6 @@ def _projected(item: Object, texture: str | ArrayInput) -> Object:
 def _longest_way(scene: Scene, number: int, index: int) -> int:
     """Way in px, rounded up, of the point of an object that the exposure finds farthest from its reference pose."""
     assert scene.camera.resolution is not None
-    assert scene.sequence.shutter is not None
     item, step = scene.objects[number], ray_step(scene.camera)
     x, y = np.meshgrid(*(np.linspace(-0.5, 0.5, GRID) * side * step for side in scene.camera.resolution))
     w = predict_inverse_depth(item, place(item, rest_poses(scene)[number]), x, y)
@@ -182,8 +182,8 @@ def _longest_way(scene: Scene, number: int, index: int) -> int:
         return 0
     rays, center = np.stack([x, y, np.ones_like(x)])[:, there], rest_center(item)[:, None]
     body = rays - w[there] * center  # homogeneous: a point at infinity has w = 0
-    opens, longest = index * scene.sequence.interval, 0.0
-    for time in np.linspace(opens, opens + scene.sequence.shutter, TIMES).tolist():
+    longest = 0.0
+    for time in np.linspace(*shutter_span(scene.sequence, index), TIMES).tolist():
         pose = poses_at(scene, time)[number]
         point = w[there] * (center + pose.shift[:, None]) + pose.rotation @ body
         moved = point[:2] / np.maximum(point[2], 1e-3) - rays[:2]

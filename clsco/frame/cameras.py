@@ -13,8 +13,9 @@ from clsco.files.cameras import Pinhole
 from clsco.files.depth_codes import MM_PER_M
 from clsco.frame.frame import Frame
 from clsco.frame.provenance import views
+from clsco.optics.exposure import middle_time
 from clsco.optics.lens import ray_step
-from clsco.optics.motion import Eye, eye_pose, middle_time, poses_at, rest_center
+from clsco.optics.motion import Eye, eye_pose, poses_at, rest_center
 from clsco.scene.model import Scene
 
 FLIP = np.diag([1.0, -1.0, 1.0])  # y up in scenes, down in files of cameras

@@ -1,4 +1,4 @@
-"""Rigid motion over an exposure: poses, time samples and their weights (float64, pure)."""
+"""Rigid motion: poses of objects and cameras at a time (float64, pure)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.scene.groups import group_origin
-from clsco.scene.model import Group, Object, ObjectMotion, Scene, Sequence
+from clsco.scene.model import Group, Object, ObjectMotion, Scene
 from clsco.scene.rotations import rotation_rows
 from clsco.scene.shapes import origin
 
@@ -188,33 +188,3 @@ def _carried(own: Pose, center: NDArray[np.float64], group: Pose, origin: NDArra
     makes of P0."""
     arm = center - origin
     return Pose(group.rotation @ own.rotation, group.shift + group.rotation @ own.shift + (group.rotation @ arm - arm))
-
-
-def sample_times(sequence: Sequence, frame: int, samples: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Time samples of one frame's exposure.
-
-    Parameters
-    ----------
-    sequence : Sequence
-    frame : int
-    samples : int
-
-    Returns
-    -------
-    times : ndarray of float64, (samples,)
-        Seconds since the reference pose. "midpoint": t = (i + 1/2) T / N after the shutter opens; "endpoint":
-        t = (i + 1) T / N, the thesis, which displaces the image by half an interval.
-    weights : ndarray of float64, (samples,)
-        Equal, as the shutter is a box; they sum to 1.
-    """
-    offset = 0.5 if sequence.sampling == "midpoint" else 1.0
-    assert sequence.shutter is not None  # filled in by the scene's validation
-    steps = np.arange(samples, dtype=np.float64) + offset
-    times = frame * sequence.interval + steps * (sequence.shutter / samples)
-    return times, np.full(samples, 1.0 / samples)
-
-
-def middle_time(sequence: Sequence, frame: int) -> float:
-    """Middle of the shutter of a frame, s since the reference pose: the time of its ground truth."""
-    assert sequence.shutter is not None
-    return frame * sequence.interval + 0.5 * sequence.shutter

@@ -13,7 +13,8 @@ from clsco.frame.frame import MOTION_NAMES, STEREO_NAMES
 from clsco.frame.strips import Strip
 from clsco.opencl.buffers import allocate, download_into
 from clsco.optics.depth_truth import map_flow, map_normal, map_occluded, map_stereo
-from clsco.optics.motion import Eye, middle_time
+from clsco.optics.exposure import middle_time
+from clsco.optics.motion import Eye
 from clsco.passes.blur import PIXELS, Events
 from clsco.passes.pack import camera_struct, pose_structs
 from clsco.passes.placed import PlacedScene

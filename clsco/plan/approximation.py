@@ -24,13 +24,13 @@ from numpy.typing import NDArray
 
 from clsco.errors import SceneError
 from clsco.inputs.textures import Texture
+from clsco.optics.exposure import frame_exposure
 from clsco.optics.lens import blur_radius
-from clsco.optics.motion import sample_times
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.texture_mapping import needs_detail
 from clsco.plan.plan import Plan
 from clsco.plan.predict import Maps, image_path, seen_depths
-from clsco.scene.model import Scene, Sequence
+from clsco.scene.model import Scene
 
 Array = NDArray[np.float64]
 Samples = tuple[int, int]
@@ -132,7 +132,7 @@ def fewer_samples(
         parts = _parts(scene, textures(), maps)
         outlines = sum(float(_passed(plan.psf, part.radius)[: SIDE // 2].mean()) * sum(part.outline) for part in parts)
         cycles = *_cycles(plan.psf, parts), outlines / (12.0 * exact[1] ** 2)
-        of_time = partial(_of_time, scene.sequence, *cycles, exact[0])
+        of_time = partial(_of_time, scene, *cycles, exact[0])
         of_coverage = partial(_of_coverage, outlines, exact[1])
         samples = _fewest(range(least[0], exact[0]), tolerance**2, of_time) or exact[0]
         square = of_time(samples) if samples < exact[0] else 0.0
@@ -190,18 +190,17 @@ def _cycles(psf: PointSpread, parts: tuple[_Part, ...]) -> tuple[Array, Array]:
     return np.arange(found.shape[1]) / CYCLE_STEPS, found
 
 
-def _of_time(sequence: Sequence, cycles: Array, power: Array, uneven: float, exact: int, count: int) -> float:
+def _of_time(scene: Scene, cycles: Array, power: Array, uneven: float, exact: int, count: int) -> float:
     """Squared error of `count` time samples instead of `exact`; uneven: of the coverage in each of them."""
-    missed = np.abs(_sum(sequence, cycles, exact) - _sum(sequence, cycles, count)) ** 2
+    missed = np.mean(np.abs(_sums(scene, cycles, exact) - _sums(scene, cycles, count)) ** 2, axis=0)
     return MARGIN * (float((power * missed).sum(axis=1).max()) + uneven * (1.0 / count + 1.0 / exact))
 
 
-def _sum(sequence: Sequence, cycles: Array, count: int) -> NDArray[np.complex128]:
-    """M of so many time samples."""
-    times, weights = sample_times(sequence, 0, count)
-    assert sequence.shutter is not None
-    turns = np.exp(2j * np.pi / sequence.shutter * np.multiply.outer(times, cycles))
-    return np.asarray((weights[:, None] * turns).sum(axis=0))
+def _sums(scene: Scene, cycles: Array, count: int) -> NDArray[np.complex128]:
+    """M of so many time samples, (rows or 1, n)."""
+    exposure = frame_exposure(scene, 0, count)
+    turns = np.exp(2j * np.pi / scene.sequence.shutter * np.multiply.outer(exposure.times, cycles))
+    return np.asarray(exposure.weights.reshape(count, -1).T @ turns)
 
 
 def _of_coverage(outlines: float, exact: int, count: int) -> float:

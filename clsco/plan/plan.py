@@ -19,8 +19,9 @@ from clsco.errors import SceneError
 from clsco.frame.frame import MAPPING_NAMES, MOTION_NAMES, STEREO_NAMES, TRUTH_NAMES
 from clsco.frame.strips import Grid, Strip, cut
 from clsco.inputs.pupils import scene_point_spread
+from clsco.optics.exposure import sequence_times
 from clsco.optics.lens import LARGEST_BLUR, blur_radius
-from clsco.optics.motion import Eye, Pose, sample_times
+from clsco.optics.motion import Eye, Pose, poses_at
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_grid import table_reach
 from clsco.optics.psf_tables import check_tables, psf_features
@@ -60,7 +61,6 @@ from clsco.plan.predict import (
     _blur_range,
     _constant_blur,
     _fills_view,
-    _predicted_poses,
     _samples,
     displaced,
     guard_band,
@@ -254,13 +254,6 @@ class Plan:
         return shape_features(self.scene.objects)
 
 
-def exposure(plan: Plan, frame: int) -> tuple[Array, Array]:
-    """Times in s and weights of the time samples of a frame; one in the reference pose where nothing moves."""
-    if not plan.moves:
-        return np.zeros(1), np.ones(1)
-    return sample_times(plan.scene.sequence, frame, plan.samples)
-
-
 def widened(plan: Plan, smallest: float, largest: float) -> Plan:
     """The plan for a wider range of |R| in px than it predicted. Raises SceneError beyond LARGEST_BLUR."""
     if largest > LARGEST_BLUR:
@@ -342,7 +335,7 @@ def make_plan(
     forward, static = is_forward(scene, eye), is_static_map(scene)
     maps = maps or (None,) * len(scene.objects)
     samples = _samples(scene, maps)
-    poses_at_times = _predicted_poses(scene, eye)
+    poses_at_times = [poses_at(scene, time, eye) for time in sequence_times(scene)]
     smallest, largest, each, guard = _blur_range(scene, psf, eye, poses_at_times, maps)
     w = each.max(axis=0)
     slabs = asked.occlusion == "layered" and not _hides_nothing(scene)

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from clsco.constants import TAP_LANES
 from clsco.errors import SceneError
+from clsco.optics.exposure import middle_time, shutter_span
 from clsco.optics.lens import LARGEST_BLUR, blur_radius, ray_step
-from clsco.optics.motion import Eye, Pose, middle_time, poses_at, rest_center, static_rotation
+from clsco.optics.motion import Eye, Pose, poses_at, rest_center, static_rotation
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import cutting_bounds, place, predict_inverse_depth
 from clsco.scene.model import Disc, Object, Plane, Rectangle, Scene
@@ -22,7 +23,6 @@ Maps = Sequence[Array | None]
 GRID = 65  # rays per axis that predict the range of the blur radius
 # Keys of the camera that change what a lens makes of a hit, and not what a ray hits.
 LENS_KEYS = ("f_number", "aperture_diameter", "focus_distance", "sensor_distance")
-PREDICTED_TIMES = 33  # of the whole sequence at most
 PIXELS_PER_SAMPLE = 1.0  # of the largest motion, with samples = "auto": 2 lose 5 to 9 dB, fewer gain little
 MOST_SAMPLES = 4095
 
@@ -66,17 +66,6 @@ def is_forward(scene: Scene, eye: Eye) -> bool:
     if not scene.is_analytic:
         return not is_static_map(scene)
     return scene.motion.warp == "forward" and (scene.moves or displaced(scene, eye))
-
-
-def _predicted_poses(scene: Scene, eye: Eye) -> list[tuple[Pose, ...]]:
-    """Poses of the objects over the whole sequence, few enough to be looked at before every rendering."""
-    sequence = scene.sequence
-    if not scene.moves:
-        return [poses_at(scene, 0.0, eye)]
-    assert sequence.shutter is not None
-    end = (sequence.frames - 1) * sequence.interval + sequence.shutter
-    count = min(4 * sequence.frames + 1, PREDICTED_TIMES)
-    return [poses_at(scene, t, eye) for t in np.linspace(0.0, end, count).tolist()]
 
 
 def _inverse_depths(scene: Scene, samples: list[tuple[Pose, ...]], maps: Maps, guard: int) -> Array:
@@ -152,8 +141,7 @@ def image_path(scene: Scene, number: int, depth: Array | None, frame: int, every
     ndarray of float64, (times, 3, points)
         x and y in px from the middle of the image, and inverse depth in 1/mm.
     """
-    assert scene.sequence.shutter is not None
-    item, opens = scene.objects[number], frame * scene.sequence.interval
+    item, (opens, closes) = scene.objects[number], shutter_span(scene.sequence, frame)
     x, y = (slopes[::every, ::every] for slopes in _grid(scene, 0))
     opening, center = poses_at(scene, opens)[number], rest_center(item)[:, None]
     if depth is None:
@@ -164,7 +152,7 @@ def image_path(scene: Scene, number: int, depth: Array | None, frame: int, every
     rays = np.stack([x[hit], y[hit], np.ones(int(hit.sum()))])
     body = opening.rotation.T @ (rays / w[hit] - center - opening.shift[:, None])
     steps = []
-    for time in np.linspace(opens, opens + scene.sequence.shutter, 9).tolist():
+    for time in np.linspace(opens, closes, 9).tolist():
         pose = poses_at(scene, time)[number]
         point = center + pose.shift[:, None] + pose.rotation @ body
         ahead = np.maximum(point[2], 1e-3)

@@ -15,12 +15,13 @@ from clsco.inputs.pupils import scene_point_spread
 from clsco.inputs.textures import Texture as TextureImage
 from clsco.inputs.textures import load_scene_textures, radiance_span
 from clsco.optics.depth_truth import map_flow, map_normal, map_occluded, map_stereo
-from clsco.optics.motion import Eye, Pose, middle_time, poses_at, rest_poses
+from clsco.optics.exposure import frame_exposure, middle_time
+from clsco.optics.motion import Eye, Pose, poses_at, rest_poses
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import PlacedSurface, place
 from clsco.optics.texture_mapping import texture_map
 from clsco.optics.visibility import Layer
-from clsco.plan.plan import Plan, exposure, make_plan
+from clsco.plan.plan import Plan, make_plan
 from clsco.plan.predict import Maps
 from clsco.reference.blur.accumulate import accumulate
 from clsco.reference.blur.blur import prepare_sources, scatter
@@ -206,7 +207,8 @@ def _frame(plan: Plan, textures: tuple[Texture, ...], maps: Maps, index: int, su
     scene, guard = plan.scene, plan.guard_px
     color, samples = np.zeros((plan.rows, plan.columns, plan.channels)), []
     missing, alone = np.zeros(color.shape[:2], dtype=bool), []
-    for time, weight in zip(*(values.tolist() for values in exposure(plan, index)), strict=True):
+    exposure = frame_exposure(scene, index, plan.samples)
+    for time, weight in zip(exposure.times.tolist(), exposure.weights.tolist(), strict=True):
         image, unknown, report = _time_sample(plan, textures, maps, time)
         color, missing = accumulate(color, image, weight), missing | unknown
         if subframes:

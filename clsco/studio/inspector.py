@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from clsco.files.transfer import encode
 from clsco.frame.frame import Frame
 from clsco.inputs.pupils import scene_point_spread
+from clsco.optics.exposure import middle_time
 from clsco.optics.lens import SHARP, blur_radius, blur_scale, focus_power, ray_step
-from clsco.optics.motion import middle_time, poses_at, rest_center
+from clsco.optics.motion import poses_at, rest_center
 from clsco.reference.blur.blur import tilt_factor
 from clsco.reference.common.geometry import pixel_tilt
 from clsco.scene.model import Scene

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from clsco.frame.frame import Frame
-from clsco.optics.motion import Eye, poses_at, rest_center, sample_times
+from clsco.optics.exposure import frame_exposure, shutter_span
+from clsco.optics.motion import Eye, poses_at, rest_center
 from clsco.reference.common.geometry import project
 from clsco.scene.model import Scene
 
@@ -67,10 +68,8 @@ def exposure_of(frame: Frame, scene: Scene, samples: int) -> dict[str, Any]:
     """
     if not scene.moves:
         return {"times": [], "shutter": None, "arrows": []}
-    begin = frame.index * scene.sequence.interval
-    assert scene.sequence.shutter is not None
-    shutter = [begin, begin + scene.sequence.shutter]
-    times, _ = sample_times(scene.sequence, frame.index, samples)
+    shutter = list(shutter_span(scene.sequence, frame.index))
+    times = frame_exposure(scene, frame.index, samples).times
     return {"times": times.tolist(), "shutter": shutter, "arrows": _arrows(scene, shutter, frame)}
 
 

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import SceneError
+from clsco.optics.exposure import middle_time
 from clsco.optics.lens import ray_step
-from clsco.optics.motion import Eye, eye_pose, middle_time, static_rotation
+from clsco.optics.motion import Eye, eye_pose, static_rotation
 from clsco.scene.model import Camera, Plane
 from clsco.studio.session import Session
 

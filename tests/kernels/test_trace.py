@@ -15,7 +15,8 @@ from clsco.frame.strips import Strip
 from clsco.opencl.buffers import copied, download, empty, upload
 from clsco.opencl.program import build
 from clsco.opencl.session import Program, Session
-from clsco.optics.motion import Eye, Pose, middle_time, poses_at, rest_poses
+from clsco.optics.exposure import middle_time
+from clsco.optics.motion import Eye, Pose, poses_at, rest_poses
 from clsco.optics.point_spread import point_spread
 from clsco.optics.psf_tables import psf_table
 from clsco.optics.quadrics import place

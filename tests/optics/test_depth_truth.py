@@ -10,7 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from clsco.optics.depth_truth import map_flow, map_normal, map_occluded, map_stereo
-from clsco.optics.motion import Eye, Pose, middle_time, poses_at
+from clsco.optics.exposure import middle_time
+from clsco.optics.motion import Eye, Pose, poses_at
 from clsco.reference.trace.truth import Truth, ground_truth
 from clsco.scene.model import Camera, CameraMotion, ObjectMotion, Plane, Scene, Sequence, Sphere, Stereo
 from tests.scenes import scene_of

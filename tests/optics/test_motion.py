@@ -10,17 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from clsco.optics.motion import (
-    Pose,
-    eye_pose,
-    middle_time,
-    pose_at,
-    poses_at,
-    rest_center,
-    rest_poses,
-    rotation_matrix,
-    sample_times,
-)
+from clsco.optics.motion import Pose, eye_pose, pose_at, poses_at, rest_center, rest_poses, rotation_matrix
 from clsco.scene.model import (
     AnyShape,
     CameraMotion,
@@ -32,7 +22,6 @@ from clsco.scene.model import (
     Plane,
     Quadric,
     Scene,
-    Sequence,
     Sphere,
     Stereo,
 )
@@ -197,25 +186,6 @@ def test_always_from_rest(rotation: str) -> None:
 )
 def test_the_point_about_which_an_object_turns(item: AnyShape, center: tuple[float, float, float]) -> None:
     assert rest_center(item).tolist() == list(center)
-
-
-def test_midpoints_and_endpoints() -> None:
-    times, weights = sample_times(Sequence(interval=2.0, shutter=1.0, sampling="midpoint"), 3, 4)
-    assert times.tolist() == [6.125, 6.375, 6.625, 6.875]
-    assert weights.tolist() == [0.25] * 4
-    times, _ = sample_times(Sequence(interval=2.0, shutter=1.0, sampling="endpoint"), 3, 4)
-    assert times.tolist() == [6.25, 6.5, 6.75, 7.0]
-
-
-@pytest.mark.parametrize("samples", [1, 3, 5, 1001])
-def test_an_odd_number_of_midpoints_has_the_middle_of_the_shutter(samples: int) -> None:
-    sequence = Sequence(interval=0.3, shutter=0.2)
-    times, weights = sample_times(sequence, 7, samples)
-    assert times[samples // 2] == pytest.approx(middle_time(sequence, 7), rel=4 * EPS)
-    assert middle_time(sequence, 7) == pytest.approx(7 * 0.3 + 0.1, rel=4 * EPS)
-    assert weights.sum() == pytest.approx(1.0, abs=samples * EPS)
-    assert times.mean() == pytest.approx(middle_time(sequence, 7), rel=1e-14)
-    assert ((times > 2.1) & (times < 2.3)).all()
 
 
 # Cameras that move, and pairs of them

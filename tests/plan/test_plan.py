@@ -18,7 +18,7 @@ from clsco.plan.buffers import ThisMachine
 from clsco.plan.left_out import left_out
 from clsco.plan.memory import device_bytes
 from clsco.plan.methods import MANY_RADII
-from clsco.plan.plan import Plan, exposure, make_plan, widened
+from clsco.plan.plan import Plan, make_plan, widened
 from clsco.plan.predict import guard_band, image_displacement
 from clsco.scene.model import (
     Camera,
@@ -235,10 +235,6 @@ def test_samples_as_asked_and_one_at_rest() -> None:
     assert plan_of(moving(STILL, RIGHT), sequence=Sequence(samples=4)).samples == 4
     still = plan_of(STILL, sequence=Sequence(samples="auto"))
     assert still.samples == plan_of(STILL).samples == 1
-    times, weights = exposure(still, 3)
-    assert (times.tolist(), weights.tolist()) == ([0.0], [1.0])
-    times, weights = exposure(plan_of(moving(STILL, RIGHT), sequence=Sequence(samples=2)), 3)
-    assert (times.tolist(), weights.tolist()) == ([3.25, 3.75], [0.5, 0.5])
 
 
 def test_very_fast_motion_does_not_ask_for_endless_samples() -> None:

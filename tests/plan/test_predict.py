@@ -12,7 +12,7 @@ from clsco.errors import SceneError
 from clsco.optics.lens import LARGEST_BLUR, blur_radius
 from clsco.optics.motion import poses_at
 from clsco.plan.plan import make_plan, widened
-from clsco.plan.predict import PREDICTED_TIMES, _moved_map, _predicted_poses, image_displacement
+from clsco.plan.predict import _moved_map, image_displacement
 from clsco.scene.model import DepthMap, ObjectMotion, Plane, Psf, Scene, Sequence, Sphere
 from tests.scenes import plan_of, scene_of
 
@@ -56,14 +56,6 @@ def test_radii_are_predicted_to_the_end_of_the_last_exposure() -> None:
     end = 280.0 + 20.0 * (2 * 0.5 + 0.25)
     assert given.smallest_blur == pytest.approx(radius(given.scene, 280.0), rel=1e-12)
     assert given.largest_blur == pytest.approx(radius(given.scene, end), rel=1e-12)
-
-
-@pytest.mark.parametrize("frames", [1, 2, 9, 300])
-def test_few_moments_are_looked_at_however_long_the_sequence_is(frames: int) -> None:
-    moments = _predicted_poses(scene_of(Sphere(motion=RIGHT), sequence=Sequence(frames=frames)), "left")
-    assert 1 < len(moments) <= PREDICTED_TIMES
-    shifts = [poses[0].shift.tolist() for poses in moments]
-    assert (shifts[0], shifts[-1]) == ([0.0, 0.0, 0.0], [10.0 * frames, 0.0, 0.0])
 
 
 def test_nothing_in_sight_is_not_blurred_and_takes_no_work() -> None:

@@ -10,7 +10,8 @@ import pytest
 
 import clsco
 from clsco import SceneError
-from clsco.optics.motion import Eye, middle_time, poses_at, rest_center
+from clsco.optics.exposure import middle_time
+from clsco.optics.motion import Eye, poses_at, rest_center
 from clsco.reference.common.geometry import pixel_ray, project
 from clsco.studio.moving import ALONG, grip
 from clsco.studio.session import Session

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.optics.motion import Eye, Pose, middle_time, poses_at, rest_poses
+from clsco.optics.exposure import middle_time
+from clsco.optics.motion import Eye, Pose, poses_at, rest_poses
 from clsco.optics.quadrics import PlacedSurface, cutting_bounds, place
 from clsco.plan.predict import displaced
 from clsco.reference.common.geometry import (
