@@ -28,9 +28,10 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     slope between neighboring rays; blur_scale px mm; focus_power 1/mm; lens_radius mm. surface_t: see
     `clsco.optics.quadrics.PlacedSurface`; texture: its number in the stack. texture_map_t: see
     `clsco.optics.texture_mapping.TextureMap`. light_t: see `clsco.optics.light.PlacedLight`. pose_t: see
-    `clsco.optics.motion.Pose`. layer_t: see `clsco.optics.visibility.Layer`; count: of all objects. psf_t: how a blur
-    radius becomes a coordinate in the tables, which intervals they hold (first, count), and which of them radii are
-    clamped to (low to end - 1), see `clsco.optics.psf_tables.PsfTable`; lens_extent: of the lens in lens radii.
+    `clsco.optics.motion.Pose`. group_t: see `clsco.optics.visibility.OcclusionGroup`; count: of all objects. psf_t:
+    how a blur radius becomes a coordinate in the tables, which intervals they hold (first, count), and which of them
+    radii are clamped to (low to end - 1), see `clsco.optics.psf_tables.PsfTable`; lens_extent: of the lens in
+    lens radii.
     """
     i, two, three, nine = "i4", (2,), (3,), (9,)
     camera: list[Any] = [
@@ -46,13 +47,13 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     mapping += _reals(real, frame=nine, scale=(4,), shift=two, slant=(), spread=(), outside=())
     light = [("members", "u8"), ("is_near", i), *_reals(real, x=(), y=(), z=(), ambient=())]
     pose = _reals(real, rotation=nine, shift=three)
-    layer = [("members", "u8"), ("occluders", "u8"), *((name, i) for name in ("count", "own", "root"))]
+    group = [("members", "u8"), ("occluders", "u8"), *((name, i) for name in ("count", "own", "root"))]
     psf: list[Any] = [(name, i) for name in ("first", "count", "low", "end", "reach")]
     psf += [(name, i) for name in ("sub_first", "sub_count", "sub_low", "sub_end")]
     psf += _reals(real, key=(), minimum_blur=(), fine_steps=(), fine_until=(), octaves_from=(), steps=(), sub_steps=())
     psf += _reals(real, lens_extent=())
     fields = {"camera_t": camera, "surface_t": surface, "texture_map_t": mapping}
-    fields |= {"light_t": light, "pose_t": pose, "layer_t": layer, "psf_t": psf}
+    fields |= {"light_t": light, "pose_t": pose, "group_t": group, "psf_t": psf}
     return {name: np.dtype(members, align=True) for name, members in fields.items()}
 
 

@@ -21,7 +21,7 @@ from clsco.optics.exposure import middle_time
 from clsco.optics.psf_grid import row_lanes
 from clsco.optics.quadrics import cutting_bounds
 from clsco.optics.texture_mapping import texture_map, texture_spread
-from clsco.optics.visibility import Layer
+from clsco.optics.visibility import OcclusionGroup
 from clsco.plan.passes import Pass
 from clsco.plan.plan import Plan
 from clsco.plan.predict import Maps
@@ -92,7 +92,7 @@ def lattice_of(plan: Plan) -> Lattice:
 
 def _tests(plan: Plan) -> int:
     """Objects that rays of all occlusion groups are cast at, and occluders that are tested for what they hit."""
-    return sum(layer.members.bit_count() + layer.occluders.bit_count() for layer in plan.layers)
+    return sum(group.members.bit_count() + group.occluders.bit_count() for group in plan.groups)
 
 
 def frame_work(plan: Plan, maps: Maps) -> list[tuple[Pass, Work]]:
@@ -111,9 +111,9 @@ def frame_work(plan: Plan, maps: Maps) -> list[tuple[Pass, Work]]:
     """
     lattice = lattice_of(plan)
     of_kind: dict[str, Work] = {}
-    groups: dict[Layer | None, dict[str, Work]] = {None: of_kind}
+    groups: dict[OcclusionGroup | None, dict[str, Work]] = {None: of_kind}
     if any(each.kind == "trace" for each in plan.passes):
-        groups |= {layer: _of_group(plan, layer, lattice) for layer in plan.layers}
+        groups |= {group: _of_group(plan, group, lattice) for group in plan.groups}
     else:
         of_kind |= _of_image(plan, lattice, maps)
     of_kind["ground truth"] = _of_truth(plan)
@@ -148,11 +148,11 @@ class Hits:
     cut_edges: Array
 
 
-def _hits(plan: Plan, view: View, layer: Layer, lattice: Lattice) -> Hits:
+def _hits(plan: Plan, view: View, group: OcclusionGroup, lattice: Lattice) -> Hits:
     scene, camera = plan.scene, plan.scene.camera
     bounds = [cutting_bounds(item) for item in scene.objects]
     rays = pixel_ray(camera, lattice.row[:, None], lattice.column[None, :])
-    w, label, number = nearest_surface(view.surfaces, bounds, layer, rays)
+    w, label, number = nearest_surface(view.surfaces, bounds, group, rays)
     hit = w > 0.0
     radius, state = np.where(hit, blur_radius(camera, w), 0.0), np.full(w.shape, CLEAR)
     tests, cuts, edges, cut_edges = (np.zeros(w.shape) for _ in range(4))
@@ -162,8 +162,8 @@ def _hits(plan: Plan, view: View, layer: Layer, lattice: Lattice) -> Hits:
         gradient[here] = blur_gradient(camera, surface_slope(view.surfaces[k], rays[here], w[here]))
     label, many = label.copy(), _tests(plan) > MANY_TESTS
     for k, surface in enumerate(view.surfaces):
-        own = k == layer.own
-        if not layer.occluders >> k & 1 or (own and layer.root == (2 if surface.constant < 0 else 1)):
+        own = k == group.own
+        if not group.occluders >> k & 1 or (own and group.root == (2 if surface.constant < 0 else 1)):
             continue
         near = hit.copy()
         near[hit] = ~out_of_the_way(camera, surface, rays[hit], w[hit], plan.psf.extent)
@@ -183,13 +183,13 @@ def _hits(plan: Plan, view: View, layer: Layer, lattice: Lattice) -> Hits:
     return Hits(rays, w, number, label, radius, state, tests, cuts, edges, cut_edges)
 
 
-def _of_group(plan: Plan, layer: Layer, lattice: Lattice) -> dict[str, Work]:
+def _of_group(plan: Plan, group: OcclusionGroup, lattice: Lattice) -> dict[str, Work]:
     """Work of the passes of an occlusion group at a time sample, by their kinds."""
     scene = plan.scene
     time = middle_time(scene.sequence, 0) if plan.moves else 0.0
     view = view_at(scene, (), time, plan.eye, plan.moves or plan.eye_moved)
-    hits, total = _hits(plan, view, layer, lattice), lattice.total
-    found = {"trace": _of_rays(plan, layer, hits.number, lattice)}
+    hits, total = _hits(plan, view, group, lattice), lattice.total
+    found = {"trace": _of_rays(plan, group, hits.number, lattice)}
     found["trace"] |= {"test": total(hits.tests), "cut test": total(hits.cuts)}
     finer = np.zeros(hits.w.shape)
     if plan.silhouettes:
@@ -198,7 +198,7 @@ def _of_group(plan: Plan, layer: Layer, lattice: Lattice) -> dict[str, Work]:
         images = _images(plan, hits.number)
         found["silhouettes"] = {
             "marked": total(np.ones(hits.w.shape)),
-            "sub-pixel ray": rays * total(marked + detailed) * layer.members.bit_count(),
+            "sub-pixel ray": rays * total(marked + detailed) * group.members.bit_count(),
             "sub-pixel mapped": rays * total(marked * images),
             "sub-pixel test": rays * total(marked * hits.tests),
             "detail": total(detailed * images),
@@ -209,11 +209,11 @@ def _of_group(plan: Plan, layer: Layer, lattice: Lattice) -> dict[str, Work]:
     return found
 
 
-def _of_rays(plan: Plan, layer: Layer, number: NDArray[np.int32], lattice: Lattice) -> Work:
+def _of_rays(plan: Plan, group: OcclusionGroup, number: NDArray[np.int32], lattice: Lattice) -> Work:
     """Work of rays that hit objects of these numbers, -1 for none."""
     images, moved = _images(plan, number), bool(plan.features()["MOVED"])
     return {
-        "ray": layer.members.bit_count() * lattice.total(number >= -1),
+        "ray": group.members.bit_count() * lattice.total(number >= -1),
         "moved": plan.channels * lattice.total((number >= 0) & (images == 0)) if moved else 0.0,
         "mapped": lattice.total(images),
         "lit": lattice.total(number >= 0) if plan.scene.light is not None else 0.0,
@@ -272,7 +272,7 @@ def _of_image(plan: Plan, lattice: Lattice, maps: Maps) -> dict[str, Work]:
     layers: Work = {"layer pixel": DEPTH_LAYERS * pixels * (plan.channels + 1)}
     for name, count in blur.items():
         layers[name] = count * (DEPTH_LAYERS if name == "walked" else (plan.channels + 1) / plan.channels)
-    everything = Layer((1 << len(plan.scene.objects)) - 1, 0)
+    everything = OcclusionGroup((1 << len(plan.scene.objects)) - 1, 0)
     return {
         "pinhole": _of_rays(plan, everything, number.astype(np.int32), lattice),
         "static image": {"sent": pixels * plan.channels},

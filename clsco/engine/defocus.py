@@ -21,9 +21,9 @@ from clsco.inputs.soft_edges import assign_soft_edges
 from clsco.opencl.arrays import check_image, on_host, without_mask
 from clsco.opencl.buffers import allocate, lent
 from clsco.opencl.session import DeviceLike, Session
+from clsco.optics.depth_layers import LayerBounds
 from clsco.optics.lens import LARGEST_BLUR
 from clsco.optics.point_spread import PointSpread
-from clsco.optics.slabs import Slabs
 from clsco.passes.blur import Sources, blur_target, prepare_sources
 from clsco.passes.frame_blur import make_blur
 from clsco.passes.layered import DepthLayers
@@ -309,13 +309,13 @@ class _Engine:
             cl.enqueue_fill_buffer(session.queue, self.valid, np.ones(1, np.uint8), 0, self.valid.size)
         if layered:
             self.layers = DepthLayers(self.blur, self.target, grid)
-            self.slabs = self._slabs(self.layers, strips) if len(strips) > 1 else None
+            self.bounds = self._bounds(self.layers, strips) if len(strips) > 1 else None
 
     def _camera(self, strip: Strip) -> Struct:
         rows, columns = self.given.coc.shape
         return frame_struct(rows, columns, self.guard, self.target.real, strip)
 
-    def _slabs(self, layers: DepthLayers, strips: Sequence[Strip]) -> Slabs:
+    def _bounds(self, layers: DepthLayers, strips: Sequence[Strip]) -> LayerBounds:
         """Depth layers of the image, from all strips."""
         for strip in strips:
             self.blur.camera = self._camera(strip)
@@ -331,7 +331,7 @@ class _Engine:
         blur.clear()
         assert self.value is not None
         if self.layers is not None:
-            self.layers.add((self.value, *self._maps), [], self.slabs)
+            self.layers.add((self.value, *self._maps), [], self.bounds)
         else:
             if self.source is not None:
                 assert self.coc is not None

@@ -20,8 +20,8 @@ from clsco.frame.strips import Strip
 from clsco.opencl.buffers import download
 from clsco.opencl.pace import spent
 from clsco.opencl.session import Progress, Session
+from clsco.optics.depth_layers import LayerBounds
 from clsco.optics.exposure import frame_exposure
-from clsco.optics.slabs import Slabs
 from clsco.passes.blur import Events
 from clsco.passes.pack import camera_struct
 from clsco.passes.placed import PlacedScene, TimeSample
@@ -110,7 +110,7 @@ class Renderer:
             cl.enqueue_copy(self.scene.session.queue, space.buffers["statistics"], EMPTY_STATISTICS)
         self.depth_layers = {time: self._depth_layers(time) for time in times if len(plan.strips) > 1 and space.layers}
 
-    def _depth_layers(self, time: float) -> Slabs:
+    def _depth_layers(self, time: float) -> LayerBounds:
         """Depth layers of a time sample, from all strips."""
         space, sample = self._ready, self.scene.at(time)
         assert space.layers is not None

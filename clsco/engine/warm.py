@@ -12,7 +12,7 @@ from clsco.errors import ClscoError
 from clsco.frame.frame import ALL_TRUTH
 from clsco.inputs.files import InputFiles
 from clsco.opencl.session import Session
-from clsco.optics.visibility import Layer
+from clsco.optics.visibility import OcclusionGroup
 from clsco.passes.trace import KeptHits
 from clsco.plan.memory import limit_of
 from clsco.plan.plan import Plan
@@ -66,9 +66,9 @@ def near(plan: Plan) -> Iterator[Plan]:
     if psf.silhouette_samples > 1:
         yield replace(plan, silhouettes=0 if plan.silhouettes else psf.silhouette_samples)
     if plan.occlusion == "visibility":
-        yield replace(plan, occlusion="none", layers=(Layer(everything, 0),))
+        yield replace(plan, occlusion="none", groups=(OcclusionGroup(everything, 0),))
     elif count > 1 and psf.occlusion == "visibility":
-        yield replace(plan, occlusion="visibility", layers=(Layer(everything, everything),))
+        yield replace(plan, occlusion="visibility", groups=(OcclusionGroup(everything, everything),))
 
 
 def _small(prepared: Prepared) -> Prepared:

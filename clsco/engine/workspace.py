@@ -164,7 +164,7 @@ def _sources(space: Workspace, work: Work) -> None:
 def _depth_layers(space: Workspace, work: Work) -> None:
     assert space.layers is not None
     assert work.planes is not None
-    work.report["slabs"] = space.layers.add(work.planes, work.events, work.depth_layers.get(work.sample.time))
+    work.report["depth_layers"] = space.layers.add(work.planes, work.events, work.depth_layers.get(work.sample.time))
 
 
 def _blur(space: Workspace, work: Work) -> None:

@@ -2,8 +2,7 @@
 pure).
 
 Every object of a scene scatters its own radiance, including parts that are hidden in the pinhole image. Objects that
-cannot hide each other share an occlusion group (`Layer`), and its visibility tests take only objects that can occlude a
-member.
+cannot hide each other share an `OcclusionGroup`, and its visibility tests take only objects that can occlude a member.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Layer:
+class OcclusionGroup:
     """An occlusion group: objects of which the nearest one along each ray counts, and what may occlude them.
 
     members, occluders: bit k is object k of the scene. own: number of an object that may hide itself, -1 for none;
@@ -83,7 +82,9 @@ def is_hollow(item: Object) -> bool:
     return not isinstance(item, Plane | Rectangle) and cutting_bounds(item) is not None
 
 
-def layers(items: Sequence[Object], extents: Sequence[Extent], camera: Camera, psf: PointSpread) -> tuple[Layer, ...]:
+def occlusion_groups(
+    items: Sequence[Object], extents: Sequence[Extent], camera: Camera, psf: PointSpread
+) -> tuple[OcclusionGroup, ...]:
     """Few occlusion groups for objects at `extents`, in the order of the scene: no member hides another.
 
     Each of the two roots of a hollow object is a group. One group and no occluders where nothing is hidden.
@@ -99,12 +100,12 @@ def layers(items: Sequence[Object], extents: Sequence[Extent], camera: Camera, p
             group.append(k)
     occluders = [{m for k in group for m in range(count) if hides[k][m]} for group in groups]
     hollow = [
-        Layer(1 << k, 1 << k | sum(1 << m for m in range(count) if hides[k][m]), k, root)
+        OcclusionGroup(1 << k, 1 << k | sum(1 << m for m in range(count) if hides[k][m]), k, root)
         for k in range(count)
         if is_hollow(items[k])
         for root in (1, 2)
     ]
     return (*hollow, *(
-        Layer(sum(1 << k for k in group), sum(1 << m for m in found))
+        OcclusionGroup(sum(1 << k for k in group), sum(1 << m for m in found))
         for group, found in zip(groups, occluders, strict=True)
     ))  # fmt: skip

@@ -126,7 +126,7 @@ class Sources:
         Radiance times weight.
     sub_source, sub_value : Buffer, optional
         Sub-pixel sources of `capacity` pixels near silhouettes.
-    surfaces, layer, depth, sub_depth : optional
+    surfaces, group, depth, sub_depth : optional
         Occluders, and the depth of sources; None where nothing is in their way.
     radius : float
         |R| of all sources in px, for "convolve" only.
@@ -138,7 +138,7 @@ class Sources:
     sub_value: cl.Buffer | None = None
     capacity: int = 0
     surfaces: cl.Buffer | None = None
-    layer: Struct | None = None
+    group: Struct | None = None
     depth: cl.Buffer | None = None
     sub_depth: cl.Buffer | None = None
     radius: float = 0.0
@@ -248,8 +248,8 @@ class TableBlur(FrameSum, ABC):
         if self.spec.border == "renormalize":
             size = int(self.camera["columns"]), int(self.camera["height"])
             self.target.run("renormalize", size, PIXELS, events, *head, *tail)
-        if sources.layer is not None:
-            tail += (sources.surfaces, sources.layer, self.lens, sources.depth)
+        if sources.group is not None:
+            tail += (sources.surfaces, sources.group, self.lens, sources.depth)
             tail += (sources.sub_depth,) if self.spec.subpixels else ()
         self.spread(head, tail, events)
 

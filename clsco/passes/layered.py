@@ -11,7 +11,7 @@ from clsco.constants import DISCONTINUITY_CLASSES, PUSH_PIXELS, REACH_PIXELS, SE
 from clsco.frame.strips import Grid
 from clsco.opencl.buffers import allocate, download, empty
 from clsco.opencl.program import build
-from clsco.optics.slabs import Slabs, bins_of, depth_of_hidden, levels_of, slab_bounds
+from clsco.optics.depth_layers import LayerBounds, bins_of, depth_of_hidden, layer_bounds, levels_of
 from clsco.passes.blur import BLOCKS, PIXELS, PLAIN, Events, FrameSum, Sources, Target, blur_target, prepare_sources
 from clsco.passes.frame_blur import make_blur
 from clsco.plan.buffers import Sizes, depth_layer_spec, layered_buffers
@@ -29,7 +29,7 @@ class Labels:
     """Labels of a grid's pixels: the depth layer of each, the one that goes on behind it, and the distance of an edge.
 
     Buffers, by the names of `clsco.plan.buffers.layered_buffers`: latest: where discontinuities of a time sample are,
-    by class and bin; slab, seed, hidden, edge: uchar (height, width); offset: int (height, width).
+    by class and bin; layer, seed, hidden, edge: uchar (height, width); offset: int (height, width).
     """
 
     def __init__(self, target: Target, spec: BlurSpec, sizes: Sizes) -> None:
@@ -38,8 +38,8 @@ class Labels:
         self.reach = spec.psf.reach(spec.largest)
         self.latest = empty(target.session, sizes["latest"])
         self.offset = empty(target.session, sizes["offset"])
-        self.slab, self.seed, self.hidden, self.edge = (
-            empty(target.session, sizes[name]) for name in ("slab", "seed", "hidden", "edge")
+        self.layer, self.seed, self.hidden, self.edge = (
+            empty(target.session, sizes[name]) for name in ("layer", "seed", "hidden", "edge")
         )
         self._forget()
 
@@ -50,29 +50,29 @@ class Labels:
         width, height = _padded(camera)
         self.target.run("find_discontinuities", (height + width,), LINES, events, *args)
 
-    def found(self) -> Slabs:
+    def found(self) -> LayerBounds:
         """Depth layers of the time sample whose strips went through `find` since the last call. Waits for the
         device."""
         latest = download(self.target.session, self.latest, (DISCONTINUITY_CLASSES * self.bins + 1,), np.int32)
         self._forget()
         deep = depth_of_hidden(self.psf, int(latest[-1]))
-        return Slabs(tuple(slab_bounds(latest[:-1].reshape(DISCONTINUITY_CLASSES, self.bins))), deep)
+        return LayerBounds(tuple(layer_bounds(latest[:-1].reshape(DISCONTINUITY_CLASSES, self.bins))), deep)
 
     def _forget(self) -> None:
         cl.enqueue_fill_buffer(self.target.session.queue, self.latest, ZERO, 0, self.latest.size)
 
-    def label(self, camera: Struct, slabs: Slabs, coc: cl.Buffer, valid: cl.Buffer, events: Events) -> None:
+    def label(self, camera: Struct, found: LayerBounds, coc: cl.Buffer, valid: cl.Buffer, events: Events) -> None:
         """The depth layer of every pixel, and the one behind it."""
         run, size = self.target.run, _padded(camera)
-        some = (*slabs.bounds, *(0,) * (8 - len(slabs.bounds)))  # at most MOST_SLABS - 1
+        some = (*found.bounds, *(0,) * (8 - len(found.bounds)))  # at most MOST_LAYERS - 1
         bounds = cl.cltypes.make_int8(*some)  # type: ignore[attr-defined]
-        head = (camera, _real(self.low, self.target.real), np.int32(self.bins), np.int32(len(slabs.bounds)), bounds)
-        run("label_depth_layers", size, PIXELS, events, *head, coc, valid, self.slab)
-        run("seed_hidden", size, PIXELS, events, camera, coc, self.slab, self.seed)
+        head = (camera, _real(self.low, self.target.real), np.int32(self.bins), np.int32(len(found.bounds)), bounds)
+        run("label_depth_layers", size, PIXELS, events, *head, coc, valid, self.layer)
+        run("seed_hidden", size, PIXELS, events, camera, coc, self.layer, self.seed)
         columns = (-(-size[0] // SEED_COLUMNS),)
         run("column_seeds", columns, LINES, events, camera, self.seed, self.offset)
         runs = (-(-size[0] // REACH_PIXELS), size[1])
-        args = (camera, np.int32(slabs.deep), self.slab, self.seed, self.offset, self.hidden, self.edge)
+        args = (camera, np.int32(found.deep), self.layer, self.seed, self.offset, self.hidden, self.edge)
         run("reach_hidden", runs, RUNS, events, *args)
 
 
@@ -98,7 +98,7 @@ class DepthLayers:
     Notes
     -----
     Pixels are put into depth layers by their signed blur radius, so that the two sides of every depth discontinuity
-    beyond DISCONTINUITY px fall into different ones; at most MOST_SLABS. At discontinuities each layer is extrapolated
+    beyond DISCONTINUITY px fall into different ones; at most MOST_LAYERS. At discontinuities each layer is extrapolated
     behind nearer ones, as deep as the blur of both sides reaches, with values from its own pixels as near by, by
     push-pull (Gortler et al. 1996). Near discontinuities its radiance and its coverage are blurred by the PSF as one
     image, and it gets at each pixel the room that the coverage of nearer layers leaves; elsewhere radiance simply adds
@@ -116,8 +116,8 @@ class DepthLayers:
         features = PLAIN | {"SAMPLED": 0, "GENERAL": 0, "CHANNELS": planes, "SCATTER": int(spec.method == "scatter")}
         program = build(session, ["layered/layered.cl"], features, structs(real), real)
         self.target = Target(session, own.program | program, real)
-        layer = Grid(grid.rows, grid.columns, grid.guard, planes, grid.height)
-        self.inner = make_blur(own, spec, layer, blur.camera)
+        wider = Grid(grid.rows, grid.columns, grid.guard, planes, grid.height)
+        self.inner = make_blur(own, spec, wider, blur.camera)
         sizes = layered_buffers(blur.spec, grid, session.device)
         self.labels = Labels(self.target, spec, sizes)
         names = ("source", "pyramid", "value", "coc", "valid", "covered")
@@ -134,7 +134,7 @@ class DepthLayers:
         """Record the depth discontinuities in a strip of a time sample, or in all of it; arguments as for `add`."""
         self.labels.find(self.camera, coc, valid, events)
 
-    def add(self, planes: Planes, events: Events, slabs: Slabs | None = None) -> int:
+    def add(self, planes: Planes, events: Events, found: LayerBounds | None = None) -> int:
         """Add the radiance of one time sample to the frame, or strip.
 
         Parameters
@@ -144,7 +144,7 @@ class DepthLayers:
             written to with border = "renormalize"; wide_t (height, width), signed R in px; uchar (height, width), where
             it is known.
         events : list
-        slabs : Slabs, optional
+        found : LayerBounds, optional
             Depth layers of the whole time sample; without, they are found first, which waits once for the device.
 
         Returns
@@ -153,21 +153,21 @@ class DepthLayers:
             Number of depth layers.
         """
         value, coc, valid = planes
-        if slabs is None:
+        if found is None:
             self.find(coc, valid, events)
-            slabs = self.labels.found()
-        if slabs.bounds:
-            self.labels.label(self.camera, slabs, coc, valid, events)
+            found = self.labels.found()
+        if found.bounds:
+            self.labels.label(self.camera, found, coc, valid, events)
             cl.enqueue_fill_buffer(self.target.session.queue, self.covered, ZERO, 0, self.covered.size)
-            for which in range(1, len(slabs.bounds) + 2):
-                self._extend(which, slabs.deep, value, coc, events)
+            for which in range(1, len(found.bounds) + 2):
+                self._extend(which, found.deep, value, coc, events)
                 self._blur(events)
         prepare_sources(self.target, self.camera, self.outer.struct, (coc, valid), self.source, events)
-        if slabs.bounds:
+        if found.bounds:
             self._keep(near_edges=False, events=events)
         # Last, since border = "renormalize" writes to value.
         self.outer.add(Sources(self.source, value), events)
-        return len(slabs.bounds) + 1
+        return len(found.bounds) + 1
 
     def _keep(self, near_edges: bool, events: Events) -> None:
         """Leave only the sources near edges, or only the others."""
@@ -177,7 +177,7 @@ class DepthLayers:
     def _extend(self, which: int, deep: int, value: cl.Buffer, coc: cl.Buffer, events: Events) -> None:
         """One depth layer with its hidden part."""
         run, number, labels = self.target.run, np.int32(which), self.labels
-        planes = (value, coc, labels.slab)
+        planes = (value, coc, labels.layer)
         width, height = _padded(self.camera)
         run("open_depth_layer", (width, height), PIXELS, events, self.camera, number, *planes, self.pyramid)
         levels = levels_of(height, width, deep, self.values + 1)

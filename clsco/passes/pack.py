@@ -19,7 +19,7 @@ from clsco.optics.psf_grid import octaves_from, sampled_steps, table_steps
 from clsco.optics.psf_tables import PsfTable
 from clsco.optics.quadrics import PlacedSurface, cutting_bounds
 from clsco.optics.texture_mapping import TextureMap, texture_spread
-from clsco.optics.visibility import Layer
+from clsco.optics.visibility import OcclusionGroup
 from clsco.records import Real, Struct, filled, structs
 from clsco.scene.model import Camera, Object
 
@@ -115,9 +115,9 @@ def light_struct(light: PlacedLight, real: Real) -> Struct:
     return filled("light_t", real, {name: value for name, value in vars(light).items() if name != "place"} | place)
 
 
-def layer_struct(layer: Layer, objects: int) -> Struct:
-    """layer_t of a layer of a scene of so many objects."""
-    return filled("layer_t", "double", vars(layer) | {"count": objects})
+def group_struct(group: OcclusionGroup, objects: int) -> Struct:
+    """group_t of an occlusion group of a scene of so many objects."""
+    return filled("group_t", "double", vars(group) | {"count": objects})
 
 
 def psf_struct(psf: PointSpread, table: PsfTable, subpixel: PsfTable | None, real: Real) -> Struct:

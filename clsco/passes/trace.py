@@ -16,10 +16,10 @@ from clsco.frame.strips import Strip
 from clsco.opencl.buffers import allocate
 from clsco.opencl.program import build
 from clsco.opencl.session import Session
-from clsco.optics.slabs import Slabs
-from clsco.optics.visibility import Layer
+from clsco.optics.depth_layers import LayerBounds
+from clsco.optics.visibility import OcclusionGroup
 from clsco.passes.blur import PIXELS, Events, Sources, Target
-from clsco.passes.pack import layer_struct
+from clsco.passes.pack import group_struct
 from clsco.passes.placed import PlacedScene, TimeSample
 from clsco.plan.buffers import STATISTICS, Sizes, hit_buffers
 from clsco.plan.plan import Plan
@@ -44,7 +44,7 @@ class HitKey(NamedTuple):
     """All that hits depend on: the group, what is cast at what, and the textures, None where their content is not
     known."""
 
-    group: Layer
+    group: OcclusionGroup
     cast: Hashable
     textures: Hashable
 
@@ -70,8 +70,8 @@ class LatestHits:
 
     def __init__(self, session: Session) -> None:
         self.session = session
-        self.buffers: dict[Layer, dict[str, cl.Buffer]] = {}
-        self.keys: dict[Layer, HitKey] = {}
+        self.buffers: dict[OcclusionGroup, dict[str, cl.Buffer]] = {}
+        self.keys: dict[OcclusionGroup, HitKey] = {}
 
     def planes(self, sizes: Sizes, key: HitKey, cast: Cast) -> HitPlanes:
         if key.group not in self.buffers:
@@ -112,7 +112,7 @@ class Work:
     events : list
         Launches that were enqueued.
     sample : TimeSample
-    group : Layer, optional
+    group : OcclusionGroup, optional
         The occlusion group that is traced and blurred.
     planes : (Buffer, Buffer, Buffer)
         An image with its radii, where there is one.
@@ -130,10 +130,10 @@ class Work:
     camera: Struct
     events: Events
     sample: TimeSample
-    group: Layer | None = None
+    group: OcclusionGroup | None = None
     planes: Planes | None = None
     sources: Sources | None = None
-    depth_layers: Mapping[float, Slabs] = field(default_factory=dict)
+    depth_layers: Mapping[float, LayerBounds] = field(default_factory=dict)
     report: dict[str, Any] = field(default_factory=dict)
     missing: NDArray[np.bool_] | None = None
 
@@ -188,7 +188,7 @@ class Tracer:
             value, depth, hit = self.hits.planes(sizes, self._key(work), cast)
             beside = (value, *self.scene.texture_maps, *exchanged) if exchanged else ()
             self._per_pixel("aim", work, *head, depth, hit, source, label, statistics, *beside)
-        hidden: dict[str, Any] = {"surfaces": sample.surfaces, "layer": head[2], "depth": depth} if occluded else {}
+        hidden: dict[str, Any] = {"surfaces": sample.surfaces, "group": head[2], "depth": depth} if occluded else {}
         work.sources = Sources(source, value, **hidden)
 
     def silhouettes(self, work: Work) -> None:
@@ -250,7 +250,7 @@ class Tracer:
     def _head(self, work: Work) -> tuple[Any, ...]:
         assert work.group is not None
         placed = work.sample
-        return work.camera, placed.surfaces, layer_struct(work.group, len(placed.placed)), self.psf
+        return work.camera, placed.surfaces, group_struct(work.group, len(placed.placed)), self.psf
 
     def _per_pixel(self, name: str, work: Work, *args: Any) -> None:
         size = (int(work.camera["width"]), int(work.camera["height"]))
@@ -258,6 +258,6 @@ class Tracer:
 
 
 def everything(plan: Plan) -> Struct:
-    """layer_t of all objects of a scene, with nothing in their way."""
+    """group_t of all objects of a scene, with nothing in their way."""
     count = len(plan.scene.objects)
-    return layer_struct(Layer((1 << count) - 1, 0), count)
+    return group_struct(OcclusionGroup((1 << count) - 1, 0), count)

@@ -29,9 +29,9 @@ from clsco.constants import (
 from clsco.frame.strips import BAND, Grid
 from clsco.inputs.mipmaps import mipmap_floats
 from clsco.inputs.textures import mapped_size
+from clsco.optics.depth_layers import bins_of, levels_of, most_deep
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_tables import rounded_span, table_sizes
-from clsco.optics.slabs import bins_of, levels_of, most_deep
 from clsco.optics.stencil import is_by_axes, is_summed, stencil_sizes
 from clsco.optics.visibility import lens_floats
 from clsco.plan.methods import MANY_RADII, BlurSpec
@@ -247,7 +247,7 @@ def layered_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
         "latest": 4 * (DISCONTINUITY_CLASSES * bins_of(spec.largest)[1] + 1),
         "source": source_bytes(pixels, spec.tilt),
         "offset": 4 * pixels,
-        "slab": pixels,
+        "layer": pixels,
         "seed": pixels,
         "hidden": pixels,
         "edge": pixels,

@@ -10,8 +10,8 @@ from math import ceil
 
 from clsco.errors import SceneError
 from clsco.frame.strips import BAND, Grid, Strip, cut
+from clsco.optics.depth_layers import margin_of_layers
 from clsco.optics.psf_grid import table_reach
-from clsco.optics.slabs import margin_of_slabs
 from clsco.plan.buffers import (
     UNKNOWN,
     DeviceFacts,
@@ -94,7 +94,7 @@ def buffer_bytes(plan: Plan) -> Sizes:
 def defocus_strips(spec: BlurSpec, rows: int, guard: int, tallest: int) -> tuple[Strip, ...]:
     """Strips of `clsco.defocus` of an image of so many rows."""
     psf, largest = spec.psf, spec.largest
-    reach, step = margin_of_slabs(psf, largest) if spec.layered else (table_reach(psf, largest) + 2, 1)
+    reach, step = margin_of_layers(psf, largest) if spec.layered else (table_reach(psf, largest) + 2, 1)
     return cut(rows, tallest, guard, reach, step)
 
 
@@ -109,7 +109,7 @@ def defocus_bytes(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> dict[str, 
 
 def hit_bytes(plan: Plan) -> int:
     """Planes of `clsco.passes.trace.Hits`, which lenses share."""
-    return len(plan.layers) * sum(hit_buffers(plan.grid, plan.mapped > 0).values())
+    return len(plan.groups) * sum(hit_buffers(plan.grid, plan.mapped > 0).values())
 
 
 def device_bytes(plan: Plan, views: int = 1) -> int:

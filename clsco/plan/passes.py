@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from clsco.optics.visibility import Layer
+from clsco.optics.visibility import OcclusionGroup
 from clsco.plan.buffers import Sizes
 
 Parameters = tuple[tuple[str, str], ...]
@@ -32,11 +32,11 @@ class Pass:
         Parameters of the pass, for reports.
     buffers : dict
         Bytes of its buffers on the device by their names; one name is one buffer in all passes.
-    group : Layer, optional
+    group : OcclusionGroup, optional
         The occlusion group that it is for.
     """
 
     kind: Kind
     parameters: Parameters
     buffers: Sizes
-    group: Layer | None = None
+    group: OcclusionGroup | None = None

@@ -19,15 +19,15 @@ from clsco.errors import SceneError
 from clsco.frame.frame import MAPPING_NAMES, MOTION_NAMES, STEREO_NAMES, TRUTH_NAMES
 from clsco.frame.strips import Grid, Strip, cut
 from clsco.inputs.pupils import scene_point_spread
+from clsco.optics.depth_layers import margin_of_layers
 from clsco.optics.exposure import sequence_times
 from clsco.optics.lens import LARGEST_BLUR, blur_radius
 from clsco.optics.motion import Eye, Pose, poses_at
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_grid import table_reach
 from clsco.optics.psf_tables import check_tables, psf_features
-from clsco.optics.slabs import margin_of_slabs
 from clsco.optics.texture_mapping import needs_detail
-from clsco.optics.visibility import Layer, extent, is_hollow, layers
+from clsco.optics.visibility import OcclusionGroup, extent, is_hollow, occlusion_groups
 from clsco.plan.buffers import (
     STATISTICS,
     TRUTH_BUFFERS,
@@ -107,7 +107,7 @@ class Plan:
         Pixels of the reference pose are moved; they are taken as they are; anything moves.
     occlusion : Occlusion
         As it is done.
-    layers : tuple of Layer
+    groups : tuple of OcclusionGroup
         Occlusion groups, which are spread one after the other.
     truth : tuple of str
         Outputs besides color and alpha.
@@ -141,7 +141,7 @@ class Plan:
     static_map: bool
     moves: bool
     occlusion: Occlusion
-    layers: tuple[Layer, ...]
+    groups: tuple[OcclusionGroup, ...]
     truth: tuple[str, ...]
     taps: float
     strip_rows: int = 0
@@ -175,7 +175,7 @@ class Plan:
     def strips(self) -> tuple[Strip, ...]:
         """The strips that the frame is made in, one after the other; the first one is the tallest."""
         layered = self.occlusion == "layered"
-        reach, step = margin_of_slabs(self.psf, self.largest_blur) if layered else (self.reach_px, 1)
+        reach, step = margin_of_layers(self.psf, self.largest_blur) if layered else (self.reach_px, 1)
         return cut(self.rows, self.strip_rows or self.rows, self.guard_px, reach, step)
 
     @property
@@ -186,7 +186,7 @@ class Plan:
     @cached_property
     def spec(self) -> BlurSpec:
         """Specification of the blur."""
-        room = occluder_room(max(layer.occluders.bit_count() for layer in self.layers))
+        room = occluder_room(max(group.occluders.bit_count() for group in self.groups))
         return BlurSpec(
             self.psf, self.blur, self.smallest_blur, self.largest_blur, self.silhouettes, self.tilt,
             occluders=room, limited=room > 0 and self._shapes["NAPPE"] > 0, border=self.scene.psf.border,
@@ -269,17 +269,17 @@ def _hides_nothing(scene: Scene) -> bool:
 
 def _occlusion(
     scene: Scene, psf: PointSpread, rays: bool, sharp: bool, poses_at_times: list[tuple[Pose, ...]], w: Array
-) -> tuple[Occlusion, tuple[Layer, ...]]:
+) -> tuple[Occlusion, tuple[OcclusionGroup, ...]]:
     """Choose how occlusion is computed, and the occlusion groups that follow."""
-    together = (Layer((1 << len(scene.objects)) - 1, 0),)
+    together = (OcclusionGroup((1 << len(scene.objects)) - 1, 0),)
     wanted = scene.psf.occlusion
     if wanted == "none" or sharp or _hides_nothing(scene):
         return "none", together
     if wanted == "layered" or not rays:
         return "layered", together
     extents = [extent(item, [poses[k] for poses in poses_at_times], w[k]) for k, item in enumerate(scene.objects)]
-    found = layers(scene.objects, extents, scene.camera, psf)
-    return ("visibility", found) if any(layer.occluders for layer in found) else ("none", together)
+    found = occlusion_groups(scene.objects, extents, scene.camera, psf)
+    return ("visibility", found) if any(group.occluders for group in found) else ("none", together)
 
 
 def make_plan(
@@ -338,16 +338,16 @@ def make_plan(
     poses_at_times = [poses_at(scene, time, eye) for time in sequence_times(scene)]
     smallest, largest, each, guard = _blur_range(scene, psf, eye, poses_at_times, maps)
     w = each.max(axis=0)
-    slabs = asked.occlusion == "layered" and not _hides_nothing(scene)
+    layered = asked.occlusion == "layered" and not _hides_nothing(scene)
     rays = not (forward or static)
-    silhouettes = asked.silhouette_samples if asked.silhouette_samples > 1 and rays and not slabs else 0
+    silhouettes = asked.silhouette_samples if asked.silhouette_samples > 1 and rays and not layered else 0
     if silhouettes and _fills_view(scene, w) and not needs_detail(scene, psf, largest):
         silhouettes = 0
     constant = _constant_blur(scene) and not silhouettes and can_convolve(psf, asked.border)
     sharp = psf.is_sharp(largest) and not silhouettes
     check_shape(psf, method)
     occlusion, found = _occlusion(scene, psf, rays, sharp, poses_at_times, each)
-    occluded = any(layer.occluders for layer in found)
+    occluded = any(group.occluders for group in found)
     blur = choose_blur(method, sharp, constant, gpu, occluded)
     seen = np.abs(blur_radius(scene.camera, w[w > 0]))
     if blur == "convolve":
@@ -396,7 +396,7 @@ def _image_passes(plan: Plan) -> Iterator[Pass]:
     if rays and layered:
         yield Pass("pinhole", _of_rays(plan), map_buffers(grid) | _of_scene(plan))
     if rays and not layered:
-        for group in plan.layers:
+        for group in plan.groups:
             yield from _group_passes(plan, group)
     elif layered:
         sizes = _named("depth layer", layered_buffers(spec, grid, plan.device))
@@ -419,7 +419,7 @@ def _truth_pass(plan: Plan) -> Pass:
     return Pass("ground truth", (("outputs", ", ".join(plan.truth)),), sizes)
 
 
-def _group_passes(plan: Plan, group: Layer) -> Iterator[Pass]:
+def _group_passes(plan: Plan, group: OcclusionGroup) -> Iterator[Pass]:
     """The passes of one occlusion group."""
     spec, grid = plan.spec, plan.grid
     yield Pass("trace", _of_rays(plan), trace_buffers(spec, grid) | _of_scene(plan), group)
@@ -431,7 +431,7 @@ def _group_passes(plan: Plan, group: Layer) -> Iterator[Pass]:
     yield _blur_pass(plan, group)
 
 
-def _blur_pass(plan: Plan, group: Layer | None = None) -> Pass:
+def _blur_pass(plan: Plan, group: OcclusionGroup | None = None) -> Pass:
     return Pass("accumulate" if plan.blur == "none" else "blur", _of_blur(plan), _blur_sizes(plan), group)
 
 
@@ -467,7 +467,7 @@ def _of_frame(plan: Plan) -> Parameters:
 
 
 def _of_blur(plan: Plan) -> Parameters:
-    groups = len(plan.layers)
+    groups = len(plan.groups)
     if plan.blur == "none":
         return (("radiance", "every pixel keeps its own"),)
     how = HOW[plan.blur]

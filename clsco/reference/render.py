@@ -20,7 +20,7 @@ from clsco.optics.motion import Eye, Pose, poses_at, rest_poses
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import PlacedSurface, place
 from clsco.optics.texture_mapping import texture_map
-from clsco.optics.visibility import Layer
+from clsco.optics.visibility import OcclusionGroup
 from clsco.plan.plan import Plan, make_plan
 from clsco.plan.predict import Maps
 from clsco.reference.blur.accumulate import accumulate
@@ -47,10 +47,12 @@ from clsco.reference.warp.warp import extend_border, fill_entered, reproject
 from clsco.scene.model import Object, Scene
 
 
-def _cast_sources(view: View, layer: Layer, guard: int, detail: bool) -> tuple[Sources, SubpixelSources | None]:
+def _cast_sources(
+    view: View, group: OcclusionGroup, guard: int, detail: bool
+) -> tuple[Sources, SubpixelSources | None]:
     """Sources of one occlusion group from rays cast at its objects: the inverse warp, and every static scene. detail:
     with sub-pixel sources where textures need them."""
-    sources = trace(view, layer, guard)
+    sources = trace(view, group, guard)
     spread = spread_sources(sources) if view.scene.psf.tilt else sources
     if view.scene.psf.silhouette_samples == 1:
         return spread, None
@@ -58,7 +60,7 @@ def _cast_sources(view: View, layer: Layer, guard: int, detail: bool) -> tuple[S
     if not detail:
         sources = replace(sources, parts=None)
     several = marked if sources.parts is None else marked | (sources.parts > 0)
-    finer = trace_subpixels(view, layer, guard, marked, sources) if several.any() else None
+    finer = trace_subpixels(view, group, guard, marked, sources) if several.any() else None
     return sharpen(spread, several) if detail else spread, finer
 
 
@@ -119,7 +121,7 @@ def _image_of_planes(plan: Plan, sources: Sources) -> tuple[Array, dict[str, int
         return scatter(plan.spec, sources, None, shape, plan.guard_px), {}
     planes = (sources.radiance, sources.radius, sources.lit)
     image, count = layered(plan.spec, *planes, shape, plan.guard_px)
-    return image, {"slabs": count}
+    return image, {"depth_layers": count}
 
 
 def _without_channel(image: Array) -> Any:
@@ -193,12 +195,12 @@ def _time_sample(
         return image, _crop(warped.status, guard) > 0, asdict(warped.report) | count
     view = view_at(scene, textures, time, plan.eye, plan.moves or plan.eye_moved, plan.psf)
     if plan.occlusion == "layered":
-        visible = trace(view, plan.layers[0], guard)
+        visible = trace(view, plan.groups[0], guard)
         image, count = _image_of_planes(plan, visible)
         return image, none, asdict(FillReport()) | count
     image = np.zeros((*shape, plan.channels))
-    for layer in plan.layers:
-        sources, sub = _cast_sources(view, layer, guard, plan.silhouettes > 0)
+    for group in plan.groups:
+        sources, sub = _cast_sources(view, group, guard, plan.silhouettes > 0)
         image = image + scatter(plan.spec, sources, sub, shape, guard)
     return image, none, asdict(FillReport())
 

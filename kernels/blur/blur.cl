@@ -88,7 +88,7 @@ __kernel void scatter(const camera_t camera, const psf_t psf, __global const flo
             visibility_t seen;
             const visibility_t *visibility = as_int(p.w) == PARTLY_OCCLUDED ? &seen : 0;
             if (visibility)
-                source_visibility(camera, surfaces, layer, psf, lens, camera.top + row + spread.oy, column + spread.ox,
+                source_visibility(camera, surfaces, group, psf, lens, camera.top + row + spread.oy, column + spread.ox,
                                   sub_depth[id], spread, p, (real)1 / SUBPIXELS, &seen);
 #endif
             for (int k = 0; k < CHANNELS; ++k)
@@ -105,7 +105,7 @@ __kernel void scatter(const camera_t camera, const psf_t psf, __global const flo
     visibility_t seen;
     const visibility_t *visibility = as_int(s.w) == PARTLY_OCCLUDED ? &seen : 0;
     if (visibility)
-        source_visibility(camera, surfaces, layer, psf, lens, camera.top + row, column, depth[at], spread, s, (real)1,
+        source_visibility(camera, surfaces, group, psf, lens, camera.top + row, column, depth[at], spread, s, (real)1,
                           &seen);
 #endif
     for (int k = 0; k < CHANNELS; ++k)

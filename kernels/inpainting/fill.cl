@@ -36,7 +36,7 @@ static bool in_frame(const camera_t camera, int x, int y)
 static bool may_be_missing(const camera_t camera, __constant surface_t *surfaces, int count, int x, int y)
 {
 #if DOMAIN_SURFACE
-    const layer_t everything = {~(ulong)0, 0, count, -1, 0};
+    const group_t everything = {~(ulong)0, 0, count, -1, 0};
     const wide3_t ray = pixel_ray(camera, widened(y - camera.guard), widened(x - camera.guard));
     uchar label;
     int object;

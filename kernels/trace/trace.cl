@@ -17,7 +17,7 @@
 
 // Record of a hit, as the lens takes it; below 0 where none of its radiance reaches the lens. subpixel: the source
 // is one of SUBPIXELS^2. In and out: label, statistics.
-static float4 source_record(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const psf_t psf,
+static float4 source_record(const camera_t camera, __constant surface_t *surfaces, const group_t group, const psf_t psf,
                             wide3_t ray, wide_t w, int subpixel, uchar *label, __global int *statistics)
 {
     float4 record = (float4)(-1, 0, 0, as_float(WHOLE));
@@ -35,7 +35,7 @@ static float4 source_record(const camera_t camera, __constant surface_t *surface
 #if OCCLUDED
     bool edge;
     const lens_t lens = lens_of(radius, psf.lens_extent, subpixel ? (real)1 / SUBPIXELS : 1, tilt);
-    const int seen = check_visibility(camera, surfaces, layer, ray, w, lens, 0, &edge);
+    const int seen = check_visibility(camera, surfaces, group, ray, w, lens, 0, &edge);
     *label |= edge << 7;
     if (seen == HIDDEN)
         return record;
@@ -92,9 +92,9 @@ static float4 with_detail(const camera_t camera, __constant texture_map_t *maps,
 }
 #endif
 
-// One source per pixel of frame and apron, on the nearest object of the occlusion group `layer`. Out: source, value,
+// One source per pixel of frame and apron, on the nearest object of occlusion group `group`. Out: source, value,
 // label, statistics, depth.
-__kernel void trace(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const psf_t psf,
+__kernel void trace(const camera_t camera, __constant surface_t *surfaces, const group_t group, const psf_t psf,
                     const float weight, __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global float *source,
                     __global float *value, __global uchar *label, __global int *statistics
 #if OCCLUDED
@@ -112,11 +112,11 @@ __kernel void trace(const camera_t camera, __constant surface_t *surfaces, const
     const wide3_t ray = pixel_ray(camera, widened(row), widened(column));
     uchar root;
     int object;
-    const wide_t w = nearest_surface(surfaces, layer, ray, &root, &object);
+    const wide_t w = nearest_surface(surfaces, group, ray, &root, &object);
     const float texels = take_radiance(camera, surfaces, ray, w, root, row, column, 1, weight,
                                        texture TEXTURE_MAPS LIGHT, value + at, camera.height * camera.width);
     const uchar hit = root;
-    float4 record = source_record(camera, surfaces, layer, psf, ray, w, 0, &root, statistics);
+    float4 record = source_record(camera, surfaces, group, psf, ray, w, 0, &root, statistics);
 #if TEXTURED && SUBPIXELS
     record = with_detail(camera, maps, record, w, hit, texels, share + at);
 #endif
@@ -132,7 +132,7 @@ __kernel void trace(const camera_t camera, __constant surface_t *surfaces, const
 // The part of trace that all lenses have in common. Out: value, depth, and hit uchar (height, width), the label before
 // any visibility test. With textures on surfaces value has a plane more, of texels per pixel as `surface_texture` gives
 // them.
-__kernel void cast(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const float weight,
+__kernel void cast(const camera_t camera, __constant surface_t *surfaces, const group_t group, const float weight,
                    __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global float *value,
                    __global wide_t *depth, __global uchar *hit)
 {
@@ -143,7 +143,7 @@ __kernel void cast(const camera_t camera, __constant surface_t *surfaces, const 
     const wide3_t ray = pixel_ray(camera, widened(row), widened(column));
     uchar root;
     int object;
-    depth[at] = nearest_surface(surfaces, layer, ray, &root, &object);
+    depth[at] = nearest_surface(surfaces, group, ray, &root, &object);
     hit[at] = root;
     const int plane = camera.height * camera.width;
     const float texels = take_radiance(camera, surfaces, ray, depth[at], root, row, column, 1, weight,
@@ -155,7 +155,7 @@ __kernel void cast(const camera_t camera, __constant surface_t *surfaces, const 
 
 // The rest of it, for one lens. In: depth, hit, and with textures on surfaces value, as `cast` leaves them. Out:
 // source, label, statistics, and with these textures share.
-__kernel void aim(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const psf_t psf,
+__kernel void aim(const camera_t camera, __constant surface_t *surfaces, const group_t group, const psf_t psf,
                   __global const wide_t *depth, __global const uchar *hit, __global float *source,
                   __global uchar *label, __global int *statistics
 #if TEXTURED && SUBPIXELS
@@ -169,7 +169,7 @@ __kernel void aim(const camera_t camera, __constant surface_t *surfaces, const l
     const int at = y * camera.width + x;
     const wide3_t ray = pixel_ray(camera, widened(FRAME_ROW(camera, y)), widened(x - camera.guard));
     uchar root = hit[at];
-    float4 record = source_record(camera, surfaces, layer, psf, ray, depth[at], 0, &root, statistics);
+    float4 record = source_record(camera, surfaces, group, psf, ray, depth[at], 0, &root, statistics);
 #if TEXTURED && SUBPIXELS
     const float texels = value[CHANNELS * camera.height * camera.width + at];
     record = with_detail(camera, maps, record, depth[at], hit[at], texels, share + at);
@@ -223,7 +223,7 @@ __kernel void mark_silhouettes(const camera_t camera, __global const uchar *labe
 // SUBPIXELS x SUBPIXELS point sources of every marked pixel. Out, per slot and sub-pixel in row-major order: sub_source
 // float4 (coordinate, tilt right, tilt down, WHOLE or PARTLY_OCCLUDED), sub_value float (CHANNELS, slots, SUBPIXELS^2),
 // sub_label uchar, the label before any visibility test, sub_depth wide_t.
-__kernel void trace_subpixels(const camera_t camera, __constant surface_t *surfaces, const layer_t layer,
+__kernel void trace_subpixels(const camera_t camera, __constant surface_t *surfaces, const group_t group,
                               const psf_t psf, const float weight,
                               __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
                               __global const int *pixels, const int capacity, __global float4 *sub_source,
@@ -245,11 +245,11 @@ __kernel void trace_subpixels(const camera_t camera, __constant surface_t *surfa
     const wide3_t ray = pixel_ray(camera, wide_add(widened(row), down), wide_add(widened(column), right));
     uchar root;
     int object;
-    const wide_t w = nearest_surface(surfaces, layer, ray, &root, &object);
+    const wide_t w = nearest_surface(surfaces, group, ray, &root, &object);
     sub_label[id] = root;
     take_radiance(camera, surfaces, ray, w, root, row, column, SUBPIXELS, weight / each, texture TEXTURE_MAPS LIGHT,
                   sub_value + id, capacity * each);
-    sub_source[id] = source_record(camera, surfaces, layer, psf, ray, w, 1, &root, statistics);
+    sub_source[id] = source_record(camera, surfaces, group, psf, ray, w, 1, &root, statistics);
 #if OCCLUDED
     sub_depth[id] = w;
 #endif
@@ -257,7 +257,7 @@ __kernel void trace_subpixels(const camera_t camera, __constant surface_t *surfa
 
 // Coverage of these sources where an outline is beside them, see outline.clh. In: marks of source, sub_label. In and
 // out: sub_source, sub_value.
-__kernel void cover_outlines(const camera_t camera, __constant surface_t *surfaces, const layer_t layer,
+__kernel void cover_outlines(const camera_t camera, __constant surface_t *surfaces, const group_t group,
                              const psf_t psf, const float weight,
                              __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
                              __global const int *pixels, const int capacity, __global float *source,
@@ -289,7 +289,7 @@ __kernel void cover_outlines(const camera_t camera, __constant surface_t *surfac
         const wide_t aside = widened((j + (real)0.5 + right) / SUBPIXELS - (real)0.5);
         const wide3_t ray = pixel_ray(camera, wide_add(widened(row), below), wide_add(widened(column), aside));
         int object;
-        const wide_t w = nearest_surface(surfaces, layer, ray, &there, &object);
+        const wide_t w = nearest_surface(surfaces, group, ray, &there, &object);
         if (there != own) {
             // Beside a corner.
             for (int c = 0; c < CHANNELS; ++c)
@@ -312,7 +312,7 @@ __kernel void cover_outlines(const camera_t camera, __constant surface_t *surfac
         const real size = narrow(blur_radius(camera, sub_depth[id]));
         const lens_t lens = lens_of(size, psf.lens_extent, (real)1 / SUBPIXELS, record.yz);
         bool edge;
-        const int seen = check_visibility(camera, surfaces, layer, middle, sub_depth[id], lens, 0, &edge);
+        const int seen = check_visibility(camera, surfaces, group, middle, sub_depth[id], lens, 0, &edge);
         record = seen == HIDDEN ? (float4)(-1, 0, 0, record.w) : record;
         record.w = as_float(seen == PARTLY ? PARTLY_OCCLUDED : WHOLE);
 #endif
@@ -324,7 +324,7 @@ __kernel void cover_outlines(const camera_t camera, __constant surface_t *surfac
 
 #if TEXTURED
 // The same of the pixels that are marked for their textures alone, see detail.clh.
-__kernel void trace_detail(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const psf_t psf,
+__kernel void trace_detail(const camera_t camera, __constant surface_t *surfaces, const group_t group, const psf_t psf,
                            const float weight, __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
                            __global const int *pixels, const int capacity, __global float4 *sub_source,
                            __global float *sub_value, __global int *statistics
@@ -341,7 +341,7 @@ __kernel void trace_detail(const camera_t camera, __constant surface_t *surfaces
     const wide3_t ray = pixel_ray(camera, widened(row), widened(column));
     uchar root;
     int object;
-    const wide_t w = nearest_surface(surfaces, layer, ray, &root, &object);
+    const wide_t w = nearest_surface(surfaces, group, ray, &root, &object);
     const wide_t whole_radius = blur_radius(camera, w);
     const real2 slope = surface_slope(surfaces + object, ray, w);
     const real2 gradient = blur_gradient(camera, slope);
@@ -351,7 +351,7 @@ __kernel void trace_detail(const camera_t camera, __constant surface_t *surfaces
     real spread;
     const float2 tilt = TILT ? pixel_tilt(gradient, middle, &spread) : (float2)(0, 0);
     const lens_t lens = lens_of(middle, psf.lens_extent, 1, tilt);
-    const bool partly = check_visibility(camera, surfaces, layer, ray, w, lens, 0, &edge) == PARTLY;
+    const bool partly = check_visibility(camera, surfaces, group, ray, w, lens, 0, &edge) == PARTLY;
 #endif
     float values[FINE_PARTS * FINE_PARTS * CHANNELS];
     detailed_texture(texture, surfaces + object, maps + object, camera, ray, w, narrow(whole_radius), fine, values);
@@ -372,7 +372,7 @@ __kernel void trace_detail(const camera_t camera, __constant surface_t *surfaces
             const wide3_t towards = pixel_ray(camera, wide_add(widened(row), widened(down)),
                                               wide_add(widened(column), widened(right)));
             const lens_t own = lens_of(narrow(radius), psf.lens_extent, (real)1 / SUBPIXELS, record.yz);
-            const int seen = check_visibility(camera, surfaces, layer, towards, sub_depth[id], own, 0, &edge);
+            const int seen = check_visibility(camera, surfaces, group, towards, sub_depth[id], own, 0, &edge);
             record.x = seen == HIDDEN ? -1 : record.x;
             record.w = as_float(seen == PARTLY ? PARTLY_OCCLUDED : WHOLE);
         }
@@ -416,9 +416,9 @@ __kernel void sharpen(const camera_t camera, __global const float *value, __glob
 #endif
 #endif
 
-// The pinhole image of the occlusion group `layer`, for `layered` occlusion. Out: value as in trace; coc wide_t, signed
+// The pinhole image of occlusion group `group`, for `layered` occlusion. Out: value as in trace; coc wide_t, signed
 // R in px, and valid uchar, (height, width); statistics.
-__kernel void pinhole(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const float weight,
+__kernel void pinhole(const camera_t camera, __constant surface_t *surfaces, const group_t group, const float weight,
                       __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global float *value,
                       __global wide_t *coc, __global uchar *valid, __global int *statistics)
 {
@@ -429,7 +429,7 @@ __kernel void pinhole(const camera_t camera, __constant surface_t *surfaces, con
     const wide3_t ray = pixel_ray(camera, widened(row), widened(column));
     uchar root;
     int object;
-    const wide_t w = nearest_surface(surfaces, layer, ray, &root, &object);
+    const wide_t w = nearest_surface(surfaces, group, ray, &root, &object);
     take_radiance(camera, surfaces, ray, w, root, row, column, 1, weight, texture TEXTURE_MAPS LIGHT, value + at,
                   camera.height * camera.width);
     const wide_t none = widened(0);

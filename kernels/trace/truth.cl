@@ -25,12 +25,12 @@ static bool covered(wide_t seen, wide_t ratio, wide_t w)
 }
 
 // True if a point at inverse depth w is not visible in the pixel `there`, between other surfaces.
-static bool occluded_among(__constant surface_t *surfaces, const camera_t camera, const layer_t layer, wide3_t there,
+static bool occluded_among(__constant surface_t *surfaces, const camera_t camera, const group_t group, wide3_t there,
                            wide_t w)
 {
     uchar any;
     int nearest;
-    const wide_t seen = nearest_surface(surfaces, layer, pixel_ray(camera, there.y, there.x), &any, &nearest);
+    const wide_t seen = nearest_surface(surfaces, group, pixel_ray(camera, there.y, there.x), &any, &nearest);
     return outside_frame(camera, there) || covered(seen, there.z, w);
 }
 
@@ -43,7 +43,7 @@ static bool occluded_among(__constant surface_t *surfaces, const camera_t camera
 // frame of the other view, in poses `there`, and `following` those in the next frame; to_left: 1 for the right view, -1
 // for the left one.
 __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces, __constant surface_t *still,
-                           __constant pose_t *next, const layer_t layer,
+                           __constant pose_t *next, const group_t group,
                            __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
                            __constant surface_t *opposite, __constant pose_t *there, const int to_left,
                            __constant pose_t *previous, __constant surface_t *following,
@@ -59,7 +59,7 @@ __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces
     const wide3_t ray = pixel_ray(camera, widened(row), widened(column));
     uchar root;
     int object;
-    const wide_t w = nearest_surface(surfaces, layer, ray, &root, &object);
+    const wide_t w = nearest_surface(surfaces, group, ray, &root, &object);
     __constant surface_t *surface = surfaces + MAX(object, 0);
     mask[at] = root != 0;
     bool is_mapped = false;  // the texture lies on the surface
@@ -124,7 +124,7 @@ __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces
             disparity[at] = root && narrow(other.z) > 0 ? (float)(to_left * narrow(wide_sub(other.x, widened(column))))
                                                         : 0;
         if (occluded)
-            occluded[at] = root ? occluded_among(opposite, camera, layer, other, w) : 0;
+            occluded[at] = root ? occluded_among(opposite, camera, group, other, w) : 0;
     }
     if (flow_backward) {
         const wide3_t earlier = moved_pixel(surface, camera, previous + MAX(object, 0), ray, w);
@@ -134,6 +134,6 @@ __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces
     }
     if (flow_occluded) {
         const wide3_t later = moved_pixel(surface, camera, next + MAX(object, 0), ray, w);
-        flow_occluded[at] = root ? occluded_among(following, camera, layer, later, w) : 0;
+        flow_occluded[at] = root ? occluded_among(following, camera, group, later, w) : 0;
     }
 }

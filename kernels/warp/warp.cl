@@ -64,9 +64,9 @@ __kernel void reproject_rest(const camera_t camera, __constant surface_t *surfac
         nearest = nearer ? w : nearest;
     }
 #else
-    const layer_t layer = {members, 0, count, -1, 0};
+    const group_t group = {members, 0, count, -1, 0};
     uchar label;
-    nearest = nearest_surface(surfaces, layer, ray, &label, &whose);
+    nearest = nearest_surface(surfaces, group, ray, &label, &whose);
 #endif
     rest[at] = nearest;
 #if SEVERAL

@@ -94,8 +94,8 @@ def whole(plan: Plan) -> tuple[int, int]:
     """Pixels near silhouettes, and sources that are hidden in part, of all groups, counted by the reference."""
     textures = (np.zeros((plan.rows, plan.columns, 1)),) * len(plan.scene.objects)
     near = hidden = 0
-    for layer in plan.layers:
-        sources = trace(view_at(plan.scene, textures, 0.0, "left", False), layer, plan.guard_px)
+    for group in plan.groups:
+        sources = trace(view_at(plan.scene, textures, 0.0, "left", False), group, plan.guard_px)
         near += int(mark_silhouettes(sources.label).sum())
         hidden += 0 if sources.visibility is None else int((sources.visibility.row >= 0).sum())
     return near, hidden

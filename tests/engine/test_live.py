@@ -100,7 +100,7 @@ def test_a_lens_casts_no_rays_again(live: Live, monkeypatch: pytest.MonkeyPatch)
     for distance in (250.0, 265.0, 300.0):
         assert cast(scene.replace("camera.focus_distance", distance)) == 0
     moved = scene.replace("object[0].motion.velocity", (40.0, 0.0, 0.0))
-    groups = len(prepare(scene).plan.layers)
+    groups = len(prepare(scene).plan.groups)
     assert 0 < cast(moved) <= first
     assert groups == 1 or cast(scene.replace("object[0].motion.velocity", (20.0, 0.0, 0.0))) < first
     assert cast(scene.replace("object[0].texture", "slanted_edge")) > 0

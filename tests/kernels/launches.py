@@ -22,7 +22,7 @@ from clsco.resources import folder
 Array = NDArray[Any]
 AROUND = 4096  # numbers before and after those of a plane
 DEFAULTS: dict[str, Any] = {
-    "group": 0, "start": 0, "budget": cl.cltypes.make_int2(0, 0), "position": None,  # type: ignore[attr-defined]
+    "part_rows": 0, "start": 0, "budget": cl.cltypes.make_int2(0, 0), "position": None,  # type: ignore[attr-defined]
 }  # fmt: skip
 
 

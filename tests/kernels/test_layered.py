@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from clsco.frame.strips import Grid, frame_struct
 from clsco.opencl.buffers import download, empty, upload
 from clsco.opencl.session import Session
-from clsco.optics import slabs
+from clsco.optics import depth_layers
 from clsco.optics.point_spread import point_spread
 from clsco.passes.blur import Events, blur_target
 from clsco.passes.blur import Sources as Light
@@ -29,7 +29,7 @@ from tests.spreads import spec_of
 Array = NDArray[Any]
 RNG = np.random.default_rng
 # Float32 rounds some 200 terms, and the tables of weights are off by a little (tests/kernels/test_blur.py: together
-# 2e-6); the share of a slab doubles that where its coverage is divided by itself, once per slab that was before.
+# 2e-6); the share of a layer doubles that where its coverage is divided by itself, once per layer that was before.
 FIGURE = 1e-5
 
 
@@ -87,7 +87,7 @@ class Device:
         self.coc, self.valid = upload(session, in_parts(view.coc, real)), upload(session, view.valid.astype(np.uint8))
 
     def image(self, moments: int = 1) -> tuple[Array, int]:
-        """The frame (rows, columns, channels) of equal moments, and the number of slabs of each."""
+        """The frame (rows, columns, channels) of equal moments, and the number of layers of each."""
         light = flat(self.view.radiance / moments, np.float32)
         value = empty(self.session, light.nbytes)
         events: Events = []
@@ -129,8 +129,8 @@ def test_frames(session: Session, name: str) -> None:
     expected, count = view.expected()
     assert count > 1
     assert np.abs(expected - view.plain()).max() > 0.05
-    found, slabs = Device(session, view).image()
-    assert slabs == count
+    found, layers = Device(session, view).image()
+    assert layers == count
     # A source in a corner keeps a quarter of its light: its error grows as its light does.
     assert_close(found, expected, FIGURE * (4 if name == "renormalized" else 1))
 
@@ -147,15 +147,15 @@ def test_labels_are_those_of_the_twin(session: Session) -> None:
     device.layers.find(device.coc, device.valid, [])
     found = download(session, device.layers.labels.latest, (latest.size + 1,), np.int32)
     np.testing.assert_array_equal(found, [*latest.ravel(), largest_sum])
-    slab = twin.label_depth_layers(view.coc, view.valid, low, bins, twin.slab_bounds(latest))
-    seed = twin.seed_hidden(view.coc, slab)
+    layer = twin.label_depth_layers(view.coc, view.valid, low, bins, twin.layer_bounds(latest))
+    seed = twin.seed_hidden(view.coc, layer)
     offset = twin.column_seeds(seed)
-    hidden, edge = twin.reach_hidden(slab, seed, offset, twin.depth_of_hidden(point_spread(view.psf), largest_sum))
-    assert count == slab.max() > 3
+    hidden, edge = twin.reach_hidden(layer, seed, offset, twin.depth_of_hidden(point_spread(view.psf), largest_sum))
+    assert count == layer.max() > 3
     assert (hidden > 0).any()
     assert not edge.all()
     for name, dtype, expected in (
-        ("slab", np.uint8, slab), ("seed", np.uint8, seed), ("offset", np.int32, offset),
+        ("layer", np.uint8, layer), ("seed", np.uint8, seed), ("offset", np.int32, offset),
         ("hidden", np.uint8, hidden), ("edge", np.bool_, edge),
     ):  # fmt: skip
         np.testing.assert_array_equal(device.read(name, dtype), expected, err_msg=name)
@@ -167,9 +167,9 @@ def test_seeds_of_frames_taller_than_any_blur(session: Session) -> None:
     view.coc[20:50, 1], view.coc[33000, 0] = -2.0, 5.0
     device = Device(session, view)
     _, count = device.image()
-    slab = np.where(view.coc < 0, 1, np.where(view.coc < 3, 2, 3)).astype(np.uint8)
-    np.testing.assert_array_equal(device.read("slab", np.uint8), slab)
-    seed = twin.seed_hidden(view.coc, slab)
+    layer = np.where(view.coc < 0, 1, np.where(view.coc < 3, 2, 3)).astype(np.uint8)
+    np.testing.assert_array_equal(device.read("layer", np.uint8), layer)
+    seed = twin.seed_hidden(view.coc, layer)
     offset = twin.column_seeds(seed)
     assert count == 3
     assert (offset == twin.NO_SEED).any(axis=0).all()
@@ -177,24 +177,24 @@ def test_seeds_of_frames_taller_than_any_blur(session: Session) -> None:
     np.testing.assert_array_equal(device.read("seed", np.uint8), seed)
     np.testing.assert_array_equal(device.read("offset", np.int32), offset)
     deep = twin.depth_of_hidden(point_spread(view.psf), 7)
-    hidden, edge = twin.reach_hidden(slab, seed, offset, deep)
+    hidden, edge = twin.reach_hidden(layer, seed, offset, deep)
     np.testing.assert_array_equal(device.read("hidden", np.uint8), hidden)
     np.testing.assert_array_equal(device.read("edge", np.bool_), edge)
     assert edge[32000:34000].any()
     assert not edge[32700:32800].any()
 
 
-def test_the_last_slab_is_extended_as_by_the_twin(session: Session) -> None:
+def test_the_last_layer_is_extended_as_by_the_twin(session: Session) -> None:
     view = View((-4.2, 3.9), shape=(37, 52), channels=3)
     device = Device(session, view)
     device.image()
-    slab, hidden = device.read("slab", np.uint8), device.read("hidden", np.uint8)
+    layer, hidden = device.read("layer", np.uint8), device.read("hidden", np.uint8)
     _, largest_sum = twin.find_discontinuities(
         view.coc, view.valid, *twin.bins_of(4.5), 2 * point_spread(view.psf).reach(view.largest) + 1
     )
     deep = twin.depth_of_hidden(point_spread(view.psf), largest_sum)
-    value, radius, there = twin.extend_slab(view.radiance, view.coc, slab, hidden, int(slab.max()), deep)
-    assert [twin.level_count(n) for n in range(1, 99)] == [slabs.level_count(n) for n in range(1, 99)]
+    value, radius, there = twin.extend_depth_layer(view.radiance, view.coc, layer, hidden, int(layer.max()), deep)
+    assert [twin.level_count(n) for n in range(1, 99)] == [depth_layers.level_count(n) for n in range(1, 99)]
     size = view.coc.shape
     found = np.moveaxis(download(session, device.layers.value, (4, *size), np.float32), 0, -1)
     # A mean of means, each of 16 terms: a few roundings of 2^-24 of values up to 4.
@@ -205,18 +205,22 @@ def test_the_last_slab_is_extended_as_by_the_twin(session: Session) -> None:
 
 def test_bounds_of_the_host_are_those_of_the_twin() -> None:
     rng = RNG(12)
-    assert (slabs.MOST_SLABS, slabs.DISCONTINUITY, slabs.BIN) == (twin.MOST_SLABS, twin.DISCONTINUITY, twin.BIN)
+    assert (depth_layers.MOST_LAYERS, depth_layers.DISCONTINUITY, depth_layers.BIN) == (
+        twin.MOST_LAYERS,
+        twin.DISCONTINUITY,
+        twin.BIN,
+    )
     low, bins = twin.bins_of(30.0)
-    assert slabs.bins_of(30.0) == (low, bins)
+    assert depth_layers.bins_of(30.0) == (low, bins)
     counts = set()
     for surfaces in (1, 2, 3, 6, 12, 40):
         coc = rng.uniform(-30, 30, surfaces)[rng.integers(0, surfaces, (20, 20))]
         latest, _ = twin.find_discontinuities(coc, rng.random((20, 20)) < 0.9, low, bins, 5)
-        bounds = slabs.slab_bounds(latest.astype(np.int32))
-        assert bounds == twin.slab_bounds(latest)
+        bounds = depth_layers.layer_bounds(latest.astype(np.int32))
+        assert bounds == twin.layer_bounds(latest)
         counts.add(len(bounds))
     assert {0, 1} < counts
-    assert max(counts) < twin.MOST_SLABS
+    assert max(counts) < twin.MOST_LAYERS
 
 
 @pytest.mark.slow
@@ -253,7 +257,7 @@ def test_the_same_bits_every_time(session: Session) -> None:
 
 
 @pytest.mark.parametrize("method", ["gather", "scatter"])
-def test_one_slab_is_plain_scattering_to_the_bit(session: Session, method: Blur) -> None:
+def test_one_layer_is_plain_scattering_to_the_bit(session: Session, method: Blur) -> None:
     view = View((2.0,), slope=0.05)
     device = Device(session, view, method)
     found, count = device.image()

@@ -78,25 +78,25 @@ def test_labels_of_radii_beyond_the_bins(session: Session, count: int) -> None:
     bounds = sorted([1, 15, *rng.permutation(np.arange(2, 15))[: max(count - 2, 0)].tolist()])[:count]
     expected = twin.label_depth_layers(coc, valid, low, bins, bounds)
     assert expected.max() == count + 1
-    slab = plane(session, np.full(shape, 99), 99, np.uint8)
+    layer = plane(session, np.full(shape, 99), 99, np.uint8)
     some = cl.cltypes.make_int8(*bounds, *(0,) * (8 - count))  # type: ignore[attr-defined]
     head = grid(shape), np.float64(low), np.int32(bins), np.int32(count), some
     maps = plane(session, coc, 0.0, np.float64), plane(session, valid, 1, np.uint8)
-    run(session, "label_depth_layers", shape[::-1], *head, *maps, slab)
-    np.testing.assert_array_equal(slab.now(), expected)
+    run(session, "label_depth_layers", shape[::-1], *head, *maps, layer)
+    np.testing.assert_array_equal(layer.now(), expected)
 
 
 @pytest.mark.parametrize("shape", [(1, 9), (9, 1), (11, 24), (6, 37)])
 def test_seeds_of_any_labels(session: Session, shape: tuple[int, int]) -> None:
-    """Also jumps within a slab, and of exactly 1 px; all seeds of a column in its last row, or in its first."""
+    """Also jumps within a layer, and of exactly 1 px; all seeds of a column in its last row, or in its first."""
     for number in range(8):
         rng = RNG(number)
-        slab = rng.integers(0, 5, shape).astype(np.uint8)
+        layer = rng.integers(0, 5, shape).astype(np.uint8)
         coc = rng.integers(0, 7, shape) / 2
         seed = plane(session, np.full(shape, 99), 99, np.uint8)
-        maps = plane(session, coc, 50.0, np.float64), plane(session, slab, 9, np.uint8)
+        maps = plane(session, coc, 50.0, np.float64), plane(session, layer, 9, np.uint8)
         run(session, "seed_hidden", shape[::-1], grid(shape), *maps, seed)
-        expected = twin.seed_hidden(coc, slab)
+        expected = twin.seed_hidden(coc, layer)
         np.testing.assert_array_equal(seed.now(), expected)
         few = np.where(rng.random(shape) < 0.2, expected, 0)
         few[0, ::3], few[-1, 1::3] = 3, 2
@@ -132,13 +132,13 @@ def test_nearest_seeds_of_runs(session: Session, kind: str, columns: int, deep: 
     """Runs are amid the row, or at an end of it; with seeds as far away as they may be, and many equally near."""
     shape = (17, columns)
     seed = seeds_of(kind, shape)
-    slab = RNG(65).integers(0, 4, shape).astype(np.uint8)
+    layer = RNG(65).integers(0, 4, shape).astype(np.uint8)
     offset = twin.column_seeds(seed)
     hidden, edge = (plane(session, np.full(shape, 99), 99, np.uint8) for _ in range(2))
-    maps = plane(session, slab, 1, np.uint8), plane(session, seed, 5, np.uint8), plane(session, offset, 0, np.int32)
+    maps = plane(session, layer, 1, np.uint8), plane(session, seed, 5, np.uint8), plane(session, offset, 0, np.int32)
     runs = (-(-columns // 64), shape[0])
     run(session, "reach_hidden", runs, grid(shape), np.int32(deep), *maps, hidden, edge)
-    expected, near = twin.reach_hidden(slab, seed, offset, deep)
+    expected, near = twin.reach_hidden(layer, seed, offset, deep)
     np.testing.assert_array_equal(hidden.now(), expected)
     np.testing.assert_array_equal(edge.now(), near)
 
@@ -195,18 +195,18 @@ def test_pull_of_what_is_known_in_part(session: Session, shape: tuple[int, int])
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (6, 9), (7, 16), (10, 21)])
-def test_slabs_are_opened_and_taken(session: Session, shape: tuple[int, int]) -> None:
-    """Amid pixels of other slabs, with hidden pixels of which the coarser level knows something or nothing."""
+def test_layers_are_opened_and_taken(session: Session, shape: tuple[int, int]) -> None:
+    """Amid pixels of other layers, with hidden pixels of which the coarser level knows something or nothing."""
     rng, which, size = RNG(66), 2, shape[0] * shape[1]
     radiance, coc = rng.uniform(0.5, 1.5, (*shape, CHANNELS)), rng.uniform(1, 4, shape)
-    slab, hidden = rng.integers(0, 4, shape).astype(np.uint8), rng.integers(0, 4, shape).astype(np.uint8)
+    layer, hidden = rng.integers(0, 4, shape).astype(np.uint8), rng.integers(0, 4, shape).astype(np.uint8)
     maps = (
         plane(session, flat(radiance, np.float32), 5.0), plane(session, coc, 5.0, np.float64),
-        plane(session, slab, which, np.uint8),
+        plane(session, layer, which, np.uint8),
     )  # fmt: skip
     finest = plane(session, np.full((CHANNELS + 2, *shape), 7.5), 7.5)
     run(session, "open_depth_layer", shape[::-1], grid(shape), np.int32(which), *maps, finest)
-    opened = twin.open_depth_layer(radiance, coc, slab, which)
+    opened = twin.open_depth_layer(radiance, coc, layer, which)
     np.testing.assert_array_equal(finest.now(), flat(opened.astype(np.float32), np.float32))
 
     half = (-(-shape[0] // 2), -(-shape[1] // 2))
@@ -217,7 +217,7 @@ def test_slabs_are_opened_and_taken(session: Session, shape: tuple[int, int]) ->
     sizes = (np.int32(n) for n in (which, *half, at))
     behind = plane(session, hidden, which, np.uint8)
     run(session, "take_depth_layer", shape[::-1], grid(shape), *sizes, *maps, behind, levels, light, radius, there)
-    expected = twin.take_depth_layer(radiance, coc, slab, hidden, coarse, which)
+    expected = twin.take_depth_layer(radiance, coc, layer, hidden, coarse, which)
     np.testing.assert_allclose(light.now(), flat(expected[0], np.float64), rtol=0, atol=ROUNDING)
     np.testing.assert_allclose(radius.now(), expected[1], rtol=0, atol=ROUNDING)
     np.testing.assert_array_equal(there.now(), expected[2])

@@ -144,7 +144,7 @@ def test_a_scene_agrees_with_the_reference(on_a_gpu: list[str]) -> None:
 
 @pytest.mark.parametrize("occlusion", mostly_slow(["none", "layered"], ["none"]))
 def test_an_image_on_a_gpu(occlusion: Any, on_a_gpu: list[str]) -> None:
-    """A near square before a slope: one jump, so a slab for each; coverage makes it two channels."""
+    """A near square before a slope: one jump, so a layer for each; coverage makes it two channels."""
     image, (rows, columns) = np.random.default_rng(6).random((24, 40), np.float32), np.indices((24, 40))
     near = (abs(rows - 12) < 6) & (abs(columns - 20) < 8)
     coc, psf = np.where(near, -3.0, 2.0 + 0.05 * columns), Psf(occlusion=occlusion)

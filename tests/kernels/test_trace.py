@@ -20,8 +20,8 @@ from clsco.optics.motion import Eye, Pose, poses_at, rest_poses
 from clsco.optics.point_spread import point_spread
 from clsco.optics.psf_tables import psf_table
 from clsco.optics.quadrics import place
-from clsco.optics.visibility import Layer
-from clsco.passes.pack import camera_struct, layer_struct, pose_structs, psf_struct, surface_structs
+from clsco.optics.visibility import OcclusionGroup
+from clsco.passes.pack import camera_struct, group_struct, pose_structs, psf_struct, surface_structs
 from clsco.passes.trace import EMPTY_STATISTICS, TRACE_FILES
 from clsco.plan.buffers import TRUTH_BUFFERS, source_bytes
 from clsco.plan.plan import Plan, make_plan
@@ -188,9 +188,9 @@ def stack(session: Session, plan: Plan) -> cl.Buffer:
 
 def traced(
     session: Session, plan: Plan, time: float, weight: float = 1.0, real: Real = "double",
-    local: tuple[int, int] = (64, 1), capacity: int | None = None, layer: Layer | None = None,
+    local: tuple[int, int] = (64, 1), capacity: int | None = None, group: OcclusionGroup | None = None,
 ) -> Traced:  # fmt: skip
-    """All passes of one moment, of one layer; by default the first."""
+    """All passes of one moment, of one group; by default the first."""
     wanted, each, area = plan.scene, plan.silhouettes**2, plan.width * plan.height
     capacity = area if capacity is None else capacity
     tables = [
@@ -208,7 +208,7 @@ def traced(
     given |= {
         "camera": camera_struct(wanted.camera, plan.guard_px, real),
         "surfaces": on_device(session, plan, time, real),
-        "layer": layer_struct(layer or plan.layers[0], len(wanted.objects)),
+        "group": group_struct(group or plan.groups[0], len(wanted.objects)),
         "psf": psf_struct(plan.psf, tables[0], tables[1] if each else None, real),
         "weight": weight,
         "texture": stack(session, plan),
@@ -265,10 +265,10 @@ def assert_records(plan: Plan, found: Array, radius: Array, gradient: Array, the
 def test_sources(session: Session, name: str, time: float) -> None:
     wanted, channels = SCENES[name]
     plan = planned(wanted, channels)
-    assert (len(plan.layers) > 1) == (len(wanted.objects) > 1 or bounded(wanted))
+    assert (len(plan.groups) > 1) == (len(wanted.objects) > 1 or bounded(wanted))
     shares = []
-    for layer in plan.layers:
-        found, expected = traced(session, plan, time, 0.3, layer=layer), twin.trace(view(plan, time), layer, GUARD)
+    for group in plan.groups:
+        found, expected = traced(session, plan, time, 0.3, group=group), twin.trace(view(plan, time), group, GUARD)
         there = expected.label > 0
         shares.append(there.mean())
         if plan.silhouettes and plan.features()["QUADRATIC"]:  # a plane has but one root
@@ -296,8 +296,8 @@ def test_scenes_have_sources_of_every_kind() -> None:
     found = np.zeros(4, np.int64)
     for name in ("three in a row", "card in a cylinder", "ball in a tube"):
         plan = planned(*SCENES[name])
-        for layer in plan.layers:
-            one = twin.trace(view(plan, 0.55), layer, GUARD)
+        for group in plan.groups:
+            one = twin.trace(view(plan, 0.55), group, GUARD)
             if one.visibility is not None:
                 blocked = one.visibility.row.reshape(one.lit.shape) >= 0
                 kinds = (one.lit & blocked, one.lit & ~blocked, (one.label > 0) & ~one.lit, one.label >= 128)
@@ -345,7 +345,7 @@ def test_subpixel_sources(session: Session, name: str, samples: int) -> None:
     plan = planned(wanted, channels, samples)
     found = traced(session, plan, 0.55, 0.3)
     marked = twin.mark_silhouettes(found.label)
-    expected = twin.trace_subpixels(view(plan, 0.55), plan.layers[0], GUARD, marked)
+    expected = twin.trace_subpixels(view(plan, 0.55), plan.groups[0], GUARD, marked)
     slots = found.slot[expected.row, expected.column]
     records, hit = found.sub_source[slots], expected.hit
     assert 0.1 < hit.mean() < 0.99
@@ -408,7 +408,7 @@ def truth_arguments(session: Session, plan: Plan, frame: int, strip: Strip | Non
         "still": placed_on_device(session, plan, rest_poses(wanted), "double"),
         "opposite": on_device(session, plan, now, "double", other),
         "following": on_device(session, plan, then, "double"),
-        "layer": layer_struct(twin.everything(wanted), len(wanted.objects)),
+        "group": group_struct(twin.everything(wanted), len(wanted.objects)),
         "texture": stack(session, plan),
         "to_left": 1 if plan.eye == "right" else -1,
     }

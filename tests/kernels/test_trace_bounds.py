@@ -14,8 +14,8 @@ from clsco.opencl.buffers import copied, download
 from clsco.opencl.program import build
 from clsco.opencl.session import Program, Session
 from clsco.optics.psf_tables import psf_table
-from clsco.optics.visibility import Layer
-from clsco.passes.pack import camera_struct, layer_struct, psf_struct
+from clsco.optics.visibility import OcclusionGroup
+from clsco.passes.pack import camera_struct, group_struct, psf_struct
 from clsco.passes.trace import EMPTY_STATISTICS, TRACE_FILES
 from clsco.plan.buffers import source_bytes
 from clsco.plan.plan import Plan
@@ -71,13 +71,13 @@ def written(session: Session, buffer: cl.Buffer, shape: tuple[int, ...], dtype: 
     return found[:size].view(dtype).reshape(shape)
 
 
-def pixel_arguments(session: Session, plan: Plan, layer: Layer) -> dict[str, Any]:
+def pixel_arguments(session: Session, plan: Plan, group: OcclusionGroup) -> dict[str, Any]:
     wanted = plan.scene
     tables = [psf_table(plan.psf, plan.smallest_blur, plan.largest_blur, n) for n in (0, plan.silhouettes)]
     return {
         "camera": camera_struct(wanted.camera, plan.guard_px, "double"),
         "surfaces": on_device(session, plan, TIME, "double"),
-        "layer": layer_struct(layer, len(wanted.objects)),
+        "group": group_struct(group, len(wanted.objects)),
         "psf": psf_struct(plan.psf, tables[0], tables[1], "double"),
         "weight": WEIGHT,
         "texture": stack(session, plan),
@@ -91,8 +91,8 @@ def test_cast_and_aim_together_write_what_trace_does(session: Session, plan: Pla
         "value": 4 * plan.channels * area, "depth": 8 * area, "source": source_bytes(area, plan.tilt, True),
         "label": area, "hit": area,
     }  # fmt: skip
-    (layer,) = plan.layers
-    given = pixel_arguments(session, plan, layer)
+    (group,) = plan.groups
+    given = pixel_arguments(session, plan, group)
     one, two = buffers(session, **sizes), buffers(session, **sizes)
     noted = [copied(session, EMPTY_STATISTICS) for _ in range(2)]
     traced = {name: one[name] for name in ("source", "value", "label")}
@@ -105,7 +105,7 @@ def test_cast_and_aim_together_write_what_trace_does(session: Session, plan: Pla
         np.testing.assert_array_equal(found, expected, name)
     statistics = [download(session, each, (4,), np.int32).tolist() for each in noted]
     assert statistics[0] == statistics[1] != EMPTY_STATISTICS.tolist()
-    shape, exact = (plan.height, plan.width), twin.trace(view(plan, TIME), layer, GUARD)
+    shape, exact = (plan.height, plan.width), twin.trace(view(plan, TIME), group, GUARD)
     np.testing.assert_array_equal(written(session, two["hit"], shape, np.uint8), exact.label)
     depth = written(session, two["depth"], shape, np.float64)
     np.testing.assert_allclose(depth, exact.inverse_depth, rtol=1e-7, atol=0)  # at a limb half of the digits are left

@@ -77,10 +77,10 @@ def test_subpixel_sources_of_all_layers_are_marked(session: Session) -> None:
     wide."""
     plan = planned(scene(ROW, psf=Psf(silhouette_samples=2)), 1)
     kinds = np.zeros(3, np.int64)
-    for layer in plan.layers:
-        found = traced(session, plan, 0.55, layer=layer)
+    for group in plan.groups:
+        found = traced(session, plan, 0.55, group=group)
         marked = twin.mark_silhouettes(found.label)
-        exact = twin.trace_subpixels(view(plan, 0.55), layer, GUARD, marked)
+        exact = twin.trace_subpixels(view(plan, 0.55), group, GUARD, marked)
         records = found.sub_source[found.slot[exact.row, exact.column]]
         np.testing.assert_array_equal(records[..., 0] >= 0, exact.hit)
         blocked = np.zeros(exact.hit.shape, bool)
@@ -93,11 +93,11 @@ def test_subpixel_sources_of_all_layers_are_marked(session: Session) -> None:
 
 def test_range_of_radii_is_noted(session: Session) -> None:
     plan = planned(*SCENES["sphere moved, 2 x 2"])
-    sources = twin.trace(view(plan, 0.55), plan.layers[0], GUARD)
-    sub = twin.trace_subpixels(view(plan, 0.55), plan.layers[0], GUARD, twin.mark_silhouettes(sources.label))
+    sources = twin.trace(view(plan, 0.55), plan.groups[0], GUARD)
+    sub = twin.trace_subpixels(view(plan, 0.55), plan.groups[0], GUARD, twin.mark_silhouettes(sources.label))
     # A source beside an outline is met in the middle of its cell, and of what it covers.
     own, offsets = (sub.row[:, None, None] - GUARD, sub.column[:, None, None] - GUARD), subpixel_offsets(2)
-    middle = twin.cast(view(plan, 0.55), plan.layers[0], own[0] + offsets[:, None], own[1] + offsets, own, 2)
+    middle = twin.cast(view(plan, 0.55), plan.groups[0], own[0] + offsets[:, None], own[1] + offsets, own, 2)
     radii = np.abs(np.concatenate([sources.radius[sources.label > 0], sub.radius[sub.hit], middle.radius[sub.hit]]))
     noted = traced(session, plan, 0.55).statistics[:2].view(np.float32)
     # Rounded to float32; the largest is at the limb, good to the root of 1e-15 of some 60 px.

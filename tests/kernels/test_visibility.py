@@ -16,8 +16,8 @@ from clsco.optics.motion import Pose
 from clsco.optics.point_spread import point_spread
 from clsco.optics.psf_tables import psf_table
 from clsco.optics.quadrics import cutting_bounds, place
-from clsco.optics.visibility import Layer
-from clsco.passes.pack import camera_struct, layer_struct, psf_struct, surface_structs
+from clsco.optics.visibility import OcclusionGroup
+from clsco.passes.pack import camera_struct, group_struct, psf_struct, surface_structs
 from clsco.plan.plan import make_plan
 from clsco.records import Real
 from clsco.reference.common.geometry import blur_radius, nearest_surface, pixel_ray
@@ -31,7 +31,7 @@ Runner = Callable[..., None]
 KERNEL = """
 // What source i sees of the lens from every tap: place holds (column, row, ox, oy), tap (dx, dy). state: -1 for no
 // source. along: what row_visibility says of the row of taps through the source.
-__kernel void see_taps(const camera_t camera, __constant surface_t *surfaces, const layer_t layer, const psf_t psf,
+__kernel void see_taps(const camera_t camera, __constant surface_t *surfaces, const group_t group, const psf_t psf,
                        __constant float *lens, const float width, __global const float4 *place, const int taps,
                        __global const int2 *tap, __global int *state, __global int *edges, __global float *share,
                        __global float *along)
@@ -43,7 +43,7 @@ __kernel void see_taps(const camera_t camera, __constant surface_t *surfaces, co
     const wide3_t ray = pixel_ray(camera, widened(row), widened(column));
     uchar label;
     int object;
-    const wide_t w = nearest_surface(surfaces, layer, ray, &label, &object);
+    const wide_t w = nearest_surface(surfaces, group, ray, &label, &object);
     state[i] = -1;
     if (!label)
         return;
@@ -51,7 +51,7 @@ __kernel void see_taps(const camera_t camera, __constant surface_t *surfaces, co
     visibility_t visibility;
     bool edge;
     const lens_t of_source = lens_of(radius, psf.lens_extent, width, tilt_slope((real2)(0.2, -0.1), radius));
-    state[i] = check_visibility(camera, surfaces, layer, ray, w, of_source, &visibility, &edge);
+    state[i] = check_visibility(camera, surfaces, group, ray, w, of_source, &visibility, &edge);
     edges[i] = edge;
     if (!visibility.wide)
         cell_visibility(&visibility, lens, radius, psf.lens_extent, place[i].z, place[i].w, NARROW_MIDDLE);
@@ -127,24 +127,24 @@ class Seen:
 
 def see(
     session: Session, run: Runner, items: tuple[Object, ...], psf: Psf = PILLBOX, real: Real = "double",
-    gather: int = 1, width: float = 1.0, layer: Layer | None = None, camera: Camera = CAMERA,
+    gather: int = 1, width: float = 1.0, group: OcclusionGroup | None = None, camera: Camera = CAMERA,
 ) -> Seen:  # fmt: skip
     """Sources of the last object at random pixels, and what is in their way; width: of the sources, px."""
     far = len(items) - 1
-    layer = layer or Layer(1 << far, (1 << far) - 1)
+    group = group or OcclusionGroup(1 << far, (1 << far) - 1)
     surfaces, bounds = [place(item, STILL) for item in items], [cutting_bounds(item) for item in items]
     rng, count = np.random.default_rng(17), 900
     at = np.stack([rng.integers(-10, 154, count), rng.integers(-10, 130, count)], axis=-1)
     offset = rng.integers(-2, 3, (count, 2)) / 8 if width < 1 else np.zeros((count, 2))
     taps = np.array([(x, y) for y in ROWS for start in (-7, 0) for x in range(start, start + 8)], np.int32)
     features = make_plan(Scene(camera=camera, objects=items, psf=psf), 1, ()).features()
-    features |= {"OCCLUDED": layer.occluders.bit_count(), "LIMITED": features["NAPPE"], "GATHER": gather}
+    features |= {"OCCLUDED": group.occluders.bit_count(), "LIMITED": features["NAPPE"], "GATHER": gather}
     features["SOURCES"] = count
     buffers = [empty(session, 4 * count * size) for size in (1, 1, len(taps), len(taps))]
     spread = point_spread(psf)
     run(
         KERNEL, "see_taps", real, features, count, camera_struct(camera, 0, real),
-        surface_structs(items, surfaces, real), layer_struct(layer, len(items)),
+        surface_structs(items, surfaces, real), group_struct(group, len(items)),
         psf_struct(spread, psf_table(spread, 0.0, 20.0), None, real), spread.lens_cells().astype(np.float32),
         np.float32(width),
         np.concatenate([at, offset], axis=-1).astype(np.float32), np.int32(len(taps)), taps, *buffers,
@@ -153,13 +153,13 @@ def see(
     share, along = (download(session, one, (count, len(taps)), np.float32) for one in buffers[2:])
 
     rays = pixel_ray(camera, at[:, 1] + offset[:, 1], at[:, 0] + offset[:, 0])
-    w, label, _ = nearest_surface(surfaces, bounds, layer, rays)
+    w, label, _ = nearest_surface(surfaces, bounds, group, rays)
     there = label > 0
     assert ((state >= 0) == there).all()
     w, radius, (x, y) = w[there], blur_radius(camera, w[there]), offset[there].T
     gradient = np.broadcast_to([0.2, -0.1], (w.size, 2))
     found, outline, visibility = check_visibility(
-        camera, surfaces, bounds, layer, point_spread(psf), Points(rays[there], w, radius, x, y, width, gradient)
+        camera, surfaces, bounds, group, point_spread(psf), Points(rays[there], w, radius, x, y, width, gradient)
     )
     cells, expected, wide = cell_visibility(visibility), np.ones((w.size, len(taps))), np.zeros(w.size, dtype=bool)
     for n, (dx, dy) in enumerate(taps.astype(float).tolist()):
@@ -236,7 +236,7 @@ def test_a_hollow_surface_before_itself(session: Session, run_source: Runner, na
     """Points of its far wall look past its rim; those of the near one see all of the lens."""
     (item, _), camera = SCENES[name], CAMERA.model_copy(update={"sensor_distance": 20.5, "aperture_diameter": 30.0})
     near_sheet = 1 if place(item, STILL).constant > 0 else 2
-    layer = Layer(1, 1, 0, 3 - near_sheet if far else near_sheet)
-    seen = see(session, run_source, (item,), layer=layer, camera=camera)
+    group = OcclusionGroup(1, 1, 0, 3 - near_sheet if far else near_sheet)
+    seen = see(session, run_source, (item,), group=group, camera=camera)
     assert (seen.state == PARTLY).any() if far else (seen.state == CLEAR).all()
     assert_same(seen)

@@ -15,7 +15,7 @@ from clsco.opencl.session import Session
 from clsco.optics.motion import Pose
 from clsco.optics.point_spread import point_spread
 from clsco.optics.quadrics import cutting_bounds, place
-from clsco.optics.visibility import Layer
+from clsco.optics.visibility import OcclusionGroup
 from clsco.passes.pack import camera_struct, surface_structs
 from clsco.records import Real, in_parts
 from clsco.reference.common.occluder import Occluder
@@ -37,11 +37,11 @@ __kernel void meet(const camera_t camera, __constant surface_t *surfaces, const 
     if (i >= POINTS)
         return;
     const wide3_t ray = wide_vector(place[3 * i], place[3 * i + 1], widened(1));
-    const layer_t layer = {0, 3, 1, chosen[i].y ? 0 : -1, chosen[i].z};  // of one object: the second bit is no one's
+    const group_t group = {0, 3, 1, chosen[i].y ? 0 : -1, chosen[i].z};  // of one object: the second bit is no one's
     visibility_t visibility;
     bool edge;
     const lens_t lens = lens_of(radius[i], extent, width, tilt_slope(gradient[i], radius[i]));
-    found[i].x = check_visibility(camera, surfaces + chosen[i].x, layer, ray, place[3 * i + 2], lens, &visibility,
+    found[i].x = check_visibility(camera, surfaces + chosen[i].x, group, ray, place[3 * i + 2], lens, &visibility,
                                   &edge);
     found[i].yzw = (int3)(edge, visibility.wide, visibility.count);
     rims[i] = (float4)(visibility.rim, visibility.rim_scale, visibility.rim_shift, 0);
@@ -187,7 +187,7 @@ def meet(
         (k, own, root, _), at = key.tolist(), np.flatnonzero((chosen == key).all(axis=1))
         rays, nothing = np.stack([given["x"][at], given["y"][at], np.ones(at.size)], axis=-1), np.zeros(at.size)
         state[at], edge[at], visibility = check_visibility(
-            CAMERA, placed[k : k + 1], [cutting_bounds(items[k])], Layer(1, 1, 0 if own else -1, root),
+            CAMERA, placed[k : k + 1], [cutting_bounds(items[k])], OcclusionGroup(1, 1, 0 if own else -1, root),
             point_spread(psf),
             Points(rays, given["w"][at], given["radius"][at], nothing, nothing, width, gradient[at]),
         )  # fmt: skip

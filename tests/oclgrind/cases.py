@@ -318,7 +318,7 @@ def long_cases() -> Iterator[Case]:
     for method in ("mean-median", "biharmonic"):
         yield Case(f"many missing, {method}", {}, partial(filled, method))
     yield Case("many missing, as on a GPU", {"kind": "gpu"}, partial(filled, "mean-median"))
-    yield Case("long rows", {}, slabs_of_long_rows)
+    yield Case("long rows", {}, layers_of_long_rows)
     for tilt in (True, False):
         yield Case(f"rows of discs, tilt {tilt}", {}, partial(discs, tilt))
 
@@ -329,7 +329,7 @@ def discs(tilt: bool) -> list[Array]:
     return [blurred_image(image, coc, Psf(edge="sampled", tilt=tilt, occlusion="none"), "gather")]
 
 
-def slabs_of_long_rows() -> list[Array]:
+def layers_of_long_rows() -> list[Array]:
     """Runs at both ends of a row, and one amid it that looks for edges on both sides."""
     image, near = np.ones((6, 140), np.float32), np.arange(140) % 40 < 5
     psf = Psf(edge="sampled", tilt=False, occlusion="layered")
@@ -351,7 +351,7 @@ def fault_cases() -> Iterator[Case]:
     yield Case("solver", {}, lambda: [inpaint(codes, missing, method="biharmonic", device="oclgrind")])
     yield Case("tiles", {}, blurred("tiles", coc, Psf(occlusion="none")))
     yield Case("scatter", {}, blurred("scatter", coc, Psf(occlusion="none")))
-    yield Case("slabs", {}, blurred("scatter", jump, Psf(occlusion="layered")))
+    yield Case("layers", {}, blurred("scatter", jump, Psf(occlusion="layered")))
 
 
 def all_cases() -> Iterator[Case]:

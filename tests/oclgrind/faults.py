@@ -120,7 +120,7 @@ FAULTS = (
         "layered/layered.cl",
         "if (RELAXED_LOAD(latest + DISCONTINUITY_CLASSES * bins) < sum)",
         "if (latest[DISCONTINUITY_CLASSES * bins] < sum)",
-        "slabs",
+        "layers",
         "Read-write data race",
     ),
     Fault(
@@ -128,7 +128,7 @@ FAULTS = (
         "layered/layered.cl",
         "    if (line >= camera.height + camera.width)\n",
         "    if (line > camera.height + camera.width)\n",
-        "slabs",
+        "layers",
         "Invalid read",
     ),
     Fault(

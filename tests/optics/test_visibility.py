@@ -14,7 +14,7 @@ from clsco.optics.lens import blur_radius
 from clsco.optics.motion import Pose, poses_at, rotation_matrix
 from clsco.optics.point_spread import point_spread
 from clsco.optics.quadrics import Extent, place
-from clsco.optics.visibility import Layer, extent, is_hollow, layers, may_hide
+from clsco.optics.visibility import OcclusionGroup, extent, is_hollow, may_hide, occlusion_groups
 from clsco.plan.plan import Plan, make_plan
 from clsco.reference.common.geometry import nearest_surface, pixel_ray
 from clsco.reference.common.visibility import CLEAR, HIDDEN, Points, check_visibility
@@ -85,7 +85,7 @@ def test_an_extent_holds_all_points(item: Object) -> None:
     whole = extent(item, poses, np.zeros(1))
     for pose in poses:
         found = extent(item, [pose], np.zeros(1))
-        w, label, _ = nearest_surface([place(item, pose)], [item.bounds], Layer(1, 0), rays)
+        w, label, _ = nearest_surface([place(item, pose)], [item.bounds], OcclusionGroup(1, 0), rays)
         hit = label > 0
         assert hit.sum() > 300
         for (low, high), (least, most), seen in (
@@ -145,25 +145,25 @@ def test_a_wider_lens_sees_behind_more() -> None:
 def test_side_by_side_is_one_layer() -> None:
     left, right = Sphere(center=(-60.0, 0.0, 230.0), radius=20.0), Sphere(center=(60.0, 0.0, 280.0), radius=20.0)
     plan = plan_of(left, right)
-    assert (plan.occlusion, plan.layers) == ("none", (Layer(0b11, 0),))
+    assert (plan.occlusion, plan.groups) == ("none", (OcclusionGroup(0b11, 0),))
     assert plan.spec.occluders == 0
     nearer = right.model_copy(update={"center": (-20.0, 0.0, 280.0)})
-    assert plan_of(left, nearer).layers == (Layer(0b01, 0), Layer(0b10, 0b01))
+    assert plan_of(left, nearer).groups == (OcclusionGroup(0b01, 0), OcclusionGroup(0b10, 0b01))
 
 
 def test_layers_of_a_row() -> None:
-    """The ball before the column, both before the wall; a second ball beside the first is in its layer."""
+    """The ball before the column, both before the wall; a second ball beside the first is in its group."""
     ball, other = (Sphere(center=(x, 0.0, 190.0), radius=9.0) for x in (-40.0, 40.0))
     column = Cylinder(center=(3.0, 0.0, 290.0), radius=11.0, axis=(0.0, 1.0, 0.0))
     plan = plan_of(ball, column, WALL, other)
     assert plan.occlusion == "visibility"
-    assert plan.layers == (Layer(0b1001, 0), Layer(0b0010, 0b1001), Layer(0b0100, 0b1011))
+    assert plan.groups == (OcclusionGroup(0b1001, 0), OcclusionGroup(0b0010, 0b1001), OcclusionGroup(0b0100, 0b1011))
     assert plan.spec.occluders == 4  # room for the three that there are
 
 
 def test_objects_that_stand_in_each_other_have_layers_of_their_own() -> None:
     left, right = Sphere(center=(-5.0, 0.0, 200.0), radius=12.0), Sphere(center=(5.0, 3.0, 204.0), radius=10.0)
-    assert plan_of(left, right).layers == (Layer(1, 2), Layer(2, 1))
+    assert plan_of(left, right).groups == (OcclusionGroup(1, 2), OcclusionGroup(2, 1))
 
 
 def test_a_hollow_object_has_two_sheets() -> None:
@@ -172,28 +172,28 @@ def test_a_hollow_object_has_two_sheets() -> None:
     assert is_hollow(tube)
     assert not is_hollow(tube.model_copy(update={"bounds": None}))
     assert not is_hollow(Plane(bounds=box))
-    assert plan_of(tube).layers == (Layer(1, 1, 0, 1), Layer(1, 1, 0, 2))
-    assert plan_of(tube, WALL).layers == (Layer(1, 1, 0, 1), Layer(1, 1, 0, 2), Layer(2, 1))
+    assert plan_of(tube).groups == (OcclusionGroup(1, 1, 0, 1), OcclusionGroup(1, 1, 0, 2))
+    assert plan_of(tube, WALL).groups == (OcclusionGroup(1, 1, 0, 1), OcclusionGroup(1, 1, 0, 2), OcclusionGroup(2, 1))
 
 
 def test_64_objects() -> None:
     centers = [(60.0 * (k % 8 - 3.5), 60.0 * (k // 8 - 3.5), 400.0) for k in range(64)]
     plan = plan_of(*(Sphere(center=center, radius=3.0) for center in centers))
-    assert plan.layers == (Layer(2**64 - 1, 0),)
+    assert plan.groups == (OcclusionGroup(2**64 - 1, 0),)
     stacked = plan_of(*(Sphere(center=(0.0, 0.0, 200.0 + 10.0 * k), radius=3.0) for k in range(64)))
-    assert [layer.members for layer in stacked.layers] == [1 << k for k in range(64)]
-    assert stacked.layers[63].occluders == 2**63 - 1
+    assert [group.members for group in stacked.groups] == [1 << k for k in range(64)]
+    assert stacked.groups[63].occluders == 2**63 - 1
     assert stacked.spec.occluders == 64
 
 
 def test_when_nothing_is_tested() -> None:
     ball = Sphere(center=(-5.0, 4.0, 190.0), radius=14.0)
-    everything = (Layer(0b11, 0),)
+    everything = (OcclusionGroup(0b11, 0),)
     for wanted in ("none", "layered"):
         plan = plan_of(ball, WALL, psf=Psf(occlusion=wanted))
-        assert (plan.occlusion, plan.layers) == (wanted, everything)
+        assert (plan.occlusion, plan.groups) == (wanted, everything)
         assert plan.spec.occluders == 0
-    assert plan_of(ball).layers == (Layer(1, 0),)
+    assert plan_of(ball).groups == (OcclusionGroup(1, 0),)
 
 
 BOX = ((-20.0, 25.0), (-18.0, 22.0), (-30.0, 25.0))
@@ -226,12 +226,12 @@ def blocked(plan: Plan, near: int, far: int, time: float) -> bool:
     bounds = [item.bounds for item in items]
     row, column = (np.arange(-plan.guard_px, n + plan.guard_px) for n in (plan.rows, plan.columns))
     rays = pixel_ray(scene.camera, row[:, None], column[None, :]).reshape(-1, 3)
-    w, label, _ = nearest_surface(surfaces, bounds, Layer(1 << far, 0), rays)
+    w, label, _ = nearest_surface(surfaces, bounds, OcclusionGroup(1 << far, 0), rays)
     rays, w = rays[label > 0], w[label > 0]
     radius, zero = blur_radius(scene.camera, w), np.zeros_like(w)
-    layer = Layer(1 << far, 1 << near)
+    group = OcclusionGroup(1 << far, 1 << near)
     points = Points(rays, w, radius, zero, zero, 1.0, np.zeros((len(w), 2)))
-    state, _, visibility = check_visibility(scene.camera, surfaces, bounds, layer, plan.psf, points)
+    state, _, visibility = check_visibility(scene.camera, surfaces, bounds, group, plan.psf, points)
     if (state == HIDDEN).any() or (state == CLEAR).all():
         return bool((state == HIDDEN).any())
     cells = cell_visibility(visibility)
@@ -243,7 +243,7 @@ def blocked(plan: Plan, near: int, far: int, time: float) -> bool:
 
 @pytest.mark.parametrize("seed", mostly_slow(range(24), range(12)))
 def test_no_pair_is_missed(seed: int) -> None:
-    """Whatever hides light of an object, at any moment, is among the occluders of its layer."""
+    """Whatever hides light of an object, at any moment, is among the occluders of its group."""
     rng = np.random.default_rng([7, seed])
     items = tuple(random_item(rng, f"item {k}") for k in range(4))
     psf = Psf(model="gaussian") if seed % 4 == 1 else Psf()
@@ -251,12 +251,12 @@ def test_no_pair_is_missed(seed: int) -> None:
     scene = Scene(camera=CAMERA, objects=items, psf=psf, sequence=Sequence(frames=2), stereo=stereo)
     plan = make_plan(scene, 1, (), eye="right" if stereo else "left")
     for k in range(4):
-        holding = [layer for layer in plan.layers if layer.members >> k & 1]
+        holding = [group for group in plan.groups if group.members >> k & 1]
         hollow = is_hollow(items[k]) and plan.occlusion == "visibility"
-        assert [layer.root for layer in holding] == ([1, 2] if hollow else [0])
+        assert [group.root for group in holding] == ([1, 2] if hollow else [0])
     for near, far in permutations(range(4), 2):
-        seen = [layer for layer in plan.layers if layer.members >> far & 1]
-        predicted = all(layer.occluders >> near & 1 for layer in seen)
+        seen = [group for group in plan.groups if group.members >> far & 1]
+        predicted = all(group.occluders >> near & 1 for group in seen)
         found = any(blocked(plan, near, far, time) for time in ([0.0, 0.7, 1.5] if scene.moves else [0.0]))
         assert predicted or not found, (items[near], items[far])
 
@@ -268,7 +268,7 @@ def test_random_scenes_have_pairs_of_both_kinds() -> None:
         rng = np.random.default_rng([7, seed])
         plan = plan_of(*(random_item(rng, f"item {k}") for k in range(4)), sequence=Sequence(frames=2))
         pairs = [
-            any(layer.occluders >> near & 1 for layer in plan.layers if layer.members >> far & 1)
+            any(group.occluders >> near & 1 for group in plan.groups if group.members >> far & 1)
             for near, far in permutations(range(4), 2)
         ]
         share.append(np.mean(pairs))
@@ -278,5 +278,8 @@ def test_random_scenes_have_pairs_of_both_kinds() -> None:
 def test_order_of_the_scene_is_kept() -> None:
     items = (Sphere(center=(0.0, 0.0, 200.0), radius=5.0), Sphere(center=(0.0, 0.0, 300.0), radius=5.0))
     extents = [extent(item, [STILL], np.zeros(1)) for item in items]
-    assert layers(items, extents, CAMERA, point_spread(Psf())) == (Layer(1, 0), Layer(2, 1))
-    assert layers(items[::-1], extents[::-1], CAMERA, point_spread(Psf())) == (Layer(1, 2), Layer(2, 0))
+    assert occlusion_groups(items, extents, CAMERA, point_spread(Psf())) == (OcclusionGroup(1, 0), OcclusionGroup(2, 1))
+    assert occlusion_groups(items[::-1], extents[::-1], CAMERA, point_spread(Psf())) == (
+        OcclusionGroup(1, 2),
+        OcclusionGroup(2, 0),
+    )

@@ -164,7 +164,7 @@ def test_nothing_more_is_done_where_nothing_overlaps(method: str) -> None:
     left, right = BALL | {"center": [-20.0, 0.0, 230.0]}, BALL | {"center": [20.0, 0.0, 260.0]}
     wanted = scene({"object": [left, right]}, **PLAIN)
     plan = make_plan(wanted, 1, ())
-    assert (plan.occlusion, len(plan.layers), plan.spec.occluders) == ("none", 1, 0)
+    assert (plan.occlusion, len(plan.groups), plan.spec.occluders) == ("none", 1, 0)
     none = image(scene({"object": [left, right]}, **PLAIN, occlusion="none"), method=method)
     frame = image(wanted, method=method)
     assert frame.color.tobytes() == none.color.tobytes()

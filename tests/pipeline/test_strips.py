@@ -134,13 +134,13 @@ CARDS = [CARD | {"bounds": [[-5.0, 4.0], [-75.0 + k, 75.0], [-1.0, 1.0]], "dista
         pytest.param("gather", {"object": [*CARDS, WALL], "psf": {"border": "renormalize"}}, marks=pytest.mark.slow),
     ],
 )
-def test_slabs_in_strips(method: str, sections: dict[str, Any], peak: list[int]) -> None:
-    """All strips have a say in where slabs begin; what goes on behind an edge is made from what is near."""
+def test_layers_in_strips(method: str, sections: dict[str, Any], peak: list[int]) -> None:
+    """All strips have a say in where depth layers begin; what goes on behind an edge is made from what is near."""
     camera = {"resolution": [COLUMNS, TALL], "pixel_pitch": 0.04, "aperture_diameter": 8.0}
     scene = scene_from({"camera": camera, "psf": {"occlusion": "layered"}}, **sections)
     whole = list(clsco.render(scene, method=method))
     assert {frame.metadata["strips"] for frame in whole} == {1}
-    assert whole[0].metadata["intermediate"][0]["slabs"] > 1
+    assert whole[0].metadata["intermediate"][0]["depth_layers"] > 1
     for rows in (BAND, 4 * BAND):
         limit, before = memory_for(scene, rows, method=method), peak[0]
         peak[1] = before

@@ -385,7 +385,7 @@ def test_tiles_are_for_gpus() -> None:
 
 
 def test_what_is_in_the_way_is_tested_by_scatter_on_a_gpu() -> None:
-    assert cards("visibility").layers[1].occluders
+    assert cards("visibility").groups[1].occluders
     assert method_of(cards("visibility")).endswith(
         "scatter: atomic, fixed point, as tiles do not test what is in the way"
     )
@@ -440,7 +440,7 @@ def test_memory_and_work_grow_with_what_is_done() -> None:
 
 
 def test_what_is_left_out_is_not_needed_elsewhere() -> None:
-    """Slabs are of whole pixels, whatever else a scene asks for: sub-pixel sources have no place in them."""
+    """Depth layers are of whole pixels, whatever else a scene asks for: sub-pixel sources have no place in them."""
     box = ((-60.0, 60.0), (-60.0, 60.0), (-5.0, 60.0))
     cut = [item.model_copy(update={"bounds": box}) for item in (BALL, Cone(), TILTED)]
     seen = set()

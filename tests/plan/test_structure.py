@@ -55,15 +55,15 @@ def test_what_one_of_several_objects_needs_is_compiled(items: tuple[Any, ...], n
 def test_kernels_have_room_for_all_that_may_be_in_the_way_of_a_layer() -> None:
     """Nothing is before the card; before the plane is the card."""
     given = plan_of(CARD, TILTED)
-    assert sorted(layer.occluders for layer in given.layers) == [0b00, 0b01]
+    assert sorted(group.occluders for group in given.groups) == [0b00, 0b01]
     assert (given.spec.occluders, given.spec.limited) == (4, True)  # four at least
     assert (plan_of(TILTED).spec.occluders, plan_of(TILTED).spec.limited) == (0, False)
 
 
 @pytest.mark.parametrize("occlusion", ["none", "layered"])
 def test_without_rays_to_the_lens_all_objects_are_in_one_layer(occlusion: Any) -> None:
-    layers = plan_of(CARD, TILTED, BALL, psf=Psf(occlusion=occlusion)).layers
-    assert [(layer.members, layer.occluders) for layer in layers] == [(0b111, 0)]
+    groups = plan_of(CARD, TILTED, BALL, psf=Psf(occlusion=occlusion)).groups
+    assert [(group.members, group.occluders) for group in groups] == [(0b111, 0)]
 
 
 def test_a_map_among_others_is_moved_pixel_by_pixel() -> None:

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from clsco.optics.point_spread import point_spread
-from clsco.optics.visibility import Layer
+from clsco.optics.visibility import OcclusionGroup
 from clsco.reference.blur.accumulate import accumulate
 from clsco.reference.blur.blur import gather, prepare_sources, renormalize, resolve, scatter, tilt_factor
 from clsco.reference.blur.convolve import convolve
@@ -21,7 +21,7 @@ from tests.scenes import scene_of
 from tests.spreads import spec_of
 
 Array = NDArray[np.float64]
-ALONE = Layer(1, 0)  # one object, and nothing in its way
+ALONE = OcclusionGroup(1, 0)  # one object, and nothing in its way
 
 PSFS = (
     Psf(),

@@ -14,7 +14,7 @@ from clsco.optics.lens import blur_radius
 from clsco.optics.point_spread import point_spread
 from clsco.optics.psf_grid import table_coordinate as coordinate_of_radius
 from clsco.optics.quadrics import PlacedSurface
-from clsco.optics.visibility import Layer
+from clsco.optics.visibility import OcclusionGroup
 from clsco.reference.common.geometry import (
     Filter,
     blur_gradient,
@@ -471,14 +471,14 @@ def test_nearest_of_several_surfaces(at: Placer) -> None:
     rays = pixel_ray(CAMERA.model_copy(update={"pixel_pitch": 0.1}), np.arange(49.0)[:, None], np.arange(65.0))
     roots = [solve_quadric(surface, None, rays) for surface in surfaces[:3]]
     for members in range(1, 8):
-        w, label, number = nearest_surface(surfaces, bounds, Layer(members, 0), rays)
+        w, label, number = nearest_surface(surfaces, bounds, OcclusionGroup(members, 0), rays)
         depths = np.stack([roots[k][0] if members >> k & 1 else 0 * w for k in range(3)])
         assert (w == depths.max(axis=0)).all()
         assert (number == np.where(w > 0, depths.argmax(axis=0), -1)).all()
         own = np.stack([roots[k][1] for k in range(3)])[np.maximum(number, 0), *np.indices(w.shape)]
         assert (label == np.where(w > 0, 2 * number + own, 0)).all()
     assert len(np.unique(number)) == 3
-    assert not (nearest_surface(surfaces, bounds, Layer(0b1001, 0), rays)[2] == 3).any()
+    assert not (nearest_surface(surfaces, bounds, OcclusionGroup(0b1001, 0), rays)[2] == 3).any()
 
 
 def test_sheets_are_the_two_roots(at: Placer) -> None:

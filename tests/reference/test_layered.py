@@ -1,4 +1,4 @@
-"""Layered occlusion: what a jump is, where slabs are cut, what goes on behind an edge, what the layers add up to."""
+"""Layered occlusion: what a jump is, where layers are cut, what goes on behind an edge, what the layers add up to."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ from clsco.reference.blur.blur import prepare_sources, scatter
 from clsco.reference.layered.layered import (
     BIN,
     DISCONTINUITY,
-    MOST_SLABS,
+    MOST_LAYERS,
     NO_SEED,
     bins_of,
     column_seeds,
     composite,
-    extend_slab,
+    extend_depth_layer,
     find_discontinuities,
     label_depth_layers,
+    layer_bounds,
     layered,
     level_count,
     open_depth_layer,
@@ -27,8 +28,7 @@ from clsco.reference.layered.layered import (
     push,
     reach_hidden,
     seed_hidden,
-    slab_bounds,
-    spread_slabs,
+    spread_depth_layers,
 )
 from clsco.reference.trace.trace import Sources
 from clsco.scene.model import Psf
@@ -48,7 +48,7 @@ def blob(shape: tuple[int, int]) -> Array:
 
 def cuts(coc: Array, valid: Mask, largest: float) -> list[int]:
     reach = PILLBOX.psf.reach(largest)
-    return slab_bounds(find_discontinuities(coc, valid, *bins_of(largest), 2 * reach + 1)[0])
+    return layer_bounds(find_discontinuities(coc, valid, *bins_of(largest), 2 * reach + 1)[0])
 
 
 def unsliced(radiance: Array, coc: Array, shape: tuple[int, int], guard: int) -> Array:
@@ -95,16 +95,16 @@ def test_bounds_split_every_jump_and_are_few() -> None:
         valid = rng.random(coc.shape) < 0.9
         bounds = cuts(coc, valid, 16.0)
         assert len(bounds) == surfaces - 1
-        slab = label_depth_layers(coc, valid, low, bins, bounds)
+        layer = label_depth_layers(coc, valid, low, bins, bounds)
         for axis in (0, 1):
             jump = (np.abs(np.diff(coc, axis=axis)) > DISCONTINUITY) & valid.take(range(1, coc.shape[axis]), axis)
             jump &= valid.take(range(coc.shape[axis] - 1), axis)
-            assert (np.diff(slab.astype(int), axis=axis)[jump] != 0).all()
-        assert (slab[~valid] == 0).all()
-        assert slab.max() == surfaces
+            assert (np.diff(layer.astype(int), axis=axis)[jump] != 0).all()
+        assert (layer[~valid] == 0).all()
+        assert layer.max() == surfaces
 
 
-def test_without_a_jump_there_is_one_slab() -> None:
+def test_without_a_jump_there_is_one_layer() -> None:
     y, x = np.indices((40, 40))
     assert cuts(np.asarray(0.9 * x - 18.0), np.ones((40, 40), dtype=bool), 20.0) == []
     assert cuts(np.asarray(9.0 * x), y < 0, 400.0) == []
@@ -112,29 +112,29 @@ def test_without_a_jump_there_is_one_slab() -> None:
 
 def test_too_many_jumps_leave_the_smallest_alone() -> None:
     coc = np.repeat(np.array([-20.0, -18.5] * 8 + [0.0, 5.0, 6.5, 8.0, 9.5, 11, 12.5, 14, 15.5, 17]), 2)[None]
-    bounds = slab_bounds(find_discontinuities(coc, np.ones(coc.shape, dtype=bool), *bins_of(20.0), 9)[0])
-    assert 0 < len(bounds) < MOST_SLABS
+    bounds = layer_bounds(find_discontinuities(coc, np.ones(coc.shape, dtype=bool), *bins_of(20.0), 9)[0])
+    assert 0 < len(bounds) < MOST_LAYERS
     low, bins = bins_of(20.0)
-    slab = label_depth_layers(coc, np.ones(coc.shape, dtype=bool), low, bins, bounds)[0]
-    assert slab[30] < slab[32] < slab[34]  # -18.5, 0, 5
+    layer = label_depth_layers(coc, np.ones(coc.shape, dtype=bool), low, bins, bounds)[0]
+    assert layer[30] < layer[32] < layer[34]  # -18.5, 0, 5
     noise = RNG(5).uniform(-20, 20, (30, 30))
-    assert len(cuts(noise, np.ones(noise.shape, dtype=bool), 20.0)) < MOST_SLABS
+    assert len(cuts(noise, np.ones(noise.shape, dtype=bool), 20.0)) < MOST_LAYERS
 
 
 def test_seeds_lie_on_the_near_side_of_jumps_only() -> None:
     coc = np.array([[0.0, 0.5, 1.0, 5.0], [0.0, 0.5, 1.0, 5.0]])
-    slab = np.array([[1, 1, 2, 3], [1, 1, 2, 0]], dtype=np.uint8)
+    layer = np.array([[1, 1, 2, 3], [1, 1, 2, 0]], dtype=np.uint8)
     # Between 0.5 and 1.0 there is a cut and no jump; the last pixel of the second row holds nothing.
-    assert seed_hidden(coc, slab).tolist() == [[0, 0, 3, 0], [0, 0, 0, 0]]
+    assert seed_hidden(coc, layer).tolist() == [[0, 0, 3, 0], [0, 0, 0, 0]]
 
 
 def test_the_nearest_seed_is_found() -> None:
     rng = RNG(7)
     seed = ((rng.random((30, 26)) < 0.02) * rng.integers(2, 4, (30, 26))).astype(np.uint8)
-    slab = np.ones(seed.shape, dtype=np.uint8)
+    layer = np.ones(seed.shape, dtype=np.uint8)
     deep = 6
     offset = column_seeds(seed)
-    hidden, edge = reach_hidden(slab, seed, offset, deep)
+    hidden, edge = reach_hidden(layer, seed, offset, deep)
     rows, columns = np.nonzero(seed)
     for y in range(30):
         for x in range(26):
@@ -144,15 +144,15 @@ def test_the_nearest_seed_is_found() -> None:
             assert edge[y, x] == (np.maximum(abs(rows - y), abs(columns - x)).min() <= 2 * deep)
             same = rows[columns == x]
             assert abs(offset[y, x]) == (abs(same - y).min() if same.size else NO_SEED)
-    assert reach_hidden(3 * slab, seed, offset, deep)[0].max() == 0  # nothing goes on in front of a pixel
+    assert reach_hidden(3 * layer, seed, offset, deep)[0].max() == 0  # nothing goes on in front of a pixel
 
 
-def test_a_constant_slab_goes_on_constant_behind_the_others() -> None:
+def test_a_constant_layer_goes_on_constant_behind_the_others() -> None:
     near = blob((50, 60))
-    slab = np.where(near, 1, 2).astype(np.uint8)
+    layer = np.where(near, 1, 2).astype(np.uint8)
     radiance = np.where(near, 0.0, 0.7)[..., None]
     coc = np.where(near, -4.0, 5.0)
-    value, radius, there = extend_slab(radiance, coc, slab, np.where(near, 2, 0).astype(np.uint8), 2, 15)
+    value, radius, there = extend_depth_layer(radiance, coc, layer, np.where(near, 2, 0).astype(np.uint8), 2, 15)
     np.testing.assert_allclose(value[..., 0], 0.7, rtol=0, atol=1e-14)
     np.testing.assert_allclose(radius, 5.0, rtol=0, atol=1e-13)
     assert there.all()
@@ -163,10 +163,10 @@ def test_a_constant_slab_goes_on_constant_behind_the_others() -> None:
 def test_a_pyramid_interpolates_what_is_missing(shape: tuple[int, int]) -> None:
     """Values between those known, known ones as they are, down to levels of one pixel."""
     rng = RNG(8)
-    slab = (rng.random(shape) < 0.3).astype(np.uint8)
-    slab.ravel()[0] = 1
+    layer = (rng.random(shape) < 0.3).astype(np.uint8)
+    layer.ravel()[0] = 1
     radiance, coc = rng.uniform(2, 3, (*shape, 2)), rng.uniform(4, 5, shape)
-    levels = [open_depth_layer(radiance, coc, slab, 1)]
+    levels = [open_depth_layer(radiance, coc, layer, 1)]
     while max(levels[-1].shape[:2]) > 1:
         levels.append(push(levels[-1], last=max(levels[-1].shape[:2]) == 2))
         assert levels[-1].shape[:2] == tuple(-(-n // 2) for n in levels[-2].shape[:2])
@@ -175,7 +175,7 @@ def test_a_pyramid_interpolates_what_is_missing(shape: tuple[int, int]) -> None:
     while levels:
         coarse = pull(levels.pop(), coarse)
     np.testing.assert_array_equal(coarse[..., -1], 1.0)
-    np.testing.assert_array_equal(coarse[slab > 0][:, :2], radiance[slab > 0])
+    np.testing.assert_array_equal(coarse[layer > 0][:, :2], radiance[layer > 0])
     assert coarse[..., :2].min() > 2 - 1e-12
     assert coarse[..., :2].max() < 3 + 1e-12
     assert coarse[..., 2].min() > 4 - 1e-12
@@ -184,23 +184,23 @@ def test_a_pyramid_interpolates_what_is_missing(shape: tuple[int, int]) -> None:
 
 @pytest.mark.parametrize("deep", [1, 2, 3, 6, 7])
 def test_a_pyramid_shows_what_is_near_and_nothing_else(deep: int) -> None:
-    """One pixel of a slab: all up to deep + 1 px away look like it; what is far away changes no bit."""
+    """One pixel of a layer: all up to deep + 1 px away look like it; what is far away changes no bit."""
     size, step = 160, 1 << level_count(deep)
     assert deep + 2 <= step < 2 * (deep + 2)
     y, x = np.indices((size, size))
     for row, column in ((70, 71), (79, 80), (87, 88), (83, 69)):
-        slab = ((y == row) & (x == column)).astype(np.uint8)
-        radiance, coc = np.where(slab, 0.3, 0.0)[..., None], np.where(slab, -2.0, 9.0)
+        layer = ((y == row) & (x == column)).astype(np.uint8)
+        radiance, coc = np.where(layer, 0.3, 0.0)[..., None], np.where(layer, -2.0, 9.0)
         near = np.maximum(abs(y - row), abs(x - column)) <= deep + 1
-        hidden = ((slab == 0) & near).astype(np.uint8)
-        value, radius, there = extend_slab(radiance, coc, slab, hidden, 1, deep)
+        hidden = ((layer == 0) & near).astype(np.uint8)
+        value, radius, there = extend_depth_layer(radiance, coc, layer, hidden, 1, deep)
         assert (there == near).all()
         np.testing.assert_allclose(value[there], [[0.3, 1.0]] * int(there.sum()), rtol=0, atol=1e-15)
         np.testing.assert_allclose(radius[there], -2.0, rtol=0, atol=1e-14)
         away = abs(y - row) > deep + 1 + 4 * step
-        slab = np.where(away & (RNG(9).random(slab.shape) < 0.5), 1, slab).astype(np.uint8)
+        layer = np.where(away & (RNG(9).random(layer.shape) < 0.5), 1, layer).astype(np.uint8)
         lit = np.where(away, 1.0, radiance[..., 0])[..., None]
-        other, _, _ = extend_slab(lit, coc, slab, hidden, 1, deep)
+        other, _, _ = extend_depth_layer(lit, coc, layer, hidden, 1, deep)
         assert away.any()
         np.testing.assert_array_equal(other[~away], value[~away])
 
@@ -221,14 +221,14 @@ def test_a_cut_through_a_continuous_surface_leaves_no_seam(texture: str) -> None
     y, x = np.indices(size)
     coc = 0.13 * (x - 30) + 0.06 * (y - 30)
     radiance = (RNG(1).random(size) if texture == "noise" else x / 70.0)[..., None]
-    slab = (1 + np.searchsorted(np.quantile(coc, [0.25, 0.5, 0.75]), coc)).astype(np.uint8)
-    cut, count = spread_slabs(PILLBOX, radiance, coc, slab, shape, guard, 20)
+    layer = (1 + np.searchsorted(np.quantile(coc, [0.25, 0.5, 0.75]), coc)).astype(np.uint8)
+    cut, count = spread_depth_layers(PILLBOX, radiance, coc, layer, shape, guard, 20)
     assert count == 4
     np.testing.assert_array_equal(cut, unsliced(radiance, coc, shape, guard))  # nothing is covered: light adds up
 
 
 def test_a_cut_that_meets_an_edge_leaves_little() -> None:
-    """A slanted plane in four slabs behind a card: as in two slabs, but for where the cuts meet the edge."""
+    """A slanted plane in four layers behind a card: as in two layers, but for where the cuts meet the edge."""
     guard, shape = 14, (44, 48)
     size = (shape[0] + 2 * guard, shape[1] + 2 * guard)
     y, x = np.indices(size)
@@ -238,7 +238,7 @@ def test_a_cut_that_meets_an_edge_leaves_little() -> None:
     radiance = np.where(near, 0.2, 0.5 + 0.3 * np.sin(0.4 * x) * np.cos(0.3 * y))[..., None]
     two = np.where(near, 1, 2).astype(np.uint8)
     five = np.where(near, 1, 2 + np.searchsorted([4.2, 5.1, 5.6], plane)).astype(np.uint8)
-    images = [spread_slabs(PILLBOX, radiance, coc, slab, shape, guard, 14)[0] for slab in (two, five)]
+    images = [spread_depth_layers(PILLBOX, radiance, coc, layer, shape, guard, 14)[0] for layer in (two, five)]
     plain = unsliced(radiance, coc, shape, guard)
     cut, hidden = (np.sqrt(np.mean((image - images[0]) ** 2)) for image in (images[1], plain))
     # Of the nine places where a cut meets the edge, each is at worst an edge without occlusion, 8 px wide of 60.
@@ -276,7 +276,7 @@ def test_one_brightness_everywhere_stays_so() -> None:
         np.testing.assert_allclose(image, 0.6, rtol=0, atol=1e-12)
 
 
-def test_one_slab_is_plain_scattering() -> None:
+def test_one_layer_is_plain_scattering() -> None:
     guard, shape = 8, (20, 22)
     size = (shape[0] + 2 * guard, shape[1] + 2 * guard)
     coc = np.linspace(-4, 6, size[1])[None, :] + np.zeros(size)

@@ -12,7 +12,7 @@ from clsco.optics.lens import blur_radius, ray_step
 from clsco.optics.motion import pose_at
 from clsco.optics.point_spread import subpixel_offsets
 from clsco.optics.quadrics import PlacedSurface
-from clsco.optics.visibility import Layer
+from clsco.optics.visibility import OcclusionGroup
 from clsco.reference.common.geometry import Filter, pixel_ray, rest_pixel, solve_quadric
 from clsco.reference.trace.trace import (
     SILHOUETTE_RANGE,
@@ -32,7 +32,7 @@ Placer = Callable[..., PlacedSurface]
 SMALL_SPHERE = Sphere(center=(0.3, -0.2, 280.0), radius=2.5)
 SHAPE = (40, 48)
 SIZE = SHAPE[::-1]
-ALONE = Layer(1, 0)  # one object, and nothing in its way
+ALONE = OcclusionGroup(1, 0)  # one object, and nothing in its way
 EPS = np.finfo(np.float64).eps
 
 

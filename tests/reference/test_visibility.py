@@ -13,7 +13,7 @@ from clsco.optics.lens import blur_radius, lens_radius
 from clsco.optics.motion import Pose, rest_center, rotation_matrix
 from clsco.optics.point_spread import PointSpread, point_spread
 from clsco.optics.quadrics import place
-from clsco.optics.visibility import Layer
+from clsco.optics.visibility import OcclusionGroup
 from clsco.reference.common.geometry import nearest_surface, solve_quadric, surface_normal
 from clsco.reference.common.occluder import Part, leave_free, soft_step
 from clsco.reference.common.visibility import CLEAR, HIDDEN, Points, check_visibility
@@ -116,15 +116,15 @@ def lens_points(rays: Array, w: Array, dx: Array, dy: Array) -> Array:
 
 def free_shares(
     items: Sequence[Object], poses: Sequence[Pose], rays: Array, w: Array, lens: Array, psf: PointSpread,
-    layer: Layer | None = None,
+    group: OcclusionGroup | None = None,
 ) -> tuple[Array, Array]:  # fmt: skip
     """State (N,) of points rays / w, and share (T, N) that is free as seen from taps R l; lens: (T, 2)."""
     surfaces = [place(*one) for one in zip(items, poses, strict=True)]
-    layer = layer or Layer(0, (1 << len(items)) - 1)
+    group = group or OcclusionGroup(0, (1 << len(items)) - 1)
     radius, middle = blur_radius(CAMERA, w), np.zeros_like(w)
     bounds = [item.bounds for item in items]
     state, _, visibility = check_visibility(
-        CAMERA, surfaces, bounds, layer, psf, Points(rays, w, radius, middle, middle, 1.0, np.zeros((len(w), 2)))
+        CAMERA, surfaces, bounds, group, psf, Points(rays, w, radius, middle, middle, 1.0, np.zeros((len(w), 2)))
     )
     cells, share = cell_visibility(visibility), np.ones((len(lens), w.size))
     tested = visibility.row >= 0
@@ -229,15 +229,15 @@ def test_a_hollow_surface_hides_its_own_inside(name: str) -> None:
     for pose in random_poses(rng, item, 12, 1.0):
         surface = place(item, pose)
         far = 1 if surface.constant < 0 else 2
-        layer = Layer(1, 1, 0, far)
+        group = OcclusionGroup(1, 1, 0, far)
         rays, _ = random_points(rng, 8000)
-        w, label, _ = nearest_surface([surface], [item.bounds], layer, rays)
+        w, label, _ = nearest_surface([surface], [item.bounds], group, rays)
         chosen = (label > 0) & (np.abs(1 / np.where(w > 0, w, 1.0) / CAMERA.focused_distance - 1) > 0.02)
         rays, w = rays[chosen], w[chosen]
         if not w.size:
             continue
         lens = random_taps(rng, 25, 1.0)
-        _, share = free_shares([item], [pose], rays, w, lens, PILLBOX, layer)
+        _, share = free_shares([item], [pose], rays, w, lens, PILLBOX, group)
         blocked = blocked_lines([item], [pose], rays, w, lens)
         # Lens points that are behind the surface at the point itself get no light of it by the tilt.
         taps = lens[:, None] * blur_radius(CAMERA, w)[None, :, None]
@@ -266,7 +266,7 @@ def test_points_inside_of_another_object_are_hidden() -> None:
         args = (
             [surface],
             [None],
-            Layer(0, 1),
+            OcclusionGroup(0, 1),
             PILLBOX,
             Points(rays, w, radius, middle, middle, 1.0, np.zeros((len(w), 2))),
         )
@@ -305,7 +305,7 @@ def test_narrow_lenses_are_weighed_cell_by_cell() -> None:
         camera,
         surfaces,
         [item.bounds],
-        Layer(0, 1),
+        OcclusionGroup(0, 1),
         PILLBOX,
         Points(rays, w, radius, zero, zero, 0.0, np.zeros((1, 2))),
     )

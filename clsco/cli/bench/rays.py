@@ -21,9 +21,9 @@ from clsco.optics.motion import pose_at, rest_center
 from clsco.optics.point_spread import point_spread
 from clsco.optics.psf_tables import psf_features
 from clsco.optics.quadrics import PlacedSurface, place
-from clsco.optics.visibility import Layer
+from clsco.optics.visibility import OcclusionGroup
 from clsco.passes.blur import PIXELS
-from clsco.passes.pack import layer_struct, surface_structs
+from clsco.passes.pack import group_struct, surface_structs
 from clsco.records import WIDE, WIDE_BYTES, Real, structs, together
 from clsco.scene.model import Camera, Cone, Cylinder, Ellipsoid, Object, ObjectMotion, Plane, Psf, Quadric, Sphere
 from clsco.scene.quantities import Vector
@@ -101,7 +101,15 @@ class Caster:
         camera["guard"], camera["top"] = -window.column, window.row
         camera["above"], camera["width"], camera["height"] = 0, window.side, window.side
         surfaces = upload(self.session, surface_structs([target.item], [target.placed()], self.real))
-        args = (camera, surfaces, layer_struct(Layer(1, 0), 1), np.float32(1.0), self.texture, self.value, self.wide)
+        args = (
+            camera,
+            surfaces,
+            group_struct(OcclusionGroup(1, 0), 1),
+            np.float32(1.0),
+            self.texture,
+            self.value,
+            self.wide,
+        )
         last = (self.class_, *((self.statistics,) if name == "pinhole" else ()))
         launch(self.session, kernel(self.program, name), (window.side,) * 2, PIXELS, *args, *last)
         self.session.queue.finish()

@@ -16,7 +16,7 @@ from clsco.optics.lens import blur_scale, focus_power, ray_step
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_grid import table_coordinate as coordinate_of_radius
 from clsco.optics.quadrics import PlacedSurface
-from clsco.optics.visibility import Layer
+from clsco.optics.visibility import OcclusionGroup
 from clsco.scene.model import Camera
 
 Array = NDArray[np.float64]
@@ -191,18 +191,18 @@ def solve_root(
 
 
 def nearest_surface(
-    surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], layer: Layer, rays: Array
+    surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], group: OcclusionGroup, rays: Array
 ) -> tuple[Array, NDArray[np.uint8], NDArray[np.int32]]:
     """Inverse depth (...) in 1/mm of the nearest surface along rays (..., 3), its label, and its number.
 
-    surfaces, bounds: of all objects; layer: the occlusion group, whose members and roots count. Label: 0 no surface
+    surfaces, bounds: of all objects; group: the occlusion group, whose members and roots count. Label: 0 no surface
     (w = 0, number -1), else 2 k + the label of `solve_quadric` for object k. Of equally near ones the first counts.
     """
     nearest = np.zeros(rays.shape[:-1])
     label, number = np.zeros(nearest.shape, dtype=np.uint8), np.full(nearest.shape, -1, dtype=np.int32)
     for k, surface in enumerate(surfaces):
-        if layer.members >> k & 1:
-            w, root = solve_root(surface, bounds[k], rays, layer.root)
+        if group.members >> k & 1:
+            w, root = solve_root(surface, bounds[k], rays, group.root)
             nearer = w > nearest
             nearest = np.where(nearer, w, nearest)
             label = np.where(nearer, (2 * k + root).astype(np.uint8), label)

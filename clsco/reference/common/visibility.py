@@ -21,7 +21,7 @@ from clsco.constants import LENS_CELLS
 from clsco.optics.lens import blur_scale, lens_radius
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import PlacedSurface
-from clsco.optics.visibility import Layer
+from clsco.optics.visibility import OcclusionGroup
 from clsco.reference.common.geometry import Array, Bounds, difference_of_products, turned
 from clsco.reference.common.occluder import TINY, Mask, Occluder, hides_all
 from clsco.scene.model import Camera
@@ -406,12 +406,12 @@ class Visibility:
 
 
 def check_visibility(
-    camera: Camera, surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], layer: Layer, psf: PointSpread,
-    points: Points,
+    camera: Camera, surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], group: OcclusionGroup,
+    psf: PointSpread, points: Points,
 ) -> tuple[NDArray[np.uint8], Mask, Visibility]:  # fmt: skip
     """Visibility of the lens from N points.
 
-    surfaces, bounds: of all objects; layer: the occlusion group, whose occluders are tested. Returns CLEAR, PARTLY or
+    surfaces, bounds: of all objects; group: the occlusion group, whose occluders are tested. Returns CLEAR, PARTLY or
     HIDDEN (N,); what changes where two surfaces meet, and at outlines of occluders close to the point (N,); and what is
     to be tested for taps.
     """
@@ -420,9 +420,9 @@ def check_visibility(
     found = []
     for k, surface in enumerate(surfaces):
         # The near one of two roots has nothing of its own surface before it.
-        front = k == layer.own and layer.root == (2 if surface.constant < 0 else 1)
-        if layer.occluders >> k & 1 and not front:
-            one, changes, occluder = meet_occluder(camera, surface, bounds[k], points, lens, k == layer.own)
+        front = k == group.own and group.root == (2 if surface.constant < 0 else 1)
+        if group.occluders >> k & 1 and not front:
+            one, changes, occluder = meet_occluder(camera, surface, bounds[k], points, lens, k == group.own)
             state, edge = np.maximum(state, one), edge ^ changes
             found.append((one == PARTLY, occluder))
     partly = state == PARTLY

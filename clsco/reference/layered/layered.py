@@ -1,7 +1,7 @@
 """Layered occlusion in NumPy float64: depth layers, each blurred with its coverage, composited front to back.
 
 All that is known is the pinhole image: the radiance and the signed blur radius of each pixel of the padded grid (H, W).
-A smaller signed radius is nearer. A depth layer (`slab`) is a range of it; they are numbered from 1, the nearest; 0
+A smaller signed radius is nearer. A depth layer is a range of it; they are numbered from 1, the nearest; 0
 stands for no surface.
 """
 
@@ -26,7 +26,7 @@ Integers = NDArray[np.int64]
 
 DISCONTINUITY = 1.0  # px: over the lens two points shift by |R1 - R2| against each other; less hides no pixel
 BIN = 0.25  # px: depth layers end at multiples of it
-MOST_SLABS = 8
+MOST_LAYERS = 8
 NO_SEED = 1 << 14  # px: farther than any blur reaches
 NEVER = 1 << 24  # beyond the last pixel of any frame
 TENT = (0.125, 0.375, 0.375, 0.125)  # of a coarse pixel, over 4 fine ones per axis
@@ -67,8 +67,8 @@ def find_discontinuities(coc: Array, valid: Mask, low: float, bins: int, far: in
     return latest, largest_sum
 
 
-def slab_bounds(latest: Integers) -> list[int]:
-    """First bins of the second and each further depth layer, at most MOST_SLABS - 1 of them, in rising order.
+def layer_bounds(latest: Integers) -> list[int]:
+    """First bins of the second and each further depth layer, at most MOST_LAYERS - 1 of them, in rising order.
 
     latest: (DISCONTINUITY_CLASSES, bins) from `find_discontinuities`. From near to far, a discontinuity that no bound
     splits yet gets one in the middle of where it can be; where that makes too many, those of the smallest class are
@@ -79,26 +79,26 @@ def slab_bounds(latest: Integers) -> list[int]:
         for far_bin, near_bin in enumerate((latest[smallest:].max(axis=0) - 1).tolist()):
             if near_bin >= 0 and (not bounds or bounds[-1] <= near_bin):
                 bounds.append((near_bin + 1 + far_bin + 1) // 2)
-        if len(bounds) < MOST_SLABS:
+        if len(bounds) < MOST_LAYERS:
             return bounds
-    return bounds[: MOST_SLABS - 1]
+    return bounds[: MOST_LAYERS - 1]
 
 
 def label_depth_layers(coc: Array, valid: Mask, low: float, bins: int, bounds: list[int]) -> Labels:
-    """Depth layer (H, W) of every pixel. Arguments as for `find_discontinuities`; bounds: from `slab_bounds`."""
-    slab = 1 + np.searchsorted(np.asarray(bounds, np.int64), _bin(coc, low, bins), side="right")
-    return np.where(valid, slab, 0).astype(np.uint8)
+    """Depth layer (H, W) of every pixel. Arguments as for `find_discontinuities`; bounds: from `layer_bounds`."""
+    layer = 1 + np.searchsorted(np.asarray(bounds, np.int64), _bin(coc, low, bins), side="right")
+    return np.where(valid, layer, 0).astype(np.uint8)
 
 
-def seed_hidden(coc: Array, slab: Labels) -> Labels:
+def seed_hidden(coc: Array, layer: Labels) -> Labels:
     """The depth layer (H, W) that is extrapolated behind a pixel at an edge: the nearest of those of its four neighbors
     that are beyond a discontinuity."""
-    padded, radius = np.pad(slab, 1), np.pad(coc, 1)
-    seed = np.zeros_like(slab)
-    rows, columns = slab.shape
+    padded, radius = np.pad(layer, 1), np.pad(coc, 1)
+    seed = np.zeros_like(layer)
+    rows, columns = layer.shape
     for i, j in ((0, 1), (2, 1), (1, 0), (1, 2)):
         near = (slice(i, i + rows), slice(j, j + columns))
-        behind = (slab > 0) & (padded[near] > slab) & (radius[near] - coc > DISCONTINUITY)
+        behind = (layer > 0) & (padded[near] > layer) & (radius[near] - coc > DISCONTINUITY)
         seed = np.where(behind & ((seed == 0) | (padded[near] < seed)), padded[near], seed)
     return seed
 
@@ -112,7 +112,7 @@ def column_seeds(seed: Labels) -> Integers:
     return np.where(np.abs(offset) < NO_SEED, offset, NO_SEED)
 
 
-def reach_hidden(slab: Labels, seed: Labels, offset: Integers, deep: int) -> tuple[Labels, Mask]:
+def reach_hidden(layer: Labels, seed: Labels, offset: Integers, deep: int) -> tuple[Labels, Mask]:
     """The depth layer that is extrapolated behind each pixel, that of its nearest seed, 0 for none; where edges count.
 
     Both (H, W). offset: (H, W) from `column_seeds`; deep: px, no seed is farther. Of seeds at the same distance the one
@@ -120,23 +120,23 @@ def reach_hidden(slab: Labels, seed: Labels, offset: Integers, deep: int) -> tup
     Edges count up to 2 `deep` px away, rows and columns counted separately: sources beyond do not reach pixels where
     hidden surface may be visible.
     """
-    columns, wide = slab.shape[1], 2 * deep
-    best, found = np.full(slab.shape, deep * deep + 1), np.zeros_like(slab)
-    edge = np.zeros(slab.shape, dtype=bool)
+    columns, wide = layer.shape[1], 2 * deep
+    best, found = np.full(layer.shape, deep * deep + 1), np.zeros_like(layer)
+    edge = np.zeros(layer.shape, dtype=bool)
     padded = np.pad(offset, ((0, 0), (wide, wide)), constant_values=NO_SEED)
-    row, column = np.indices(slab.shape)
+    row, column = np.indices(layer.shape)
     for dx in sorted(range(-wide, wide + 1), key=lambda d: (abs(d), d)):
         dy = padded[:, wide + dx : wide + dx + columns]
         edge |= np.abs(dy) <= wide
         nearer = dx * dx + dy * dy < best
         label = seed[np.where(nearer, row + dy, 0), np.clip(column + dx, 0, columns - 1)]
         best, found = np.where(nearer, dx * dx + dy * dy, best), np.where(nearer, label, found)
-    return np.where((slab > 0) & (found > slab), found, 0).astype(np.uint8), edge
+    return np.where((layer > 0) & (found > layer), found, 0).astype(np.uint8), edge
 
 
-def open_depth_layer(radiance: Array, coc: Array, slab: Labels, which: int) -> Array:
+def open_depth_layer(radiance: Array, coc: Array, layer: Labels, which: int) -> Array:
     """Finest level (H, W, C + 2) of a pyramid: radiance and radius of one depth layer, and whether they are known."""
-    known = slab == which
+    known = layer == which
     return np.concatenate([radiance, coc[..., None], known[..., None]], axis=-1) * known[..., None]
 
 
@@ -186,17 +186,17 @@ def pull(fine: Array, coarse: Array) -> Array:
 
 
 def take_depth_layer(
-    radiance: Array, coc: Array, slab: Labels, hidden: Labels, coarse: Array, which: int
+    radiance: Array, coc: Array, layer: Labels, hidden: Labels, coarse: Array, which: int
 ) -> tuple[Array, Array, Mask]:
     """One depth layer to be blurred: radiance with coverage (H, W, C + 1), radius (H, W), and where it is (H, W).
 
     coarse: the pulled second level of the layer's pyramid, from which the hidden part comes.
     """
-    behind, _ = _around(coarse, slab.shape)
-    own, extended = slab == which, hidden == which
+    behind, _ = _around(coarse, layer.shape)
+    own, extended = layer == which, hidden == which
     there = own | extended
     light = np.where(own[..., None], radiance, behind[..., :-1])
-    value = np.concatenate([light, np.ones((*slab.shape, 1))], axis=-1) * there[..., None]
+    value = np.concatenate([light, np.ones((*layer.shape, 1))], axis=-1) * there[..., None]
     return value, np.where(own, coc, np.where(extended, behind[..., -1], 0.0)), there
 
 
@@ -217,21 +217,21 @@ def composite(total: Array, covered: Array, blurred: Array) -> tuple[Array, Arra
     return total + share[..., None] * blurred[..., :-1], covered + seen
 
 
-def extend_slab(
-    radiance: Array, coc: Array, slab: Labels, hidden: Labels, which: int, deep: int
+def extend_depth_layer(
+    radiance: Array, coc: Array, layer: Labels, hidden: Labels, which: int, deep: int
 ) -> tuple[Array, Array, Mask]:
     """One depth layer with its hidden part; result as of `take_depth_layer`.
 
     Push-pull over a pyramid (Gortler et al. 1996). It has as few levels as show each pixel what is deep +
     1 px away: hidden pixels are no farther from their layer. So strips of a frame need no more than what is near by.
     """
-    levels, count = [open_depth_layer(radiance, coc, slab, which)], level_count(deep)
+    levels, count = [open_depth_layer(radiance, coc, layer, which)], level_count(deep)
     for level in range(1, count + 1):
         levels.append(push(levels[-1], last=level == count))
     coarse = levels[-1]
     for fine in levels[-2:0:-1]:
         coarse = pull(fine, coarse)
-    return take_depth_layer(radiance, coc, slab, hidden, coarse, which)
+    return take_depth_layer(radiance, coc, layer, hidden, coarse, which)
 
 
 def level_count(deep: int) -> int:
@@ -257,12 +257,12 @@ def layered(
     largest = spec.largest
     low, bins = bins_of(largest)
     latest, largest_sum = find_discontinuities(coc, valid, low, bins, 2 * spec.psf.reach(largest) + 1)
-    slab = label_depth_layers(coc, valid, low, bins, slab_bounds(latest))
-    return spread_slabs(spec, radiance, coc, slab, shape, guard, depth_of_hidden(spec.psf, largest_sum))
+    layer = label_depth_layers(coc, valid, low, bins, layer_bounds(latest))
+    return spread_depth_layers(spec, radiance, coc, layer, shape, guard, depth_of_hidden(spec.psf, largest_sum))
 
 
-def spread_slabs(
-    spec: BlurSpec, radiance: Array, coc: Array, slab: Labels, shape: tuple[int, int], guard: int, deep: int
+def spread_depth_layers(
+    spec: BlurSpec, radiance: Array, coc: Array, layer: Labels, shape: tuple[int, int], guard: int, deep: int
 ) -> tuple[Array, int]:
     """As `layered`, for given depth layers (H, W), which are extrapolated up to `deep` px behind an edge."""
 
@@ -271,10 +271,10 @@ def spread_slabs(
         sources = Sources(value, np.ones(coc.shape), label, radius, gradient, there)
         return scatter(spec, keep_sources(sources, edge, near_edges), None, shape, guard)
 
-    count, seed = int(slab.max(initial=0)), seed_hidden(coc, slab)
-    hidden, edge = reach_hidden(slab, seed, column_seeds(seed), deep)
-    total, covered = blurred_sum(radiance, coc, slab > 0, near_edges=False), np.zeros(shape)
+    count, seed = int(layer.max(initial=0)), seed_hidden(coc, layer)
+    hidden, edge = reach_hidden(layer, seed, column_seeds(seed), deep)
+    total, covered = blurred_sum(radiance, coc, layer > 0, near_edges=False), np.zeros(shape)
     for which in range(1, count + 1):
-        blurred = blurred_sum(*extend_slab(radiance, coc, slab, hidden, which, deep), near_edges=True)
+        blurred = blurred_sum(*extend_depth_layer(radiance, coc, layer, hidden, which, deep), near_edges=True)
         total, covered = composite(total, covered, blurred)
     return total, count

@@ -17,7 +17,7 @@ from clsco.optics.light import PlacedLight, place_light
 from clsco.optics.motion import Eye, poses_at
 from clsco.optics.point_spread import PointSpread, subpixel_offsets
 from clsco.optics.quadrics import PlacedSurface, cutting_bounds, place
-from clsco.optics.visibility import Layer
+from clsco.optics.visibility import OcclusionGroup
 from clsco.reference.common.geometry import (
     HALF_PIXEL,
     SMALLEST_RADIUS,
@@ -126,9 +126,9 @@ def view_at(
     return View(scene, surfaces, textures, moved, place_light(scene, time, eye), psf or scene_point_spread(scene))
 
 
-def everything(scene: Scene) -> Layer:
+def everything(scene: Scene) -> OcclusionGroup:
     """All objects in one occlusion group without occluders: the pinhole image."""
-    return Layer((1 << len(scene.objects)) - 1, 0)
+    return OcclusionGroup((1 << len(scene.objects)) - 1, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +149,7 @@ class Cast:
 
 def cast(
     view: View,
-    layer: Layer,
+    group: OcclusionGroup,
     row: NDArray[Any],
     column: NDArray[Any],
     texel: tuple[NDArray[Any], NDArray[Any]],
@@ -160,11 +160,11 @@ def cast(
     texel: row and column of the pixel whose texel a ray shows in the reference pose; sources: per axis of a pixel.
     """
     scene, rays = view.scene, pixel_ray(view.scene.camera, row, column)
-    w, label, number = nearest_surface(view.surfaces, [cutting_bounds(item) for item in scene.objects], layer, rays)
+    w, label, number = nearest_surface(view.surfaces, [cutting_bounds(item) for item in scene.objects], group, rays)
     gradient, radiance = np.zeros((*w.shape, 2)), np.zeros((*w.shape, view.channels))
     parts, share = np.zeros(w.shape, np.intp), np.zeros(w.shape)
     for k, surface in enumerate(view.surfaces):
-        if not layer.members >> k & 1:
+        if not group.members >> k & 1:
             continue
         own = (number == k)[..., None]
         gradient = np.where(own, blur_gradient(scene.camera, surface_slope(surface, rays, w)), gradient)
@@ -209,7 +209,7 @@ def _texels(texture: Array, row: NDArray[np.int64], column: NDArray[np.int64]) -
     return np.asarray(texture[mirror_index(row, texture.shape[0]), mirror_index(column, texture.shape[1])])
 
 
-def trace(view: View, layer: Layer, guard: int) -> Sources:
+def trace(view: View, group: OcclusionGroup, guard: int) -> Sources:
     """Sources on the padded grid, from one ray through each pixel's center to the objects of an occlusion group.
 
     guard: px. In the reference pose the radiance is the texel itself, else the texture is sampled at the projection of
@@ -217,9 +217,9 @@ def trace(view: View, layer: Layer, guard: int) -> Sources:
     """
     scene = view.scene
     row, column = padded_grid(scene.camera, guard)
-    hit = cast(view, layer, row, column, (row, column), 1)
+    hit = cast(view, group, row, column, (row, column), 1)
     label, lit, visibility = hit.label, hit.label > 0, None
-    if layer.occluders:
+    if group.occluders:
         rays = pixel_ray(scene.camera, row, column)[lit]
         here, radius = np.zeros(len(rays)), hit.radius[lit]
         tilt, _ = pixel_tilt(hit.gradient[lit], radius)
@@ -229,7 +229,7 @@ def trace(view: View, layer: Layer, guard: int) -> Sources:
             scene.camera,
             view.surfaces,
             bounds,
-            layer,
+            group,
             view.psf,
             Points(rays, hit.w[lit], radius, here, here, 1.0, tilt * size[:, None] * scene.psf.tilt),
         )
@@ -290,7 +290,7 @@ def sharpen(sources: Sources, marked: NDArray[np.bool_]) -> Sources:
 
 
 def trace_subpixels(
-    view: View, layer: Layer, guard: int, marked: NDArray[np.bool_], sources: Sources | None = None
+    view: View, group: OcclusionGroup, guard: int, marked: NDArray[np.bool_], sources: Sources | None = None
 ) -> SubpixelSources:
     """Sub-pixel sources of the pixels (H, W) of the padded grid that are marked, and of those of `sources` with parts.
 
@@ -308,15 +308,15 @@ def trace_subpixels(
     at_row = (row - guard)[:, None, None] + offsets[:, None]
     at_column = (column - guard)[:, None, None] + offsets[None, :]
     texel = ((row - guard)[:, None, None], (column - guard)[:, None, None])
-    hit = cast(view, layer, at_row, at_column, texel, samples)
+    hit = cast(view, group, at_row, at_column, texel, samples)
     lens_radius = hit.radius  # of visibility tests
-    hit = _covering(view, layer, hit, marked, (row, column), guard)
+    hit = _covering(view, group, hit, marked, (row, column), guard)
     cut = parts[row, column]
     if sources is not None and cut.any():
         hit = _with_parts(view, hit, sources, (row, column), cut, guard)
         lens_radius = np.where((cut > 0)[:, None, None], hit.radius, lens_radius)
     lit, visibility = hit.label > 0, None
-    if layer.occluders:
+    if group.occluders:
         rays = pixel_ray(scene.camera, at_row, at_column)[lit]
         x, y = (np.broadcast_to(n, lit.shape)[lit] for n in (offsets[None, :], offsets[:, None]))
         bounds = [cutting_bounds(item) for item in scene.objects]
@@ -324,7 +324,7 @@ def trace_subpixels(
         size = np.maximum(np.abs(lens_radius), SMALLEST_RADIUS) / np.maximum(np.abs(hit.radius), SMALLEST_RADIUS)
         tilted = hit.gradient * (size * np.where(lens_radius * hit.radius < 0.0, -1.0, 1.0))[..., None]
         state, _, visibility = check_visibility(
-            scene.camera, view.surfaces, bounds, layer, view.psf,
+            scene.camera, view.surfaces, bounds, group, view.psf,
             Points(rays, hit.w[lit], lens_radius[lit], x, y, 1.0 / samples, tilted[lit] * scene.psf.tilt),
         )  # fmt: skip
         seen = state != HIDDEN
@@ -334,8 +334,8 @@ def trace_subpixels(
 
 
 def _covering(
-    view: View, layer: Layer, hit: Cast, marked: NDArray[np.bool_], pixel: tuple[NDArray[np.intp], NDArray[np.intp]],
-    guard: int,
+    view: View, group: OcclusionGroup, hit: Cast, marked: NDArray[np.bool_],
+    pixel: tuple[NDArray[np.intp], NDArray[np.intp]], guard: int,
 ) -> Cast:  # fmt: skip
     """Replace radius, gradient and radiance of hits of rays (M, S, S) beside outlines by those of what they cover.
 
@@ -351,7 +351,7 @@ def _covering(
     slot, i, j = np.nonzero(beside)
     offsets, texel = subpixel_offsets(samples), (place[0][slot], place[1][slot])
     shown = cast(
-        view, layer, texel[0] + offsets[i] + down[beside] / samples, texel[1] + offsets[j] + right[beside] / samples,
+        view, group, texel[0] + offsets[i] + down[beside] / samples, texel[1] + offsets[j] + right[beside] / samples,
         texel, samples,
     )  # fmt: skip
     same = shown.label == hit.label[beside]  # but for beside a corner

@@ -101,7 +101,7 @@ static void settle(int first, int last, int apart, int shift, int plane, int pit
 // row by row of sources. budget: with 0 all of it; else of sources that fit in so many steps of columns, and then, by
 // the launches that follow, others of so much work, in vectors of taps: position, of a work-item, is what has been
 // walked, 0 at first, DONE in the end. Such pieces give the sums of the whole, in its order. part: BAND rows for each
-// work-item, of which every `group` rows of sources the sum goes on to total; with group 0 it is total. scratch: see
+// work-item, of which every `part_rows` rows of sources the sum goes on to total; with 0 rows it is total. scratch: see
 // discs.clh and columns.clh, zeros as well.
 __kernel void gather(const camera_t camera, const psf_t psf, __global const float *source,
                      __global const float *value, __global const int2 *intervals,
@@ -111,7 +111,7 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
                      __global scratch_t *scratch, const int scratch_size,  // of a work-item
 #endif
                      const int start, const int2 budget, __global int *position,
-                     const int group, __global float *part, const int pitch, const int pad,
+                     const int part_rows, __global float *part, const int pitch, const int pad,
                      __global float *total
 #if SUBPIXELS
                      , __global const float4 *sub_source, __global const float *sub_value, const int capacity,
@@ -126,8 +126,8 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
     const bool cut = budget.x > 0;
     const int end = MIN(camera.rows, first + BAND);
     const int plane = camera.width * camera.height, total_plane = camera.rows * pitch;
-    const int apart = group ? (int)get_global_size(0) * BAND * pitch : total_plane;
-    const int shift = group ? (own * BAND - first) * pitch : 0;  // from a row of the frame to that of part
+    const int apart = part_rows ? (int)get_global_size(0) * BAND * pitch : total_plane;
+    const int shift = part_rows ? (own * BAND - first) * pitch : 0;  // from a row of the frame to that of part
     const int from = MAX(first - psf.reach, -camera.above), to = MIN(end + psf.reach, camera.height - camera.above);
     const int before = cut ? position[own] : 0;
     if (before == DONE)
@@ -190,7 +190,7 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
                 if (as_int(p.w) == PARTLY_OCCLUDED) {
                     left -= HIDDEN_WORK + HIDDEN_TAPS * vectors;
                     visibility_t visibility;
-                    source_visibility(camera, surfaces, layer, psf, lens, camera.top + y + spread.oy,
+                    source_visibility(camera, surfaces, group, psf, lens, camera.top + y + spread.oy,
                                       x - camera.guard + spread.ox,
                                       sub_depth[id], spread, p, (real)1 / SUBPIXELS, &visibility);
                     add_occluded_rows(spread, &visibility, up, down, sub_value + id, capacity * SUBPIXELS * SUBPIXELS,
@@ -217,7 +217,7 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
         if (as_int(s.w) == PARTLY_OCCLUDED) {
             left -= HIDDEN_WORK + HIDDEN_TAPS * vectors;
             visibility_t visibility;
-            source_visibility(camera, surfaces, layer, psf, lens, camera.top + y, x - camera.guard, depth[at], spread,
+            source_visibility(camera, surfaces, group, psf, lens, camera.top + y, x - camera.guard, depth[at], spread,
                               s, (real)1, &visibility);
             add_occluded_rows(spread, &visibility, up, down, value + at, plane,
                           s, out - half_width, apart, pitch);
@@ -228,8 +228,8 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
             add_rows(spread, up, down, value[k * plane + at], s, out + k * apart - half_width, pitch);
     }
     }
-    if (group && added && ((y + 1 - from) % group == 0 || y + 1 == to)) {
-        settle(MAX(first, y + 1 - group - psf.reach), MIN(end - 1, y + psf.reach), apart, shift, total_plane, pitch,
+    if (part_rows && added && ((y + 1 - from) % part_rows == 0 || y + 1 == to)) {
+        settle(MAX(first, y + 1 - part_rows - psf.reach), MIN(end - 1, y + psf.reach), apart, shift, total_plane, pitch,
                part,
                total);
         added = false;

@@ -1,4 +1,4 @@
-"""Depth layers of layered occlusion (slabs): bounds in signed blur radius, and which rows a strip needs (pure)."""
+"""Depth layers of layered occlusion: bounds in signed blur radius, and which rows a strip needs (pure)."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_grid import table_reach
 
 DISCONTINUITY, BIN = 1.0, 0.25  # px, as in kernels/layered/layered.cl
-MOST_SLABS = 8
+MOST_LAYERS = 8
 
 
 @dataclass(frozen=True)
-class Slabs:
+class LayerBounds:
     """Depth layers of one time sample: first bins of the second and each further one; the distance behind an edge at
     which surface may be visible, px."""
 
@@ -31,8 +31,8 @@ def bins_of(largest: float) -> tuple[float, int]:
     return -half * BIN, 2 * half
 
 
-def slab_bounds(latest: NDArray[np.int32]) -> list[int]:
-    """First bins of the second and each further depth layer, at most MOST_SLABS - 1 of them, in rising order.
+def layer_bounds(latest: NDArray[np.int32]) -> list[int]:
+    """First bins of the second and each further depth layer, at most MOST_LAYERS - 1 of them, in rising order.
 
     latest: (DISCONTINUITY_CLASSES, bins) from `find_discontinuities` of layered.cl. From near to far, a discontinuity
     that no bound splits yet gets one in the middle of where it can be; where that makes too many, those of the smallest
@@ -45,9 +45,9 @@ def slab_bounds(latest: NDArray[np.int32]) -> list[int]:
             begin = int(begins[far_bin])  # the first bin behind the near side
             if not bounds or bounds[-1] < begin:
                 bounds.append((begin + far_bin + 1) // 2)
-        if len(bounds) < MOST_SLABS:
+        if len(bounds) < MOST_LAYERS:
             return bounds
-    return bounds[: MOST_SLABS - 1]
+    return bounds[: MOST_LAYERS - 1]
 
 
 def depth_of_hidden(psf: PointSpread, largest_sum: int) -> int:
@@ -78,7 +78,7 @@ def most_deep(psf: PointSpread, largest: float) -> int:
     return depth_of_hidden(psf, ceil(2.0 * largest))
 
 
-def margin_of_slabs(psf: PointSpread, largest: float) -> tuple[int, int]:
+def margin_of_layers(psf: PointSpread, largest: float) -> tuple[int, int]:
     """Rows beyond those of a strip that may matter to it, and a number of rows that its grid begins at a multiple of.
 
     largest: px, no |radius| is larger. A hidden pixel that contributes to the strip is between pixels of the last level
