@@ -15,6 +15,7 @@ from clsco.cli.check import compare
 from clsco.frame.frame import Frame
 from clsco.plan.buffers import DeviceFacts
 from clsco.plan.plan import Plan, make_plan
+from clsco.plan.request import Request
 from clsco.scene.file import parse_scene
 from clsco.scene.model import Camera, Scene
 
@@ -30,10 +31,10 @@ def scene_of(*items: Any, size: tuple[int, int] = (64, 48), camera: Table | None
 
 def plan_of(
     *items: Any, channels: int = 1, truth: tuple[str, ...] = (), method: str = "auto",
-    device: DeviceFacts | None = None, **scene: Any,
+    color: bool = True, device: DeviceFacts | None = None, **scene: Any,
 ) -> Plan:  # fmt: skip
     """The plan of such a scene, without ground truth unless `truth` names some; scene: what `scene_of` takes."""
-    return make_plan(scene_of(*items, **scene), channels, truth, method, device=device)
+    return make_plan(scene_of(*items, **scene), channels, Request(truth, method, color=color), device=device)
 
 
 def scene_from(tables: Table, *items: Table, **sections: Any) -> Scene:

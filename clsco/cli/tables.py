@@ -15,7 +15,6 @@ from clsco.cost.cheaper import cores
 from clsco.cost.predict import duration
 from clsco.errors import visible
 from clsco.plan.buffers import Sizes
-from clsco.plan.left_out import left_out
 from clsco.plan.memory import device_bytes
 from clsco.plan.passes import Kind, Pass
 from clsco.plan.plan import Plan
@@ -53,8 +52,9 @@ def plan_tables(
     """
     plan = plans[0]
     scene = plan.scene
-    samples = f"{plan.samples} per frame" + (", from the motion" if scene.sequence.samples == "auto" else "")
-    kind = "gray" if plan.channels == 1 else "color"
+    samples, motion = f"{plan.samples} per frame", plan.choices.motion
+    samples += f", {motion.reason}" if motion.reason and not motion.left_out else ""
+    kind = "gray" if plan.colors == 1 else "color"
     figures = [("frames", f"{scene.sequence.frames}, {plan.columns} x {plan.rows} px, {kind}")]
     if scene.stereo is not None:
         turned = f", each turned inwards by {scene.stereo.toe_in:g} deg" if scene.stereo.toe_in else ""
@@ -66,7 +66,7 @@ def plan_tables(
     tables: list[RenderableType] = [
         _table(f"Plan: {scene.title or scene.objects[0].name}", ("what", "how much"), figures),
         _table("Passes, in order", columns, _passes(plans, cost), ("times", "MiB", "time")),
-        _table("Left out", ("pass", "why"), _of_views([left_out(each) for each in plans])),
+        _table("Left out", ("pass", "why"), _of_views([each.choices.left_out for each in plans])),
     ]
     if unused := unused_keys(plan):
         tables.append(_table("Keys that this scene has no use for", ("key", "why"), unused))

@@ -233,7 +233,7 @@ def _with_hard_edges(given: _Given) -> tuple[_Given, int]:
 def _spec(given: _Given, psf: PointSpread, asked: Psf, method: str, gpu: bool) -> BlurSpec:
     check_shape(psf, method)
     constant = given.smallest == given.largest and can_convolve(psf, asked.border)
-    blur = choose_blur(method, psf.is_sharp(given.largest), constant, gpu)
+    blur = choose_blur(method, psf.is_sharp(given.largest), constant, gpu).value
     layered = asked.occlusion == "layered" and blur != "convolve"
     return BlurSpec(
         psf, blur, given.smallest, given.largest, tilt=asked.tilt, brightest=given.brightest, border=asked.border,

@@ -14,7 +14,9 @@ from clsco.inputs.files import InputFiles
 from clsco.opencl.session import Session
 from clsco.optics.visibility import OcclusionGroup
 from clsco.passes.trace import KeptHits
+from clsco.plan.choice import Choice
 from clsco.plan.memory import limit_of
+from clsco.plan.methods import Occlusion
 from clsco.plan.plan import Plan
 from clsco.plan.prepare import Prepared, prepare
 from clsco.plan.request import Request
@@ -64,11 +66,17 @@ def near(plan: Plan) -> Iterator[Plan]:
     psf, count = plan.scene.psf, len(plan.scene.objects)
     everything = (1 << count) - 1
     if psf.silhouette_samples > 1:
-        yield replace(plan, silhouettes=0 if plan.silhouettes else psf.silhouette_samples)
+        other = Choice(0 if plan.silhouettes else psf.silhouette_samples)
+        yield replace(plan, choices=replace(plan.choices, silhouettes=other))
     if plan.occlusion == "visibility":
-        yield replace(plan, occlusion="none", groups=(OcclusionGroup(everything, 0),))
+        yield _occluded(plan, "none", OcclusionGroup(everything, 0))
     elif count > 1 and psf.occlusion == "visibility":
-        yield replace(plan, occlusion="visibility", groups=(OcclusionGroup(everything, everything),))
+        yield _occluded(plan, "visibility", OcclusionGroup(everything, everything))
+
+
+def _occluded(plan: Plan, occlusion: Occlusion, group: OcclusionGroup) -> Plan:
+    """The plan with another method of occlusion, of one group."""
+    return replace(plan, choices=replace(plan.choices, occlusion=Choice(occlusion)), groups=(group,))
 
 
 def _small(prepared: Prepared) -> Prepared:

@@ -11,11 +11,20 @@ from numpy.typing import NDArray
 from clsco.errors import SceneError
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_grid import table_reach
+from clsco.plan.choice import Choice
 
 Array = NDArray[np.float64]
 Blur = Literal["gather", "scatter", "tiles", "convolve", "none"]
+Occlusion = Literal["visibility", "layered", "none"]
 
 MANY_RADII: tuple[Blur, ...] = ("gather", "scatter", "tiles")  # methods for sources of any radius each
+HOW: dict[Blur, str] = {
+    "gather": "many radii",
+    "scatter": "atomic, fixed point",
+    "tiles": "many radii, a work-item per pixel",
+    "convolve": "one PSF for the whole frame",
+    "none": "in focus",
+}
 
 
 @dataclass(frozen=True)
@@ -87,16 +96,6 @@ def occluder_room(occluders: int) -> int:
     return room if occluders else 0
 
 
-def many_radii(gpu: bool, occluded: bool = False) -> Blur:
-    """The method for many radii that suits a device.
-
-    gpu: the device is a GPU; occluded: something may stand in the way of a source, which `tiles` does not test.
-    """
-    if gpu and not occluded:
-        return "tiles"
-    return "scatter" if gpu else "gather"
-
-
 def check_method(method: str) -> None:
     """Raises SceneError where no method of the blur has this name."""
     known = ("auto", *MANY_RADII, "convolve")
@@ -104,7 +103,7 @@ def check_method(method: str) -> None:
         raise SceneError(f"method: must be one of {', '.join(known)}; got {method}")
 
 
-def choose_blur(method: str, sharp: bool, constant: bool, gpu: bool, occluded: bool = False) -> Blur:
+def choose_blur(method: str, sharp: bool, constant: bool, gpu: bool, occluded: bool = False) -> Choice[Blur]:
     """The way a blur is computed.
 
     Parameters
@@ -122,7 +121,7 @@ def choose_blur(method: str, sharp: bool, constant: bool, gpu: bool, occluded: b
 
     Returns
     -------
-    Blur
+    Choice of Blur
 
     Raises
     ------
@@ -134,9 +133,11 @@ def choose_blur(method: str, sharp: bool, constant: bool, gpu: bool, occluded: b
         raise SceneError('method: convolve needs one blur radius for all pixels and border = "lose"; got many radii')
     if method == "tiles" and occluded:
         raise SceneError("method: tiles needs sources with nothing in their way; got objects that hide each other")
-    for known in MANY_RADII:
-        if method == known:
-            return known
-    if sharp:
-        return "none"
-    return "convolve" if constant else many_radii(gpu, occluded)
+    found: Blur = "convolve" if constant else "tiles" if gpu else "gather"
+    if method in MANY_RADII:
+        found = method
+    elif sharp:
+        found = "none"
+    elif found == "tiles" and occluded:
+        return Choice("scatter", f"{HOW['scatter']}, as tiles do not test what is in the way")
+    return Choice(found, HOW[found])

@@ -13,12 +13,6 @@ Kind = Literal[
     "static image", "trace", "silhouettes", "pinhole", "reproject", "fill", "count missing", "sources", "depth layers",
     "blur", "accumulate", "ground truth",
 ]  # fmt: skip
-HOW: dict[str, str] = {
-    "gather": "many radii",
-    "scatter": "atomic, fixed point",
-    "tiles": "many radii, a work-item per pixel",
-    "convolve": "one PSF for the whole frame",
-}
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """From a scene to the passes that it needs, with their sizes and cost; pure Python, without OpenCL.
 
 The engine runs `Plan.passes`, `clsco plan` prints them, and the memory of a frame is that of their buffers. A pass that
-a scene has no use for is neither compiled nor run nor stored: `clsco.plan.left_out` says which and why.
+a scene has no use for is neither compiled nor run nor stored: `Choices.left_out` says which and why.
 """
 
 from __future__ import annotations
@@ -16,18 +16,15 @@ from numpy.typing import NDArray
 
 from clsco.constants import TAP_LANES
 from clsco.errors import SceneError
-from clsco.frame.frame import MAPPING_NAMES, MOTION_NAMES, STEREO_NAMES, TRUTH_NAMES
 from clsco.frame.strips import Grid, Strip, cut
 from clsco.inputs.pupils import scene_point_spread
 from clsco.optics.depth_layers import margin_of_layers
-from clsco.optics.exposure import sequence_times
 from clsco.optics.lens import LARGEST_BLUR, blur_radius
-from clsco.optics.motion import Eye, Pose, poses_at
+from clsco.optics.motion import Eye
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_grid import table_reach
 from clsco.optics.psf_tables import check_tables, psf_features
-from clsco.optics.texture_mapping import needs_detail
-from clsco.optics.visibility import OcclusionGroup, extent, is_hollow, occlusion_groups
+from clsco.optics.visibility import OcclusionGroup
 from clsco.plan.buffers import (
     STATISTICS,
     TRUTH_BUFFERS,
@@ -45,28 +42,24 @@ from clsco.plan.buffers import (
     truth_buffers,
     warp_buffers,
 )
+from clsco.plan.decisions import Choices, choose
 from clsco.plan.features import shape_features
 from clsco.plan.methods import (
     MANY_RADII,
     Blur,
     BlurSpec,
-    can_convolve,
     check_shape,
-    choose_blur,
     occluder_room,
 )
-from clsco.plan.passes import HOW, Kind, Parameters, Pass
+from clsco.plan.passes import Kind, Parameters, Pass
 from clsco.plan.predict import (
     Maps,
-    _blur_range,
-    _constant_blur,
-    _fills_view,
-    _samples,
     displaced,
     guard_band,
-    is_forward,
     is_static_map,
+    predict,
 )
+from clsco.plan.request import Request
 from clsco.scene.model import Scene
 
 Array = NDArray[np.float64]
@@ -91,32 +84,18 @@ class Plan:
         View of a stereo pair.
     channels, rows, columns : int
         Size of the frame: channels 1 or 3, and one more for `alpha`; px, px.
-    samples : int
-        Time samples per frame.
     guard_px : int
         Width of the apron around the frame whose surface lights it.
     smallest_blur, largest_blur : float
         Predicted range of |R| in px over the whole sequence, with a margin.
-    blur : Blur
-        Method that spreads radiance.
-    silhouettes : int
-        Sub-pixel sources per axis, 0 for none.
-    tilt : bool
-        Weights depend on the gradient of R.
-    forward, static_map, moves : bool
-        Pixels of the reference pose are moved; they are taken as they are; anything moves.
-    occlusion : Occlusion
-        As it is done.
+    choices : Choices
+        Decisions, with their reasons.
     groups : tuple of OcclusionGroup
         Occlusion groups, which are spread one after the other.
-    truth : tuple of str
-        Outputs besides color and alpha.
-    color : bool
-        True where the image is made, and not ground truth alone.
-    alpha : bool
-        The last channel is coverage.
     taps : float
         Predicted weights per frame.
+    alpha : bool
+        The last channel is coverage.
     strip_rows : int
         Rows of the frame that are worked on at a time, 0 for all.
     least_slots : int
@@ -130,24 +109,65 @@ class Plan:
     channels: int
     rows: int
     columns: int
-    samples: int
     guard_px: int
     smallest_blur: float
     largest_blur: float
-    blur: Blur
-    silhouettes: int
-    tilt: bool
-    forward: bool
-    static_map: bool
-    moves: bool
-    occlusion: Occlusion
+    choices: Choices
     groups: tuple[OcclusionGroup, ...]
-    truth: tuple[str, ...]
     taps: float
+    alpha: bool = False
     strip_rows: int = 0
     least_slots: int = 0
-    alpha: bool = False
-    color: bool = True
+
+    @property
+    def color(self) -> bool:
+        """True where the image is made, and not ground truth alone."""
+        return self.choices.image.value
+
+    @property
+    def moves(self) -> bool:
+        """True if anything moves."""
+        return not self.choices.motion.left_out
+
+    @property
+    def samples(self) -> int:
+        """Time samples per frame."""
+        return max(self.choices.motion.value, 1)
+
+    @property
+    def forward(self) -> bool:
+        """True where pixels of the reference pose are moved."""
+        return self.choices.reproject.value
+
+    @property
+    def static_map(self) -> bool:
+        """True where pixels are taken as a depth map has them."""
+        return is_static_map(self.scene)
+
+    @property
+    def silhouettes(self) -> int:
+        """Sub-pixel sources per axis, 0 for none."""
+        return self.choices.silhouettes.value
+
+    @property
+    def tilt(self) -> bool:
+        """True where weights depend on the gradient of R."""
+        return self.choices.tilt.value
+
+    @property
+    def blur(self) -> Blur:
+        """Method that spreads radiance."""
+        return self.choices.blur.value
+
+    @property
+    def occlusion(self) -> Occlusion:
+        """Method by which nearer surfaces hide farther ones."""
+        return self.choices.occlusion.value
+
+    @property
+    def truth(self) -> tuple[str, ...]:
+        """Outputs besides color and alpha."""
+        return self.choices.ground_truth.value
 
     @property
     def colors(self) -> int:
@@ -239,7 +259,7 @@ class Plan:
             "LIMITED": int(spec.limited),
             "GATHER": int(spec.occluders > 0 and self.blur == "gather"),
             "MOVED": int(moved),
-            "FILTER": FILTERS[scene.motion.texture_filter] if moved or self.mapped else 0,
+            "FILTER": FILTERS[scene.motion.texture_filter] if self.choices.texture_sampling.value else 0,
             "TEXTURED": self.mapped,
             "LIT": 0 if scene.light is None else self.channels - self.alpha,
             "TILT": int(self.tilt),
@@ -262,35 +282,13 @@ def widened(plan: Plan, smallest: float, largest: float) -> Plan:
     return replace(plan, smallest_blur=smallest, largest_blur=largest, guard_px=guard)
 
 
-def _hides_nothing(scene: Scene) -> bool:
-    """True if the lens sees all that the pinhole sees: a single surface, without an inside and not of a map."""
-    return len(scene.objects) == 1 and scene.is_analytic and not is_hollow(scene.objects[0])
-
-
-def _occlusion(
-    scene: Scene, psf: PointSpread, rays: bool, sharp: bool, poses_at_times: list[tuple[Pose, ...]], w: Array
-) -> tuple[Occlusion, tuple[OcclusionGroup, ...]]:
-    """Choose how occlusion is computed, and the occlusion groups that follow."""
-    together = (OcclusionGroup((1 << len(scene.objects)) - 1, 0),)
-    wanted = scene.psf.occlusion
-    if wanted == "none" or sharp or _hides_nothing(scene):
-        return "none", together
-    if wanted == "layered" or not rays:
-        return "layered", together
-    extents = [extent(item, [poses[k] for poses in poses_at_times], w[k]) for k, item in enumerate(scene.objects)]
-    found = occlusion_groups(scene.objects, extents, scene.camera, psf)
-    return ("visibility", found) if any(group.occluders for group in found) else ("none", together)
-
-
 def make_plan(
     scene: Scene,
     channels: int,
-    truth: tuple[str, ...] = TRUTH_NAMES,
-    method: str = "auto",
+    request: Request | None = None,
     eye: Eye = "left",
     maps: Maps | None = None,
     device: DeviceFacts | None = None,
-    color: bool = True,
     psf: PointSpread | None = None,
 ) -> Plan:
     """The passes that a scene needs.
@@ -301,10 +299,8 @@ def make_plan(
         With a resolution (`clsco.inputs.textures.load_scene_textures`).
     channels : int
         Channels of its textures.
-    truth : tuple of str
-        Names of the outputs that are wanted besides color.
-    method : str
-        "auto", or one of "gather", "scatter", "tiles", "convolve" where it can do the scene.
+    request : Request, optional
+        Outputs and the method of the blur; by default the color alone.
     eye : {"left", "right"}
         View of a stereo pair.
     maps : sequence of ndarray of float64 (rows, columns) or None, optional
@@ -312,8 +308,8 @@ def make_plan(
         (`clsco.inputs.depth_maps.load_scene_depths`).
     device : DeviceFacts, optional
         Device that it is to run on; by default this machine's processor.
-    color : bool
-        False for ground truth alone.
+    psf : PointSpread, optional
+        Point spread of the lens, where it is known.
 
     Returns
     -------
@@ -322,47 +318,36 @@ def make_plan(
     Raises
     ------
     SceneError
-        The blur radius passes LARGEST_BLUR, or the method cannot do the scene.
+        The scene has no resolution, the blur radius passes LARGEST_BLUR, or the method cannot do the scene.
     """
-    others = ("alpha", *(STEREO_NAMES if scene.stereo is None else ()), *(() if scene.moves else MOTION_NAMES))
-    others += () if scene.has_mapped_textures else MAPPING_NAMES
-    alpha, truth = "alpha" in truth, tuple(name for name in truth if name not in others)
     if scene.camera.resolution is None:
         raise SceneError("camera.resolution: must be known before a scene is planned; got None")
     columns, rows = scene.camera.resolution
-    device = device or ThisMachine()
-    gpu, asked, psf = device.kind == "gpu", scene.psf, psf or scene_point_spread(scene)
-    forward, static = is_forward(scene, eye), is_static_map(scene)
+    wanted, device, psf = request or Request(), device or ThisMachine(), psf or scene_point_spread(scene)
     maps = maps or (None,) * len(scene.objects)
-    samples = _samples(scene, maps)
-    poses_at_times = [poses_at(scene, time, eye) for time in sequence_times(scene)]
-    smallest, largest, each, guard = _blur_range(scene, psf, eye, poses_at_times, maps)
-    w = each.max(axis=0)
-    layered = asked.occlusion == "layered" and not _hides_nothing(scene)
-    rays = not (forward or static)
-    silhouettes = asked.silhouette_samples if asked.silhouette_samples > 1 and rays and not layered else 0
-    if silhouettes and _fills_view(scene, w) and not needs_detail(scene, psf, largest):
-        silhouettes = 0
-    constant = _constant_blur(scene) and not silhouettes and can_convolve(psf, asked.border)
-    sharp = psf.is_sharp(largest) and not silhouettes
-    check_shape(psf, method)
-    occlusion, found = _occlusion(scene, psf, rays, sharp, poses_at_times, each)
-    occluded = any(group.occluders for group in found)
-    blur = choose_blur(method, sharp, constant, gpu, occluded)
-    seen = np.abs(blur_radius(scene.camera, w[w > 0]))
+    check_shape(psf, wanted.method)
+    seen = predict(scene, psf, eye, maps)
+    choices, groups = choose(scene, psf, wanted, eye, maps, channels, device.kind == "gpu", seen)
+    blur, guard, alpha = choices.blur.value, seen.guard, "alpha" in wanted.truth
     if blur == "convolve":
         guard += 2 * TAP_LANES
-    tilt = asked.tilt and not _constant_blur(scene) and blur not in ("convolve", "none")
     if blur in MANY_RADII:
-        check_tables(psf, smallest, largest, silhouettes)
-    area = (rows + 2 * guard) * (columns + 2 * guard)
-    lit = np.pi * (seen * psf.extent + 0.7) ** 2
-    times = samples * (2 if "subframes" in truth else 1)
-    taps = float((w > 0).mean() * area * times * (lit.mean() if lit.size else 0.0)) if blur != "none" and color else 0.0
-    return Plan(
-        scene, psf, device, eye, channels + alpha, rows, columns, samples, guard, smallest, largest, blur, silhouettes,
-        tilt, forward, static, scene.moves, occlusion, found, truth, taps, alpha=alpha, color=color,
+        check_tables(psf, seen.smallest, seen.largest, choices.silhouettes.value)
+    plan = Plan(
+        scene, psf, device, eye, channels + alpha, rows, columns, guard, seen.smallest, seen.largest, choices, groups,
+        taps=0.0, alpha=alpha,
     )  # fmt: skip
+    return replace(plan, taps=_predicted_taps(plan, seen.nearest)) if blur != "none" and plan.color else plan
+
+
+def _predicted_taps(plan: Plan, w: Array) -> float:
+    """Weights per frame, by inverse depths at some of its pixels."""
+    seen = np.abs(blur_radius(plan.scene.camera, w[w > 0]))
+    if not seen.size:
+        return 0.0
+    lit = np.pi * (seen * plan.psf.extent + 0.7) ** 2
+    times = plan.samples * (2 if "subframes" in plan.truth else 1)
+    return float((w > 0).mean() * plan.width * plan.height * times * lit.mean())
 
 
 def _passes(plan: Plan) -> tuple[Pass, ...]:
@@ -382,7 +367,7 @@ def _moving_passes(plan: Plan) -> Iterator[Pass]:
     moved = f"every pixel of the {_shapes(scene)} to its nearest pixel, with a depth test"
     sizes = _named("warp", warp_buffers(scene, grid, plan.device))
     yield Pass("reproject", (("pixels", moved), *_of_frame(plan)), sizes | _of_scene(plan))
-    kind: Kind = "fill" if scene.fill.method != "none" else "count missing"
+    kind: Kind = "fill" if plan.choices.fill.value else "count missing"
     rule = f"{scene.fill.method}, domain {scene.fill.domain}" if kind == "fill" else "pixels are counted"
     yield Pass(kind, (("missing", rule),), _named("fill", fill_sizes(scene, grid)))
 
@@ -392,7 +377,8 @@ def _image_passes(plan: Plan) -> Iterator[Pass]:
     spec, grid = plan.spec, plan.grid
     layered, rays = plan.occlusion == "layered", not (plan.forward or plan.static_map)
     if plan.static_map:
-        yield Pass("static image", (("pixels", "as the depth map and its image have them"),), map_buffers(grid))
+        what = ("pixels", "as the depth map and its image have them")
+        yield Pass("static image", (what, *_of_frame(plan)), map_buffers(grid))
     if rays and layered:
         yield Pass("pinhole", _of_rays(plan), map_buffers(grid) | _of_scene(plan))
     if rays and not layered:
@@ -453,14 +439,15 @@ def _shapes(scene: Scene) -> str:
 
 def _of_rays(plan: Plan) -> Parameters:
     scene = plan.scene
-    sampled = plan.features()["MOVED"] or plan.mapped
+    sampled = plan.choices.texture_sampling.value
     moved: Parameters = (("texture sampling", scene.motion.texture_filter),) if sampled else ()
     moved += (("surface textures", "means over the pixel's footprint, from mipmaps"),) if plan.mapped else ()
     return (("rays", f"against the {_shapes(scene)}, one per pixel"), *moved, *_of_frame(plan))
 
 
 def _of_frame(plan: Plan) -> Parameters:
-    apron = (("guard band", "surface outside the frame lights it"),) if plan.scene.psf.border == "lose" else ()
+    band = plan.choices.guard_band
+    apron = (("guard band", band.reason),) if band.value else ()
     color = (("color", f"{plan.colors} channels"),) if plan.colors > 1 else ()
     alpha = (("alpha", "a channel of what surfaces cover"),) if plan.alpha else ()
     return (*apron, *color, *alpha)
@@ -470,13 +457,13 @@ def _of_blur(plan: Plan) -> Parameters:
     groups = len(plan.groups)
     if plan.blur == "none":
         return (("radiance", "every pixel keeps its own"),)
-    how = HOW[plan.blur]
-    if plan.device.kind == "gpu" and plan.occlusion == "visibility" and plan.blur == "scatter":
-        how += ", as tiles do not test what is in the way"
-    found = [("PSF", f"{plan.psf.name}, R up to {plan.largest_blur:.3g} px"), ("method", f"{plan.blur}: {how}")]
+    found = [
+        ("PSF", f"{plan.psf.name}, R up to {plan.largest_blur:.3g} px"),
+        ("method", f"{plan.blur}: {plan.choices.blur.reason}"),
+    ]
     if plan.tilt:
         found.append(("tilt", "weights by the gradient of the blur radius"))
-    if plan.scene.psf.border == "renormalize":
+    if plan.choices.renormalize.value:
         found.append(("renormalize", "light over the border is given back"))
     if plan.occlusion == "visibility":
         plural = "s" if groups > 1 else ""

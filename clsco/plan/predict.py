@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from math import ceil
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from clsco.constants import TAP_LANES
 from clsco.errors import SceneError
-from clsco.optics.exposure import middle_time, shutter_span
+from clsco.optics.exposure import middle_time, sequence_times, shutter_span
 from clsco.optics.lens import LARGEST_BLUR, blur_radius, ray_step
 from clsco.optics.motion import Eye, Pose, poses_at, rest_center, static_rotation
 from clsco.optics.point_spread import PointSpread
@@ -166,16 +167,13 @@ def seen_depths(scene: Scene, maps: Maps) -> Array:
     return np.asarray(_inverse_depths(scene, [poses_at(scene, time)], maps, 0)[:, 0])
 
 
-def _samples(scene: Scene, maps: Maps) -> int:
-    if not scene.moves:
-        return 1
-    if scene.sequence.samples != "auto":
-        return scene.sequence.samples
+def motion_samples(scene: Scene, maps: Maps) -> int:
+    """Time samples per frame that suit the motion."""
     wanted = ceil(image_displacement(scene, maps) / PIXELS_PER_SAMPLE)
     return min(wanted | 1, MOST_SAMPLES)  # odd, so that the middle of the shutter is one of them
 
 
-def _fills_view(scene: Scene, w: Array) -> bool:
+def fills_view(scene: Scene, w: Array) -> bool:
     """True if no silhouette is in sight: the surface is hit everywhere, and cannot have a hole between rays."""
     item = scene.objects[0]
     simple = len(scene.objects) == 1 and cutting_bounds(item) is None and item.shape != "quadric"
@@ -189,7 +187,7 @@ def _faces_camera(item: Plane | Rectangle | Disc) -> bool:
     return not normal[:2].any()
 
 
-def _constant_blur(scene: Scene) -> bool:
+def constant_blur(scene: Scene) -> bool:
     """True if every pixel has the same radius at any time: a plane that stays parallel to the detector."""
     item, camera = scene.objects[0], scene.camera.motion
     turns = any(any(motion.angular_velocity[:2]) for motion in (*scene.motions(item), camera))
@@ -198,14 +196,40 @@ def _constant_blur(scene: Scene) -> bool:
     return len(scene.objects) == 1 and (flat or item.is_background)
 
 
-def _blur_range(
-    scene: Scene, psf: PointSpread, eye: Eye, samples: list[tuple[Pose, ...]], maps: Maps
-) -> tuple[float, float, Array, int]:  # fmt: skip
-    """Smallest and largest |R| with a margin, the inverse depths of the objects, and the guard band that follows."""
-    guard = 0
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Rays of a coarse grid at a scene over the whole sequence.
+
+    Attributes
+    ----------
+    poses : list of tuple of Pose
+        Poses of the objects at each time.
+    w : ndarray of float64, (objects, times, GRID, GRID)
+        Inverse depths in 1/mm over frame and guard band, 0 where nothing is hit.
+    smallest, largest : float
+        |R| with a margin, px.
+    guard : int
+        Guard band that follows, px.
+    """
+
+    poses: list[tuple[Pose, ...]]
+    w: Array
+    smallest: float
+    largest: float
+    guard: int
+
+    @property
+    def nearest(self) -> Array:
+        """Inverse depth of the nearest object, (times, GRID, GRID)."""
+        return np.asarray(self.w.max(axis=0))
+
+
+def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
+    """Cast rays of a coarse grid at the scene. Raises SceneError where |R| is larger than LARGEST_BLUR."""
+    poses, guard = [poses_at(scene, time, eye) for time in sequence_times(scene)], 0
     seen = None if scene.moves or not scene.is_analytic else without_lens(scene)
     for _ in range(2):  # the second time with the guard band that the first asked for
-        w = _inverse_depths(scene, samples, maps, guard) if seen is None else _static_depths(seen, eye, guard)
+        w = _inverse_depths(scene, poses, maps, guard) if seen is None else _static_depths(seen, eye, guard)
         radii = np.abs(blur_radius(scene.camera, w[w > 0]))
         largest, smallest = (float(radii.max()), float(radii.min())) if radii.size else (0.0, 0.0)
         if largest > LARGEST_BLUR:
@@ -214,7 +238,7 @@ def _blur_range(
             if abs(float(blur_radius(scene.camera, 1.0 / nearest))) <= LARGEST_BLUR:
                 why = f"of what is {1.0 / float(w[w > 0].min()):.4g} mm away"
             raise SceneError(f"camera: {rule}; got {largest:.4g} px ({why})")
-        if not _constant_blur(scene):  # rays between those of the grid
+        if not constant_blur(scene):  # rays between those of the grid
             smallest, largest = max(0.0, 0.9 * smallest - 1.0), 1.1 * largest + 1.0
         guard = guard_band(psf, scene.psf.border, largest)
-    return smallest, largest, w, guard
+    return Prediction(poses, w, smallest, largest, guard)

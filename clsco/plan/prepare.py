@@ -200,9 +200,8 @@ def _planned(
     maps = _maps(sized, files)
 
     def plans_of(scene: Scene) -> list[Plan]:
-        options = (request.truth, request.method)
         psf = files.point_spread(scene)
-        return [make_plan(scene, channels, *options, eye, maps, device, request.color, psf) for eye in views(scene)]
+        return [make_plan(scene, channels, request, eye, maps, device, psf) for eye in views(scene)]
 
     plans, report = plans_of(sized), None
     if request.tolerance is not None and request.color:

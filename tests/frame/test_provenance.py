@@ -59,8 +59,9 @@ def test_every_number_has_a_unit_or_needs_none(shape: str) -> None:
 
 
 def keys(**sections: Any) -> dict[str, str]:
-    shape = sections.pop("item", {"shape": "plane"})
-    scene = parse_scene({"object": [shape], "camera": {"resolution": [32, 32], "pixel_pitch": 0.2}, **sections})
+    item = sections.pop("item", {"shape": "plane"})
+    items = item if isinstance(item, list) else [item]
+    scene = parse_scene({"object": items, "camera": {"resolution": [32, 32], "pixel_pitch": 0.2}, **sections})
     return dict(unused_keys(prepare(scene).plan))
 
 
@@ -72,7 +73,9 @@ def two(*items: dict[str, Any], **motion: Any) -> Scene:
 
 def test_keys_without_use_are_those_given_and_no_others() -> None:
     assert keys() == {}
-    assert keys(sequence={"samples": 7, "frames": 2}) == {"sequence.samples": "nothing moves"}
+    assert keys(sequence={"samples": 7, "frames": 2}) == {
+        "sequence.samples": "nothing moves: one sample, in the reference pose"
+    }
     moving = {"shape": "sphere", "motion": {"velocity": [1.0, 0.0, 0.0]}}
     assert keys(item=moving, sequence={"samples": 7}, psf={"tilt": True, "silhouette_samples": 2}) == {}
     turning = {"shape": "sphere", "motion": {"angular_velocity": [1.0, 2.0, 0.0]}}
@@ -81,18 +84,32 @@ def test_keys_without_use_are_those_given_and_no_others() -> None:
     assert dict(unused_keys(prepare(two(still, turning, rotation="axis")).plan)) == {}
     one_axis = {"shape": "sphere", "motion": {"angular_velocity": [1.0, 0.0, 0.0]}}
     assert dict(unused_keys(prepare(two(still, one_axis, rotation="axis")).plan)).keys() == {"motion.rotation"}
-    assert keys(motion={"texture_filter": "nearest"}) == {"motion.texture_filter": "nothing moves"}
+    assert keys(motion={"texture_filter": "nearest"}) == {
+        "motion.texture_filter": "nothing moves: every pixel shows its own texel"
+    }
     assert keys(motion={"texture_filter": "nearest"}, stereo={"baseline": 9.0}) == {}
     forward = {"warp": "forward"}
-    assert keys(motion=forward, fill={"method": "ait"}) == dict.fromkeys(
-        ["motion.warp", "fill.method"], "nothing moves"
-    )
+    assert keys(motion=forward, fill={"method": "ait"}) == {
+        "motion.warp": "no forward warp, as nothing moves",
+        "fill.method": "only a forward warp leaves pixels missing",
+    }
     found = keys(item=moving, motion=forward, fill={"method": "none", "domain": "span"})
     assert found == {"fill.domain": "fill.method is none"}
     assert keys(psf={"tilt": True, "silhouette_samples": 4}).keys() == {"psf.tilt", "psf.silhouette_samples"}
     assert keys(psf={"tilt": False, "silhouette_samples": 1}) == {}
-    sharp = {"edge": "area", "model": "pillbox"}
-    assert keys(psf=sharp).keys() == {"psf.edge", "psf.model"}
+    alone = prepare(parse_scene({"object": [still], "psf": {"tilt": True}}), Request(("depth",), color=False)).plan
+    assert dict(unused_keys(alone)).keys() == {"psf.tilt"}
+    # Another edge or model may spread what this one keeps in its pixel.
+    sharp = {"edge": "area", "model": "pillbox", "tilt": False, "border": "lose"}
+    assert keys(psf=sharp, aperture={"blades": 5, "shape": "polygon"}).keys() == {
+        "psf.tilt",
+        "psf.border",
+        "aperture.blades",
+        "aperture.shape",
+    }
+    assert keys(psf={"occlusion": "none"}) == {}
+    near = {"shape": "rectangle", "size": [1.0, 1.0], "center": [0.0, 0.0, 200.0]}
+    assert keys(item=[near, still], psf={"occlusion": "none"}) == {}
 
 
 def test_depth_maps_are_filled_at_rest(tmp_path: Path) -> None:

@@ -198,7 +198,7 @@ def warp_case(
     scene = scene_of(*items, size=shape[::-1], motion=Motion(warp="forward"), fill=filled)
     textures = np.random.default_rng(41).random((len(items), *shape, channels)).astype(np.float32)
     # One band for every guard that a test asks for, whatever the blur of the scene needs.
-    plan = make_plan(scene.model_copy(update={"objects": (FAR,)}), channels, ())
+    plan = make_plan(scene.model_copy(update={"objects": (FAR,)}), channels)
     return Case(replace(plan, scene=scene, guard_px=guard), textures, guard)
 
 

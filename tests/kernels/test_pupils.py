@@ -16,6 +16,7 @@ from clsco.inputs.pupils import load_point_spread
 from clsco.opencl.session import Session
 from clsco.plan.methods import Blur, BlurSpec
 from clsco.plan.plan import make_plan
+from clsco.plan.request import Request
 from clsco.reference.blur.blur import prepare_sources, scatter
 from clsco.reference.layered.layered import layered
 from clsco.reference.trace.trace import Sources
@@ -144,7 +145,7 @@ def test_convolution_takes_a_ring_and_refuses_what_turns_over() -> None:
         ):
             defocus(image, np.full(image.shape, 5.0), aperture=APERTURES[name], method="convolve")
     with pytest.raises(SceneError, match=r"got 5 blades$"):
-        make_plan(scene_from(PENTAGON, *OBJECTS[2:]), 1, method="convolve")
+        make_plan(scene_from(PENTAGON, *OBJECTS[2:]), 1, Request(method="convolve"))
     assert make_plan(scene_from(PENTAGON, *OBJECTS[2:]), 1).blur in METHODS
     image, spec = picture(40, 50)[0], spec_of(Psf(), 14.3, aperture=APERTURES["ring"])
     radii = np.full(image.shape, 14.3)

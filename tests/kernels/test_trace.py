@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,7 @@ from clsco.optics.visibility import OcclusionGroup
 from clsco.passes.pack import camera_struct, group_struct, pose_structs, psf_struct, surface_structs
 from clsco.passes.trace import EMPTY_STATISTICS, TRACE_FILES
 from clsco.plan.buffers import TRUTH_BUFFERS, source_bytes
+from clsco.plan.choice import Choice
 from clsco.plan.plan import Plan, make_plan
 from clsco.records import Real, flat, structs
 from clsco.reference.common.geometry import pixel_tilt, table_coordinate, tilt_slope
@@ -158,9 +159,9 @@ def view(plan: Plan, time: float) -> twin.View:
 
 def planned(wanted: Scene, channels: int, samples: int | None = None, eye: Eye = "left") -> Plan:
     """Plan of a scene, with `samples` sub-pixel sources or as many as the scene has silhouettes for."""
-    plan = make_plan(wanted, channels, (), eye=eye)
-    keep = {"guard_px": GUARD} | ({} if samples is None else {"silhouettes": samples})
-    return Plan(**{**vars(plan), **keep})
+    plan = make_plan(wanted, channels, eye=eye)
+    chosen = plan.choices if samples is None else replace(plan.choices, silhouettes=Choice(samples))
+    return replace(plan, guard_px=GUARD, choices=chosen)
 
 
 def built(session: Session, plan: Plan, real: Real) -> Program:

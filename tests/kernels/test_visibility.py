@@ -137,7 +137,7 @@ def see(
     at = np.stack([rng.integers(-10, 154, count), rng.integers(-10, 130, count)], axis=-1)
     offset = rng.integers(-2, 3, (count, 2)) / 8 if width < 1 else np.zeros((count, 2))
     taps = np.array([(x, y) for y in ROWS for start in (-7, 0) for x in range(start, start + 8)], np.int32)
-    features = make_plan(Scene(camera=camera, objects=items, psf=psf), 1, ()).features()
+    features = make_plan(Scene(camera=camera, objects=items, psf=psf), 1).features()
     features |= {"OCCLUDED": group.occluders.bit_count(), "LIMITED": features["NAPPE"], "GATHER": gather}
     features["SOURCES"] = count
     buffers = [empty(session, 4 * count * size) for size in (1, 1, len(taps), len(taps))]

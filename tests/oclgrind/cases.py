@@ -30,6 +30,7 @@ from clsco.passes.blur import blur_features
 from clsco.passes.warp import forward_features
 from clsco.plan.buffers import ThisMachine
 from clsco.plan.plan import Plan, make_plan
+from clsco.plan.request import Request
 from clsco.scene.model import (
     Camera,
     Cone,
@@ -155,8 +156,8 @@ def plans_of(drawn: Drawn) -> list[Plan]:
     """Plans of the eyes of the first lens. Raises SceneError where a method cannot do the scene."""
     scene, device = scenes_of(drawn)[0], ThisMachine(kind=drawn["device"].get("kind", "cpu"))
     eyes: tuple[Eye, ...] = ("left", "right") if scene.stereo else ("left",)
-    how = (drawn["channels"], truth_of(drawn), drawn["method"])
-    return [make_plan(scene, *how, eye, depths_of(scene), device) for eye in eyes]
+    request = Request(truth_of(drawn), drawn["method"])
+    return [make_plan(scene, drawn["channels"], request, eye, depths_of(scene), device) for eye in eyes]
 
 
 def features_of(drawn: Drawn) -> dict[str, Any]:

@@ -42,7 +42,7 @@ WALL = Plane(name="wall", distance=380.0)
 
 
 def plan_of(*items: Object, **sections: Any) -> Plan:
-    return make_plan(Scene(camera=CAMERA, objects=items, **sections), 1, ())
+    return make_plan(Scene(camera=CAMERA, objects=items, **sections), 1)
 
 
 def test_lens_of_a_psf() -> None:
@@ -249,7 +249,7 @@ def test_no_pair_is_missed(seed: int) -> None:
     psf = Psf(model="gaussian") if seed % 4 == 1 else Psf()
     stereo = Stereo(baseline=30.0, toe_in=2.0) if seed % 4 == 2 else None
     scene = Scene(camera=CAMERA, objects=items, psf=psf, sequence=Sequence(frames=2), stereo=stereo)
-    plan = make_plan(scene, 1, (), eye="right" if stereo else "left")
+    plan = make_plan(scene, 1, eye="right" if stereo else "left")
     for k in range(4):
         holding = [group for group in plan.groups if group.members >> k & 1]
         hollow = is_hollow(items[k]) and plan.occlusion == "visibility"

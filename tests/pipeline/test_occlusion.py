@@ -163,7 +163,7 @@ def test_nothing_more_is_done_where_nothing_overlaps(method: str) -> None:
     """Two balls side by side: one layer, nothing is tested, and the bits are those of occlusion = "none"."""
     left, right = BALL | {"center": [-20.0, 0.0, 230.0]}, BALL | {"center": [20.0, 0.0, 260.0]}
     wanted = scene({"object": [left, right]}, **PLAIN)
-    plan = make_plan(wanted, 1, ())
+    plan = make_plan(wanted, 1)
     assert (plan.occlusion, len(plan.groups), plan.spec.occluders) == ("none", 1, 0)
     none = image(scene({"object": [left, right]}, **PLAIN, occlusion="none"), method=method)
     frame = image(wanted, method=method)

@@ -35,7 +35,7 @@ def test_a_card_that_turns_between_the_moments_looked_at(warp: str) -> None:
     np.testing.assert_allclose(frame.color, twin.color, rtol=0, atol=1e-6)
     # A short sequence is looked at more closely, and its one frame has the bits of the first of the long one.
     short = turning({"shape": "plane", "distance": 280.0, "bounds": BOUNDS}, warp, 1)
-    known, missed = make_plan(short, 1, ()), make_plan(scene, 1, ())
+    known, missed = make_plan(short, 1), make_plan(scene, 1)
     assert known.largest_blur > 1.5 * missed.largest_blur
     np.testing.assert_allclose(frame.color, next(iter(clsco.render(short))).color, rtol=0, atol=1e-6)
 

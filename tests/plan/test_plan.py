@@ -15,11 +15,11 @@ from clsco.frame.frame import TRUTH_NAMES
 from clsco.optics.lens import LARGEST_BLUR, blur_radius, ray_step
 from clsco.optics.point_spread import point_spread
 from clsco.plan.buffers import ThisMachine
-from clsco.plan.left_out import left_out
 from clsco.plan.memory import device_bytes
 from clsco.plan.methods import MANY_RADII
 from clsco.plan.plan import Plan, make_plan, widened
 from clsco.plan.predict import guard_band, image_displacement
+from clsco.plan.request import Request
 from clsco.scene.model import (
     Camera,
     Cone,
@@ -153,13 +153,13 @@ def test_passes_taken_and_left_out(given: Plan, taken: set[str], left: dict[str,
     parameters = {name for each in given.passes for name, _ in each.parameters}
     names = {each.kind for each in given.passes} | parameters | ({"motion"} if given.moves else set())
     assert names & every == taken
-    reasons = dict(left_out(given))
+    reasons = dict(given.choices.left_out)
     for name, why in left.items():
         assert why in reasons[name]
     assert taken & reasons.keys() == set()
     assert taken | reasons.keys() - {"other outputs"} == every
     assert all(text for each in given.passes for _, text in each.parameters)
-    assert all(text for _, text in left_out(given))
+    assert all(text for _, text in given.choices.left_out)
 
 
 @pytest.mark.parametrize(("given", "taken"), [case[1:3] for case in SCENES], ids=[case[0] for case in SCENES])
@@ -370,7 +370,7 @@ CARD = Plane(distance=230.0, bounds=((-2.0, 2.0), (-2.0, 2.0), (-1.0, 1.0)))
 def cards(occlusion: Any, method: str = "auto", gpu: bool = True) -> Plan:
     """Plan of a card before a plane."""
     pair = scene_of(CARD, psf=Psf(occlusion=occlusion)).model_copy(update={"objects": (CARD, TILTED)})
-    return make_plan(pair, 1, (), method, device=GPU if gpu else None)
+    return make_plan(pair, 1, Request(method=method), device=GPU if gpu else None)
 
 
 def method_of(given: Plan) -> str:
@@ -449,7 +449,7 @@ def test_what_is_left_out_is_not_needed_elsewhere() -> None:
         for (occlusion, warp), samples, border in product(warps, (1, 4), ("lose", "renormalize")):
             psf = {"occlusion": occlusion, "silhouette_samples": samples, "border": border}
             whole = scene_of(items[0], psf=psf, motion={"warp": warp}).model_copy(update={"objects": items})
-            found = make_plan(whole, 1, ())
+            found = make_plan(whole, 1)
             seen.add((found.occlusion, bool(found.silhouettes)))
             if found.occlusion == "layered":
                 assert found.silhouettes == 0

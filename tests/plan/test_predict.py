@@ -47,7 +47,7 @@ def test_radii_are_predicted_out_to_the_surface_that_lights_the_frame_from_outsi
     edge = at(31.5)
     outside = at(31.5 + edge)
     assert outside > 1.3 * edge + 1.0
-    assert make_plan(blurred, 1, ()).largest_blur >= outside
+    assert make_plan(blurred, 1).largest_blur >= outside
 
 
 def test_radii_are_predicted_to_the_end_of_the_last_exposure() -> None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
+from itertools import product
 from math import floor
 from typing import Any
 
+import numpy as np
 import pytest
 
 from clsco.frame.frame import TRUTH_NAMES
@@ -13,7 +15,7 @@ from clsco.frame.strips import BAND
 from clsco.optics.lens import blur_scale, focus_power
 from clsco.optics.point_spread import point_spread
 from clsco.plan.buffers import ThisMachine
-from clsco.plan.left_out import left_out
+from clsco.plan.plan import make_plan
 from clsco.plan.predict import displaced, guard_band, is_forward
 from clsco.scene.model import (
     Camera,
@@ -124,12 +126,31 @@ def test_why_scatter_is_only_reported_where_tiles_would_do_but_for_what_is_in_th
     why = "as tiles do not test what is in the way"
     visible, plain = Psf(occlusion="visibility"), Psf(occlusion="none")
     gpu = ThisMachine(kind="gpu")
-    for psf, device in ((visible, gpu), (visible, None), (plain, gpu), (plain, None)):
-        reported = method_of(plan_of(CARD, TILTED, method="scatter", device=device, psf=psf))
-        assert (why in reported) == (device is gpu and psf is visible)
+    for psf, device, method in product((visible, plain), (gpu, None), ("auto", "scatter")):
+        reported = method_of(plan_of(CARD, TILTED, method=method, device=device, psf=psf))
+        assert (why in reported) == (psf is visible and device is gpu and method == "auto")
 
 
 def test_outputs_that_nobody_asked_for_are_reported_beside_some_that_are_wanted() -> None:
     for truth in ((), TRUTH_NAMES):
-        assert "other outputs" not in dict(left_out(plan_of(STILL, truth=truth)))
-    assert "depth" in dict(left_out(plan_of(STILL, truth=("blur_radius",))))["other outputs"]
+        assert "other outputs" not in dict(plan_of(STILL, truth=truth).choices.left_out)
+    assert "depth" in dict(plan_of(STILL, truth=("blur_radius",)).choices.left_out)["other outputs"]
+
+
+def test_reasons_are_those_that_were_decided_by() -> None:
+    """Words that were told of other scenes are not told of these."""
+    flat = dict(plan_of(CARD, TILTED, BALL, psf=Psf(occlusion="layered")).choices.left_out)
+    assert flat["silhouettes"] == "depth layers have whole pixels"
+    still = make_plan(scene_of(DepthMap(depth="map.npy")), 1, maps=(np.full((48, 64), 1.0 / 280.0),))
+    assert dict(still.choices.left_out)["fill"] == "a depth map is filled as it is read"
+    assert dict(plan_of(STILL, truth=("flow_backward",)).choices.left_out)["ground truth"] == "nothing moves"
+    assert dict(plan_of(STILL, color=False).choices.left_out).keys() == {"image"}
+
+
+def test_a_part_is_left_out_by_its_own_decision() -> None:
+    """Every decision of a plan is named once, and has a reason where it leaves a part out."""
+    for given in (plan_of(STILL), plan_of(MOVING), plan_of(CARD, TILTED), plan_of(BALL, size=(640, 480))):
+        decided = {field.name: getattr(given.choices, field.name) for field in fields(given.choices)}
+        left = {name.replace("_", " "): one.reason for name, one in decided.items() if one.left_out}
+        assert dict(given.choices.left_out) == left
+        assert all(left.values())

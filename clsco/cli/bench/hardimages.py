@@ -393,7 +393,7 @@ def near_objects(session: Session) -> HardCase:
     for distance in (1.0, 2.0, 5.0, 10.0, 20.0, 50.0):
         radius = abs(float(blur_radius(camera, 1.0 / distance)))
         try:
-            make_plan(Scene(camera=camera, objects=(Plane(distance=distance),)), 1, ())
+            make_plan(Scene(camera=camera, objects=(Plane(distance=distance),)), 1)
             own = pi * radius**2
         except SceneError:
             own = 0.0

@@ -23,7 +23,7 @@ class Stages:
     """The stages of the forward warp of one scene on the device; real: by default double where that has it."""
 
     def __init__(self, session: Session, scene: Scene, texture: Array, real: Real | None = None) -> None:
-        plan = make_plan(scene, 1, ())
+        plan = make_plan(scene, 1)
         real = real or ("double" if session.device.has_fp64 else "float")
         self.session, self.scene = session, scene
         placed = PlacedScene(

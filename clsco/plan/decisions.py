@@ -1,0 +1,259 @@
+"""Decisions of a plan, each by one function: what a scene needs of the pipeline, and why it does not need the rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+from clsco.frame.frame import ALL_TRUTH, MAPPING_NAMES, MOTION_NAMES, STEREO_NAMES
+from clsco.optics.motion import Eye
+from clsco.optics.point_spread import PointSpread
+from clsco.optics.texture_mapping import needs_detail
+from clsco.optics.visibility import OcclusionGroup, extent, is_hollow, occlusion_groups
+from clsco.plan.choice import Choice
+from clsco.plan.methods import Blur, Occlusion, can_convolve, choose_blur
+from clsco.plan.predict import (
+    Maps,
+    Prediction,
+    constant_blur,
+    displaced,
+    fills_view,
+    is_forward,
+    is_static_map,
+    motion_samples,
+)
+from clsco.plan.request import Request
+from clsco.scene.model import Aperture, Fill, Scene
+
+WHOLE_PIXELS = "the forward warp moves whole pixels"
+MOTION_KEYS = ("sequence.samples", "sequence.sampling", "sequence.shutter", "motion.rotation")
+FILL_KEYS = tuple(f"fill.{key}" for key in Fill.model_fields)
+SPREAD_KEYS = ("psf.tilt", "psf.occlusion", "psf.border")  # of light that leaves its pixel
+APERTURE_KEYS = tuple(f"aperture.{key}" for key in Aperture.model_fields)
+POSSIBLE = (
+    (STEREO_NAMES, lambda scene: scene.stereo is not None, "there is one view"),
+    (MOTION_NAMES, lambda scene: scene.moves, "nothing moves"),
+    (MAPPING_NAMES, lambda scene: scene.has_mapped_textures, "no texture lies on a surface"),
+)
+
+
+@dataclass(frozen=True)
+class Choices:
+    """Decisions of a plan, in the order in which reports name the parts that they leave out.
+
+    Attributes
+    ----------
+    image : Choice of bool
+        The image is made, and not ground truth alone.
+    motion : Choice of int
+        Time samples of what moves.
+    trace : Choice of bool
+        Rays are cast.
+    texture_sampling : Choice of bool
+        Textures are looked up between their texels.
+    reproject : Choice of bool
+        Pixels of the reference pose are moved.
+    fill : Choice of bool
+        Pixels that this leaves missing are filled.
+    silhouettes : Choice of int
+        Sub-pixel sources per axis.
+    tilt : Choice of bool
+        Weights depend on the gradient of R.
+    blur : Choice of Blur
+        Method that spreads radiance.
+    renormalize : Choice of bool
+        Light over the border is given back.
+    guard_band : Choice of bool
+        Surface beyond the frame lights it.
+    color : Choice of bool
+        There are three channels.
+    occlusion : Choice of Occlusion
+        Method by which nearer surfaces hide farther ones.
+    ground_truth : Choice of tuple of str
+        Outputs besides color and alpha.
+    other_outputs : Choice of bool
+        All possible outputs are wanted, or none.
+    """
+
+    image: Choice[bool]
+    motion: Choice[int]
+    trace: Choice[bool]
+    texture_sampling: Choice[bool]
+    reproject: Choice[bool]
+    fill: Choice[bool]
+    silhouettes: Choice[int]
+    tilt: Choice[bool]
+    blur: Choice[Blur]
+    renormalize: Choice[bool]
+    guard_band: Choice[bool]
+    color: Choice[bool]
+    occlusion: Choice[Occlusion]
+    ground_truth: Choice[tuple[str, ...]]
+    other_outputs: Choice[bool]
+
+    @property
+    def left_out(self) -> tuple[tuple[str, str], ...]:
+        """Name of each part of the pipeline that the scene has no use for, and the reason; of no image, that alone."""
+        if self.image.left_out:
+            return (("image", self.image.reason),)
+        return tuple((name, choice.reason) for name, choice in self._all().items() if choice.left_out)
+
+    @property
+    def unused(self) -> dict[str, str]:
+        """Reason of each key that nothing depends on, by the key."""
+        return {key: choice.reason for choice in self._all().values() for key in choice.unused}
+
+    def _all(self) -> dict[str, Choice[object]]:
+        return {field.name.replace("_", " "): getattr(self, field.name) for field in fields(self)}
+
+
+def choose(
+    scene: Scene, psf: PointSpread, request: Request, eye: Eye, maps: Maps, channels: int, gpu: bool, seen: Prediction
+) -> tuple[Choices, tuple[OcclusionGroup, ...]]:  # fmt: skip
+    """All decisions for a view of a scene, and its occlusion groups. Raises SceneError where the method cannot be."""
+    warp = choose_warp(scene, eye)
+    rays = choose_rays(scene, warp.value)
+    silhouettes = choose_silhouettes(scene, psf, rays.value, seen)
+    sharp, constant = psf.is_sharp(seen.largest) and silhouettes.left_out, constant_blur(scene)
+    occlusion, groups = choose_occlusion(scene, psf, rays.value, seen)
+    alike = constant and silhouettes.left_out and can_convolve(psf, scene.psf.border)
+    blur = choose_blur(request.method, sharp, alike, gpu, occlusion.value == "visibility")
+    if blur.left_out:
+        aperture = APERTURE_KEYS if seen.largest <= 0.5 else ()  # where any keeps all light in its pixel
+        why = f"in focus: R up to {seen.largest:.3g} px stays within its pixel"
+        blur = replace(blur, reason=why, unused=(*SPREAD_KEYS, *aperture))
+    renormalize, guard_band = choose_border(scene)
+    truth, others = choose_truth(scene, request.truth)
+    return Choices(
+        image=choose_image(request.color),
+        motion=choose_samples(scene, maps),
+        trace=rays,
+        texture_sampling=choose_texture_sampling(scene, eye, warp.value),
+        reproject=warp,
+        fill=choose_fill(scene, warp.value),
+        silhouettes=silhouettes,
+        tilt=choose_tilt(scene, constant, blur.value),
+        blur=blur,
+        renormalize=renormalize,
+        guard_band=guard_band,
+        color=Choice(True) if channels > 1 else Choice(False, "gray texture: one channel"),
+        occlusion=occlusion,
+        ground_truth=truth,
+        other_outputs=others,
+    ), groups
+
+
+def choose_image(color: bool) -> Choice[bool]:
+    """True where the image is made."""
+    return Choice(True) if color else Choice(False, "nobody asked for the color: neither its rays nor its blur")
+
+
+def choose_samples(scene: Scene, maps: Maps) -> Choice[int]:
+    """Time samples of what moves."""
+    if not scene.moves:
+        return Choice(0, "nothing moves: one sample, in the reference pose", MOTION_KEYS)
+    if scene.sequence.samples == "auto":
+        return Choice(motion_samples(scene, maps), "from the motion")
+    return Choice(scene.sequence.samples)
+
+
+def choose_warp(scene: Scene, eye: Eye) -> Choice[bool]:
+    """True where pixels of the reference pose are moved."""
+    if is_forward(scene, eye):
+        return Choice(True)
+    if scene.motion.warp == "forward" and scene.is_analytic:
+        return Choice(False, "no forward warp, as nothing moves", ("motion.warp",))
+    return Choice(False, "no forward warp")
+
+
+def choose_rays(scene: Scene, forward: bool) -> Choice[bool]:
+    """True where rays are cast."""
+    if is_static_map(scene):
+        return Choice(False, "a static depth map: its own pixels")
+    return Choice(False, "replaced by the forward warp") if forward else Choice(True)
+
+
+def choose_texture_sampling(scene: Scene, eye: Eye, forward: bool) -> Choice[bool]:
+    """True where textures are looked up between their texels."""
+    key = ("motion.texture_filter",)
+    if forward:
+        return Choice(False, WHOLE_PIXELS, key)
+    if scene.moves or displaced(scene, eye) or scene.has_mapped_textures:
+        return Choice(True)
+    return Choice(False, "nothing moves: every pixel shows its own texel", key if scene.stereo is None else ())
+
+
+def choose_fill(scene: Scene, forward: bool) -> Choice[bool]:
+    """True where missing pixels are filled."""
+    static = is_static_map(scene)
+    if not (forward or static):
+        return Choice(False, "only a forward warp leaves pixels missing", FILL_KEYS)
+    if scene.fill.method == "none":
+        return Choice(False, "fill.method is none", ("fill.domain",))
+    if static:
+        return Choice(False, "a depth map is filled as it is read", ("fill.domain",))
+    return Choice(True)
+
+
+def choose_silhouettes(scene: Scene, psf: PointSpread, rays: bool, seen: Prediction) -> Choice[int]:
+    """Sub-pixel sources per axis; 0: every source is a pixel."""
+    samples, key = scene.psf.silhouette_samples, ("psf.silhouette_samples",)
+    if samples == 1:
+        return Choice(0, "silhouette_samples = 1")
+    if not rays:
+        return Choice(0, "a depth map has whole pixels" if is_static_map(scene) else WHOLE_PIXELS, key)
+    if scene.psf.occlusion == "layered" and not _hides_nothing(scene):
+        return Choice(0, "depth layers have whole pixels", key)
+    if fills_view(scene, seen.nearest) and not needs_detail(scene, psf, seen.largest):
+        return Choice(0, "no silhouette in sight", key)
+    return Choice(samples)
+
+
+def choose_occlusion(
+    scene: Scene, psf: PointSpread, rays: bool, seen: Prediction
+) -> tuple[Choice[Occlusion], tuple[OcclusionGroup, ...]]:  # fmt: skip
+    """Method by which nearer surfaces hide farther ones, and the occlusion groups that follow."""
+    together, key = (OcclusionGroup((1 << len(scene.objects)) - 1, 0),), ("psf.occlusion",)
+    wanted = scene.psf.occlusion
+    if wanted == "none":
+        return Choice("none", 'occlusion = "none"'), together
+    if _hides_nothing(scene):
+        return Choice("none", "one object", key), together
+    if wanted == "layered" or not rays:
+        return Choice("layered"), together
+    extents = [extent(item, [poses[k] for poses in seen.poses], seen.w[k]) for k, item in enumerate(scene.objects)]
+    found = occlusion_groups(scene.objects, extents, scene.camera, psf)
+    if any(group.occluders for group in found):
+        return Choice("visibility"), found
+    return Choice("none", "no object hides another within its blur", key), found
+
+
+def _hides_nothing(scene: Scene) -> bool:
+    """True if the lens sees all that the pinhole sees: a single surface, without an inside and not of a map."""
+    return len(scene.objects) == 1 and scene.is_analytic and not is_hollow(scene.objects[0])
+
+
+def choose_tilt(scene: Scene, constant: bool, blur: Blur) -> Choice[bool]:
+    """True where weights depend on the gradient of R."""
+    if not scene.psf.tilt:
+        return Choice(False, "tilt = false")
+    if blur == "none":
+        return Choice(False, "everything is in focus", ("psf.tilt",))
+    return Choice(False, "one radius for all pixels", ("psf.tilt",)) if constant else Choice(True)
+
+
+def choose_border(scene: Scene) -> tuple[Choice[bool], Choice[bool]]:
+    """Choices of `renormalize` and `guard_band`."""
+    if scene.psf.border == "renormalize":
+        return Choice(True), Choice(False, "light stays inside the frame")
+    beyond = "the mirrored map" if is_static_map(scene) else "surface"
+    return Choice(False, 'border = "lose"'), Choice(True, f"{beyond} outside the frame lights it")
+
+
+def choose_truth(scene: Scene, asked: tuple[str, ...]) -> tuple[Choice[tuple[str, ...]], Choice[bool]]:
+    """Outputs besides color and alpha, of those that a scene can have; and whether any others are left out."""
+    impossible = {name: why for names, can, why in POSSIBLE if not can(scene) for name in names}
+    taken = tuple(name for name in asked if name != "alpha" and name not in impossible)
+    others = [name for name in ALL_TRUTH if name not in taken and name not in impossible]
+    why = "; ".join(dict.fromkeys(impossible[name] for name in asked if name in impossible))
+    given = Choice(taken) if taken else Choice(taken, why or "nobody asked for it")
+    return given, Choice(False, f"nobody asked for {', '.join(others)}") if taken and others else Choice(True)
