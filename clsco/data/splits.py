@@ -40,14 +40,9 @@ def splits_of(given: SplitsLike) -> Splits:
     """
     if not given:
         return ()
-    pairs: list[tuple[Any, Any]] = []
+    pairs: list[tuple[Any, Any]]
     if isinstance(given, str):
-        for part in given.split(","):
-            name, _, share = part.partition("=")
-            try:
-                pairs.append((name.strip(), float(share)))
-            except ValueError:
-                raise SceneError(f"split: must be NAME=SHARE,..., like train=0.9,test=0.1; got {shown(part)}") from None
+        pairs = [_split_of(part) for part in given.split(",")]
     else:
         pairs = list(given.items() if isinstance(given, Mapping) else given)
     if len(pairs) > MAX_SPLITS:
@@ -67,6 +62,15 @@ def splits_of(given: SplitsLike) -> Splits:
     if messages:
         raise SceneError(messages)
     return tuple((name, float(share)) for name, share in pairs)
+
+
+def _split_of(part: str) -> tuple[str, float]:
+    """A split from NAME=SHARE."""
+    name, _, share = part.partition("=")
+    try:
+        return name.strip(), float(share)
+    except ValueError:
+        raise SceneError(f"split: must be NAME=SHARE,..., like train=0.9,test=0.1; got {shown(part)}") from None
 
 
 def positions(splits: Splits, place: NDArray[np.float64]) -> NDArray[np.int64]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, get_args, overload
+from typing import Any, Literal, TypedDict, Unpack, get_args, overload
 
 import numpy as np
 import pyopencl as cl
@@ -40,46 +40,62 @@ Outside = Literal["mirror", "black"]
 SoftEdges = Literal["assign", "keep"]
 
 
+class Options(TypedDict, total=False):
+    """Options of `defocus`."""
+
+    aperture: ApertureLike
+    device: DeviceLike
+    method: str
+    memory: str | int | None
+    outside: Outside
+    soft_edges: SoftEdges
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """`Options`, checked, with their defaults. Raises SceneError."""
+
+    aperture: ApertureLike = None
+    device: DeviceLike = None
+    method: str = "auto"
+    memory: str | int | None = None
+    outside: Outside = "mirror"
+    soft_edges: SoftEdges = "assign"
+
+    def __post_init__(self) -> None:
+        for name, value, kinds in (("outside", self.outside, Outside), ("soft_edges", self.soft_edges, SoftEdges)):
+            if value not in get_args(kinds):
+                names = " or ".join(f'"{kind}"' for kind in get_args(kinds))
+                raise SceneError(f"{name}: must be {names}; got {value!r}")
+
+
 @overload
 def defocus(
-    image: NDArray[Any], blur_radius: NDArray[Any], psf: PsfLike = None, *, aperture: ApertureLike = None,
-    device: DeviceLike = None,
-    method: str = "auto", memory: str | int | None = None,
-    outside: Outside = "mirror", soft_edges: SoftEdges = "assign", return_report: Literal[False] = False,
+    image: NDArray[Any], blur_radius: NDArray[Any], psf: PsfLike = None, *, return_report: Literal[False] = False,
+    **options: Unpack[Options],
 ) -> NDArray[Any]: ...  # fmt: skip
 @overload
 def defocus(
-    image: NDArray[Any], blur_radius: NDArray[Any], psf: PsfLike = None, *, aperture: ApertureLike = None,
-    device: DeviceLike = None,
-    method: str = "auto", memory: str | int | None = None,
-    outside: Outside = "mirror", soft_edges: SoftEdges = "assign", return_report: Literal[True],
+    image: NDArray[Any], blur_radius: NDArray[Any], psf: PsfLike = None, *, return_report: Literal[True],
+    **options: Unpack[Options],
 ) -> tuple[NDArray[Any], DefocusReport]: ...  # fmt: skip
 @overload
 def defocus(
-    image: cl_array.Array, blur_radius: cl_array.Array, psf: PsfLike = None, *, aperture: ApertureLike = None,
-    device: DeviceLike = None,
-    method: str = "auto", memory: str | int | None = None,
-    outside: Outside = "mirror", soft_edges: SoftEdges = "assign", return_report: Literal[False] = False,
+    image: cl_array.Array, blur_radius: cl_array.Array, psf: PsfLike = None, *, return_report: Literal[False] = False,
+    **options: Unpack[Options],
 ) -> cl_array.Array: ...  # fmt: skip
 @overload
 def defocus(
-    image: cl_array.Array, blur_radius: cl_array.Array, psf: PsfLike = None, *, aperture: ApertureLike = None,
-    device: DeviceLike = None,
-    method: str = "auto", memory: str | int | None = None,
-    outside: Outside = "mirror", soft_edges: SoftEdges = "assign", return_report: Literal[True],
+    image: cl_array.Array, blur_radius: cl_array.Array, psf: PsfLike = None, *, return_report: Literal[True],
+    **options: Unpack[Options],
 ) -> tuple[cl_array.Array, DefocusReport]: ...  # fmt: skip
 def defocus(
     image: NDArray[Any] | cl_array.Array,
     blur_radius: NDArray[Any] | cl_array.Array,
     psf: PsfLike = None,
     *,
-    aperture: ApertureLike = None,
-    device: DeviceLike = None,
-    method: str = "auto",
-    memory: str | int | None = None,
-    outside: Outside = "mirror",
-    soft_edges: SoftEdges = "assign",
     return_report: bool = False,
+    **options: Any,
 ) -> Any:
     """Blur an image by a map of signed blur radii, each pixel by its own PSF (equation 2.40).
 
@@ -98,15 +114,15 @@ def defocus(
     device : str, pyopencl.Device, Context or CommandQueue, optional
         Part of a device's name, "cpu" or "gpu", or where to work. The queue of pyopencl arrays is worked in.
     method : str
-        "auto", "gather", "scatter", "tiles", or "convolve" (one radius for all pixels).
+        "auto", the default, "gather", "scatter", "tiles", or "convolve" (one radius for all pixels).
     memory : int or str, optional
         Most that buffers on the device take, in bytes or like "1.5GiB"; by default half of what is free.
     outside : {"mirror", "black"}
-        Light from beyond the image's border: its mirror image, as a depth map's, so that uniform radiance stays
-        uniform; or nothing, so that it darkens there. With border = "renormalize" nothing does.
+        Light from beyond the image's border: by default its mirror image, as a depth map's, so that uniform radiance
+        stays uniform; or nothing, so that it darkens there. With border = "renormalize" nothing does.
     soft_edges : {"assign", "keep"}
-        Radii between those of two surfaces at their edge, as of averaged or blurred depth: each becomes that of one of
-        the two, or all are kept. Hard edges have none.
+        Radii between those of two surfaces at their edge, as of averaged or blurred depth: by default each
+        becomes that of one of the two, or all are kept. Hard edges have none.
     return_report : bool
         Return a `DefocusReport` besides.
 
@@ -144,23 +160,19 @@ def defocus(
     >>> bool(abs(blurred[12, 16] - 1 / (np.pi * 3.0**2)) < 1e-4), round(float(blurred.sum()), 4)
     (True, 1.0)
     """
-    asked = psf_of(psf).of_images()
-    spread = load_point_spread(asked, aperture_of(aperture, asked))
-    for name, value, kinds in (("outside", outside, Outside), ("soft_edges", soft_edges, SoftEdges)):
-        if value not in get_args(kinds):
-            names = " or ".join(f'"{kind}"' for kind in get_args(kinds))
-            raise SceneError(f"{name}: must be {names}; got {value!r}")
-    session, (picture, radii), as_given = on_host(device, image=image, blur_radius=blur_radius)
+    asked, how = psf_of(psf).of_images(), _Asked(**options)
+    spread = load_point_spread(asked, aperture_of(how.aperture, asked))
+    session, (picture, radii), as_given = on_host(how.device, image=image, blur_radius=blur_radius)
     picture, radii = without_mask("image", picture), without_mask("blur_radius", radii)
     codes = picture.dtype in (np.uint8, np.uint16)
     linear = decode(picture, "srgb").astype(np.float32) if codes else picture
-    given = _checked(linear, radii, outside == "mirror" and asked.border == "lose")
-    given, soft = _with_hard_edges(given) if soft_edges == "assign" else (given, 0)
+    given = _checked(linear, radii, how.outside == "mirror" and asked.border == "lose")
+    given, soft = _with_hard_edges(given) if how.soft_edges == "assign" else (given, 0)
     with session.reporting():
-        limit = limit_of(memory, session.device)
+        limit = limit_of(how.memory, session.device)
         if limit.given:
             forget_others(session)
-        result = _blurred(session, given, _spec(given, spread, asked, method, session.device.kind == "gpu"), limit)
+        result = _blurred(session, given, _spec(given, spread, asked, how.method, session.device.kind == "gpu"), limit)
         blurred = as_given(encode(result, 8 * picture.dtype.itemsize, "srgb") if codes else result)
     return (blurred, DefocusReport(soft)) if return_report else blurred
 

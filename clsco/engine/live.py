@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable
 from types import TracebackType
-from typing import Self
+from typing import Self, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsco.engine.response import only_lit
-from clsco.engine.sequence import checked_request, frame_numbers, render_prepared
+from clsco.engine.sequence import Options, checked_request, frame_numbers, render_prepared
 from clsco.engine.warm import warm
 from clsco.errors import SceneError
-from clsco.frame.frame import ALL_TRUTH, Frame
+from clsco.frame.frame import Frame
 from clsco.inputs.files import InputFiles
 from clsco.opencl.session import DeviceLike, session_for
 from clsco.plan.memory import parse_size
@@ -65,22 +64,12 @@ class Live:
         self._lock = threading.Lock()
         self._warming: list[threading.Thread] = []
 
-    def render(
-        self,
-        scene: SceneLike,
-        index: int = 0,
-        *,
-        truth: str | Iterable[str] = ALL_TRUTH,
-        precision: str | None = None,
-        method: str = "auto",
-        tolerance: float | None = None,
-        memory: str | int | None = None,
-    ) -> Frame:
+    def render(self, scene: SceneLike, index: int = 0, **options: Unpack[Options]) -> Frame:
         """Render one frame of a scene.
 
         Parameters
         ----------
-        scene, index, truth, precision, method, tolerance, memory
+        scene, index, truth, color, precision, method, tolerance, memory
             As for `clsco.render_frame`.
 
         Returns
@@ -98,7 +87,7 @@ class Live:
         if known.stereo is not None:
             raise SceneError("scene: must have one view; got a stereo pair, which clsco.render gives")
         (number,) = frame_numbers([known], [index])
-        request = checked_request(truth, method, tolerance, precision, memory)
+        request = checked_request(**options)
         with self._lock:
             self.session.canceled.clear()
             prepared = prepare(known, request, self.session.device, self.files)

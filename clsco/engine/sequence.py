@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
-from typing import Any, SupportsIndex
+from typing import SupportsIndex, TypedDict, Unpack
 
 from clsco.engine.renderer import Renderer, expose
 from clsco.engine.shrinking import Shrinking
@@ -27,20 +27,27 @@ from clsco.scene.model import Scene
 from clsco.scene.sweep import Sweep
 from clsco.scene.text import shown
 
+
+class Options(TypedDict, total=False):
+    """Options of a rendering, see `render`."""
+
+    truth: str | Iterable[str]
+    color: bool
+    precision: str | None
+    method: str
+    tolerance: float | None
+    memory: str | int | None
+
+
 KEPT_GUARD = 32  # px, of aprons of rays that are kept
 
 
 def render(
     scene: SceneLike,
     *,
-    truth: str | Iterable[str] = ALL_TRUTH,
-    color: bool = True,
     device: DeviceLike = None,
-    precision: str | None = None,
-    method: str = "auto",
-    tolerance: float | None = None,
     frames: Iterable[SupportsIndex] | None = None,
-    memory: str | int | None = None,
+    **options: Unpack[Options],
 ) -> Iterator[Frame]:
     """Render the frames of a scene.
 
@@ -52,13 +59,15 @@ def render(
         Names of the outputs besides color, which are attributes of `Frame`; by default, and by "all", all of them.
         Those that are left out cost nothing.
     color : bool
-        False for the truth alone: `Frame.color` is None, and nothing is blurred, which is most of the work.
+        True by default; False for the truth alone: `Frame.color` is None, and nothing is blurred, which is most of the
+        work.
     device : str, pyopencl.Device, Context or CommandQueue, optional
         Part of a device's name, "cpu" or "gpu", or where to work.
     precision : {"double", "single"}, optional
         Precision of the geometry; by default double where the device has it.
     method : str
-        Method of the blur: "auto", or "gather", "scatter", "tiles" or "convolve" where it can blur the scene.
+        Method of the blur: "auto", the default, or "gather", "scatter", "tiles" or "convolve" where it can blur the
+        scene.
     tolerance : float, optional
         RMS error of white up to which fewer time samples and silhouette samples are taken, as it is estimated; None for
         all that the scene says. `Frame.metadata["approximation"]` has the numbers and the estimated error.
@@ -94,9 +103,7 @@ def render(
     ...     print(frame.index, frame.color.shape, frame.depth.dtype, frame.flow)
     0 (24, 32) float32 None
     """
-    options: dict[str, Any] = {"truth": truth, "color": color, "device": device, "precision": precision}
-    options |= {"method": method}
-    found = render_sweep((scene_of(scene),), **options, tolerance=tolerance, frames=frames, memory=memory)
+    found = render_sweep((scene_of(scene),), device=device, frames=frames, **options)
     return (frame for _, frame in found)
 
 
@@ -104,13 +111,8 @@ def render_frame(
     scene: SceneLike,
     index: int = 0,
     *,
-    truth: str | Iterable[str] = ALL_TRUTH,
-    color: bool = True,
     device: DeviceLike = None,
-    precision: str | None = None,
-    method: str = "auto",
-    tolerance: float | None = None,
-    memory: str | int | None = None,
+    **options: Unpack[Options],
 ) -> Frame:
     """Render one frame of a scene.
 
@@ -144,23 +146,16 @@ def render_frame(
     known = scene_of(scene)
     if known.stereo is not None:
         raise SceneError(f"scene: must have one view; got a stereo pair, which render(scene, frames=[{index}]) gives")
-    options: dict[str, Any] = {"truth": truth, "color": color, "device": device, "precision": precision}
-    options |= {"method": method}
-    (frame,) = render(known, **options, tolerance=tolerance, frames=(index,), memory=memory)
+    (frame,) = render(known, device=device, frames=(index,), **options)
     return frame
 
 
 def render_sweep(
     scenes: Sweep | Iterable[SceneLike],
     *,
-    truth: str | Iterable[str] = ALL_TRUTH,
-    color: bool = True,
     device: DeviceLike = None,
-    precision: str | None = None,
-    method: str = "auto",
-    tolerance: float | None = None,
     frames: Iterable[SupportsIndex] | None = None,
-    memory: str | int | None = None,
+    **options: Unpack[Options],
 ) -> Iterator[tuple[int, Frame]]:
     """Render the frames of several scenes, such as those of `clsco.load_sweep`.
 
@@ -197,15 +192,14 @@ def render_sweep(
     """
     found = [scene_of(scene) for scene in (scenes.scenes if isinstance(scenes, Sweep) else scenes)]
     chosen = None if frames is None else frame_numbers(found, frames)
-    request = checked_request(truth, method, tolerance, precision, memory, color)
-    return _render_scenes(session_for(device), found, request, chosen)
+    return _render_scenes(session_for(device), found, checked_request(**options), chosen)
 
 
 def checked_request(
-    truth: str | Iterable[str], method: str, tolerance: float | None, precision: str | None, memory: str | int | None,
-    color: bool = True,
+    truth: str | Iterable[str] = ALL_TRUTH, color: bool = True, precision: str | None = None, method: str = "auto",
+    tolerance: float | None = None, memory: str | int | None = None,
 ) -> Request:  # fmt: skip
-    """Check a user's request for a rendering. Raises SceneError for what cannot be."""
+    """Check a user's request for a rendering: `Options` by name. Raises SceneError for what cannot be."""
     if precision not in (None, "single", "double"):
         raise SceneError(f"precision: must be single or double; got {precision}")
     check_method(method)

@@ -132,14 +132,32 @@ class Playing:
         return f"{said}, {times:.6g} times the speed of the scene (sequence.interval = {interval:g} s)"
 
 
+@dataclass(frozen=True)
+class Shown:
+    """Pictures of a folder's frames that a clip shows.
+
+    Attributes
+    ----------
+    eye : str
+        One of the views of a stereo pair, as `WrittenFrames.eyes` has them.
+    view : str
+        One of `VIEW_NAMES`: color, the PNG files; sharp, or both side by side (compare); depth, coc or flow as colors,
+        on one scale for the clip.
+    from_exr : bool
+        Color is that of the EXR files instead, which is linear and not rounded.
+    """
+
+    eye: str
+    view: str = "color"
+    from_exr: bool = False
+
+
 def write_folder_clip(
     target: Path | BinaryIO,
     frames: WrittenFrames,
-    eye: str,
+    shown: Shown,
     preset: str,
     playing: Playing,
-    view: str = "color",
-    from_exr: bool = False,
     transfer_tag: str | None = None,
     advance: Callable[[], object] = lambda: None,
 ) -> list[str]:
@@ -150,15 +168,9 @@ def write_folder_clip(
     target : Path or BinaryIO
         As for `write_clip`.
     frames : WrittenFrames
-    eye : str
-        One of `frames.eyes`.
+    shown : Shown
     preset : str
     playing : Playing
-    view : str
-        One of `VIEW_NAMES`: color, the PNG files; sharp, or both side by side (compare); depth, coc or flow as colors,
-        on one scale for the clip.
-    from_exr : bool
-        Color is that of the EXR files instead, which is linear and not rounded.
     transfer_tag : str, optional
         As for `write_clip`.
     advance : callable
@@ -178,12 +190,12 @@ def write_folder_clip(
     facts = [f"{len(frames.numbers)} frames at {playing.about(frames.interval, where)}"]
     if len(frames.numbers) < frames.of:
         facts.append(f"frames {frames.numbers[0]} to {frames.numbers[-1]} of the {frames.of} of the scene")
-    pictures, transfer = _pictures(frames, eye, view, from_exr), frames.transfer
-    if view in VIEWS:
-        shown, transfer = VIEWS[view], "srgb"
-        scale = shown.scale(_measured(frames, shown.array, eye))
-        facts.append(shown.label(scale))
-        pictures = (shown.paint(array, scale) for array in _measured(frames, shown.array, eye))
+    pictures, transfer = _pictures(frames, shown), frames.transfer
+    if shown.view in VIEWS:
+        view, transfer = VIEWS[shown.view], "srgb"
+        scale = view.scale(_measured(frames, view.array, shown.eye))
+        facts.append(view.label(scale))
+        pictures = (view.paint(array, scale) for array in _measured(frames, view.array, shown.eye))
     comment = "; ".join([f"clsco {__version__}", *facts])
     rate = playing.rate(frames.interval, where)
 
@@ -204,14 +216,14 @@ def _measured(frames: WrittenFrames, name: str, eye: str) -> Iterator[NDArray[An
     return (np.where(np.isfinite(depth), radius, np.inf) for radius, depth in pairs)
 
 
-def _pictures(frames: WrittenFrames, eye: str, view: str, from_exr: bool) -> Iterator[NDArray[Any]]:
+def _pictures(frames: WrittenFrames, shown: Shown) -> Iterator[NDArray[Any]]:
     """Color, sharp, or both."""
-    if view == "sharp":
-        return frames.arrays("sharp", eye, "exr" if from_exr else "")
-    colors = frames.arrays("color", eye, "exr") if from_exr else frames.images(eye)
-    if view == "color":
+    sharp = frames.arrays("sharp", shown.eye, "exr" if shown.from_exr else "")
+    if shown.view == "sharp":
+        return sharp
+    colors = frames.arrays("color", shown.eye, "exr") if shown.from_exr else frames.images(shown.eye)
+    if shown.view == "color":
         return colors
-    sharp = frames.arrays("sharp", eye, "exr" if from_exr else "")
     return (_beside(*pair, frames.transfer) for pair in zip(sharp, colors, strict=True))
 
 

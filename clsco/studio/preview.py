@@ -256,34 +256,13 @@ class Preview:
 
     async def _show(self, rung: int) -> None:
         """Render and send the pictures of a rung, or say why there are none."""
-        state, revision, scene = self._state, self._session.revision, self._session.scene
-        stops, other = self._stops, self._other if rung == PINNED else None
+        state, stops, revision = self._state, self._stops, self._session.revision
+        other, step = self._other if rung == PINNED else None, self._stack.pop(0) if rung == STACKED else None
         if other is not None:
-            scene, self._other = other, None
-        index = number = min(self._index, scene.sequence.frames - 1)
-        step = self._stack.pop(0) if rung == STACKED else None
-        if step is not None:
-            number, scene = step
-        if self._time is not None and scene.moves:
-            scene, number = moment_of(scene, index, self._time), number if rung == STACKED else NO_NUMBER
-        late: list[Picture] = []
-        self._is_exact_underway, job = rung != DRAGGING, Job(scene, index, self._view, rung, self._eye)
+            self._other = None
+        job, number = self._next_job(rung, other, step)
         try:
-            async with aclosing(self._renderer.pictures(job, self._watch)) as pictures:
-                async for picture in pictures:
-                    if rung != DRAGGING and self._state != state:
-                        return
-                    if late or self._is_full:
-                        late.append(picture)  # it waits when the renderer is free for other tabs
-                    else:
-                        await self._post(picture, revision, number)
-            self._is_exact_underway = False
-            for picture in late:
-                await self._room()
-                if rung != DRAGGING and self._state != state:
-                    return
-                await self._post(picture, revision, number)
-            if self._stops == stops:
+            if await self._post_all(job, revision, number) and self._stops == stops:
                 self._done = (state, min(rung, EXACT))
         except CanceledError:
             if self._stops == stops:
@@ -300,6 +279,36 @@ class Preview:
             await self.tell(error=list(getattr(error, "messages", None) or [str(error)]))
         finally:
             self._is_exact_underway = False
+
+    def _next_job(self, rung: int, other: Scene | None, step: tuple[int, Scene] | None) -> tuple[Job, int]:
+        """Job of the session's scene, of another one or of a step of a focal stack, and the number of its pictures."""
+        scene = other or self._session.scene
+        index = number = min(self._index, scene.sequence.frames - 1)
+        if step is not None:
+            number, scene = step
+        if self._time is not None and scene.moves:
+            scene, number = moment_of(scene, index, self._time), number if step is not None else NO_NUMBER
+        return Job(scene, index, self._view, rung, self._eye), number
+
+    async def _post_all(self, job: Job, revision: int, number: int) -> bool:
+        """Send the pictures of a job; False where there is a later state before the last of them."""
+        state, late = self._state, list[Picture]()
+        self._is_exact_underway = job.rung != DRAGGING
+        async with aclosing(self._renderer.pictures(job, self._watch)) as pictures:
+            async for picture in pictures:
+                if job.rung != DRAGGING and self._state != state:
+                    return False
+                if late or self._is_full:
+                    late.append(picture)  # it waits when the renderer is free for other tabs
+                else:
+                    await self._post(picture, revision, number)
+        self._is_exact_underway = False
+        for picture in late:
+            await self._room()
+            if job.rung != DRAGGING and self._state != state:
+                return False
+            await self._post(picture, revision, number)
+        return True
 
     async def _post(self, picture: Picture, revision: int, number: int) -> None:
         self._unseen.append((revision, picture.rung))

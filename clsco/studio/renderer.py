@@ -186,23 +186,11 @@ class Renderer:
             number, is_whole = self._number, False
             try:
                 self._pipe.send((what, number, content))
-                while True:
-                    of, answer = await asyncio.wait_for(self._answers.get(), SILENCE)
-                    if of < 0:
-                        raise EOFError
-                    if of != number:
-                        continue  # of a job that nobody waits for any more
-                    if isinstance(answer, Progress):
-                        if watch is not None:
-                            await watch(answer)
-                        continue
-                    if answer is None or isinstance(answer, ClscoError):
-                        is_whole = True
-                    if isinstance(answer, ClscoError):
+                while (answer := await self._answer(number, watch)) is not None:
+                    if is_whole := isinstance(answer, ClscoError):
                         raise answer
-                    if answer is None:
-                        return
                     yield answer
+                is_whole = True
             except TimeoutError:  # an OSError, too
                 is_whole = True
                 self._kill()
@@ -216,6 +204,19 @@ class Renderer:
                     self.cancel()
         finally:
             self._turn.release()
+
+    async def _answer(self, number: int, watch: Watch | None) -> Any:
+        """The next answer to a job: a ClscoError or None at its end. Raises TimeoutError and EOFError."""
+        while True:
+            of, answer = await asyncio.wait_for(self._answers.get(), SILENCE)
+            if of < 0:
+                raise EOFError
+            if of != number:
+                continue  # of a job that nobody waits for any more
+            if not isinstance(answer, Progress):
+                return answer
+            if watch is not None:
+                await watch(answer)
 
     def cancel(self) -> None:
         """End the job that is worked on before its next pass."""

@@ -19,10 +19,11 @@ from clsco.studio.samples import SMALL, sample_picture
 from clsco.studio.session import Session
 from clsco.studio.tables import FILE_KEYS
 
+Sessions = Callable[[str], Session | None]
 _TYPES = {".png": "image/png", ".mp4": "video/mp4", ".webm": "video/webm"}
 
 
-def add_routes(app: FastAPI, jobs: Jobs, session_of: Callable[[str], Session | None]) -> None:
+def add_routes(app: FastAPI, jobs: Jobs, session_of: Sessions) -> None:
     """Add the routes to the server.
 
     Parameters
@@ -33,6 +34,13 @@ def add_routes(app: FastAPI, jobs: Jobs, session_of: Callable[[str], Session | N
     session_of : function of str
         The session of a tab; None where there is no such tab.
     """
+    _add_results(app, jobs)
+    _add_scene(app, session_of)
+    _add_inpainting(app, session_of)
+
+
+def _add_results(app: FastAPI, jobs: Jobs) -> None:
+    """Add what jobs have made."""
 
     @app.get("/result")
     def result(job: int, name: str) -> Response:
@@ -59,6 +67,10 @@ def add_routes(app: FastAPI, jobs: Jobs, session_of: Callable[[str], Session | N
         kept = {"cache-control": "private, max-age=86400"}  # a set that is made anew has another address
         return Response(content, media_type="image/png", headers=kept)
 
+
+def _add_scene(app: FastAPI, session_of: Sessions) -> None:
+    """Add textures of the scene, and scenes of links."""
+
     @app.get("/thumbnail")
     def thumbnail(tab: str, path: str) -> Response:
         """A small picture of a texture of the scene, by the path of its key."""
@@ -82,6 +94,10 @@ def add_routes(app: FastAPI, jobs: Jobs, session_of: Callable[[str], Session | N
         except SceneError as error:
             return JSONResponse({"error": "\n".join(error.messages)}, 400)
         return JSONResponse({})
+
+
+def _add_inpainting(app: FastAPI, session_of: Sessions) -> None:
+    """Add images and masks of inpainting."""
 
     @app.get("/inpainting/picture")
     def picture(tab: str, which: str) -> Response:

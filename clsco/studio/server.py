@@ -207,9 +207,12 @@ class Studio:
 
     async def _do(self, tab: Tab, preview: Preview, pointer: Pointer, said: dict[str, Any]) -> None:
         """Act on a message; nothing in it is code, and unknown messages are passed over."""
+        if not (_point(pointer, said) or await _look(tab.session, preview, said)):
+            await self._change(tab, preview, said)
+
+    async def _change(self, tab: Tab, preview: Preview, said: dict[str, Any]) -> None:
+        """Act on a message about the scene."""
         match said:
-            case {"ack": [int(revision), int(rung)]}:
-                preview.acknowledge(revision, rung)
             case {"path": str(path), "value": value}:
                 drag = said.get("drag")
                 try:
@@ -217,59 +220,69 @@ class Studio:
                 finally:
                     if isinstance(count := said.get("count"), int):  # the page knows then what its picture is of
                         await preview.tell(heard=count, faults=dict(tab.session.faults))
-            case {"hidden": bool(is_hidden)}:
-                preview.hide(is_hidden)
             case {"watch": list(paths)}:
                 tab.watched = tuple(path for path in paths[:MOST_WATCHED] if isinstance(path, str) and is_path(path))
                 tab.told.set()
-            case {"at": [int(x), int(y)]} if min(x, y) >= 0:
-                pointer.ask(x, y)
-            case {"measure": [int(x), int(y)]} if min(x, y) >= 0:
-                pointer.measure(x, y)
-            case {"focus": [int(x), int(y)], "drag": int(drag)} if min(x, y) >= 0:
-                pointer.focus(x, y, drag)
-            case {"grab": [int(x), int(y)], "drag": int(drag)} if min(x, y) >= 0:
-                pointer.grab(x, y, drag)
-            case {
-                "pull": [int() | float() as across, int() | float() as down],
-                "along": bool(along),
-                "drag": int(drag),
-            }:
-                pointer.pull(across, down, along, drag)
             case {"link": str(link)}:
                 tab.session.load_share(link)
-            case {"do": "pin thesis"}:
-                preview.pin(as_the_thesis(tab.session))
-            case {"do": "pin reference"}:
-                preview.pin_reference()
-            case {"do": "cancel"}:
-                preview.stop()
-                await preview.tell(stopped=True)
             case {"do": "keep"}:
                 await preview.tell(kept=tab.session.remembered())
             case {"resume": {"scene": str(link), "file": str(file), "digest": str(digest)}, "tab": str(before)}:
                 if before not in self.tabs:  # else it is still there, and this is a copy of its page
                     tab.session.resume(link, file, digest)
                     await preview.tell(resumed=True)
-            case {"do": "undo"}:
-                tab.session.undo()
-            case {"do": "redo"}:
-                tab.session.redo()
-            case {"do": "reset"}:
-                tab.session.reset()
-            case {"view": str(view)}:
-                preview.look(view=view)
-            case {"frame": int(index), "time": int() | float() | None as time}:
-                eye = said.get("eye")
-                preview.look(index=index, time=time, eye=eye if eye in ("left", "right") else None)
-                if said.get("again"):
-                    preview.changed()
-            case {"stack": [int() | float() as nearest, int() | float() as farthest, int(steps)]}:
-                scenes = stack_scenes(tab.session, nearest, farthest, steps)
-                await preview.tell(stack=[scene.camera.focused_distance for scene in scenes])
-                preview.stack(scenes)
+            case {"do": "undo" | "redo" | "reset" as what}:
+                getattr(tab.session, what)()
             case _:
                 return
+
+
+def _point(pointer: Pointer, said: dict[str, Any]) -> bool:
+    """Act on a message about the pointer; False for others."""
+    match said:
+        case {"at": [int(x), int(y)]} if min(x, y) >= 0:
+            pointer.ask(x, y)
+        case {"measure": [int(x), int(y)]} if min(x, y) >= 0:
+            pointer.measure(x, y)
+        case {"focus": [int(x), int(y)], "drag": int(drag)} if min(x, y) >= 0:
+            pointer.focus(x, y, drag)
+        case {"grab": [int(x), int(y)], "drag": int(drag)} if min(x, y) >= 0:
+            pointer.grab(x, y, drag)
+        case {"pull": [int() | float() as across, int() | float() as down], "along": bool(along), "drag": int(drag)}:
+            pointer.pull(across, down, along, drag)
+        case _:
+            return False
+    return True
+
+
+async def _look(session: Session, preview: Preview, said: dict[str, Any]) -> bool:
+    """Act on a message about the pictures; False for others."""
+    match said:
+        case {"ack": [int(revision), int(rung)]}:
+            preview.acknowledge(revision, rung)
+        case {"hidden": bool(is_hidden)}:
+            preview.hide(is_hidden)
+        case {"do": "pin thesis"}:
+            preview.pin(as_the_thesis(session))
+        case {"do": "pin reference"}:
+            preview.pin_reference()
+        case {"do": "cancel"}:
+            preview.stop()
+            await preview.tell(stopped=True)
+        case {"view": str(view)}:
+            preview.look(view=view)
+        case {"frame": int(index), "time": int() | float() | None as time}:
+            eye = said.get("eye")
+            preview.look(index=index, time=time, eye=eye if eye in ("left", "right") else None)
+            if said.get("again"):
+                preview.changed()
+        case {"stack": [int() | float() as nearest, int() | float() as farthest, int(steps)]}:
+            scenes = stack_scenes(session, nearest, farthest, steps)
+            await preview.tell(stack=[scene.camera.focused_distance for scene in scenes])
+            preview.stack(scenes)
+        case _:
+            return False
+    return True
 
 
 def _is_flat(value: Any, levels: int) -> bool:

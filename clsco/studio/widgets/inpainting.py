@@ -26,6 +26,77 @@ _BLANK = "what is hatched is filled; wheel or fingers zoom, Shift and a drag mov
 _TICK = 0.4  # s between looks at a method
 
 
+class _Actions:
+    """Actions of the dialog, and the parts of it that they make anew."""
+
+    def __init__(self, inpainting: Inpainting, jobs: Jobs, tab: str, dialog: Dialog) -> None:
+        self.inpainting, self.jobs, self.tab, self.dialog = inpainting, jobs, tab, dialog
+        self.typed = {"name": "", "mask": "inpainting/mask.png", "folder": "inpainting"}
+        self.wanted = dict.fromkeys(FILLERS, True)
+        self.running: tuple[str, float] | None = None  # method that fills, and when it began
+
+    def open(self, name: str) -> None:
+        self.inpainting.open(name)
+        self._loaded()
+
+    def open_removal(self, name: str) -> None:
+        self.inpainting.open_removal(name)
+        self._loaded()
+
+    def _loaded(self) -> None:
+        ui.run_javascript("studioBrush.load()")
+        self.results.refresh()
+
+    def load_mask(self) -> None:
+        self.inpainting.load_mask(self.typed["mask"])
+        ui.run_javascript("studioBrush.replaced()")
+        self.results.refresh()
+
+    def save_mask(self) -> None:
+        self.inpainting.save_mask(self.typed["mask"])
+        ui.notify(f"Wrote {self.typed['mask']}", type="positive")
+
+    def save(self) -> None:
+        names = self.inpainting.save(self.typed["folder"])
+        ui.notify(f"Wrote {', '.join(names)} to {self.typed['folder']}", type="positive")
+
+    def chosen(self) -> list[str]:
+        return [method for method, is_on in self.wanted.items() if is_on]
+
+    def begin(self) -> None:
+        self.inpainting.begin(self.jobs, self.chosen(), self.typed["folder"])
+        self.dialog.close()
+
+    async def fill(self, timer: ui.timer) -> None:
+        self.results.refresh()
+        timer.activate()
+        for method in self.chosen():
+            self.running = (method, time.monotonic())
+            self.progress.refresh()
+            try:
+                found = await run.io_bound(self.inpainting.fill, method)
+            except ClscoError as error:
+                ui.notify(str(error), type="negative", close_button="Close")
+                break
+            finally:
+                self.running = None
+                self.progress.refresh()
+            if found is None:
+                break
+            self.results.refresh()
+        timer.deactivate()
+
+    @ui.refreshable_method
+    def progress(self) -> None:
+        if self.running is not None:
+            method, began = self.running
+            _progress(self.inpainting, method, time.monotonic() - began)
+
+    @ui.refreshable_method
+    def results(self) -> None:
+        _results(self.inpainting, self.tab, self.typed["folder"])
+
+
 def inpainting_dialog(session: Session, jobs: Jobs, tab: str, device: str | None = None) -> Callable[[], None]:
     """The dialog of inpainting.
 
@@ -45,85 +116,24 @@ def inpainting_dialog(session: Session, jobs: Jobs, tab: str, device: str | None
     inpainting = inpainting_of(session, device)
     dialog = Dialog("Inpainting")
     dialog.element.classes("wide")
-    typed = {"name": "", "mask": "inpainting/mask.png", "folder": "inpainting"}
-    wanted = dict.fromkeys(FILLERS, True)
-    running: list[tuple[str, float]] = []  # method that fills, and when it began
-
-    def loaded() -> None:
-        ui.run_javascript("studioBrush.load()")
-        results.refresh()
-
-    def opened(name: str) -> None:
-        inpainting.open(name)
-        loaded()
-
-    def removal(name: str) -> None:
-        inpainting.open_removal(name)
-        loaded()
-
-    def masked() -> None:
-        inpainting.load_mask(typed["mask"])
-        ui.run_javascript("studioBrush.replaced()")
-        results.refresh()
-
-    def mask_saved() -> None:
-        inpainting.save_mask(typed["mask"])
-        ui.notify(f"Wrote {typed['mask']}", type="positive")
-
-    def saved() -> None:
-        names = inpainting.save(typed["folder"])
-        ui.notify(f"Wrote {', '.join(names)} to {typed['folder']}", type="positive")
-
-    def chosen() -> list[str]:
-        return [method for method, is_on in wanted.items() if is_on]
-
-    def begin() -> None:
-        inpainting.begin(jobs, chosen(), typed["folder"])
-        dialog.close()
-
-    async def fill() -> None:
-        results.refresh()
-        timer.activate()
-        for method in chosen():
-            running.append((method, time.monotonic()))
-            progress.refresh()
-            try:
-                found = await run.io_bound(inpainting.fill, method)
-            except ClscoError as error:
-                ui.notify(str(error), type="negative", close_button="Close")
-                break
-            finally:
-                running.clear()
-                progress.refresh()
-            if found is None:
-                break
-            results.refresh()
-        timer.deactivate()
-
-    @ui.refreshable
-    def progress() -> None:
-        for method, began in running:
-            _progress(inpainting, method, time.monotonic() - began)
-
-    @ui.refreshable
-    def results() -> None:
-        _results(inpainting, tab, typed["folder"])
-
+    actions = _Actions(inpainting, jobs, tab, dialog)
+    typed = actions.typed
     with dialog.body:
+        timer = ui.timer(_TICK, actions.progress.refresh, active=False)
         names = "names-inpainting"
         with say("datalist", id=names):
             for name in listed(session.root, IMAGES):
                 say("option", value=name)
         with say("div").classes("row"):
             text_box(f"Image in {session.root.name}", "", lambda name: typed.update(name=name), list=names)
-            button("Open the image", lambda: opened(typed["name"]))
+            button("Open the image", lambda: actions.open(typed["name"]))
             say("button", "Take the frame shown", type="button", data_brush="frame").on(
-                "click", lambda event: tried(lambda: opened(str(event.args))), js_handler=_FRAME
+                "click", lambda event: tried(lambda: actions.open(str(event.args))), js_handler=_FRAME
             )
         with say("div", role="group", aria_label="Presets").classes("row"):
             say("span", "Presets:").classes("quiet")
             for name, preset in REMOVALS.items():
-                button(preset.title, partial(removal, name))
+                button(preset.title, partial(actions.open_removal, name))
         _tools()
         say(
             "canvas", data_brush="canvas", tabindex="0", role="img",
@@ -134,20 +144,23 @@ def inpainting_dialog(session: Session, jobs: Jobs, tab: str, device: str | None
             say("span", _BLANK).classes("quiet")
         with say("div").classes("row"):
             text_box("Mask (PNG)", typed["mask"], lambda name: typed.update(mask=name), list=names)
-            button("Load the mask", masked)
-            say("button", "Save the mask", type="button").on("click", lambda _: tried(mask_saved), js_handler=_ALL_SENT)
+            button("Load the mask", actions.load_mask)
+            say("button", "Save the mask", type="button").on(
+                "click", lambda _: tried(actions.save_mask), js_handler=_ALL_SENT
+            )
         with say("div", role="group", aria_label="Methods").classes("row"):
             for method in FILLERS:
-                check_box(_LABELS[method], True, partial(wanted.__setitem__, method))
-            say("button", "Fill", type="button").classes("primary").on("click", fill, js_handler=_ALL_SENT)
-        progress()
-        timer = ui.timer(_TICK, progress.refresh, active=False)
-        results()
+                check_box(_LABELS[method], True, partial(actions.wanted.__setitem__, method))
+            say("button", "Fill", type="button").classes("primary").on(
+                "click", lambda _: actions.fill(timer), js_handler=_ALL_SENT
+            )
+        actions.progress()
+        actions.results()
         with say("div").classes("row"):
             text_box("Folder for the results", typed["folder"], lambda name: typed.update(folder=name))
-            button("Write the results", saved)
+            button("Write the results", actions.save)
             say("button", "Fill as jobs", type="button", title="Goes on when the page is closed").on(
-                "click", lambda _: tried(begin), js_handler=_ALL_SENT
+                "click", lambda _: tried(actions.begin), js_handler=_ALL_SENT
             )
 
     def show() -> None:
