@@ -37,13 +37,14 @@ focus_depth_option = click.option(
 
 def parsed_focus(at: tuple[int, int] | None, share: float | None) -> Focus | None:
     """Focus that the options ask for, None where neither is given. Raises click.UsageError for both."""
-    if at is None and share is None:
-        return None
     if at is not None and share is not None:
         raise click.UsageError("--focus-at: goes without --focus-depth; got both")
+    on = share if at is None else at
+    if on is None:
+        return None
     from clsco.inputs.focus import Focus
 
-    return Focus(at, share)
+    return Focus(on)
 
 
 def focused_files(

@@ -262,8 +262,7 @@ def _parts(plan: Plan, view: View, hits: Hits) -> NDArray[np.intp]:
 
 def _of_image(plan: Plan, lattice: Lattice, maps: Maps) -> dict[str, Work]:
     """Work of passes that take an image with its radii, by their kinds: depth maps, forward warp, layered occlusion."""
-    assert plan.scene.camera.resolution is not None
-    sizes = zip(plan.scene.camera.resolution[::-1], (lattice.row, lattice.column), strict=True)
+    sizes = zip(plan.scene.camera.frame_size[::-1], (lattice.row, lattice.column), strict=True)
     i, j = (np.clip(at.round().astype(np.intp), 0, size - 1) for size, at in sizes)
     w, number = seen(plan.scene, maps, i, j)
     lit, radius = w > 0.0, np.where(w > 0.0, blur_radius(plan.scene.camera, w), 0.0)

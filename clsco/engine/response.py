@@ -173,9 +173,8 @@ def _projected(item: Object, texture: str | ArrayInput) -> Object:
 
 def _longest_way(scene: Scene, number: int, index: int) -> int:
     """Way in px, rounded up, of the point of an object that the exposure finds farthest from its reference pose."""
-    assert scene.camera.resolution is not None
     item, step = scene.objects[number], ray_step(scene.camera)
-    x, y = np.meshgrid(*(np.linspace(-0.5, 0.5, GRID) * side * step for side in scene.camera.resolution))
+    x, y = np.meshgrid(*(np.linspace(-0.5, 0.5, GRID) * side * step for side in scene.camera.frame_size))
     w = predict_inverse_depth(item, place(item, rest_poses(scene)[number]), x, y)
     there = (w > 0) | item.is_background
     if not there.any():
@@ -188,4 +187,4 @@ def _longest_way(scene: Scene, number: int, index: int) -> int:
         point = w[there] * (center + pose.shift[:, None]) + pose.rotation @ body
         moved = point[:2] / np.maximum(point[2], 1e-3) - rays[:2]
         longest = max(longest, float(np.hypot(*moved).max()) / step)
-    return math.ceil(min(longest, max(scene.camera.resolution)))
+    return math.ceil(min(longest, max(scene.camera.frame_size)))

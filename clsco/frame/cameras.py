@@ -45,8 +45,7 @@ def pinhole(scene: Scene, index: int, eye: Eye = "left") -> Pinhole:
     The focal length in px is s0 / p, `normalization_distance` over `pixel_pitch`, as x = s0 X / Z. Validated by points
     of surfaces that it takes from a frame to the next one, and to the other view, where flow and disparity lead.
     """
-    assert scene.camera.resolution is not None
-    columns, rows = scene.camera.resolution
+    columns, rows = scene.camera.frame_size
     pose = eye_pose(scene, eye, middle_time(scene.sequence, index))
     rotation = FLIP @ pose.rotation.T @ FLIP
     middle = (0.5 * (columns - 1), 0.5 * (rows - 1))

@@ -203,9 +203,8 @@ def map_values(
     fill.method is none.
     Raises ImageError where the size is not that of the frame, and as `inverse_depth`.
     """
-    assert scene.camera.resolution is not None
     name = str(item.depth)
-    check_sizes("the frame", scene.camera.resolution, name, (raw.shape[1], raw.shape[0]))
+    check_sizes("the frame", scene.camera.frame_size, name, (raw.shape[1], raw.shape[0]))
     numbers = item.unit, item.scale, scene.camera, item.baseline, name, item.offset, item.depth_kind
     values = inverse_depth(raw, *numbers)
     if item.soft_edges == "assign":

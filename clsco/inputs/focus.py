@@ -28,19 +28,17 @@ class Focus:
 
     Attributes
     ----------
-    at : (int, int), optional
-        Column and row, px, from 0 in the upper left corner.
-    share : float, optional
-        Share of the picture that is nearer: 0 the nearest depth, 0.5 the median, 1 the farthest.
+    on : (int, int) or float
+        Column and row, px, from 0 in the upper left corner; or the share of the picture that is nearer: 0 the nearest
+        depth, 0.5 the median, 1 the farthest.
     """
 
-    at: tuple[int, int] | None = None
-    share: float | None = None
+    on: tuple[int, int] | float
 
     @property
     def option(self) -> str:
         """Option of commands that gives it."""
-        return "--focus-depth" if self.at is None else "--focus-at"
+        return "--focus-at" if isinstance(self.on, tuple) else "--focus-depth"
 
 
 def lens_line(camera: Camera, w: Array) -> str:
@@ -105,14 +103,13 @@ def focused(scene: Scene, files: InputFiles, focus: Focus) -> Scene:
     -----
     Shares are of at most 2^20 pixels at equal steps. Validated on planes, spheres and depth maps of known depth.
     """
-    assert scene.camera.resolution is not None
-    columns, rows = scene.camera.resolution
+    columns, rows = scene.camera.frame_size
     if any(isinstance(item, DepthMap) and item.unit == "coc" for item in scene.objects):
         raise SceneError(f'{focus.option}: depths must be known; got unit = "coc", whose radii say what is in focus')
     pinhole = scene.camera.model_copy(update={"aperture_diameter": MIN_LENGTH_MM})  # which blurs nothing too much
     maps = files.maps(scene.model_copy(update={"camera": pinhole}))
-    if focus.at is not None:
-        x, y = focus.at
+    if isinstance(focus.on, tuple):
+        x, y = focus.on
         if not (0 <= x < columns and 0 <= y < rows):
             raise SceneError(f"{focus.option}: must be a pixel of the {columns} x {rows}, counted from 0; got {x},{y}")
         nearest, whose = seen(scene, maps, np.array([y]), np.array([x]))
@@ -124,8 +121,7 @@ def focused(scene: Scene, files: InputFiles, focus: Focus) -> Scene:
         found, _ = seen(scene, maps, np.arange(0, rows, step), np.arange(0, columns, step))
         if not (found > 0).any():
             raise SceneError(f"{focus.option}: must be on a surface; got nothing in the picture")
-        assert focus.share is not None
-        w = float(np.quantile(found[found > 0], 1.0 - focus.share, method="nearest"))
+        w = float(np.quantile(found[found > 0], 1.0 - focus.on, method="nearest"))
     if w * MAX_LENGTH_MM < 1.0:
         return scene.replace("camera.sensor_distance", scene.camera.focal_length)
     return scene.replace("camera.focus_distance", 1.0 / w)
@@ -139,8 +135,7 @@ def seen(
     Where no surface is, w is 0, and the number that of a background, or -1. Rows and columns of a depth map, see
     `InputFiles.maps`, lie in the frame.
     """
-    assert scene.camera.resolution is not None
-    columns, rows = scene.camera.resolution
+    columns, rows = scene.camera.frame_size
     step = ray_step(scene.camera)
     x, y = np.meshgrid((j - (columns - 1) / 2) * step, ((rows - 1) / 2 - i) * step)
     behind = next((number for number, item in enumerate(scene.objects) if item.is_background), -1)

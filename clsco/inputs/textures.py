@@ -259,8 +259,7 @@ def stretched(scenes: Iterable[Scene]) -> list[str]:
     """
     size_of, found = cache(texture_size), dict[str, None]()
     for scene in scenes:
-        assert scene.camera.resolution is not None
-        width, height = scene.camera.resolution
+        width, height = scene.camera.frame_size
         projected = [(item.inputs()["texture"], k) for k, item in enumerate(scene.objects) if item.mapped is None]
         first = {source: number for source, number in reversed(projected) if not is_drawn(source)}
         for source, number in sorted(first.items(), key=lambda each: each[1]):

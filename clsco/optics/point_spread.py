@@ -6,6 +6,7 @@ as piecewise cubics in the blur radius, which is what a device reads.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from math import floor, sqrt
@@ -22,6 +23,12 @@ from clsco.optics.pupils.pupil import Array, Pupil
 from clsco.optics.pupils.ring import Ring
 from clsco.scene.model import Aperture, Psf
 
+FORMULAS: dict[str, Callable[[Aperture], Pupil]] = {
+    "circle": lambda _: Circle(),
+    "polygon": lambda aperture: Polygon(aperture.blades, aperture.rotation),
+    "ring": lambda aperture: Ring(aperture.obstruction),
+}
+"""Pupil of an aperture by its shape; that of an image is read from its file."""
 MINIMUM_BLUR = 0.5  # px; sampled PSFs leave smaller radii alone (thesis, 2.2)
 POINT = 1e-9  # px; smaller radii are 0
 PIXEL_MOMENT = {"sampled": 0.0, "area": 1 / 12, "integrated": 1 / 6}  # px^2 per axis: what `edge` adds
@@ -222,15 +229,7 @@ def point_spread(psf: Psf, aperture: Aperture | None = None, image: Pupil | None
     if psf.model == "gaussian":
         round_cut = psf.edge == "sampled"
         return PointSpread(Gaussian(psf.sigma_ratio, psf.truncation, round_cut), psf.edge, 2 * psf.silhouette_samples)
-    pupils: dict[str, Pupil | None] = {
-        "circle": Circle(),
-        "polygon": Polygon(aperture.blades, aperture.rotation),
-        "ring": Ring(aperture.obstruction),
-        "image": image,
-    }
-    pupil = pupils[aperture.shape]
-    assert pupil is not None
-    return PointSpread(pupil, psf.edge)
+    return PointSpread(image or FORMULAS[aperture.shape](aperture), psf.edge)
 
 
 def subpixel_offsets(samples: int) -> Array:

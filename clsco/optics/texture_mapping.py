@@ -35,8 +35,9 @@ from clsco.constants import (
 )
 from clsco.optics.point_spread import PointSpread
 from clsco.scene.model import Cone, Cylinder, Disc, Ellipsoid, Object, Plane, Rectangle, Scene
+from clsco.scene.texture_keys import Mapped
 
-KINDS = {
+KINDS: dict[Mapped | None, int] = {
     "card": MAP_PLANE,
     "plane": MAP_PLANE,
     "cylinder": MAP_CYLINDER,
@@ -113,7 +114,6 @@ def texture_map(item: Object, columns: int, rows: int) -> TextureMap:
     Validated against the positions of known points of every shape, and by the ray tracer of the benchmarks, which has
     formulas of its own.
     """
-    assert item.mapped is not None
     kind = KINDS[item.mapped]
     per_unit, middle = _texels(item, kind, columns, rows)
     angle = radians(item.texture_angle or 0.0)

@@ -257,8 +257,7 @@ def _way(scene: Scene, number: int, depth: Array | None) -> tuple[float, float]:
 def _outlines(scene: Scene, contrasts: Array, nearest: NDArray[np.intp], w: Array, axis: int) -> Array:
     """Outlines per object: length per px^2 times squared contrast of those that rays one after another along an axis
     cross: each of the object in front."""
-    assert scene.camera.resolution is not None
-    size = scene.camera.resolution[1 - axis]
+    size = scene.camera.frame_size[1 - axis]
     one, other = (np.take(nearest, range(n, nearest.shape[axis] - 1 + n), axis) for n in (0, 1))
     depth, behind = (np.take(w, range(n, nearest.shape[axis] - 1 + n), axis) for n in (0, 1))
     front = np.where(depth >= behind, one, other)

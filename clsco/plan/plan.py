@@ -320,9 +320,7 @@ def make_plan(
     SceneError
         The scene has no resolution, the blur radius passes LARGEST_BLUR, or the method cannot do the scene.
     """
-    if scene.camera.resolution is None:
-        raise SceneError("camera.resolution: must be known before a scene is planned; got None")
-    columns, rows = scene.camera.resolution
+    columns, rows = scene.camera.frame_size
     wanted, device, psf = request or Request(), device or ThisMachine(), psf or scene_point_spread(scene)
     maps = maps or (None,) * len(scene.objects)
     check_shape(psf, wanted.method)

@@ -42,8 +42,7 @@ def guard_band(psf: PointSpread, border: str, largest: float) -> int:
 
 def _grid(scene: Scene, guard: int) -> tuple[Array, Array]:
     """Slopes (GRID, GRID) of rays over frame and guard band, the outermost pixels included."""
-    assert scene.camera.resolution is not None
-    columns, rows = scene.camera.resolution
+    columns, rows = scene.camera.frame_size
     x = np.linspace(-0.5 * (columns - 1) - guard, 0.5 * (columns - 1) + guard, GRID)
     y = np.linspace(-0.5 * (rows - 1) - guard, 0.5 * (rows - 1) + guard, GRID)
     across, up = np.meshgrid(x * ray_step(scene.camera), y * ray_step(scene.camera))

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
+from clsco.errors import SceneError
 from clsco.scene.arrays import HasInputs
 from clsco.scene.changes import replaced
 from clsco.scene.faults import refusal
@@ -132,6 +133,13 @@ class Camera(Strict):
     """Columns and rows, px. Default: size of the first object's texture."""
     motion: CameraMotion = CameraMotion()
     """Velocities of the camera itself; static if none are given."""
+
+    @property
+    def frame_size(self) -> tuple[int, int]:
+        """Columns and rows, px. Raises SceneError where the resolution is not known yet."""
+        if self.resolution is None:
+            raise SceneError("camera.resolution: must be known before a scene is planned; got None")
+        return self.resolution
 
     @property
     def opening(self) -> float:

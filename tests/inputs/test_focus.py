@@ -37,8 +37,8 @@ def test_a_line_says_what_the_lens_does(depths: list[list[float]], camera: Camer
     assert lens_line(camera, w) == line
 
 
-def focus_of(scene: Scene, **focus: Any) -> float | None:
-    return focused(scene, InputFiles(), Focus(**focus)).camera.focus_distance
+def focus_of(scene: Scene, on: tuple[int, int] | float) -> float | None:
+    return focused(scene, InputFiles(), Focus(on)).camera.focus_distance
 
 
 def depth_map(**keys: Any) -> DepthMap:
@@ -48,27 +48,27 @@ def depth_map(**keys: Any) -> DepthMap:
 
 def test_a_point_of_a_depth_map_is_in_focus() -> None:
     scene = scene_of(depth_map())
-    assert focus_of(scene, at=(0, 0)) == pytest.approx(300.0, rel=1e-12)
-    assert focus_of(scene, at=(63, 47)) == pytest.approx(500.0, rel=1e-12)
-    assert focus_of(scene, share=0.0) == pytest.approx(300.0, rel=1e-12)
-    assert focus_of(scene, share=0.25) == pytest.approx(350.0, abs=0.1)  # depths are 0.065 mm apart
-    assert focus_of(scene, share=1.0) == pytest.approx(500.0, rel=1e-12)
+    assert focus_of(scene, (0, 0)) == pytest.approx(300.0, rel=1e-12)
+    assert focus_of(scene, (63, 47)) == pytest.approx(500.0, rel=1e-12)
+    assert focus_of(scene, 0.0) == pytest.approx(300.0, rel=1e-12)
+    assert focus_of(scene, 0.25) == pytest.approx(350.0, abs=0.1)  # depths are 0.065 mm apart
+    assert focus_of(scene, 1.0) == pytest.approx(500.0, rel=1e-12)
     assert focused(scene, InputFiles(), Focus((0, 0))).objects == scene.objects
 
 
 def test_a_lens_that_would_blur_too_much_is_focused() -> None:
     camera = {"focal_length": 50.0, "f_number": 1.4, "pixel_pitch": 0.006, "focus_distance": 60.0}
-    assert focus_of(scene_of(depth_map(unit="mm", scale=10.0), camera=camera), at=(0, 0)) == pytest.approx(3000.0)
+    assert focus_of(scene_of(depth_map(unit="mm", scale=10.0), camera=camera), (0, 0)) == pytest.approx(3000.0)
 
 
 def test_the_nearest_surface_of_a_pixel_counts() -> None:
     sphere, wall = Sphere(center=(0.0, 0.0, 280.0), radius=30.0), Plane(distance=400.0)
     scene = scene_of(sphere, wall, depth_map(), size=(65, 49), camera={"pixel_pitch": 0.2})
     scene = scene.model_copy(update={"objects": (sphere, wall)})
-    assert focus_of(scene, at=(32, 24)) == pytest.approx(250.0, rel=1e-12)
-    assert focus_of(scene, at=(0, 0)) == pytest.approx(400.0, rel=1e-12)
-    assert focus_of(scene, share=0.0) == pytest.approx(250.0, rel=1e-12)
-    assert focus_of(scene, share=1.0) == pytest.approx(400.0, rel=1e-12)
+    assert focus_of(scene, (32, 24)) == pytest.approx(250.0, rel=1e-12)
+    assert focus_of(scene, (0, 0)) == pytest.approx(400.0, rel=1e-12)
+    assert focus_of(scene, 0.0) == pytest.approx(250.0, rel=1e-12)
+    assert focus_of(scene, 1.0) == pytest.approx(400.0, rel=1e-12)
 
 
 def test_what_is_infinitely_far_has_the_detector_at_the_focal_length() -> None:
@@ -82,7 +82,7 @@ def test_what_is_infinitely_far_has_the_detector_at_the_focal_length() -> None:
     (scene_of(depth_map()), Focus((64, 0)), "--focus-at: must be a pixel of the 64 x 48, counted from 0; got 64,0"),
     (scene_of(Plane(bounds=((-1, 1), (-1, 1), (-1, 1)))), Focus((0, 0)),
      "--focus-at: must be on a surface; got nothing at 0,0"),
-    (scene_of(Sphere(center=(900.0, 0.0, 280.0))), Focus(share=0.5),
+    (scene_of(Sphere(center=(900.0, 0.0, 280.0))), Focus(0.5),
      "--focus-depth: must be on a surface; got nothing in the picture"),
     (scene_of(depth_map(depth=np.zeros((48, 64)), unit="coc")), Focus((0, 0)),
      '--focus-at: depths must be known; got unit = "coc", whose radii say what is in focus'),
