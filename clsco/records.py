@@ -23,9 +23,9 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     In single precision every real number has a low part, what rounding to float left of it (kernels/common/wide.clh): a
     scalar x is followed by x_low, an array of n numbers is one of 2 n, the low parts last.
 
-    camera_t: rows, columns of the frame, or of a strip of it (`clsco.frame.strips`); frame_rows: of the frame; top:
+    grid_t: rows, columns of the frame, or of a strip of it (`clsco.frame.strips`); frame_rows: of the frame; top:
     first row of the strip; guard: columns, above: rows of the grid before its own; width, height of the grid; step:
-    slope between neighboring rays; blur_scale px mm; focus_power 1/mm; lens_radius mm. surface_t: see
+    slope between neighboring rays. lens_t: see `clsco.optics.lens.Lens`. surface_t: see
     `clsco.optics.quadrics.PlacedSurface`; texture: its number in the stack. texture_map_t: see
     `clsco.optics.texture_mapping.TextureMap`. light_t: see `clsco.optics.light.PlacedLight`. pose_t: see
     `clsco.optics.motion.Pose`. group_t: see `clsco.optics.visibility.OcclusionGroup`; count: of all objects. psf_t:
@@ -34,10 +34,11 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     lens radii.
     """
     i, two, three, nine = "i4", (2,), (3,), (9,)
-    camera: list[Any] = [
+    grid: list[Any] = [
         (name, i) for name in ("rows", "columns", "frame_rows", "top", "guard", "above", "width", "height")
     ]
-    camera += _reals(real, step=(), blur_scale=(), focus_power=(), lens_radius=())
+    grid += _reals(real, step=())
+    lens = _reals(real, blur_scale=(), focus_power=(), radius=())
     surface = _reals(real, turn=nine, body_turn=nine, own_turn=nine, offset=three, body_offset=three, own_offset=three)
     surface += _reals(real, rest=three, q=three, l=three)
     surface += _reals(real, bounds_low=three, bounds_high=three, k=(), at_lens=(), radius=())
@@ -52,7 +53,7 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     psf += [(name, i) for name in ("sub_first", "sub_count", "sub_low", "sub_end")]
     psf += _reals(real, key=(), minimum_blur=(), fine_steps=(), fine_until=(), octaves_from=(), steps=(), sub_steps=())
     psf += _reals(real, lens_extent=())
-    fields = {"camera_t": camera, "surface_t": surface, "texture_map_t": mapping}
+    fields = {"grid_t": grid, "lens_t": lens, "surface_t": surface, "texture_map_t": mapping}
     fields |= {"light_t": light, "pose_t": pose, "group_t": group, "psf_t": psf}
     return {name: np.dtype(members, align=True) for name, members in fields.items()}
 

@@ -18,6 +18,7 @@ from clsco.frame.strips import BAND
 from clsco.inputs.focus import seen
 from clsco.inputs.textures import mapped_size
 from clsco.optics.exposure import middle_time
+from clsco.optics.lens import Lens
 from clsco.optics.psf_grid import row_lanes
 from clsco.optics.quadrics import cutting_bounds
 from clsco.optics.texture_mapping import texture_map, texture_spread
@@ -38,7 +39,7 @@ from clsco.reference.common.visibility import (
     PARTLY,
     WIDE_LENS,
     Points,
-    lens_of,
+    division_of,
     meet_occluder,
     out_of_the_way,
 )
@@ -154,26 +155,26 @@ def _hits(plan: Plan, view: View, group: OcclusionGroup, lattice: Lattice) -> Hi
     rays = pixel_ray(camera, lattice.row[:, None], lattice.column[None, :])
     w, label, number = nearest_surface(view.surfaces, bounds, group, rays)
     hit = w > 0.0
-    radius, state = np.where(hit, blur_radius(camera, w), 0.0), np.full(w.shape, CLEAR)
+    radius, state = np.where(hit, blur_radius(view.lens, w), 0.0), np.full(w.shape, CLEAR)
     tests, cuts, edges, cut_edges = (np.zeros(w.shape) for _ in range(4))
     gradient = np.zeros((*w.shape, 2))
     for k in np.unique(number[hit]) if scene.psf.tilt else ():
         here = hit & (number == k)
-        gradient[here] = blur_gradient(camera, surface_slope(view.surfaces[k], rays[here], w[here]))
+        gradient[here] = blur_gradient(camera, view.lens, surface_slope(view.surfaces[k], rays[here], w[here]))
     label, many = label.copy(), _tests(plan) > MANY_TESTS
     for k, surface in enumerate(view.surfaces):
         own = k == group.own
         if not group.occluders >> k & 1 or (own and group.root == (2 if surface.constant < 0 else 1)):
             continue
         near = hit.copy()
-        near[hit] = ~out_of_the_way(camera, surface, rays[hit], w[hit], plan.psf.extent)
+        near[hit] = ~out_of_the_way(view.lens, surface, rays[hit], w[hit], plan.psf.extent)
         size = radius[near]
         if not size.size:
             continue
         points = Points(rays[near], w[near], size, 0 * size, 0 * size, 1.0, gradient[near])
-        lens = lens_of(size, plan.psf.extent, points.width, points.gradient)
+        division = division_of(size, plan.psf.extent, points.width, points.gradient)
         cut = bounds[k] is not None and bool(surface.canonical.q.any())
-        found, edge, _ = meet_occluder(camera, surface, None if many and cut else bounds[k], points, lens, own)
+        found, edge, _ = meet_occluder(view.lens, surface, None if many and cut else bounds[k], points, division, own)
         label[near] ^= edge.astype(np.uint8) << 7
         state[near] = np.maximum(state[near], found)
         tests[near] += 1.0
@@ -265,7 +266,7 @@ def _of_image(plan: Plan, lattice: Lattice, maps: Maps) -> dict[str, Work]:
     sizes = zip(plan.scene.camera.frame_size[::-1], (lattice.row, lattice.column), strict=True)
     i, j = (np.clip(at.round().astype(np.intp), 0, size - 1) for size, at in sizes)
     w, number = seen(plan.scene, maps, i, j)
-    lit, radius = w > 0.0, np.where(w > 0.0, blur_radius(plan.scene.camera, w), 0.0)
+    lit, radius = w > 0.0, np.where(w > 0.0, blur_radius(Lens.of(plan.scene.camera), w), 0.0)
     pixels = lattice.total(np.ones(w.shape))
     blur = _of_blur(plan, lattice, radius, lit, np.zeros(w.shape))
     layers: Work = {"layer pixel": DEPTH_LAYERS * pixels * (plan.channels + 1)}

@@ -15,7 +15,7 @@ from clsco.constants import TAP_LANES
 from clsco.engine.shrinking import Shrinking
 from clsco.errors import ImageError, SceneError
 from clsco.files.transfer import decode, encode
-from clsco.frame.strips import Grid, Strip, around, frame_struct
+from clsco.frame.strips import Grid, Strip, around, grid_struct
 from clsco.inputs.pupils import load_point_spread
 from clsco.inputs.soft_edges import assign_soft_edges
 from clsco.opencl.arrays import check_image, on_host, without_mask
@@ -308,7 +308,7 @@ class _Engine:
         self.floats = self.lends and not layered and np.can_cast(given.coc.dtype, np.float32)
         self.target = blur_target(session, spec, given.channels, real, "float" if self.floats else "wide")
         grid = _grid(given, spec, strips)
-        self.blur = make_blur(self.target, spec, grid, self._camera(strips[0]))
+        self.blur = make_blur(self.target, spec, grid, self._struct(strips[0]))
         sizes = image_buffers(spec, grid, layered)
         absent = ("value", "coc", "valid") if self.floats else ("value", "coc") if self.lends else ()
         buffers = allocate(session, {name: size for name, size in sizes.items() if name not in absent})
@@ -323,22 +323,22 @@ class _Engine:
             self.layers = DepthLayers(self.blur, self.target, grid)
             self.bounds = self._bounds(self.layers, strips) if len(strips) > 1 else None
 
-    def _camera(self, strip: Strip) -> Struct:
+    def _struct(self, strip: Strip) -> Struct:
         rows, columns = self.given.coc.shape
-        return frame_struct(rows, columns, self.guard, self.target.real, strip)
+        return grid_struct(rows, columns, self.guard, self.target.real, strip)
 
     def _bounds(self, layers: DepthLayers, strips: Sequence[Strip]) -> LayerBounds:
         """Depth layers of the image, from all strips."""
         for strip in strips:
-            self.blur.camera = self._camera(strip)
+            self.blur.grid = self._struct(strip)
             self._send_radii(strip)
             layers.find(*self._maps, [])
         return layers.labels.found()
 
     def defocus(self, strip: Strip, out: NDArray[np.float32]) -> None:
         """Blur one strip into out, (rows, columns[, channels])."""
-        blur, camera = self.blur, self._camera(strip)
-        blur.camera = camera
+        blur, grid = self.blur, self._struct(strip)
+        blur.grid = grid
         self._send(strip)
         blur.clear()
         assert self.value is not None
@@ -348,7 +348,7 @@ class _Engine:
             if self.source is not None:
                 assert self.coc is not None
                 maps = (self.coc,) if self.valid is None else (self.coc, self.valid)
-                prepare_sources(self.target, camera, blur.struct, maps, self.source, [])
+                prepare_sources(self.target, grid, blur.struct, maps, self.source, [])
             blur.add(Sources(self.source, self.value, radius=self.given.largest), [])
         blur.image([], out)
 

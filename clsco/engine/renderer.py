@@ -23,7 +23,7 @@ from clsco.opencl.session import Progress, Session
 from clsco.optics.depth_layers import LayerBounds
 from clsco.optics.exposure import frame_exposure
 from clsco.passes.blur import Events
-from clsco.passes.pack import camera_struct
+from clsco.passes.pack import camera_grid
 from clsco.passes.placed import PlacedScene, TimeSample
 from clsco.passes.static_image import StaticMap
 from clsco.passes.trace import EMPTY_STATISTICS, Hits, Work
@@ -81,11 +81,11 @@ class Renderer:
         return ForwardWarp(plan, self.scene, maps) if plan.forward else None
 
     def _workspace(self) -> Workspace:
-        camera = self._camera(self.plan.strips[0])
-        return make_workspace(self.plan, self.scene, self.moved, self.hits, camera)
+        grid = self._grid(self.plan.strips[0])
+        return make_workspace(self.plan, self.scene, self.moved, self.hits, grid)
 
-    def _camera(self, strip: Strip) -> Struct:
-        return camera_struct(self.plan.scene.camera, self.plan.guard_px, self.scene.real, strip)
+    def _grid(self, strip: Strip) -> Struct:
+        return camera_grid(self.plan.scene.camera, self.plan.guard_px, self.scene.real, strip)
 
     @property
     def _ready(self) -> Workspace:
@@ -122,10 +122,10 @@ class Renderer:
         return space.layers.labels.found()
 
     def _work(self, strip: Strip, sample: TimeSample) -> Work:
-        camera = self._camera(strip)
+        grid = self._grid(strip)
         if self.plan.color:
-            self._ready.blur.camera = camera
-        return Work(strip, camera, self.events, sample)
+            self._ready.blur.grid = grid
+        return Work(strip, grid, self.events, sample)
 
     def add_subframes(self, strip: Strip, times: Sequence[float]) -> None:
         """Make the sub-frames of a strip, where they are wanted: each time sample by itself."""

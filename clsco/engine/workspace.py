@@ -91,9 +91,9 @@ class Workspace:
 
 
 def make_workspace(
-    plan: Plan, scene: PlacedScene, pixels: ForwardWarp | StaticMap | None, hits: Hits | None, camera: Struct
+    plan: Plan, scene: PlacedScene, pixels: ForwardWarp | StaticMap | None, hits: Hits | None, grid: Struct
 ) -> Workspace:  # fmt: skip
-    """A workspace for a plan, whose first strip has this camera_t. Raises DeviceError, KernelError."""
+    """A workspace for a plan, whose first strip has this grid_t. Raises DeviceError, KernelError."""
     session, real = scene.session, scene.real
     sizes = {name: size for each in plan.passes for name, size in each.buffers.items()}
     buffers = allocate(session, {name: sizes[name] for name in SHARED if name in sizes})
@@ -102,7 +102,7 @@ def make_workspace(
     spec = replace(plan.spec, brightest=scene.brightest)
     from_radii = plan.forward or plan.static_map or plan.occlusion == "layered"
     target = blur_target(session, spec, plan.channels, real, "wide" if from_radii else "none")
-    blur = make_blur(target, spec, plan.grid, camera)
+    blur = make_blur(target, spec, plan.grid, grid)
     tracer = Tracer(plan, scene, buffers, blur.struct, hits)
     layers = DepthLayers(blur, target, plan.grid) if plan.occlusion == "layered" else None
     return Workspace(plan, scene, (target, blur), buffers, tracer, layers, pixels)
@@ -157,7 +157,7 @@ def _sources(space: Workspace, work: Work) -> None:
     assert work.planes is not None
     value, coc, valid = work.planes
     source = space.buffers["source"]
-    prepare_sources(space.target, work.camera, space.blur.struct, (coc, valid), source, work.events)
+    prepare_sources(space.target, work.grid, space.blur.struct, (coc, valid), source, work.events)
     work.sources = Sources(source, value)
 
 

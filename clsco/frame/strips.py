@@ -138,10 +138,10 @@ class Grid:
         return self.width * self.height
 
 
-def frame_struct(
-    rows: int, columns: int, guard: int, real: Real, strip: Strip | None = None, **optics: float
+def grid_struct(
+    rows: int, columns: int, guard: int, real: Real, strip: Strip | None = None, step: float = 0.0
 ) -> Struct:
-    """camera_t of a frame with an apron.
+    """grid_t of a frame with an apron.
 
     Parameters
     ----------
@@ -152,14 +152,14 @@ def frame_struct(
     real : {"double", "float"}
     strip : Strip, optional
         Rows of the frame that are worked on; all by default.
-    **optics : float
-        Fields of the lens, where kernels need them.
+    step : float
+        Slope between the rays of neighboring pixels, where rays are cast.
 
     Returns
     -------
     numpy.void
     """
     part = strip or Strip(0, rows, guard, guard)
-    size = {"rows": part.rows, "columns": columns, "frame_rows": rows, "top": part.top, "guard": guard}
-    size |= {"above": part.above, "width": columns + 2 * guard, "height": part.height}
-    return filled("camera_t", real, size | optics)
+    values = {"rows": part.rows, "columns": columns, "frame_rows": rows, "top": part.top, "guard": guard, "step": step}
+    values |= {"above": part.above, "width": columns + 2 * guard, "height": part.height}
+    return filled("grid_t", real, values)

@@ -18,7 +18,7 @@ import pyopencl as cl
 from numpy.typing import DTypeLike, NDArray
 
 from clsco.constants import CODE_LANES, FILL_LANES, SCORE_SUMS, SCORED_COLUMNS
-from clsco.frame.strips import frame_struct
+from clsco.frame.strips import grid_struct
 from clsco.inpainting.rules import (
     Histogram,
     MeanMedian,
@@ -238,11 +238,9 @@ def score_image(
     segments, found = -(-columns // SCORED_COLUMNS), [np.zeros((1, SCORE_SUMS), np.int64)]
     for band in bands(image, missing, np.ones(rows, np.bool_), np.uint8 if image.dtype == np.uint8 else np.float32):
         valid = np.concatenate([~band.missing.ravel(), np.zeros(CODE_LANES, np.bool_)])
-        camera, count = frame_struct(band.count, columns, 0, "float"), band.count * segments
+        grid, count = grid_struct(band.count, columns, 0, "float"), band.count * segments
         sums, buffers = empty(session, 8 * SCORE_SUMS * count), (upload(session, band.value), upload(session, valid))
-        launch(
-            session, kernel(program, "score_mean_median"), (count,), OWNERS, camera, np.float32(scale), *buffers, sums
-        )
+        launch(session, kernel(program, "score_mean_median"), (count,), OWNERS, grid, np.float32(scale), *buffers, sums)
         found.append(download(session, sums, (count, SCORE_SUMS), np.int64).sum(axis=0, keepdims=True))
         progress(band.bottom / rows)
     return score_of_sums(np.concatenate(found), scale)
@@ -381,10 +379,10 @@ def blend_border(
         planes[stages.pixels[holes] - before] = stages.smoothed[holes]
         some = slice(*np.searchsorted(border, (band.top * columns, band.bottom * columns)))
         entries = (border[some] - before).astype(np.int32)
-        count, camera = entries.size, frame_struct(band.count, columns, 0, "float")
+        count, grid = entries.size, grid_struct(band.count, columns, 0, "float")
         steepness, blended = empty(session, 4 * count), empty(session, 4 * count * channels)
         args = (upload(session, entries), np.int32(count), upload(session, band.value), steepness, blended)
-        launch(session, kernel(program, "blend_border"), (-(-count // FILL_LANES),), VECTORS, camera, *args)
+        launch(session, kernel(program, "blend_border"), (-(-count // FILL_LANES),), VECTORS, grid, *args)
         stages.gradients[some] = np.sqrt(download(session, steepness, (count,), np.float32).astype(np.float64))
         download_into(session, blended, stages.blended[some])
         progress(band.bottom / rows)

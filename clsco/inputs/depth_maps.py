@@ -13,7 +13,7 @@ from clsco.errors import ImageError
 from clsco.files.images import check_sizes
 from clsco.inputs.depth_files import read_depth
 from clsco.inputs.textures import load_texture
-from clsco.optics.lens import LARGEST_BLUR, blur_radius, blur_scale, focus_power, ray_step
+from clsco.optics.lens import LARGEST_BLUR, Lens, blur_radius, ray_step
 from clsco.scene.arrays import ArrayInput, Input, LayerInput
 from clsco.scene.model import Camera, DepthMap, Scene
 from clsco.scene.quantities import MIN_LENGTH_MM
@@ -228,7 +228,7 @@ def _without_soft_edges(
     """depth: numbers of the file where they are not linear in the blur radius."""
     from clsco.inputs.soft_edges import assign_soft_edges  # 1 ms, and few scenes have depth maps
 
-    w, per_px = values.inverse_depth, abs(blur_scale(camera))
+    w, per_px = values.inverse_depth, abs(Lens.of(camera).blur_scale)
     radius = w * per_px
     if values.invalid:
         radius[w == 0] = np.nan
@@ -258,7 +258,8 @@ def _convert(value: Array, unit: str, camera: Camera, baseline: float | None) ->
         if unit == "disparity":
             return value * (camera.pixel_pitch / ((baseline or 1.0) * camera.normalization_distance))
         if unit == "coc":
-            return focus_power(camera) - value / blur_scale(camera)
+            lens = Lens.of(camera)
+            return lens.focus_power - value / lens.blur_scale
         if unit in ("inverse_mm", "inverse_m"):
             return value * (1.0 if unit == "inverse_mm" else 1e-3)
         return np.asarray((1.0 if unit == "mm" else 1e-3) / value)
@@ -303,7 +304,8 @@ def _probable_cause(value: Array, unit: str, scale: float, camera: Camera) -> st
     if likely[0].startswith("inverse") or unit in ("disparity", "coc"):
         return hint
     inverse = unit if unit.startswith("inverse") else "inverse_m"  # numbers alone do not say which end is near
-    nearest = focus_power(camera) + LARGEST_BLUR / blur_scale(camera)
+    lens = Lens.of(camera)
+    nearest = lens.focus_power + LARGEST_BLUR / lens.blur_scale
     most = scale * nearest / float(_convert(value.max(), inverse, camera, None))
     scaled = "" if inverse in spans else f" with a scale below {most:.2g}"
     return f"{hint}; or where larger numbers are nearer, {inverse}{scaled}"

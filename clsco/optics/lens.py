@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Self
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,33 +14,41 @@ LARGEST_BLUR = 512.0  # px; a source beyond it spreads over a million pixels
 SHARP = 0.5  # px, |R| up to which a point counts as in focus
 
 
-def focus_power(camera: Camera) -> float:
-    """Inverse depth in focus, K = 1/f - 1/s (2.24).
+@dataclass(frozen=True)
+class Lens:
+    """A thin lens, as it blurs.
 
-    Parameters
+    Attributes
     ----------
-    camera : Camera
+    blur_scale : float
+        Blur radius per unit of inverse depth, kappa = s0 D / (2 p), in px mm (2.33).
+    focus_power : float
+        Inverse depth in focus, K = 1/f - 1/s, in 1/mm (2.24). The two terms nearly cancel for long lenses, hence
+        float64 on the host.
+    radius : float
+        Radius of the aperture, D / 2, in mm.
 
-    Returns
-    -------
-    float
-        1/mm.
-
-    Notes
-    -----
-    The two terms nearly cancel for long lenses, hence float64 on the host.
+    Examples
+    --------
+    >>> from clsco import Camera
+    >>> from clsco.optics.lens import Lens
+    >>> lens = Lens.of(Camera(f_number=2.0, focal_length=20.0, sensor_distance=20.0))
+    >>> lens.radius, lens.focus_power
+    (5.0, 0.0)
     """
-    return 1.0 / camera.focal_length - 1.0 / camera.sensor_distance
 
+    blur_scale: float
+    focus_power: float
+    radius: float
 
-def lens_radius(camera: Camera) -> float:
-    """Radius of the aperture, D / 2, in mm."""
-    return 0.5 * camera.aperture_diameter
-
-
-def blur_scale(camera: Camera) -> float:
-    """Blur radius per unit of inverse depth, kappa = s0 D / (2 p), in px mm (2.33)."""
-    return camera.normalization_distance * camera.aperture_diameter / (2.0 * camera.pixel_pitch)
+    @classmethod
+    def of(cls, camera: Camera) -> Self:
+        """The lens of a camera."""
+        return cls(
+            camera.normalization_distance * camera.aperture_diameter / (2.0 * camera.pixel_pitch),
+            1.0 / camera.focal_length - 1.0 / camera.sensor_distance,
+            0.5 * camera.aperture_diameter,
+        )
 
 
 def blur_radius(camera: Camera, inverse_depth: NDArray[np.float64] | float) -> NDArray[np.float64]:
@@ -58,7 +69,8 @@ def blur_radius(camera: Camera, inverse_depth: NDArray[np.float64] | float) -> N
     -----
     Validated against the thesis' camera: 0 at 250.017 mm.
     """
-    return np.asarray(blur_scale(camera) * (focus_power(camera) - np.asarray(inverse_depth, dtype=np.float64)))
+    lens = Lens.of(camera)
+    return np.asarray(lens.blur_scale * (lens.focus_power - np.asarray(inverse_depth, dtype=np.float64)))
 
 
 def ray_step(camera: Camera) -> float:

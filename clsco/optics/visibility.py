@@ -15,7 +15,7 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.optics.lens import lens_radius
+from clsco.optics.lens import Lens
 from clsco.optics.motion import Pose
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import Extent, cutting_bounds, place
@@ -72,7 +72,7 @@ def may_hide(near: Extent, far: Extent, camera: Camera, reach: float) -> bool:
     if depth <= 0.0:
         return False
     # In the image a line to lens point l moves by (D / 2) l per inverse depth.
-    way = lens_radius(camera) * reach * depth
+    way = Lens.of(camera).radius * reach * depth
     axes = ((near.x, far.x), (near.y, far.y))
     return all(a[0] - way <= b[1] and b[0] - way <= a[1] for a, b in axes)
 

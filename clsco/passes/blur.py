@@ -126,8 +126,8 @@ class Sources:
         Radiance times weight.
     sub_source, sub_value : Buffer, optional
         Sub-pixel sources of `capacity` pixels near silhouettes.
-    surfaces, group, depth, sub_depth : optional
-        Occluders, and the depth of sources; None where nothing is in their way.
+    lens, surfaces, group, depth, sub_depth : optional
+        The lens, occluders before it, and the depth of sources; None where nothing is in their way.
     radius : float
         |R| of all sources in px, for "convolve" only.
     """
@@ -137,6 +137,7 @@ class Sources:
     sub_source: cl.Buffer | None = None
     sub_value: cl.Buffer | None = None
     capacity: int = 0
+    lens: Struct | None = None
     surfaces: cl.Buffer | None = None
     group: Struct | None = None
     depth: cl.Buffer | None = None
@@ -145,23 +146,23 @@ class Sources:
 
 
 def prepare_sources(
-    target: Target, camera: Struct, psf: Struct, maps: tuple[cl.Buffer, ...], source: cl.Buffer, events: Events
+    target: Target, grid: Struct, psf: Struct, maps: tuple[cl.Buffer, ...], source: cl.Buffer, events: Events
 ) -> None:
     """Enqueue what makes sources of a map of signed radii.
 
     Parameters
     ----------
     target : Target
-    camera, psf : numpy.void
-        camera_t of the grid, and psf_t of the blur that adds the sources.
+    grid, psf : numpy.void
+        grid_t of the map, and psf_t of the blur that adds the sources.
     maps : tuple of Buffer
         Signed R in px, wide_t (height, width), and where there is a source, uchar (height, width); or R alone, float.
     source : Buffer
         Gets the records.
     events : list
     """
-    size = -(-int(camera["width"]) // TAP_LANES), int(camera["height"])
-    target.run("prepare_sources", size, BLOCKS, events, camera, psf, *maps, source)
+    size = -(-int(grid["width"]) // TAP_LANES), int(grid["height"])
+    target.run("prepare_sources", size, BLOCKS, events, grid, psf, *maps, source)
 
 
 class FrameSum:
@@ -171,19 +172,19 @@ class FrameSum:
     ----------
     target : Target
     spec : BlurSpec
-    grid : Grid
+    tallest : Grid
         Grid of the frame, or the tallest of its strips.
-    camera : numpy.void
-        camera_t of the strip that it begins with; `camera` can be set to that of another one.
+    grid : numpy.void
+        grid_t of the strip that it begins with; `grid` can be set to that of another one.
     sizes : dict
         Sizes of the buffers, by `clsco.plan.buffers.blur_buffers`.
     """
 
-    def __init__(self, target: Target, spec: BlurSpec, grid: Grid, camera: Struct, sizes: Sizes) -> None:
-        self.target, self.spec, self.camera, self.channels = target, spec, camera, grid.channels
+    def __init__(self, target: Target, spec: BlurSpec, tallest: Grid, grid: Struct, sizes: Sizes) -> None:
+        self.target, self.spec, self.grid, self.channels = target, spec, grid, tallest.channels
         self.weights = tables_of(spec, target.session)
         self.struct = psf_struct(spec.psf, *self.weights, target.real)
-        self.pad, self.pitch = margin(grid.columns, grid.guard, spec.reach)
+        self.pad, self.pitch = margin(tallest.columns, tallest.guard, spec.reach)
         self.total = empty(target.session, sizes["total"])
 
     @property
@@ -199,7 +200,7 @@ class FrameSum:
     @property
     def size(self) -> tuple[int, int]:
         """Columns and rows of the strip."""
-        return int(self.camera["columns"]), int(self.camera["rows"])
+        return int(self.grid["columns"]), int(self.grid["rows"])
 
     def clear(self) -> None:
         """Begin a frame, or a strip of it."""
@@ -207,7 +208,7 @@ class FrameSum:
 
     def add(self, sources: Sources, events: Events) -> None:
         """Add the blurred radiance of one time sample."""
-        self.target.run("accumulate", self.size, PIXELS, events, self.camera, sources.value, *self.layout)
+        self.target.run("accumulate", self.size, PIXELS, events, self.grid, sources.value, *self.layout)
 
     def resolve(self, events: Events) -> None:
         """Enqueue what leaves the frame in the buffer of `layout`."""
@@ -227,8 +228,8 @@ class FrameSum:
 class TableBlur(FrameSum, ABC):
     """A blur of sources of any radius each, with weights from tables; arguments as for `FrameSum`."""
 
-    def __init__(self, target: Target, spec: BlurSpec, grid: Grid, camera: Struct, sizes: Sizes) -> None:
-        super().__init__(target, spec, grid, camera, sizes)
+    def __init__(self, target: Target, spec: BlurSpec, tallest: Grid, grid: Struct, sizes: Sizes) -> None:
+        super().__init__(target, spec, tallest, grid, sizes)
         session = target.session
         self.tables = [
             (
@@ -238,18 +239,18 @@ class TableBlur(FrameSum, ABC):
             for table in self.weights
             if table is not None
         ]
-        self.lens = upload(session, lens_floats(spec.psf).astype(np.float32)) if spec.occluders else None
+        self.lens_cells = upload(session, lens_floats(spec.psf).astype(np.float32)) if spec.occluders else None
 
     def add(self, sources: Sources, events: Events) -> None:
-        head = (self.camera, self.struct, sources.source, sources.value, *self.tables[0])
+        head = (self.grid, self.struct, sources.source, sources.value, *self.tables[0])
         tail: tuple[object, ...] = ()
         if self.spec.subpixels:
             tail = (sources.sub_source, sources.sub_value, np.int32(sources.capacity), *self.tables[1])
         if self.spec.border == "renormalize":
-            size = int(self.camera["columns"]), int(self.camera["height"])
+            size = int(self.grid["columns"]), int(self.grid["height"])
             self.target.run("renormalize", size, PIXELS, events, *head, *tail)
         if sources.group is not None:
-            tail += (sources.surfaces, sources.group, self.lens, sources.depth)
+            tail += (sources.lens, sources.surfaces, sources.group, self.lens_cells, sources.depth)
             tail += (sources.sub_depth,) if self.spec.subpixels else ()
         self.spread(head, tail, events)
 
@@ -269,8 +270,8 @@ class Tiles(TableBlur):
 class Scatter(TableBlur):
     """Each work-item adds a source to all pixels that it reaches, by atomics on whole numbers."""
 
-    def __init__(self, target: Target, spec: BlurSpec, grid: Grid, camera: Struct, sizes: Sizes) -> None:
-        super().__init__(target, spec, grid, camera, sizes)
+    def __init__(self, target: Target, spec: BlurSpec, tallest: Grid, grid: Struct, sizes: Sizes) -> None:
+        super().__init__(target, spec, tallest, grid, sizes)
         wide = target.session.device.has_int64_atomics
         gain = TILT_GAIN * (GAIN + GAIN_PER_LOG * log(max(spec.largest, 1.0)))
         most = 2.0 ** (40 if wide else 31) / (max(spec.brightest, 1e-30) * (1.0 if wide else gain))
@@ -285,10 +286,10 @@ class Scatter(TableBlur):
         cl.enqueue_fill_buffer(self.target.session.queue, self.sums, np.zeros(1, np.uint32), 0, self.sums.size)
 
     def spread(self, head: tuple[object, ...], tail: tuple[object, ...], events: Events) -> None:
-        padded = (int(self.camera["width"]), int(self.camera["height"]))
+        padded = (int(self.grid["width"]), int(self.grid["height"]))
         work = UNITS_PER_TAP * (2 * self.spec.reach + 1) ** 2
         self.target.run("scatter", padded, PIXELS, events, *head, *self.sink, *tail, work=work)
 
     def resolve(self, events: Events) -> None:
         layout = np.int32(self.pitch), np.int32(self.pad), self.sums, self.total
-        self.target.run("resolve", self.size, PIXELS, events, self.camera, np.float32(self.scale), *layout)
+        self.target.run("resolve", self.size, PIXELS, events, self.grid, np.float32(self.scale), *layout)

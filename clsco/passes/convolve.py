@@ -35,11 +35,11 @@ class Convolve(FrameSum):
     `clsco.reference.blur.convolve`.
     """
 
-    def __init__(self, target: Target, spec: BlurSpec, grid: Grid, camera: Struct, sizes: Sizes) -> None:
+    def __init__(self, target: Target, spec: BlurSpec, tallest: Grid, grid: Struct, sizes: Sizes) -> None:
         session, self.wide = target.session, spec.brightest > BRIGHTEST
         features = FEATURES | {"WIDE_SUMS": self.wide}
         program = build(session, ["blur/convolve.cl"], features, structs("float"), "float")
-        super().__init__(Target(session, program, target.real), spec, grid, camera, sizes)
+        super().__init__(Target(session, program, target.real), spec, tallest, grid, sizes)
         self.across = empty(session, sizes["across"]) if "across" in sizes else None
         self.sums: cl.Buffer | None = None
         if "sums" in sizes:
@@ -56,7 +56,7 @@ class Convolve(FrameSum):
 
     def add(self, sources: Sources, events: Events) -> None:
         columns, rows, width, height, above, guard = (
-            int(self.camera[name]) for name in ("columns", "rows", "width", "height", "above", "guard")
+            int(self.grid[name]) for name in ("columns", "rows", "width", "height", "above", "guard")
         )
         found = stencils(self.spec.psf, sources.radius)
         tables = [self._tables(number, stencil) for number, stencil in enumerate(found)]

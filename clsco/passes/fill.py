@@ -94,8 +94,10 @@ class Filler:
     ----------
     target : Target
         With fill.cl, and for mean/median filling score.cl and fill_mean_median.cl.
-    camera : numpy.void
-        camera_t, whose padded grid the planes have.
+    grid : numpy.void
+        grid_t, whose padded grid the planes have.
+    lens : numpy.void
+        lens_t of the radii.
     features : dict
         Features of the program.
     sizes : dict
@@ -110,12 +112,12 @@ class Filler:
     Validated against `clsco.reference.inpainting.fill`.
     """
 
-    def __init__(self, target: Target, camera: Struct, features: Mapping[str, int], sizes: Sizes) -> None:
-        self.target, self.session, self.camera = target, target.session, camera
+    def __init__(self, target: Target, grid: Struct, lens: Struct, features: Mapping[str, int], sizes: Sizes) -> None:
+        self.target, self.session, self.grid, self.lens = target, target.session, grid, lens
         self.interpolates, self.smooths = bool(features["FILL_AIT"]), bool(features["FILL_MEAN_MEDIAN"])
         self.fills = self.interpolates or self.smooths
         self.is_far = bool(features["FILL_FAR"])
-        self.rows, self.columns = int(camera["height"]), int(camera["width"])
+        self.rows, self.columns = int(grid["height"]), int(grid["width"])
         self.planes = FillPlanes.allocated(self.session, sizes)
 
     def fill(self, surfaces: cl.Buffer, count: int, events: Events, brightest: float = 1.0) -> dict[str, int]:
@@ -126,7 +128,7 @@ class Filler:
         """
         cl.enqueue_fill_buffer(self.session.queue, self.planes.counters, ZERO, 0, self.planes.counters.size)
         source, left = self.planes.indices
-        placed = (self.camera, surfaces, np.int32(count), self.planes.valid)
+        placed = (self.grid, surfaces, np.int32(count), self.planes.valid)
         found = self._mark(placed, source, events)
         wins = self._score(brightest, events) if self.smooths and found[COUNTER_LEFT] else 0
         sweeps = filled = first = 0
@@ -156,7 +158,7 @@ class Filler:
 
     def _mark(self, placed: tuple[Any, ...], source: cl.Buffer, events: Events) -> list[int]:
         """List all missing pixels."""
-        chunks, head = (-(-self.columns // FILL_CHUNK), self.rows), (self.camera, self.planes.valid)
+        chunks, head = (-(-self.columns // FILL_CHUNK), self.rows), (self.grid, self.planes.valid)
         self._run("find_spans", events, (self.rows + self.columns,), LINES, *head, self.planes.spans, self.planes.grown)
         args = (*placed, self.planes.spans, self.planes.status, source, self.planes.counters, *self._depths())
         self._run("mark_missing", events, chunks, (1, *LINES), *args)
@@ -171,7 +173,7 @@ class Filler:
         p = self.planes
         seen = () if p.object is None else (p.object,)
         planes = (*p.far, p.valid, p.value, p.w, p.coc, p.status, *seen)
-        head = (self.camera, source, np.int32(count))
+        head = (self.grid, self.lens, source, np.int32(count))
         if self.interpolates:
             rule = (minimum,) if self.is_far else ()
             self._run("fill_ait", events, (count,), LISTED, *head, *rule, *planes)
@@ -186,7 +188,7 @@ class Filler:
         p = self.planes
         cl.enqueue_fill_buffer(self.session.queue, p.counters, ZERO, 0, 4 * COUNTER_DONE)
         lines = (p.spans, p.grown)
-        args = (self.camera, source, np.int32(count), *lines, p.status, p.valid, left, p.counters)
+        args = (self.grid, source, np.int32(count), *lines, p.status, p.valid, left, p.counters)
         done = (p.done,) if self.smooths else ()
         self._run("settle_sweep", events, (-(-count // FILL_CHUNK),), LINES, *args, *done)
         grown = (*placed, *lines, p.status, left, p.counters, *self._depths())
@@ -196,7 +198,7 @@ class Filler:
     def _score(self, brightest: float, events: Events) -> int:
         """For which counts of neighbors the median is the better estimator: bit k for k of them."""
         scale, scored = score_scale(brightest), self.rows * -(-self.columns // SCORED_COLUMNS)
-        args = (self.camera, np.float32(scale), self.planes.value, self.planes.valid, self.planes.sums)
+        args = (self.grid, np.float32(scale), self.planes.value, self.planes.valid, self.planes.sums)
         self._run("score_mean_median", events, (scored,), OWNERS, *args)
         score = score_of_sums(download(self.session, self.planes.sums, (scored, SCORE_SUMS), np.int64), scale)
         return bits_of(score.median_wins())
@@ -207,7 +209,7 @@ class Filler:
         here, there = (p.value, p.w), (p.other_value, p.other_w)
         for source, target in zip(here, there, strict=True):
             cl.enqueue_copy(self.session.queue, target, source, byte_count=source.size)
-        vectors, head = (-(-count // FILL_LANES),), (self.camera, p.done, np.int32(count), *p.far, p.valid)
+        vectors, head = (-(-count // FILL_LANES),), (self.grid, self.lens, p.done, np.int32(count), *p.far, p.valid)
         for _ in range(CHAPTER5.smoothing_rounds):  # an even number: the last one writes to the first set
             self._run("smooth_median", events, vectors, LINES, *head, *here, *there, p.coc)
             here, there = there, here

@@ -15,7 +15,7 @@ METHODS: dict[Blur, type[FrameSum]] = {
 }  # fmt: skip
 
 
-def make_blur(target: Target, spec: BlurSpec, grid: Grid, camera: Struct) -> FrameSum:
+def make_blur(target: Target, spec: BlurSpec, tallest: Grid, grid: Struct) -> FrameSum:
     """The blur of a frame, or its strips.
 
     Parameters
@@ -23,14 +23,14 @@ def make_blur(target: Target, spec: BlurSpec, grid: Grid, camera: Struct) -> Fra
     target : Target
         Its program has the kernels of `FILES_OF[spec.method]`.
     spec : BlurSpec
-    grid : Grid
+    tallest : Grid
         Grid of the frame, or the tallest of its strips.
-    camera : numpy.void
-        camera_t of the strip that it begins with.
+    grid : numpy.void
+        grid_t of the strip that it begins with.
 
     Returns
     -------
     FrameSum
     """
-    sizes = blur_buffers(spec, grid, target.session.device)
-    return METHODS[spec.method](target, spec, grid, camera, sizes)
+    sizes = blur_buffers(spec, tallest, target.session.device)
+    return METHODS[spec.method](target, spec, tallest, grid, sizes)

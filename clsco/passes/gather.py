@@ -28,8 +28,8 @@ class Gather(TableBlur):
     """Each work-item walks the sources that reach a band of rows; some bands at a time, so that a large frame does not
     take several times its size."""
 
-    def __init__(self, target: Target, spec: BlurSpec, grid: Grid, camera: Struct, sizes: Sizes) -> None:
-        super().__init__(target, spec, grid, camera, sizes)
+    def __init__(self, target: Target, spec: BlurSpec, tallest: Grid, grid: Struct, sizes: Sizes) -> None:
+        super().__init__(target, spec, tallest, grid, sizes)
         session, table = target.session, self.weights[0]
         alike = {"taps": table.taps, "outlines": table.outlines}
         self.alike = tuple(
@@ -38,10 +38,10 @@ class Gather(TableBlur):
         # Rows of sources after which sums go on to the frame, 0 where they are short.
         self.group = max(MOST_IN_ONE_SUM // (2 * spec.reach + 1), 1) if "part" in sizes else 0
         self.part = filled_with(session, sizes["part"]) if "part" in sizes else self.total
-        self.scratch, self.bands = tuple[object, ...](), -(-grid.rows // BAND)
-        self.step = grid.columns  # columns of sources that fit in, where there are such, which a piece takes at least
+        self.scratch, self.bands = tuple[object, ...](), -(-tallest.rows // BAND)
+        self.step = tallest.columns  # of sources that fit in, where there are such, which a piece takes at least
         if {"part", "scratch"} & sizes.keys():
-            self.bands = bands_at_a_time(grid.rows, session.device.compute_units)
+            self.bands = bands_at_a_time(tallest.rows, session.device.compute_units)
         if "scratch" in sizes:
             doubles = sizes["scratch"] // 8
             self.scratch = (filled_with(session, sizes["scratch"]), np.int32(doubles // self.bands))
@@ -50,7 +50,7 @@ class Gather(TableBlur):
 
     def spread(self, head: tuple[object, ...], tail: tuple[object, ...], events: Events) -> None:
         session, run = self.target.session, kernel(self.target.program, "gather")
-        rows, width, height = (int(self.camera[name]) for name in ("rows", "width", "height"))
+        rows, width, height = (int(self.grid[name]) for name in ("rows", "width", "height"))
         walked = min(BAND + 2 * self.spec.reach, height)
         taps = self.bands * walked * width * (2 * self.spec.reach + 1) ** 2
         work, most = UNITS_PER_TAP * taps, HIDDEN_TAP * taps / session.device.compute_units
@@ -75,12 +75,12 @@ class Gather(TableBlur):
     def _in_pieces(self, before: tuple[Any, ...], after: tuple[Any, ...], bands: int) -> list[cl.Event]:
         """Launch a few steps or vectors of each band at a time, as many as the time of those before suggests; nobody
         knows before what is hidden, and where."""
-        session, columns = self.target.session, int(self.camera["columns"])
+        session, columns = self.target.session, int(self.grid["columns"])
         at_once = -(-bands // session.device.compute_units)  # bands that a core takes one after the other
         steps, vectors = 1, max(1, int(pace.PIECE / BRIEF / VECTOR / at_once))
         walked = np.zeros(self.bands, np.int32)
         all_steps = -(-columns // self.step) * bool(self.scratch)
-        of_band = all_steps + (BAND + 2 * self.spec.reach) * -(-int(self.camera["width"]) // WIDE_LANES)
+        of_band = all_steps + (BAND + 2 * self.spec.reach) * -(-int(self.grid["width"]) // WIDE_LANES)
         cl.enqueue_copy(session.queue, self.position, walked)
         pieces: list[cl.Event] = []
         while (walked[:bands] != DONE).any():

@@ -43,11 +43,11 @@ class Labels:
         )
         self._forget()
 
-    def find(self, camera: Struct, coc: cl.Buffer, valid: cl.Buffer, events: Events) -> None:
+    def find(self, grid: Struct, coc: cl.Buffer, valid: cl.Buffer, events: Events) -> None:
         """Record the depth discontinuities of a strip of a time sample, or of all of it."""
         far = np.int32(2 * self.reach + 1)
-        args = (camera, _real(self.low, self.target.real), np.int32(self.bins), far, coc, valid, self.latest)
-        width, height = _padded(camera)
+        args = (grid, _real(self.low, self.target.real), np.int32(self.bins), far, coc, valid, self.latest)
+        width, height = _padded(grid)
         self.target.run("find_discontinuities", (height + width,), LINES, events, *args)
 
     def found(self) -> LayerBounds:
@@ -61,18 +61,18 @@ class Labels:
     def _forget(self) -> None:
         cl.enqueue_fill_buffer(self.target.session.queue, self.latest, ZERO, 0, self.latest.size)
 
-    def label(self, camera: Struct, found: LayerBounds, coc: cl.Buffer, valid: cl.Buffer, events: Events) -> None:
+    def label(self, grid: Struct, found: LayerBounds, coc: cl.Buffer, valid: cl.Buffer, events: Events) -> None:
         """The depth layer of every pixel, and the one behind it."""
-        run, size = self.target.run, _padded(camera)
+        run, size = self.target.run, _padded(grid)
         some = (*found.bounds, *(0,) * (8 - len(found.bounds)))  # at most MOST_LAYERS - 1
         bounds = cl.cltypes.make_int8(*some)  # type: ignore[attr-defined]
-        head = (camera, _real(self.low, self.target.real), np.int32(self.bins), np.int32(len(found.bounds)), bounds)
+        head = (grid, _real(self.low, self.target.real), np.int32(self.bins), np.int32(len(found.bounds)), bounds)
         run("label_depth_layers", size, PIXELS, events, *head, coc, valid, self.layer)
-        run("seed_hidden", size, PIXELS, events, camera, coc, self.layer, self.seed)
+        run("seed_hidden", size, PIXELS, events, grid, coc, self.layer, self.seed)
         columns = (-(-size[0] // SEED_COLUMNS),)
-        run("column_seeds", columns, LINES, events, camera, self.seed, self.offset)
+        run("column_seeds", columns, LINES, events, grid, self.seed, self.offset)
         runs = (-(-size[0] // REACH_PIXELS), size[1])
-        args = (camera, np.int32(found.deep), self.layer, self.seed, self.offset, self.hidden, self.edge)
+        args = (grid, np.int32(found.deep), self.layer, self.seed, self.offset, self.hidden, self.edge)
         run("reach_hidden", runs, RUNS, events, *args)
 
 
@@ -88,7 +88,7 @@ class DepthLayers:
         Blur of the frame, or a strip of it, by one of MANY_RADII and without sub-pixel sources.
     target : Target
         Target of the frame's blur.
-    grid : Grid
+    tallest : Grid
         Grid of the frame, or the tallest of its strips.
 
     Raises
@@ -107,18 +107,18 @@ class DepthLayers:
     Validated against `clsco.reference.layered.layered` and the ray tracer.
     """
 
-    def __init__(self, blur: FrameSum, target: Target, grid: Grid) -> None:
+    def __init__(self, blur: FrameSum, target: Target, tallest: Grid) -> None:
         session, real, spec = target.session, target.real, depth_layer_spec(blur.spec)
-        planes = grid.channels + 1
+        planes = tallest.channels + 1
         self.outer, self.values = blur, planes
         own = blur_target(session, spec, planes, real)
         # By itself, since nothing else changes its eleven kernels.
         features = PLAIN | {"SAMPLED": 0, "GENERAL": 0, "CHANNELS": planes, "SCATTER": int(spec.method == "scatter")}
         program = build(session, ["layered/layered.cl"], features, structs(real), real)
         self.target = Target(session, own.program | program, real)
-        wider = Grid(grid.rows, grid.columns, grid.guard, planes, grid.height)
-        self.inner = make_blur(own, spec, wider, blur.camera)
-        sizes = layered_buffers(blur.spec, grid, session.device)
+        wider = Grid(tallest.rows, tallest.columns, tallest.guard, planes, tallest.height)
+        self.inner = make_blur(own, spec, wider, blur.grid)
+        sizes = layered_buffers(blur.spec, tallest, session.device)
         self.labels = Labels(self.target, spec, sizes)
         names = ("source", "pyramid", "value", "coc", "valid", "covered")
         buffers = allocate(session, {name: sizes[name] for name in names})
@@ -126,13 +126,13 @@ class DepthLayers:
         self.value, self.coc, self.valid = (buffers[name] for name in ("value", "coc", "valid"))
 
     @property
-    def camera(self) -> Struct:
-        """camera_t of the strip that is being made."""
-        return self.outer.camera
+    def grid(self) -> Struct:
+        """grid_t of the strip that is being made."""
+        return self.outer.grid
 
     def find(self, coc: cl.Buffer, valid: cl.Buffer, events: Events) -> None:
         """Record the depth discontinuities in a strip of a time sample, or in all of it; arguments as for `add`."""
-        self.labels.find(self.camera, coc, valid, events)
+        self.labels.find(self.grid, coc, valid, events)
 
     def add(self, planes: Planes, events: Events, found: LayerBounds | None = None) -> int:
         """Add the radiance of one time sample to the frame, or strip.
@@ -157,12 +157,12 @@ class DepthLayers:
             self.find(coc, valid, events)
             found = self.labels.found()
         if found.bounds:
-            self.labels.label(self.camera, found, coc, valid, events)
+            self.labels.label(self.grid, found, coc, valid, events)
             cl.enqueue_fill_buffer(self.target.session.queue, self.covered, ZERO, 0, self.covered.size)
             for which in range(1, len(found.bounds) + 2):
                 self._extend(which, found.deep, value, coc, events)
                 self._blur(events)
-        prepare_sources(self.target, self.camera, self.outer.struct, (coc, valid), self.source, events)
+        prepare_sources(self.target, self.grid, self.outer.struct, (coc, valid), self.source, events)
         if found.bounds:
             self._keep(near_edges=False, events=events)
         # Last, since border = "renormalize" writes to value.
@@ -171,43 +171,43 @@ class DepthLayers:
 
     def _keep(self, near_edges: bool, events: Events) -> None:
         """Leave only the sources near edges, or only the others."""
-        args = (self.camera, np.int32(near_edges), self.labels.edge, self.source)
-        self.target.run("keep_sources", _padded(self.camera), PIXELS, events, *args)
+        args = (self.grid, np.int32(near_edges), self.labels.edge, self.source)
+        self.target.run("keep_sources", _padded(self.grid), PIXELS, events, *args)
 
     def _extend(self, which: int, deep: int, value: cl.Buffer, coc: cl.Buffer, events: Events) -> None:
         """One depth layer with its hidden part."""
         run, number, labels = self.target.run, np.int32(which), self.labels
         planes = (value, coc, labels.layer)
-        width, height = _padded(self.camera)
-        run("open_depth_layer", (width, height), PIXELS, events, self.camera, number, *planes, self.pyramid)
+        width, height = _padded(self.grid)
+        run("open_depth_layer", (width, height), PIXELS, events, self.grid, number, *planes, self.pyramid)
         levels = levels_of(height, width, deep, self.values + 1)
         pairs = list(pairwise(levels))
         for name, chosen in (("push", pairs), ("pull", pairs[:0:-1])):
             for (rows, columns, start), (half_rows, half_columns, half_start) in chosen:
                 sizes = (np.int32(n) for n in (rows, columns, half_rows, half_columns, start, half_start))
                 if name == "push":
-                    last, grid = np.int32(half_start == levels[-1][2]), (-(-half_columns // PUSH_PIXELS), half_rows)
-                    run(name, grid, BLOCKS, events, *sizes, last, self.pyramid)
+                    last, size = np.int32(half_start == levels[-1][2]), (-(-half_columns // PUSH_PIXELS), half_rows)
+                    run(name, size, BLOCKS, events, *sizes, last, self.pyramid)
                 else:
                     run(name, (columns, rows), PIXELS, events, *sizes, self.pyramid)
         coarse = (np.int32(n) for n in levels[1])
         out = (labels.hidden, self.pyramid, self.value, self.coc, self.valid)
-        run("take_depth_layer", (width, height), PIXELS, events, self.camera, number, *coarse, *planes, *out)
+        run("take_depth_layer", (width, height), PIXELS, events, self.grid, number, *coarse, *planes, *out)
 
     def _blur(self, events: Events) -> None:
         """Blur the depth layer and put it behind those before."""
-        inner, frame = self.inner, (int(self.camera["columns"]), int(self.camera["rows"]))
-        inner.camera = self.camera
-        prepare_sources(self.target, self.camera, inner.struct, (self.coc, self.valid), self.source, events)
+        inner, frame = self.inner, (int(self.grid["columns"]), int(self.grid["rows"]))
+        inner.grid = self.grid
+        prepare_sources(self.target, self.grid, inner.struct, (self.coc, self.valid), self.source, events)
         self._keep(near_edges=True, events=events)
         inner.clear()
         inner.add(Sources(self.source, self.value), events)
         inner.resolve(events)
-        self.target.run("composite", frame, PIXELS, events, self.camera, *inner.layout, self.covered, *self.outer.sink)
+        self.target.run("composite", frame, PIXELS, events, self.grid, *inner.layout, self.covered, *self.outer.sink)
 
 
-def _padded(camera: Struct) -> tuple[int, int]:
-    return int(camera["width"]), int(camera["height"])
+def _padded(grid: Struct) -> tuple[int, int]:
+    return int(grid["width"]), int(grid["height"])
 
 
 def _real(value: float, real: Real) -> np.generic:

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.constants import MAP_PROJECTED
-from clsco.frame.strips import Strip, frame_struct
+from clsco.frame.strips import Strip, grid_struct
 from clsco.inputs.mipmaps import level_sizes
-from clsco.optics.lens import blur_scale, focus_power, lens_radius, ray_step
+from clsco.optics.lens import Lens, ray_step
 from clsco.optics.light import PlacedLight
 from clsco.optics.motion import Pose
 from clsco.optics.point_spread import MINIMUM_BLUR, PointSpread
@@ -26,15 +26,16 @@ from clsco.scene.model import Camera, Object
 EVERYWHERE = ((-np.inf, np.inf),) * 3  # bounds of an object that has none, beside one that has
 
 
-def camera_struct(camera: Camera, guard: int, real: Real, strip: Strip | None = None) -> Struct:
-    """camera_t of a camera with a resolution, for a guard band of `guard` px; strip as for `frame_struct`."""
+def camera_grid(camera: Camera, guard: int, real: Real, strip: Strip | None = None) -> Struct:
+    """grid_t of a camera with a resolution, for a guard band of `guard` px; strip as for `grid_struct`."""
     assert camera.resolution is not None  # known once the textures are loaded
     columns, rows = camera.resolution
-    return frame_struct(
-        rows, columns, guard, real, strip,
-        step=ray_step(camera), blur_scale=blur_scale(camera), focus_power=focus_power(camera),
-        lens_radius=lens_radius(camera),
-    )  # fmt: skip
+    return grid_struct(rows, columns, guard, real, strip, ray_step(camera))
+
+
+def lens_struct(lens: Lens, real: Real) -> Struct:
+    """lens_t of a lens."""
+    return filled("lens_t", real, vars(lens))
 
 
 def surface_structs(

@@ -17,19 +17,17 @@ from clsco.opencl.buffers import allocate
 from clsco.opencl.program import build
 from clsco.opencl.session import Session
 from clsco.optics.depth_layers import LayerBounds
+from clsco.optics.lens import Lens
 from clsco.optics.visibility import OcclusionGroup
 from clsco.passes.blur import PIXELS, Events, Sources, Target
-from clsco.passes.pack import group_struct
+from clsco.passes.pack import group_struct, lens_struct
 from clsco.passes.placed import PlacedScene, TimeSample
 from clsco.plan.buffers import STATISTICS, Sizes, hit_buffers
 from clsco.plan.plan import Plan
-from clsco.records import LOW, Struct, structs
+from clsco.records import Struct, structs
 
-# What of the statistics a frame must begin with: no radius met, no slot taken (trace.cl).
-# Fields of camera_t that say what a lens makes of a hit, and not what a ray hits.
-OF_LENS = tuple(f"{name}{low}" for name in ("blur_scale", "focus_power", "lens_radius") for low in ("", LOW))
 TRACE_FILES = ("trace/trace.cl", "trace/truth.cl")  # the kernels that cast rays
-
+# What of the statistics a frame must begin with: no radius met, no slot taken (trace.cl).
 EMPTY_STATISTICS = np.zeros(STATISTICS, np.int32)
 EMPTY_STATISTICS[STATISTIC_SMALLEST] = np.iinfo(np.int32).max
 
@@ -107,8 +105,8 @@ class Work:
     Attributes
     ----------
     strip : Strip
-    camera : numpy.void
-        camera_t of the strip.
+    grid : numpy.void
+        grid_t of the strip.
     events : list
         Launches that were enqueued.
     sample : TimeSample
@@ -127,7 +125,7 @@ class Work:
     """
 
     strip: Strip
-    camera: Struct
+    grid: Struct
     events: Events
     sample: TimeSample
     group: OcclusionGroup | None = None
@@ -166,6 +164,11 @@ class Tracer:
         session, real = self.scene.session, self.scene.real
         return Target(session, build(session, TRACE_FILES, self.plan.features(), structs(real), real), real)
 
+    @cached_property
+    def lens(self) -> Struct:
+        """lens_t of the plan."""
+        return lens_struct(Lens.of(self.plan.scene.camera), self.scene.real)
+
     def trace(self, work: Work) -> None:
         """Sources of one occlusion group; its buffers are those of the group before, which the queue is done with."""
         buffers, occluded = self.buffers, self.plan.spec.occluders > 0
@@ -179,7 +182,7 @@ class Tracer:
             args = (*head, share, *self._appearance(work), source, value, label, statistics)
             self._per_pixel("trace", work, *args, *((depth,) if occluded else ()), *exchanged)
         else:
-            args = (*head[:3], share, *self._appearance(work))
+            args = (work.grid, *head[2:4], share, *self._appearance(work))
 
             def cast(planes: HitPlanes) -> None:
                 self._per_pixel("cast", work, *args, *planes)
@@ -188,7 +191,9 @@ class Tracer:
             value, depth, hit = self.hits.planes(sizes, self._key(work), cast)
             beside = (value, *self.scene.texture_maps, *exchanged) if exchanged else ()
             self._per_pixel("aim", work, *head, depth, hit, source, label, statistics, *beside)
-        hidden: dict[str, Any] = {"surfaces": sample.surfaces, "group": head[2], "depth": depth} if occluded else {}
+        hidden: dict[str, Any] = {}
+        if occluded:
+            hidden = {"lens": self.lens, "surfaces": sample.surfaces, "group": head[3], "depth": depth}
         work.sources = Sources(source, value, **hidden)
 
     def silhouettes(self, work: Work) -> None:
@@ -197,7 +202,7 @@ class Tracer:
         plan, buffers, statistics = self.plan, self.buffers, self.buffers["statistics"]
         slots, source = np.int32(plan.slots), buffers["source"]
         cl.enqueue_fill_buffer(self.target.session.queue, statistics, np.zeros(1, np.int32), 4 * STATISTIC_SLOTS, 4)
-        marks = (work.camera, buffers["label"], slots, source, buffers["pixels"], statistics)
+        marks = (work.grid, buffers["label"], slots, source, buffers["pixels"], statistics)
         self._per_pixel("mark_silhouettes", work, *marks)
         subs, labels = (buffers["sub_source"], buffers["sub_value"]), buffers["sub_label"]
         sub_depth = buffers.get("sub_depth")
@@ -213,7 +218,7 @@ class Tracer:
             detailed = (*slotted, *subs, statistics, *occluded)
             self.target.run("trace_detail", (plan.slots,), PIXELS[:1], work.events, *detailed)
             value = buffers["sharper"]
-            self._per_pixel("sharpen", work, work.camera, work.sources.value, buffers["share"], source, value)
+            self._per_pixel("sharpen", work, work.grid, work.sources.value, buffers["share"], source, value)
         work.sources = replace(
             work.sources, value=value, sub_source=subs[0], sub_value=subs[1], capacity=plan.slots, sub_depth=sub_depth
         )
@@ -222,7 +227,8 @@ class Tracer:
         """The image of a pinhole of so much weight, with its radii."""
         value, coc, valid = (self.buffers[name] for name in ("value", "coc", "valid"))
         head = (
-            work.camera,
+            work.grid,
+            self.lens,
             work.sample.surfaces,
             everything(self.plan),
             np.float32(weight),
@@ -233,13 +239,12 @@ class Tracer:
 
     def _key(self, work: Work) -> HitKey:
         """All that what rays hit depends on: where they are, and what they may meet."""
-        camera, sample, features = work.camera, work.sample, self.plan.features()
+        sample, features = work.sample, self.plan.features()
         assert work.group is not None
         members = [k for k in range(len(sample.placed)) if work.group.members >> k & 1]
-        grid = tuple(camera[name].tobytes() for name in camera.dtype.names or () if name not in OF_LENS)
         built = tuple(features[name] for name in ("CHANNELS", "MOVED", "FILTER", "TEXTURED", "LIT")), self.scene.real
         light = tuple(each.tobytes() for each in sample.light)
-        cast = (grid, sample.weight, sample.packed[members].tobytes(), light, tuple(members), built)
+        cast = (work.grid.tobytes(), sample.weight, sample.packed[members].tobytes(), light, tuple(members), built)
         maps = self.scene.packed_maps.tobytes() if self.plan.mapped else b""
         return HitKey(work.group, (cast, maps), self.scene.content)
 
@@ -250,10 +255,10 @@ class Tracer:
     def _head(self, work: Work) -> tuple[Any, ...]:
         assert work.group is not None
         placed = work.sample
-        return work.camera, placed.surfaces, group_struct(work.group, len(placed.placed)), self.psf
+        return work.grid, self.lens, placed.surfaces, group_struct(work.group, len(placed.placed)), self.psf
 
     def _per_pixel(self, name: str, work: Work, *args: Any) -> None:
-        size = (int(work.camera["width"]), int(work.camera["height"]))
+        size = (int(work.grid["width"]), int(work.grid["height"]))
         self.target.run(name, size, PIXELS, work.events, *args)
 
 

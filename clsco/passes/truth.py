@@ -16,7 +16,7 @@ from clsco.optics.depth_truth import map_flow, map_normal, map_occluded, map_ste
 from clsco.optics.exposure import middle_time
 from clsco.optics.motion import Eye
 from clsco.passes.blur import PIXELS, Events
-from clsco.passes.pack import camera_struct, pose_structs
+from clsco.passes.pack import camera_grid, pose_structs
 from clsco.passes.placed import PlacedScene
 from clsco.passes.static_image import StaticMap
 from clsco.passes.trace import Tracer, everything
@@ -79,7 +79,7 @@ class GroundTruth:
         after = scene.at(later)
         poses = scene.poses(after)
         shown = (scene.texture, *scene.texture_maps, *sample.light)
-        head = (sample.surfaces, reference.surfaces, poses, everything(plan), *shown)
+        head = (self.tracer.lens, sample.surfaces, reference.surfaces, poses, everything(plan), *shown)
         view: tuple[Any, ...] = (sample.surfaces, poses, np.int32(0))  # read for a stereo pair alone
         if set(STEREO_NAMES) & set(names):
             there = scene.at(time, eye=self._opposite)
@@ -89,8 +89,8 @@ class GroundTruth:
         args = (*view, previous, after.surfaces, buffers["mask"], *(buffers.get(name) for name in TRUTH_BUFFERS))
         out = self._arrays(names)
         for strip in plan.strips:
-            camera = camera_struct(plan.scene.camera, plan.guard_px, scene.real, strip)
-            self.tracer.target.run("ground_truth", (plan.columns, strip.rows), PIXELS, events, camera, *head, *args)
+            grid = camera_grid(plan.scene.camera, plan.guard_px, scene.real, strip)
+            self.tracer.target.run("ground_truth", (plan.columns, strip.rows), PIXELS, events, grid, *head, *args)
             self._download(strip, buffers, out)
         self._take_out_background(out)
         if isinstance(self.pixels, ForwardWarp):

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from clsco.constants import NO_WINNER, OWNED_PIXELS
 from clsco.opencl.buffers import download, empty, upload
 from clsco.opencl.program import build
+from clsco.optics.lens import Lens
 from clsco.passes.blur import PIXELS, Events, Target
 from clsco.passes.fill import LINES, LISTED, OWNERS, ZERO, Filler
-from clsco.passes.pack import camera_struct
+from clsco.passes.pack import camera_grid, lens_struct
 from clsco.passes.placed import PlacedScene, TimeSample
 from clsco.plan.buffers import fill_sizes, warp_buffers
 from clsco.plan.plan import Plan
@@ -99,11 +100,12 @@ class ForwardWarp:
         self, plan: Plan, scene: PlacedScene, maps: Sequence[NDArray[np.float64] | None], owned: bool | None = None
     ) -> None:
         session, real = scene.session, scene.real
-        self.plan, self.scene, self.camera = plan, scene, camera_struct(plan.scene.camera, plan.guard_px, real)
+        self.plan, self.scene, self.grid = plan, scene, camera_grid(plan.scene.camera, plan.guard_px, real)
+        self.lens = lens_struct(Lens.of(plan.scene.camera), real)
         self.owned = session.device.kind == "cpu" if owned is None else owned
         features = forward_features(plan, self.owned)
         self.kernels = Target(session, build(session, KERNELS, features, structs(real), real), real)
-        self.filler = Filler(self.kernels, self.camera, features, fill_sizes(plan.scene, plan.grid))
+        self.filler = Filler(self.kernels, self.grid, self.lens, features, fill_sizes(plan.scene, plan.grid))
         # Once the pixels are in their places, the filling may have these for its lists.
         self.target, self.winner = self.filler.planes.indices
         sizes = warp_buffers(plan.scene, plan.grid, session.device)
@@ -121,7 +123,7 @@ class ForwardWarp:
         self.rest_surfaces = reference.surfaces
         members = np.uint64(sum(1 << k for k, surface in enumerate(reference.placed) if surface is not None))
         count = np.int32(len(reference.placed))
-        args = (self.camera, self.rest_surfaces, count, members, *self.maps, self.rest, *self.object)
+        args = (self.grid, self.rest_surfaces, count, members, *self.maps, self.rest, *self.object)
         self._per_pixel("reproject_rest", [], (plan.columns, plan.rows), *args)
 
     def warp(self, sample: TimeSample, events: Events) -> Warped:
@@ -151,14 +153,14 @@ class ForwardWarp:
             seen = () if planes.object is None else (planes.object,)
             if self.filler.fills:
                 self._per_line("fill_entered", events, *out, planes.status, *seen)
-            self._per_pixel("extend_border", events, (plan.width, plan.height), self.camera, *out)
+            self._per_pixel("extend_border", events, (plan.width, plan.height), self.grid, *out)
         return Warped(planes.value, planes.w, planes.coc, planes.valid, planes.status, planes.object, counters)
 
     def nearest(self, sample: TimeSample, events: Events) -> None:
         """Enqueue the depth test: where each pixel of the reference pose moves, and which one is the nearest that
         comes to a pixel. Arguments as for `warp`."""
         poses = self.scene.poses(sample)
-        args = (self.camera, self.rest_surfaces, poses, self.rest, self.target, self.moved, *self.object)
+        args = (self.grid, self.rest_surfaces, poses, self.rest, self.target, self.moved, *self.object)
         if self.owned:
             self._test_in_bands(args, events)
         else:
@@ -169,9 +171,9 @@ class ForwardWarp:
         planes, plan = self.filler.planes, self.plan
         if self.filler.is_far:
             chunks = (-(-plan.width // (OWNED_PIXELS if self.owned else 1)), plan.height)
-            gaps = (self.camera, self.depth, self.winner, planes.valid)
+            gaps = (self.grid, self.depth, self.winner, planes.valid)
             self.kernels.run("reproject_gaps", chunks, (1, *LINES) if self.owned else PIXELS, events, *gaps)
-        head = (self.camera, np.float32(weight), self.scene.texture, self.moved, self.winner)
+        head = (self.grid, self.lens, np.float32(weight), self.scene.texture, self.moved, self.winner)
         several = (self.rest_surfaces, *self.object) if self.object else ()
         seen = () if planes.object is None else (planes.object,)
         out = (planes.value, planes.w, planes.coc, planes.valid, planes.status, *seen)
@@ -183,7 +185,7 @@ class ForwardWarp:
         """Keep the range of the radii that `warp` has found, largest and smallest, in the first two of these ints."""
         chunks = (-(-self.plan.width // (OWNED_PIXELS if self.owned else 1)), self.plan.height)
         found = (self.filler.planes.coc, self.filler.planes.valid, statistics)
-        self.kernels.run("note_radii", chunks, (1, *LINES) if self.owned else PIXELS, events, self.camera, *found)
+        self.kernels.run("note_radii", chunks, (1, *LINES) if self.owned else PIXELS, events, self.grid, *found)
 
     def missing(self, warped: Warped) -> NDArray[np.bool_]:
         """Pixels (rows, columns) of the frame that were missing, filled or not."""
@@ -232,7 +234,7 @@ class ForwardWarp:
         band = max(SMALLEST_BAND, -(-rows // (BANDS_PER_CORE * cores)))
         segments = self.plan.rows * -(-self.plan.columns // OWNED_PIXELS)
         self.kernels.run("reproject_targets", (segments,), LINES, events, *args, self.bounds)
-        owned = (self.camera, self.target, self.moved, self.bounds, np.int32(band), self.winner)
+        owned = (self.grid, self.target, self.moved, self.bounds, np.int32(band), self.winner)
         depth = (self.depth,) if self.filler.is_far else ()
         self.kernels.run("reproject_nearest", (-(-rows // band),), OWNERS, events, *owned, *depth)
 
@@ -241,7 +243,7 @@ class ForwardWarp:
         queue, sources = self.scene.session.queue, (self.plan.rows * self.plan.columns,)
         cl.enqueue_fill_buffer(queue, self.depth, ZERO, 0, self.depth.size)
         cl.enqueue_fill_buffer(queue, self.winner, NOWHERE, 0, self.winner.size)
-        tested = (self.camera, self.target, self.moved, self.depth)
+        tested = (self.grid, self.target, self.moved, self.depth)
         self.kernels.run("reproject_targets", sources, LISTED, events, *args)
         self.kernels.run("reproject_depth", sources, LISTED, events, *tested)
         self.kernels.run("reproject_winner", sources, LISTED, events, *tested, self.winner)
@@ -250,7 +252,7 @@ class ForwardWarp:
         """Run a kernel for all rows of the frame, and then for all columns."""
         rows, lines = self.plan.rows, self.plan.rows + self.plan.columns
         for first, end in ((0, rows), (rows, lines)):
-            self.kernels.run(name, (end - first,), LINES, events, self.camera, np.int32(first), np.int32(end), *args)
+            self.kernels.run(name, (end - first,), LINES, events, self.grid, np.int32(first), np.int32(end), *args)
 
     def _per_pixel(self, name: str, events: Events, size: tuple[int, int], *args: Any) -> None:
         self.kernels.run(name, size, PIXELS, events, *args)

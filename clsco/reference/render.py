@@ -16,6 +16,7 @@ from clsco.inputs.textures import Texture as TextureImage
 from clsco.inputs.textures import load_scene_textures, radiance_span
 from clsco.optics.depth_truth import map_flow, map_normal, map_occluded, map_stereo
 from clsco.optics.exposure import frame_exposure, middle_time
+from clsco.optics.lens import Lens
 from clsco.optics.motion import Eye, Pose, poses_at, rest_poses
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import PlacedSurface, place
@@ -109,7 +110,7 @@ def _placed(scene: Scene, poses: Sequence[Pose]) -> tuple[PlacedSurface | None, 
 
 def _sources(scene: Scene, radiance: Array, w: Array, valid: NDArray[np.bool_]) -> Sources:
     """Sources of an image with inverse depths; the gradient of the radius from its differences."""
-    radius = np.where(valid, blur_radius(scene.camera, w), 0.0)
+    radius = np.where(valid, blur_radius(Lens.of(scene.camera), w), 0.0)
     gradient = prepare_sources(radius, valid)
     return Sources(radiance, w, valid.astype(np.uint8), radius, gradient, valid)
 

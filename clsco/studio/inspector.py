@@ -13,7 +13,7 @@ from clsco.files.transfer import encode
 from clsco.frame.frame import Frame
 from clsco.inputs.pupils import scene_point_spread
 from clsco.optics.exposure import middle_time
-from clsco.optics.lens import SHARP, blur_radius, blur_scale, focus_power, ray_step
+from clsco.optics.lens import SHARP, Lens, blur_radius, ray_step
 from clsco.optics.motion import poses_at, rest_center
 from clsco.reference.blur.blur import tilt_factor
 from clsco.reference.common.geometry import pixel_tilt
@@ -115,7 +115,7 @@ def radius_gradient(frame: Frame, scene: Scene, x: int, y: int) -> NDArray[np.fl
     if not math.isfinite(depth) or facing == 0.0:
         return np.zeros(2)
     # On the tangent plane 1/Z is linear in the direction of the ray, and R = kappa (K - 1/Z).
-    return -blur_scale(scene.camera) * step / (facing * depth) * normal[:2] * (1.0, -1.0)
+    return -Lens.of(scene.camera).blur_scale * step / (facing * depth) * normal[:2] * (1.0, -1.0)
 
 
 def point_spread(scene: Scene, radius: float, gradient: NDArray[np.float64]) -> dict[str, Any]:
@@ -190,7 +190,8 @@ def lens_figures(scene: Scene, depth: float | None) -> dict[str, Any]:
         `image` of the point, and its `radius`, px. None: infinite.
     """
     camera = scene.camera
-    power, margin = focus_power(camera), SHARP / blur_scale(camera)
+    lens = Lens.of(camera)
+    power, margin = lens.focus_power, SHARP / lens.blur_scale
     found = {
         "focus": camera.focused_distance,
         "near": 1 / (power + margin),

@@ -43,23 +43,23 @@ static float tap_share(const visibility_t *visibility, int dx, int dy, spread_t 
 #endif
 
 // Adds one source tap by tap, rounded to multiples of 1 / scale. visibility: its occluders, if any.
-static void scatter_source(const camera_t camera, spread_t spread, float4 source, float v, float scale, int row,
+static void scatter_source(const grid_t grid, spread_t spread, float4 source, float v, float scale, int row,
                            int column, __global fixed_t *sums VISIBILITY_ARGUMENT)
 {
     const int half_width = spread.half_width;
-    for (int dy = MAX(-half_width, -row); dy <= MIN(half_width, camera.rows - 1 - row); ++dy)
-        for (int dx = MAX(-half_width, -column); dx <= MIN(half_width, camera.columns - 1 - column); ++dx) {
+    for (int dy = MAX(-half_width, -row); dy <= MIN(half_width, grid.rows - 1 - row); ++dy)
+        for (int dx = MAX(-half_width, -column); dx <= MIN(half_width, grid.columns - 1 - column); ++dx) {
             float light = v * tap(spread, dx, dy, source) * scale;
 #if OCCLUDED
             if (visibility)
                 light *= tap_share(visibility, dx, dy, spread);
 #endif
-            ADD_FIXED(sums + (row + dy) * camera.columns + column + dx, (fixed_t)floor(light + 0.5f));
+            ADD_FIXED(sums + (row + dy) * grid.columns + column + dx, (fixed_t)floor(light + 0.5f));
         }
 }
 
 // One work-item per source. In and out: sums fixed_t (CHANNELS, rows, columns), in units of 1 / scale.
-__kernel void scatter(const camera_t camera, const psf_t psf, __global const float *source,
+__kernel void scatter(const grid_t grid, const psf_t psf, __global const float *source,
                       __global const float *value, __global const int2 *intervals,
                       __global const float *coefficients, const float scale, __global fixed_t *sums
 #if SUBPIXELS
@@ -70,10 +70,10 @@ __kernel void scatter(const camera_t camera, const psf_t psf, __global const flo
 )
 {
     const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= camera.width || y >= camera.height)
+    if (x >= grid.width || y >= grid.height)
         return;
-    const int at = y * camera.width + x, row = y - camera.above, column = x - camera.guard;
-    const int plane = camera.width * camera.height, sums_plane = camera.rows * camera.columns;
+    const int at = y * grid.width + x, row = y - grid.above, column = x - grid.guard;
+    const int plane = grid.width * grid.height, sums_plane = grid.rows * grid.columns;
     const float4 s = get_source(source, plane, at);
 #if SUBPIXELS
     const int slot = as_int(s.w);
@@ -88,11 +88,11 @@ __kernel void scatter(const camera_t camera, const psf_t psf, __global const flo
             visibility_t seen;
             const visibility_t *visibility = as_int(p.w) == PARTLY_OCCLUDED ? &seen : 0;
             if (visibility)
-                source_visibility(camera, surfaces, group, psf, lens, camera.top + row + spread.oy, column + spread.ox,
-                                  sub_depth[id], spread, p, (real)1 / SUBPIXELS, &seen);
+                source_visibility(grid, lens, surfaces, group, psf, lens_cells, grid.top + row + spread.oy,
+                                  column + spread.ox, sub_depth[id], spread, p, (real)1 / SUBPIXELS, &seen);
 #endif
             for (int k = 0; k < CHANNELS; ++k)
-                scatter_source(camera, spread, p, sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id], scale, row,
+                scatter_source(grid, spread, p, sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id], scale, row,
                                column, sums + k * sums_plane VISIBILITY_VALUE);
         }
         return;
@@ -105,42 +105,42 @@ __kernel void scatter(const camera_t camera, const psf_t psf, __global const flo
     visibility_t seen;
     const visibility_t *visibility = as_int(s.w) == PARTLY_OCCLUDED ? &seen : 0;
     if (visibility)
-        source_visibility(camera, surfaces, group, psf, lens, camera.top + row, column, depth[at], spread, s, (real)1,
-                          &seen);
+        source_visibility(grid, lens, surfaces, group, psf, lens_cells, grid.top + row, column, depth[at], spread, s,
+                          (real)1, &seen);
 #endif
     for (int k = 0; k < CHANNELS; ++k)
-        scatter_source(camera, spread, s, value[k * plane + at], scale, row, column,
+        scatter_source(grid, spread, s, value[k * plane + at], scale, row, column,
                        sums + k * sums_plane VISIBILITY_VALUE);
 }
 
 // Fixed point to float: sums / scale, in the layout of total.
-__kernel void resolve(const camera_t camera, const float scale, const int pitch, const int pad,
+__kernel void resolve(const grid_t grid, const float scale, const int pitch, const int pad,
                       __global const fixed_t *sums, __global float *total)
 {
     const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= camera.columns || row >= camera.rows)
+    if (column >= grid.columns || row >= grid.rows)
         return;
     for (int k = 0; k < CHANNELS; ++k)
-        total[(k * camera.rows + row) * pitch + column + pad] =
-            (float)sums[(k * camera.rows + row) * camera.columns + column] / scale;
+        total[(k * grid.rows + row) * pitch + column + pad] =
+            (float)sums[(k * grid.rows + row) * grid.columns + column] / scale;
 }
 #endif
 
 #if RENORMALIZE
 // Share of a source's radiance that falls inside of the frame.
-static float share_inside(const camera_t camera, spread_t spread, float4 source, int row, int column)
+static float share_inside(const grid_t grid, spread_t spread, float4 source, int row, int column)
 {
     const int half_width = spread.half_width;
     float sum = 0;
-    for (int dy = MAX(-half_width, -row); dy <= MIN(half_width, camera.frame_rows - 1 - row); ++dy)
-        for (int dx = MAX(-half_width, -column); dx <= MIN(half_width, camera.columns - 1 - column); ++dx)
+    for (int dy = MAX(-half_width, -row); dy <= MIN(half_width, grid.frame_rows - 1 - row); ++dy)
+        for (int dx = MAX(-half_width, -column); dx <= MIN(half_width, grid.columns - 1 - column); ++dx)
             sum += tap(spread, dx, dy, source);
     return sum;
 }
 
 // border = "renormalize": no radiance is lost over the border of the frame; there is no apron then.
 // In and out: value, sub_value.
-__kernel void renormalize(const camera_t camera, const psf_t psf, __global const float *source,
+__kernel void renormalize(const grid_t grid, const psf_t psf, __global const float *source,
                           __global float *value, __global const int2 *intervals,
                           __global const float *coefficients
 #if SUBPIXELS
@@ -149,10 +149,10 @@ __kernel void renormalize(const camera_t camera, const psf_t psf, __global const
 #endif
 )
 {
-    const int column = get_global_id(0), y = get_global_id(1), row = FRAME_ROW(camera, y);
-    if (column >= camera.columns || y >= camera.height)
+    const int column = get_global_id(0), y = get_global_id(1), row = FRAME_ROW(grid, y);
+    if (column >= grid.columns || y >= grid.height)
         return;
-    const int at = y * camera.columns + column, plane = camera.height * camera.columns;
+    const int at = y * grid.columns + column, plane = grid.height * grid.columns;
     const float4 s = get_source(source, plane, at);
 #if SUBPIXELS
     const int slot = as_int(s.w);
@@ -163,7 +163,7 @@ __kernel void renormalize(const camera_t camera, const psf_t psf, __global const
             if (p.x < 0)
                 continue;
             const float share = share_inside(
-                camera, subpixel_spread(psf, sub_intervals, sub_coefficients, p.x, sub), p, row, column);
+                grid, subpixel_spread(psf, sub_intervals, sub_coefficients, p.x, sub), p, row, column);
             for (int k = 0; k < CHANNELS && share > 0; ++k)
                 sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id] /= share;
         }
@@ -172,7 +172,7 @@ __kernel void renormalize(const camera_t camera, const psf_t psf, __global const
 #endif
     if (s.x < 0)
         return;
-    const float share = share_inside(camera, pixel_spread(psf, intervals, coefficients, s.x), s, row, column);
+    const float share = share_inside(grid, pixel_spread(psf, intervals, coefficients, s.x), s, row, column);
     for (int k = 0; k < CHANNELS && share > 0; ++k)
         value[k * plane + at] /= share;
 }
@@ -208,16 +208,16 @@ static real difference(MAPS, int at, int step, bool before, bool after)
 }
 
 // One source from a map of signed radii.
-static float4 record_of(const camera_t camera, const psf_t psf, MAPS, int x, int y)
+static float4 record_of(const grid_t grid, const psf_t psf, MAPS, int x, int y)
 {
-    const int at = y * camera.width + x;
+    const int at = y * grid.width + x;
     float4 record = (float4)(-1, 0, 0, as_float(WHOLE));
     if (IS_THERE(at)) {
         record.x = table_coordinate(psf, RADIUS(coc[at]), 0);
 #if TILT
-        const int w = camera.width;
+        const int w = grid.width;
         const real2 gradient = (real2)(difference(MAPS_VALUE, at, 1, x > 0, x + 1 < w),
-                                       difference(MAPS_VALUE, at, w, y > 0, y + 1 < camera.height));
+                                       difference(MAPS_VALUE, at, w, y > 0, y + 1 < grid.height));
         record.yz = tilt_slope(gradient, narrow(RADIUS(coc[at])));
 #endif
     }
@@ -227,20 +227,20 @@ static float4 record_of(const camera_t camera, const psf_t psf, MAPS, int x, int
 // Sources from a map of signed radii, px, instead of from a surface. In: coc wide_t, valid uchar (0 or 1), both
 // (height, width); with PREPARE = 2 coc float, and no valid: an image, all of whose pixels are there. Out: source.
 // TAP_LANES at a time; where all of them and their neighbors are there, in loops that are made vectors.
-__kernel void prepare_sources(const camera_t camera, const psf_t psf, MAPS, __global float *restrict source)
+__kernel void prepare_sources(const grid_t grid, const psf_t psf, MAPS, __global float *restrict source)
 {
     const int x = get_global_id(0) * TAP_LANES, y = get_global_id(1);
-    if (x >= camera.width || y >= camera.height)
+    if (x >= grid.width || y >= grid.height)
         return;
-    const int w = camera.width, at = y * w + x, plane = w * camera.height;
+    const int w = grid.width, at = y * w + x, plane = w * grid.height;
     bool whole = x + TAP_LANES <= w && ALL_THERE(at);
 #if TILT
-    whole &= x > 0 && x + TAP_LANES < w && y > 0 && y + 1 < camera.height;
+    whole &= x > 0 && x + TAP_LANES < w && y > 0 && y + 1 < grid.height;
     whole = whole && ALL_THERE(at - 1) && ALL_THERE(at + 1) && ALL_THERE(at - w) && ALL_THERE(at + w);
 #endif
     if (!whole) {
         for (int i = 0; i < MIN(TAP_LANES, w - x); ++i)
-            put_source(source, plane, at + i, record_of(camera, psf, MAPS_VALUE, x + i, y));
+            put_source(source, plane, at + i, record_of(grid, psf, MAPS_VALUE, x + i, y));
         return;
     }
     // Pointers, and one slope after the other, are what the compiler makes whole vectors of.

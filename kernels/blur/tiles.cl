@@ -45,11 +45,11 @@ typedef struct {
 #endif
 
 // Notes source (x, y) of the grid as the i-th of a chunk, if it reaches the tile.
-static void note_source(const camera_t camera, const psf_t psf, __global const float *source,
+static void note_source(const grid_t grid, const psf_t psf, __global const float *source,
                         __global const float *value, __global const int2 *intervals, __global const float *coefficients,
                         tile_t tile, int x, int y, int i, __local chunk_t *chunk SUBPIXEL_ARGUMENTS)
 {
-    const int at = y * camera.width + x, plane = camera.width * camera.height;
+    const int at = y * grid.width + x, plane = grid.width * grid.height;
     const float4 s = get_source(source, plane, at);
     int far = -1;
 #if SUBPIXELS
@@ -120,18 +120,18 @@ static void add_source(const psf_t psf, int x, int y, int i, __local const chunk
 
 // One work-item per pixel, in groups of a tile. Out: added to total.
 __attribute__((reqd_work_group_size(GROUP_COLUMNS, GROUP_ROWS, 1)))
-__kernel void tiles(const camera_t camera, const psf_t psf, __global const float *source, __global const float *value,
+__kernel void tiles(const grid_t grid, const psf_t psf, __global const float *source, __global const float *value,
                     __global const int2 *intervals, __global const float *coefficients, const int pitch, const int pad,
                     __global float *total SUBPIXEL_ARGUMENTS)
 {
     __local chunk_t chunk;
     const int column = get_global_id(0), row = get_global_id(1);
     const int item = get_local_id(1) * GROUP_COLUMNS + get_local_id(0);
-    const int x = column + camera.guard, y = row + camera.above;
+    const int x = column + grid.guard, y = row + grid.above;
     const int left = x - (int)get_local_id(0), top = y - (int)get_local_id(1);
     const tile_t tile = {left, left + GROUP_COLUMNS - 1, top, top + GROUP_ROWS - 1};
-    const int first_x = MAX(tile.left - psf.reach, 0), across = MIN(tile.right + psf.reach + 1, camera.width) - first_x;
-    const int first_y = MAX(tile.top - psf.reach, 0), down = MIN(tile.bottom + psf.reach + 1, camera.height) - first_y;
+    const int first_x = MAX(tile.left - psf.reach, 0), across = MIN(tile.right + psf.reach + 1, grid.width) - first_x;
+    const int first_y = MAX(tile.top - psf.reach, 0), down = MIN(tile.bottom + psf.reach + 1, grid.height) - first_y;
     float sum[CHANNELS], over[CHANNELS];
     for (int k = 0; k < CHANNELS; ++k)
         sum[k] = over[k] = 0;  // not as {0}, of which PoCL 3.0 makes garbage where there are two channels
@@ -143,7 +143,7 @@ __kernel void tiles(const camera_t camera, const psf_t psf, __global const float
         barrier(CLK_LOCAL_MEM_FENCE);
         const int n = start + item;
         if (n < across * down)
-            note_source(camera, psf, source, value, intervals, coefficients, tile, first_x + n % across,
+            note_source(grid, psf, source, value, intervals, coefficients, tile, first_x + n % across,
                         first_y + n / across, item, &chunk SUBPIXEL_VALUES);
         barrier(CLK_LOCAL_MEM_FENCE);
         float part[CHANNELS];
@@ -160,9 +160,9 @@ __kernel void tiles(const camera_t camera, const psf_t psf, __global const float
             sum[k] = next;
         }
     }
-    if (column < camera.columns && row < camera.rows)
+    if (column < grid.columns && row < grid.rows)
         for (int k = 0; k < CHANNELS; ++k)
-            total[(k * camera.rows + row) * pitch + column + pad] += sum[k];
+            total[(k * grid.rows + row) * pitch + column + pad] += sum[k];
 }
 
 #pragma OPENCL FP_CONTRACT OFF

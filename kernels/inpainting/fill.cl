@@ -26,18 +26,18 @@
 
 #define FAR_SLACK 1.02f  // relative: a surface at 45 degrees changes less over two pixels of 0.5 degrees each
 
-static bool in_frame(const camera_t camera, int x, int y)
+static bool in_frame(const grid_t grid, int x, int y)
 {
-    const int column = x - camera.guard, row = y - camera.guard;
-    return column >= 0 && column < camera.columns && row >= 0 && row < camera.rows;
+    const int column = x - grid.guard, row = y - grid.guard;
+    return column >= 0 && column < grid.columns && row >= 0 && row < grid.rows;
 }
 
 // True if the fill domain contains a pixel: with "surface" its ray has to meet one of the moved surfaces.
-static bool may_be_missing(const camera_t camera, __constant surface_t *surfaces, int count, int x, int y)
+static bool may_be_missing(const grid_t grid, __constant surface_t *surfaces, int count, int x, int y)
 {
 #if DOMAIN_SURFACE
     const group_t everything = {~(ulong)0, 0, count, -1, 0};
-    const wide3_t ray = pixel_ray(camera, widened(y - camera.guard), widened(x - camera.guard));
+    const wide3_t ray = pixel_ray(grid, widened(y - grid.guard), widened(x - grid.guard));
     uchar label;
     int object;
     nearest_surface(surfaces, everything, ray, &label, &object);
@@ -51,7 +51,7 @@ static bool may_be_missing(const camera_t camera, __constant surface_t *surfaces
 // Bound on the inverse depth of neighbors that may serve a missing pixel. Of the row, the column and the two diagonals
 // the one decides that meets valid pixels on both sides first, that is within the fewest steps; in a wide hole between
 // two sides that are equally deep the pair whose surface is the farthest at the pixel.
-static float far_bound(const camera_t camera, __global const uchar *valid, __global const wide_t *w, int x, int y)
+static float far_bound(const grid_t grid, __global const uchar *valid, __global const wide_t *w, int x, int y)
 {
     int ends[8], steps[8];
     for (int k = 0; k < 8; ++k)
@@ -62,10 +62,10 @@ static float far_bound(const camera_t camera, __global const uchar *valid, __glo
         open = false;
         for (int k = 0; k < 8; ++k) {
             const int i = y + step * NEIGHBOR_Y[k], j = x + step * NEIGHBOR_X[k];
-            const bool inside = i >= 0 && i < camera.height && j >= 0 && j < camera.width;
+            const bool inside = i >= 0 && i < grid.height && j >= 0 && j < grid.width;
             open = open || (ends[k] < 0 && inside);
-            if (ends[k] < 0 && inside && valid[i * camera.width + j]) {
-                ends[k] = i * camera.width + j;
+            if (ends[k] < 0 && inside && valid[i * grid.width + j]) {
+                ends[k] = i * grid.width + j;
                 steps[k] = step;
             }
             if (!(k % 2) || ends[k - 1] < 0 || ends[k] < 0 || MAX(steps[k - 1], steps[k]) != step)
@@ -95,15 +95,15 @@ static bool serves(__global const uchar *valid, __global const wide_t *w, int at
 #endif
 
 // First and last valid pixel of each line. In: valid. Out: spans, grown.
-__kernel void find_spans(const camera_t camera, __global const uchar *valid, __global int2 *spans,
+__kernel void find_spans(const grid_t grid, __global const uchar *valid, __global int2 *spans,
                          __global int2 *grown)
 {
     const int line = get_global_id(0);
-    if (line >= camera.height + camera.width)
+    if (line >= grid.height + grid.width)
         return;
-    const bool is_row = line < camera.height;
-    const int length = is_row ? camera.width : camera.height, step = is_row ? 1 : camera.width;
-    __global const uchar *along = valid + (is_row ? line * camera.width : line - camera.height);
+    const bool is_row = line < grid.height;
+    const int length = is_row ? grid.width : grid.height, step = is_row ? 1 : grid.width;
+    __global const uchar *along = valid + (is_row ? line * grid.width : line - grid.height);
     int first = 0, last = length - 1;
     while (first < length && !along[first * step])
         ++first;
@@ -115,7 +115,7 @@ __kernel void find_spans(const camera_t camera, __global const uchar *valid, __g
 // Lists the pixels that are unknown but between the first and last valid one of their row, or else of their column,
 // FILL_CHUNK columns per work-item. In: `count` surfaces, valid, w, spans. Out: status and far of missing pixels, list,
 // COUNTER_LEFT and COUNTER_LEFT_INSIDE.
-__kernel void mark_missing(const camera_t camera, __constant surface_t *surfaces, const int count,
+__kernel void mark_missing(const grid_t grid, __constant surface_t *surfaces, const int count,
                            __global const uchar *valid, __global const int2 *spans, __global uchar *status,
                            __global int *list, __global int *counters
 #if FILL_FAR
@@ -124,10 +124,10 @@ __kernel void mark_missing(const camera_t camera, __constant surface_t *surfaces
 )
 {
     const int begin = get_global_id(0) * FILL_CHUNK, y = get_global_id(1);
-    if (begin >= camera.width || y >= camera.height)
+    if (begin >= grid.width || y >= grid.height)
         return;
-    const int end = MIN(begin + FILL_CHUNK, camera.width);
-    __global const uchar *line = valid + y * camera.width;
+    const int end = MIN(begin + FILL_CHUNK, grid.width);
+    __global const uchar *line = valid + y * grid.width;
     int unknown = 0;
     for (int x = begin; x < end; ++x)
         unknown += !line[x];
@@ -136,17 +136,17 @@ __kernel void mark_missing(const camera_t camera, __constant surface_t *surfaces
     const int2 row = spans[y];
     int found[FILL_CHUNK], entries = 0, inside = 0;
     for (int x = begin; x < end; ++x) {
-        const int2 column = spans[camera.height + x];
+        const int2 column = spans[grid.height + x];
         if (line[x] || !((x > row.x && x < row.y) || (y > column.x && y < column.y)))
             continue;
-        if (!may_be_missing(camera, surfaces, count, x, y))
+        if (!may_be_missing(grid, surfaces, count, x, y))
             continue;
 #if FILL_FAR
-        far[y * camera.width + x] = far_bound(camera, valid, w, x, y);
+        far[y * grid.width + x] = far_bound(grid, valid, w, x, y);
 #endif
-        found[entries++] = y * camera.width + x;
-        inside += in_frame(camera, x, y);
-        status[y * camera.width + x] = 2;
+        found[entries++] = y * grid.width + x;
+        inside += in_frame(grid, x, y);
+        status[y * grid.width + x] = 2;
     }
     if (!entries)
         return;
@@ -170,7 +170,7 @@ static void reach(__global int2 *grown, __global const int2 *spans, int line, in
 
 // Ends a sweep: what it filled becomes valid, the rest is listed again. In: list of `count`, status, spans. Out: valid,
 // grown, left (as list), counters, done (list of what all sweeps filled).
-__kernel void settle_sweep(const camera_t camera, __global const int *list, const int count,
+__kernel void settle_sweep(const grid_t grid, __global const int *list, const int count,
                            __global const int2 *spans, __global int2 *grown, __global const uchar *status,
                            __global uchar *valid, __global int *left, __global int *counters
 #if FILL_MEAN_MEDIAN
@@ -184,10 +184,10 @@ __kernel void settle_sweep(const camera_t camera, __global const int *list, cons
     const int end = MIN(begin + FILL_CHUNK, count);
     int filled = 0, filled_inside = 0, left_inside = 0;
     for (int i = begin; i < end; ++i) {
-        const int at = list[i], x = at % camera.width, y = at / camera.width, inside = in_frame(camera, x, y);
+        const int at = list[i], x = at % grid.width, y = at / grid.width, inside = in_frame(grid, x, y);
         if (status[at] == 1) {
             reach(grown, spans, y, x);
-            reach(grown, spans, camera.height + x, y);
+            reach(grown, spans, grid.height + x, y);
             valid[at] = 1;
             ++filled;
             filled_inside += inside;
@@ -216,7 +216,7 @@ __kernel void settle_sweep(const camera_t camera, __global const int *list, cons
 // Lists what is missing since lines have grown, one line per work-item. A pixel within the span of its row is left to
 // the row. In: `count` surfaces, valid, w, grown. In and out: spans, status, far, list, COUNTER_LEFT and
 // COUNTER_LEFT_INSIDE.
-__kernel void mark_grown(const camera_t camera, __constant surface_t *surfaces, const int count,
+__kernel void mark_grown(const grid_t grid, __constant surface_t *surfaces, const int count,
                          __global const uchar *valid, __global int2 *spans, __global const int2 *grown,
                          __global uchar *status, __global int *list, __global int *counters
 #if FILL_FAR
@@ -225,27 +225,27 @@ __kernel void mark_grown(const camera_t camera, __constant surface_t *surfaces, 
 )
 {
     const int line = get_global_id(0);
-    if (line >= camera.height + camera.width)
+    if (line >= grid.height + grid.width)
         return;
     const int2 before = spans[line], now = grown[line];
     if (before.x == now.x && before.y == now.y)
         return;
     spans[line] = now;
-    const bool is_row = line < camera.height;
+    const bool is_row = line < grid.height;
     for (int i = now.x + 1; i < now.y; ++i) {
         if (i >= before.x && i < before.y)
             i = before.y;  // what lies between is listed, or was
-        const int x = is_row ? i : line - camera.height, y = is_row ? line : i, at = y * camera.width + x;
+        const int x = is_row ? i : line - grid.height, y = is_row ? line : i, at = y * grid.width + x;
         const int2 row = grown[y];
         const bool listed = is_row ? status[at] == 2 : x > row.x && x < row.y;
-        if (valid[at] || listed || !may_be_missing(camera, surfaces, count, x, y))
+        if (valid[at] || listed || !may_be_missing(grid, surfaces, count, x, y))
             continue;
 #if FILL_FAR
-        far[at] = far_bound(camera, valid, w, x, y);
+        far[at] = far_bound(grid, valid, w, x, y);
 #endif
         status[at] = 2;
         list[atomic_inc(counters + COUNTER_LEFT)] = at;
-        if (in_frame(camera, x, y))
+        if (in_frame(grid, x, y))
             atomic_inc(counters + COUNTER_LEFT_INSIDE);
     }
 }
@@ -273,7 +273,7 @@ static int2 between_valid(__global const uchar *valid, int at, int step, int ind
 // with FILL_FAR a copy of the farther one where the other may not serve a pixel of its depth. The object is that of the
 // first pixel that serves. In: list of `count`, valid; minimum, far: with 0 any neighbor serves. In and out: value, w,
 // coc, status, object.
-__kernel void fill_ait(const camera_t camera, __global const int *list, const int count,
+__kernel void fill_ait(const grid_t grid, const lens_t lens, __global const int *list, const int count,
 #if FILL_FAR
                        const int minimum, __global const float *far,
 #endif
@@ -287,15 +287,15 @@ __kernel void fill_ait(const camera_t camera, __global const int *list, const in
     const int id = get_global_id(0);
     if (id >= count)
         return;
-    const int at = list[id], x = at % camera.width, y = at / camera.width;
+    const int at = list[id], x = at % grid.width, y = at / grid.width;
     int2 from = -1;
     wide_t whole_share = widened((real)0.5);
-    if (x == 0 || y == 0 || x == camera.width - 1 || y == camera.height - 1) {
+    if (x == 0 || y == 0 || x == grid.width - 1 || y == grid.height - 1) {
         int step = 1;
-        from = between_valid(valid, at, step, x, camera.width);
+        from = between_valid(valid, at, step, x, grid.width);
         if (from.y < 0) {
-            step = camera.width;
-            from = between_valid(valid, at, step, y, camera.height);
+            step = grid.width;
+            from = between_valid(valid, at, step, y, grid.height);
         }
         if (from.y >= 0)
             whole_share = wide_div(widened((at - from.x) / step), widened((from.y - from.x) / step));
@@ -310,12 +310,12 @@ __kernel void fill_ait(const camera_t camera, __global const int *list, const in
         const float bound = minimum ? far[at] : INFINITY;
 #endif
         for (int k = 0; k < 8 && from.y < 0; k += 2) {
-            const int step = NEIGHBOR_Y[k] * camera.width + NEIGHBOR_X[k];
+            const int step = NEIGHBOR_Y[k] * grid.width + NEIGHBOR_X[k];
             if (serves(valid, w, at + step, bound) && serves(valid, w, at - step, bound))
                 from = (int2)(at + step, at - step);
         }
         for (int k = 0; k < 8 && from.y < 0; ++k) {
-            const int step = NEIGHBOR_Y[k] * camera.width + NEIGHBOR_X[k];
+            const int step = NEIGHBOR_Y[k] * grid.width + NEIGHBOR_X[k];
             if (serves(valid, w, at + step, bound))
                 from = at + step;
         }
@@ -324,13 +324,13 @@ __kernel void fill_ait(const camera_t camera, __global const int *list, const in
         return;
     const real share = narrow(whole_share);
     for (int c = 0; c < CHANNELS; ++c) {
-        __global float *plane = value + c * camera.height * camera.width;
+        __global float *plane = value + c * grid.height * grid.width;
         plane[at] = (float)(plane[from.x] + ((real)plane[from.y] - plane[from.x]) * share);
     }
     const wide_t change = wide_mul(wide_sub(w[from.y], w[from.x]), whole_share);
     const wide_t inverse_depth = wide_add(w[from.x], change);
     w[at] = inverse_depth;
-    coc[at] = blur_radius(camera, inverse_depth);
+    coc[at] = blur_radius(lens, inverse_depth);
     status[at] = 1;
 #if SEVERAL
     object[at] = object[from.x];

@@ -4,7 +4,7 @@
 
 #if FILL_MEAN_MEDIAN
 // FILL_LANES pixels of a list, with the neighbors that serve them.
-static around_t look_around(const camera_t camera, __global const uchar *valid, __global const int *list, int entries,
+static around_t look_around(const grid_t grid, __global const uchar *valid, __global const int *list, int entries,
                             int median_wins
 #if FILL_FAR
                             , __global const wide_t *w, __global const float *far, int minimum
@@ -15,16 +15,16 @@ static around_t look_around(const camera_t camera, __global const uchar *valid, 
     for (int lane = 0; lane < FILL_LANES; ++lane) {
         // The last pixel fills up the last vector.
         const int at = list[MIN((int)get_global_id(0) * FILL_LANES + lane, entries - 1)];
-        const int x = at % camera.width, y = at / camera.width;
-        const bool inner = x > 0 && y > 0 && x < camera.width - 1 && y < camera.height - 1;
+        const int x = at % grid.width, y = at / grid.width;
+        const bool inner = x > 0 && y > 0 && x < grid.width - 1 && y < grid.height - 1;
         int bits = 0, count = 0;
 #if FILL_FAR
         const float bound = minimum ? far[at] : INFINITY;
 #endif
         UNROLL
         for (int k = 0; k < 8; ++k) {
-            const int i = y + NEIGHBOR_Y[k], j = x + NEIGHBOR_X[k], from = i * camera.width + j;
-            const bool inside = inner || (i >= 0 && i < camera.height && j >= 0 && j < camera.width);
+            const int i = y + NEIGHBOR_Y[k], j = x + NEIGHBOR_X[k], from = i * grid.width + j;
+            const bool inside = inner || (i >= 0 && i < grid.height && j >= 0 && j < grid.width);
             const int known = inside ? serves(valid, w, from, bound) : 0;
             bits |= known << k;
             count += known;
@@ -37,14 +37,14 @@ static around_t look_around(const camera_t camera, __global const uchar *valid, 
 }
 
 // Writes the estimates of all planes; of lanes with fewer than `minimum` neighbors nothing.
-static void write_estimates(const camera_t camera, const around_t around, int minimum, __global const float *value_in,
-                            __global const wide_t *w_in, __global float *value_out, __global wide_t *w_out,
-                            __global wide_t *coc)
+static void write_estimates(const grid_t grid, const lens_t lens, const around_t around, int minimum,
+                            __global const float *value_in, __global const wide_t *w_in, __global float *value_out,
+                            __global wide_t *w_out, __global wide_t *coc)
 {
     real8 near[8], result;
     const real *count = (const real *)&around.count, *found = (const real *)&result;
     for (int c = 0; c < CHANNELS; ++c) {
-        const int plane = c * camera.height * camera.width;
+        const int plane = c * grid.height * grid.width;
         NEAR(near, value_in[plane + from])
         estimate(&around, near, &result);
         for (int lane = 0; lane < FILL_LANES; ++lane)
@@ -56,7 +56,7 @@ static void write_estimates(const camera_t camera, const around_t around, int mi
     for (int lane = 0; lane < FILL_LANES; ++lane)
         if (count[lane] >= minimum) {
             w_out[around.at[lane]] = widened(found[lane]);
-            coc[around.at[lane]] = blur_radius(camera, widened(found[lane]));
+            coc[around.at[lane]] = blur_radius(lens, widened(found[lane]));
         }
 }
 
@@ -69,8 +69,8 @@ static void write_estimates(const camera_t camera, const around_t around, int mi
 // Stage 1: one sweep, FILL_LANES entries per work-item. Bit k of median_wins: of k neighbors the median is the better
 // estimator; a pixel needs `minimum` of them, with FILL_FAR and 0 any single one. The object is that of the first one.
 // In: list of `count`, valid, far. In and out: value, w, coc, status, object.
-__kernel void fill_mean_median(const camera_t camera, __global const int *list, const int count, const int median_wins,
-                               const int minimum,
+__kernel void fill_mean_median(const grid_t grid, const lens_t lens, __global const int *list, const int count,
+                               const int median_wins, const int minimum,
 #if FILL_FAR
                                __global const float *far,
 #endif
@@ -83,9 +83,9 @@ __kernel void fill_mean_median(const camera_t camera, __global const int *list, 
 {
     if (get_global_id(0) * FILL_LANES >= count)
         return;
-    const around_t around = look_around(camera, valid, list, count, median_wins BOUNDED_BY(w, far, minimum));
+    const around_t around = look_around(grid, valid, list, count, median_wins BOUNDED_BY(w, far, minimum));
     const int least = MAX(minimum, 1);
-    write_estimates(camera, around, least, value, w, value, w, coc);
+    write_estimates(grid, lens, around, least, value, w, value, w, coc);
     for (int lane = 0; lane < FILL_LANES; ++lane) {
         if (((const real *)&around.count)[lane] < least)
             continue;
@@ -102,7 +102,7 @@ __kernel void fill_mean_median(const camera_t camera, __global const int *list, 
 // Stage 2: one round of the 3x3 median without the center over the filled pixels, FILL_LANES entries per work-item; a
 // pixel that no neighbor serves stays. In: done, list of `count`; valid, far; value_in, w_in, which hold all pixels.
 // Out: the same of the filled pixels, coc.
-__kernel void smooth_median(const camera_t camera, __global const int *done, const int count,
+__kernel void smooth_median(const grid_t grid, const lens_t lens, __global const int *done, const int count,
 #if FILL_FAR
                             __global const float *far,
 #endif
@@ -111,13 +111,13 @@ __kernel void smooth_median(const camera_t camera, __global const int *done, con
 {
     if (get_global_id(0) * FILL_LANES >= count)
         return;
-    const around_t around = look_around(camera, valid, done, count, ~0 BOUNDED_BY(w_in, far, 1));
-    write_estimates(camera, around, 1, value_in, w_in, value_out, w_out, coc);
+    const around_t around = look_around(grid, valid, done, count, ~0 BOUNDED_BY(w_in, far, 1));
+    write_estimates(grid, lens, around, 1, value_in, w_in, value_out, w_out, coc);
 #if FILL_FAR
     for (int lane = 0; lane < FILL_LANES; ++lane) {
         const int at = around.at[lane];
         for (int c = 0; c < CHANNELS && !around.bits[lane]; ++c)
-            value_out[c * camera.height * camera.width + at] = value_in[c * camera.height * camera.width + at];
+            value_out[c * grid.height * grid.width + at] = value_in[c * grid.height * grid.width + at];
         if (!around.bits[lane])
             w_out[at] = w_in[at];
     }

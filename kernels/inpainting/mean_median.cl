@@ -228,7 +228,7 @@ __kernel void smooth_holes(const int slots, const int rounds, __global const int
 // beyond the image its edge goes on. In: list of `count` pixels of value (height, width, CHANNELS), all of which are
 // known or filled. Out: steepness (count), the largest square of a gradient's magnitude among the channels; blended
 // (count, CHANNELS), the medians.
-__kernel void blend_border(const camera_t camera, __global const int *list, const int count,
+__kernel void blend_border(const grid_t grid, __global const int *list, const int count,
                            __global const float *value, __global float *steepness, __global float *blended)
 {
     const int first = get_global_id(0) * FILL_LANES;
@@ -236,12 +236,12 @@ __kernel void blend_border(const camera_t camera, __global const int *list, cons
         return;
     int from[9][FILL_LANES];
     for (int lane = 0; lane < FILL_LANES; ++lane) {
-        const int at = list[MIN(first + lane, count - 1)], x = at % camera.width, y = at / camera.width;
+        const int at = list[MIN(first + lane, count - 1)], x = at % grid.width, y = at / grid.width;
         UNROLL
         for (int k = 0; k < 9; ++k) {
-            const int i = MIN(MAX(y + k / 3 - 1, 0), camera.height - 1);
-            const int j = MIN(MAX(x + k % 3 - 1, 0), camera.width - 1);
-            from[k][lane] = (i * camera.width + j) * CHANNELS;
+            const int i = MIN(MAX(y + k / 3 - 1, 0), grid.height - 1);
+            const int j = MIN(MAX(x + k % 3 - 1, 0), grid.width - 1);
+            from[k][lane] = (i * grid.width + j) * CHANNELS;
         }
     }
     float8 steepest = 0;

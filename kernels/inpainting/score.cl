@@ -10,7 +10,7 @@
 #define PIXEL(c, lane) (((c) * WIDTH + (lane)) / CHANNELS)
 #else
 #define STEP 1
-#define PLACE(c, y, x) (((c) * camera.height + (y)) * width + (x))
+#define PLACE(c, y, x) (((c) * grid.height + (y)) * width + (x))
 #define PIXEL(c, lane) (lane)
 #endif
 
@@ -62,18 +62,18 @@ typedef parts_t sums_t;
 // height, width), with IMAGE (height, width, CHANNELS); valid (height, width); both must be readable WIDTH pixels
 // beyond their end. Out: sums (height, segments, SCORE_SUMS): d_i^2 for i = 0..7; (sum d)^2; C(i, m) C(7-j, m) d_i d_j
 // over i < j for m = 1, 2, 3; number of pixels times channels.
-__kernel void score_mean_median(const camera_t camera, const float scale, __global const element_t *value,
+__kernel void score_mean_median(const grid_t grid, const float scale, __global const element_t *value,
                                 __global const uchar *valid, __global long *sums)
 {
-    const int width = camera.width, segments = (width + SCORED_COLUMNS - 1) / SCORED_COLUMNS;
+    const int width = grid.width, segments = (width + SCORED_COLUMNS - 1) / SCORED_COLUMNS;
     const int segment = get_global_id(0) % segments, y = get_global_id(0) / segments;
-    if (y >= camera.height)
+    if (y >= grid.height)
         return;
     const int begin = MAX(segment * SCORED_COLUMNS, 1), end = MIN((segment + 1) * SCORED_COLUMNS, width - 1);
     sums_t sum[SCORE_SUMS];
     for (int k = 0; k < SCORE_SUMS; ++k)
         sum[k] = 0;
-    for (int x = begin; x < end && y > 0 && y < camera.height - 1; x += WIDTH) {
+    for (int x = begin; x < end && y > 0 && y < grid.height - 1; x += WIDTH) {
         const int at = y * width + x;
         whole_t whole = WHOLE_AT(valid + at);
         for (int k = 0; k < 8; ++k)

@@ -46,15 +46,15 @@ static int bin_of(real coc, real low, int bins)
 // One row or column per work-item. In and out: latest int (DISCONTINUITY_CLASSES, bins): of discontinuities of a class,
 // beyond DISCONTINUITY 2^class, whose far side is in a bin, 1 + the largest bin of the near side, 0 for none; after it
 // the largest sum of the two radii of a discontinuity, without their signs, px, rounded up.
-__kernel void find_discontinuities(const camera_t camera, const real low, const int bins, const int far,
+__kernel void find_discontinuities(const grid_t grid, const real low, const int bins, const int far,
                                    __global const wide_t *coc, __global const uchar *valid, __global int *latest)
 {
     const int line = get_global_id(0);
-    if (line >= camera.height + camera.width)
+    if (line >= grid.height + grid.width)
         return;
-    const bool is_row = line < camera.height;
-    const int length = is_row ? camera.width : camera.height, step = is_row ? 1 : camera.width;
-    const int start = is_row ? line * camera.width : line - camera.height;
+    const bool is_row = line < grid.height;
+    const int length = is_row ? grid.width : grid.height, step = is_row ? 1 : grid.width;
+    const int start = is_row ? line * grid.width : line - grid.height;
     int last = -far - 1;
     real before = 0;
     for (int i = 0; i < length; ++i) {
@@ -80,14 +80,14 @@ __kernel void find_discontinuities(const camera_t camera, const real low, const 
 }
 
 // bounds: first bins of the second and each further layer, `count` of them. Out: layer.
-__kernel void label_depth_layers(const camera_t camera, const real low, const int bins, const int count,
+__kernel void label_depth_layers(const grid_t grid, const real low, const int bins, const int count,
                                  const int8 bounds, __global const wide_t *coc, __global const uchar *valid,
                                  __global uchar *layer)
 {
     const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= camera.width || y >= camera.height)
+    if (x >= grid.width || y >= grid.height)
         return;
-    const int at = y * camera.width + x, bin = bin_of(narrow(coc[at]), low, bins);
+    const int at = y * grid.width + x, bin = bin_of(narrow(coc[at]), low, bins);
     int label = 1;
     while (label <= count && bin >= ((const int *)&bounds)[label - 1])
         ++label;
@@ -95,15 +95,15 @@ __kernel void label_depth_layers(const camera_t camera, const real low, const in
 }
 
 // In: coc, layer. Out: seed.
-__kernel void seed_hidden(const camera_t camera, __global const wide_t *coc, __global const uchar *layer,
+__kernel void seed_hidden(const grid_t grid, __global const wide_t *coc, __global const uchar *layer,
                           __global uchar *seed)
 {
     const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= camera.width || y >= camera.height)
+    if (x >= grid.width || y >= grid.height)
         return;
-    const int at = y * camera.width + x, own = layer[at];
-    const int near[4] = {y > 0 ? at - camera.width : at, y + 1 < camera.height ? at + camera.width : at,
-                         x > 0 ? at - 1 : at, x + 1 < camera.width ? at + 1 : at};
+    const int at = y * grid.width + x, own = layer[at];
+    const int near[4] = {y > 0 ? at - grid.width : at, y + 1 < grid.height ? at + grid.width : at,
+                         x > 0 ? at - 1 : at, x + 1 < grid.width ? at + 1 : at};
     int found = 0;
     for (int k = 0; k < 4 && own; ++k) {
         const int other = layer[near[k]];
@@ -114,36 +114,36 @@ __kernel void seed_hidden(const camera_t camera, __global const wide_t *coc, __g
 }
 
 // `count` columns from x on, up to SEED_COLUMNS.
-static inline void seeds_of(const camera_t camera, __global const uchar *seed, __global int *offset, int x,
+static inline void seeds_of(const grid_t grid, __global const uchar *seed, __global int *offset, int x,
                             const int count)
 {
     int last[SEED_COLUMNS];
     for (int k = 0; k < count; ++k)
         last[k] = -NEVER;
-    for (int y = 0; y < camera.height; ++y)
+    for (int y = 0; y < grid.height; ++y)
         for (int k = 0; k < count; ++k) {
-            const int at = y * camera.width + x + k;
+            const int at = y * grid.width + x + k;
             last[k] = seed[at] ? y : last[k];
             offset[at] = y - last[k] < NO_SEED ? last[k] - y : NO_SEED;
         }
     for (int k = 0; k < count; ++k)
         last[k] = NEVER;
-    for (int y = camera.height - 1; y >= 0; --y)
+    for (int y = grid.height - 1; y >= 0; --y)
         for (int k = 0; k < count; ++k) {
-            const int at = y * camera.width + x + k, above = offset[at];
+            const int at = y * grid.width + x + k, above = offset[at];
             last[k] = seed[at] ? y : last[k];
             offset[at] = last[k] - y < ABS(above) ? last[k] - y : above;
         }
 }
 
 // SEED_COLUMNS columns per work-item; of two seeds the upper one. In: seed. Out: offset.
-__kernel void column_seeds(const camera_t camera, __global const uchar *restrict seed, __global int *restrict offset)
+__kernel void column_seeds(const grid_t grid, __global const uchar *restrict seed, __global int *restrict offset)
 {
     const int x = get_global_id(0) * SEED_COLUMNS;
-    if (x + SEED_COLUMNS <= camera.width)
-        seeds_of(camera, seed, offset, x, SEED_COLUMNS);
-    else if (x < camera.width)
-        seeds_of(camera, seed, offset, x, camera.width - x);
+    if (x + SEED_COLUMNS <= grid.width)
+        seeds_of(grid, seed, offset, x, SEED_COLUMNS);
+    else if (x < grid.width)
+        seeds_of(grid, seed, offset, x, grid.width - x);
 }
 
 // Flags the pixels of a run that are within `far` px of a seed, rows and columns counted separately; whether there are
@@ -210,25 +210,25 @@ static int2 nearest_seed(__global const int *offset, int x, int width, int deep)
 }
 
 // A run of a row per work-item. deep: px, the farthest seed. In: layer, seed, offset. Out: hidden, edge.
-__kernel void reach_hidden(const camera_t camera, const int deep, __global const uchar *layer,
+__kernel void reach_hidden(const grid_t grid, const int deep, __global const uchar *layer,
                            __global const uchar *seed, __global const int *offset, __global uchar *hidden,
                            __global uchar *edge)
 {
     const int begin = get_global_id(0) * REACH_PIXELS, y = get_global_id(1);
-    if (begin >= camera.width || y >= camera.height)
+    if (begin >= grid.width || y >= grid.height)
         return;
-    const int end = MIN(begin + REACH_PIXELS, camera.width), line = y * camera.width;
-    if (!flag_near(offset + line, begin, end, camera.width, 2 * deep, edge + line)) {
+    const int end = MIN(begin + REACH_PIXELS, grid.width), line = y * grid.width;
+    if (!flag_near(offset + line, begin, end, grid.width, 2 * deep, edge + line)) {
         for (int x = begin; x < end; ++x)
             hidden[line + x] = 0;
         return;
     }
     int best[REACH_PIXELS], away[REACH_PIXELS];
-    if (begin >= deep && begin + REACH_PIXELS + deep <= camera.width)
+    if (begin >= deep && begin + REACH_PIXELS + deep <= grid.width)
         nearest_seeds(offset + line + begin, deep, best, away);
     else
         for (int x = begin; x < end; ++x) {
-            const int2 found = nearest_seed(offset + line, x, camera.width, deep);
+            const int2 found = nearest_seed(offset + line, x, grid.width, deep);
             best[x - begin] = found.x;
             away[x - begin] = found.y;
         }
@@ -236,19 +236,19 @@ __kernel void reach_hidden(const camera_t camera, const int deep, __global const
         const int own = layer[line + x], column = x + away[x - begin];
         int label = 0;
         if (best[x - begin] <= deep * deep)
-            label = seed[line + offset[line + column] * camera.width + column];
+            label = seed[line + offset[line + column] * grid.width + column];
         hidden[line + x] = own && label > own ? label : 0;
     }
 }
 
 // Out: the finest level of the pyramid, of the pixels of layer `which`.
-__kernel void open_depth_layer(const camera_t camera, const int which, __global const float *value,
+__kernel void open_depth_layer(const grid_t grid, const int which, __global const float *value,
                                __global const wide_t *coc, __global const uchar *layer, __global float *pyramid)
 {
-    const int x = get_global_id(0), y = get_global_id(1), plane = camera.height * camera.width;
-    if (x >= camera.width || y >= camera.height)
+    const int x = get_global_id(0), y = get_global_id(1), plane = grid.height * grid.width;
+    if (x >= grid.width || y >= grid.height)
         return;
-    const int at = y * camera.width + x;
+    const int at = y * grid.width + x;
     const bool known = layer[at] == which;
     for (int c = 0; c < CHANNELS - 1; ++c)
         pyramid[c * plane + at] = known ? value[c * plane + at] : 0;
@@ -368,15 +368,15 @@ __kernel void pull(const int fine_rows, const int fine_columns, const int rows, 
 }
 
 // Layer `which` with its hidden part, which comes from the second level (rows, columns) of the pyramid, at `coarse`.
-__kernel void take_depth_layer(const camera_t camera, const int which, const int rows, const int columns,
+__kernel void take_depth_layer(const grid_t grid, const int which, const int rows, const int columns,
                                const int coarse, __global const float *value, __global const wide_t *coc,
                                __global const uchar *layer, __global const uchar *hidden, __global const float *pyramid,
                                __global float *layer_value, __global wide_t *layer_coc, __global uchar *layer_valid)
 {
-    const int x = get_global_id(0), y = get_global_id(1), plane = camera.height * camera.width;
-    if (x >= camera.width || y >= camera.height)
+    const int x = get_global_id(0), y = get_global_id(1), plane = grid.height * grid.width;
+    if (x >= grid.width || y >= grid.height)
         return;
-    const int at = y * camera.width + x;
+    const int at = y * grid.width + x;
     const bool own = layer[at] == which, there = own || hidden[at] == which;
     __global const float *behind = pyramid + coarse;
     layer_value[(CHANNELS - 1) * plane + at] = there;
@@ -394,13 +394,13 @@ __kernel void take_depth_layer(const camera_t camera, const int which, const int
 }
 
 // Leaves only the sources near edges, or only the others. In: edge. In and out: source.
-__kernel void keep_sources(const camera_t camera, const int near_edges, __global const uchar *edge,
+__kernel void keep_sources(const grid_t grid, const int near_edges, __global const uchar *edge,
                            __global float *source)
 {
     const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= camera.width || y >= camera.height)
+    if (x >= grid.width || y >= grid.height)
         return;
-    const int at = y * camera.width + x;
+    const int at = y * grid.width + x;
     if (edge[at] != near_edges)
         source[at] = -1;
 }
@@ -408,7 +408,7 @@ __kernel void keep_sources(const camera_t camera, const int near_edges, __global
 // Adds a blurred layer behind those before. It gets the room that they have left, all of it: at a cut through a
 // continuous surface the two coverages add up to that of the whole, and nothing is lost. In: blurred float (CHANNELS,
 // rows, from_pitch), with scratch columns as the total of blur.cl. In and out: covered float (rows, columns), total.
-__kernel void composite(const camera_t camera, const int from_pitch, const int from_pad,
+__kernel void composite(const grid_t grid, const int from_pitch, const int from_pad,
                         __global const float *blurred, __global float *covered,
 #if SCATTER
                         const float scale, __global fixed_t *total
@@ -418,19 +418,19 @@ __kernel void composite(const camera_t camera, const int from_pitch, const int f
 )
 {
     const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= camera.columns || row >= camera.rows)
+    if (column >= grid.columns || row >= grid.rows)
         return;
     __global const float *irradiance = blurred + row * from_pitch + column + from_pad;
-    const int at = row * camera.columns + column, plane = camera.rows * from_pitch;
+    const int at = row * grid.columns + column, plane = grid.rows * from_pitch;
     const float coverage = irradiance[(CHANNELS - 1) * plane], before = covered[at];
     const float room = MIN(coverage, MAX(coverage, 1.0f) - before), seen = MAX(room, 0.0f);
     const float share = seen < coverage ? seen / coverage : 1;
     for (int c = 0; c < CHANNELS - 1; ++c) {
 #if SCATTER
         const float fixed = floor(irradiance[c * plane] * share * scale + 0.5f);
-        total[c * camera.rows * camera.columns + at] += (fixed_t)fixed;
+        total[c * grid.rows * grid.columns + at] += (fixed_t)fixed;
 #else
-        total[(c * camera.rows + row) * pitch + column + pad] += irradiance[c * plane] * share;
+        total[(c * grid.rows + row) * pitch + column + pad] += irradiance[c * plane] * share;
 #endif
     }
     covered[at] = before + seen;

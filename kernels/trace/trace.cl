@@ -17,25 +17,26 @@
 
 // Record of a hit, as the lens takes it; below 0 where none of its radiance reaches the lens. subpixel: the source
 // is one of SUBPIXELS^2. In and out: label, statistics.
-static float4 source_record(const camera_t camera, __constant surface_t *surfaces, const group_t group, const psf_t psf,
-                            wide3_t ray, wide_t w, int subpixel, uchar *label, __global int *statistics)
+static float4 source_record(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
+                            const psf_t psf, wide3_t ray, wide_t w, int subpixel, uchar *label,
+                            __global int *statistics)
 {
     float4 record = (float4)(-1, 0, 0, as_float(WHOLE));
     if (*label == 0)
         return record;
-    const wide_t whole_radius = blur_radius(camera, w);
+    const wide_t whole_radius = blur_radius(lens, w);
     const real radius = narrow(whole_radius);
     __constant surface_t *surface = surfaces + (*label - 1) / 2;
     float2 tilt = 0;
     real spread = radius;
 #if TILT
-    const real2 gradient = blur_gradient(camera, surface_slope(surface, ray, w));
+    const real2 gradient = blur_gradient(grid, lens, surface_slope(surface, ray, w));
     tilt = subpixel ? tilt_slope(gradient, radius) : pixel_tilt(gradient, radius, &spread);
 #endif
 #if OCCLUDED
     bool edge;
-    const lens_t lens = lens_of(radius, psf.lens_extent, subpixel ? (real)1 / SUBPIXELS : 1, tilt);
-    const int seen = check_visibility(camera, surfaces, group, ray, w, lens, 0, &edge);
+    const division_t division = division_of(radius, psf.lens_extent, subpixel ? (real)1 / SUBPIXELS : 1, tilt);
+    const int seen = check_visibility(lens, surfaces, group, ray, w, division, 0, &edge);
     *label |= edge << 7;
     if (seen == HIDDEN)
         return record;
@@ -49,7 +50,7 @@ static float4 source_record(const camera_t camera, __constant surface_t *surface
 
 // Radiance of a hit on a pixel's ray, times the weight, to a plane of `values` per channel; 0 without one. sources: per
 // axis of a pixel. Returns what `surface_texture` does, 0 of a projected one.
-static float take_radiance(const camera_t camera, __constant surface_t *surfaces, wide3_t ray, wide_t w, uchar label,
+static float take_radiance(const grid_t grid, __constant surface_t *surfaces, wide3_t ray, wide_t w, uchar label,
                           int row, int column, int sources, float weight,
                           __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global float *values, int plane)
 {
@@ -59,7 +60,7 @@ static float take_radiance(const camera_t camera, __constant surface_t *surfaces
 #if TEXTURED
     if (label && maps[object].kind != MAP_PROJECTED) {
         float mean[CHANNELS];
-        const float texels = surface_texture(texture, surface, maps + object, camera, ray, w, sources, mean);
+        const float texels = surface_texture(texture, surface, maps + object, grid, ray, w, sources, mean);
         for (int c = 0; c < CHANNELS; ++c)
             values[c * plane] = OF_CHANNEL(share, c) * weight * mean[c];
         return texels;
@@ -67,22 +68,22 @@ static float take_radiance(const camera_t camera, __constant surface_t *surfaces
 #endif
     const wide_t zero = widened(0);
     const wide3_t nowhere = wide_vector(zero, zero, zero);
-    const wide3_t point = label ? texture_point(surface, camera, ray, w, row, column) : nowhere;
+    const wide3_t point = label ? texture_point(surface, grid, ray, w, row, column) : nowhere;
     for (int c = 0; c < CHANNELS; ++c)
-        values[c * plane] = label ? OF_CHANNEL(share, c) * weight * radiance(texture, surface, camera, c, point) : 0;
+        values[c * plane] = label ? OF_CHANNEL(share, c) * weight * radiance(texture, surface, grid, c, point) : 0;
     return 0;
 }
 
 #if TEXTURED && SUBPIXELS
 // Record of a pixel with a texture on a surface, marked where it needs sub-pixel sources. Out: its share in what
 // neighbors exchange, 0 where it has no part in it. root: the label before any visibility test.
-static float4 with_detail(const camera_t camera, __constant texture_map_t *maps, float4 record, wide_t w, uchar root,
+static float4 with_detail(const lens_t lens, __constant texture_map_t *maps, float4 record, wide_t w, uchar root,
                           float texels, __global float *share)
 {
     *share = 0;
     if (record.x >= 0 && maps[(root - 1) / 2].kind != MAP_PROJECTED) {
         __constant texture_map_t *map = maps + (root - 1) / 2;
-        const real radius = narrow(blur_radius(camera, w));
+        const real radius = narrow(blur_radius(lens, w));
         *share = sharpening(map, radius);
         const int detail = detail_of(map, texels, radius);
         if (detail != WHOLE)
@@ -94,9 +95,9 @@ static float4 with_detail(const camera_t camera, __constant texture_map_t *maps,
 
 // One source per pixel of frame and apron, on the nearest object of occlusion group `group`. Out: source, value,
 // label, statistics, depth.
-__kernel void trace(const camera_t camera, __constant surface_t *surfaces, const group_t group, const psf_t psf,
-                    const float weight, __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global float *source,
-                    __global float *value, __global uchar *label, __global int *statistics
+__kernel void trace(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
+                    const psf_t psf, const float weight, __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
+                    __global float *source, __global float *value, __global uchar *label, __global int *statistics
 #if OCCLUDED
                     , __global wide_t *depth
 #endif
@@ -106,21 +107,21 @@ __kernel void trace(const camera_t camera, __constant surface_t *surfaces, const
 )
 {
     const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= camera.width || y >= camera.height)
+    if (x >= grid.width || y >= grid.height)
         return;
-    const int row = FRAME_ROW(camera, y), column = x - camera.guard, at = y * camera.width + x;
-    const wide3_t ray = pixel_ray(camera, widened(row), widened(column));
+    const int row = FRAME_ROW(grid, y), column = x - grid.guard, at = y * grid.width + x;
+    const wide3_t ray = pixel_ray(grid, widened(row), widened(column));
     uchar root;
     int object;
     const wide_t w = nearest_surface(surfaces, group, ray, &root, &object);
-    const float texels = take_radiance(camera, surfaces, ray, w, root, row, column, 1, weight,
-                                       texture TEXTURE_MAPS LIGHT, value + at, camera.height * camera.width);
+    const float texels = take_radiance(grid, surfaces, ray, w, root, row, column, 1, weight,
+                                       texture TEXTURE_MAPS LIGHT, value + at, grid.height * grid.width);
     const uchar hit = root;
-    float4 record = source_record(camera, surfaces, group, psf, ray, w, 0, &root, statistics);
+    float4 record = source_record(grid, lens, surfaces, group, psf, ray, w, 0, &root, statistics);
 #if TEXTURED && SUBPIXELS
-    record = with_detail(camera, maps, record, w, hit, texels, share + at);
+    record = with_detail(lens, maps, record, w, hit, texels, share + at);
 #endif
-    put_source(source, camera.height * camera.width, at, record);
+    put_source(source, grid.height * grid.width, at, record);
 #if OCCLUDED
     depth[at] = w;
 #endif
@@ -132,21 +133,21 @@ __kernel void trace(const camera_t camera, __constant surface_t *surfaces, const
 // The part of trace that all lenses have in common. Out: value, depth, and hit uchar (height, width), the label before
 // any visibility test. With textures on surfaces value has a plane more, of texels per pixel as `surface_texture` gives
 // them.
-__kernel void cast(const camera_t camera, __constant surface_t *surfaces, const group_t group, const float weight,
+__kernel void cast(const grid_t grid, __constant surface_t *surfaces, const group_t group, const float weight,
                    __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global float *value,
                    __global wide_t *depth, __global uchar *hit)
 {
     const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= camera.width || y >= camera.height)
+    if (x >= grid.width || y >= grid.height)
         return;
-    const int row = FRAME_ROW(camera, y), column = x - camera.guard, at = y * camera.width + x;
-    const wide3_t ray = pixel_ray(camera, widened(row), widened(column));
+    const int row = FRAME_ROW(grid, y), column = x - grid.guard, at = y * grid.width + x;
+    const wide3_t ray = pixel_ray(grid, widened(row), widened(column));
     uchar root;
     int object;
     depth[at] = nearest_surface(surfaces, group, ray, &root, &object);
     hit[at] = root;
-    const int plane = camera.height * camera.width;
-    const float texels = take_radiance(camera, surfaces, ray, depth[at], root, row, column, 1, weight,
+    const int plane = grid.height * grid.width;
+    const float texels = take_radiance(grid, surfaces, ray, depth[at], root, row, column, 1, weight,
                                        texture TEXTURE_MAPS LIGHT, value + at, plane);
 #if TEXTURED
     value[CHANNELS * plane + at] = texels;
@@ -155,8 +156,8 @@ __kernel void cast(const camera_t camera, __constant surface_t *surfaces, const 
 
 // The rest of it, for one lens. In: depth, hit, and with textures on surfaces value, as `cast` leaves them. Out:
 // source, label, statistics, and with these textures share.
-__kernel void aim(const camera_t camera, __constant surface_t *surfaces, const group_t group, const psf_t psf,
-                  __global const wide_t *depth, __global const uchar *hit, __global float *source,
+__kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
+                  const psf_t psf, __global const wide_t *depth, __global const uchar *hit, __global float *source,
                   __global uchar *label, __global int *statistics
 #if TEXTURED && SUBPIXELS
                   , __global const float *value, __constant texture_map_t *maps, __global float *share
@@ -164,17 +165,17 @@ __kernel void aim(const camera_t camera, __constant surface_t *surfaces, const g
 )
 {
     const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= camera.width || y >= camera.height)
+    if (x >= grid.width || y >= grid.height)
         return;
-    const int at = y * camera.width + x;
-    const wide3_t ray = pixel_ray(camera, widened(FRAME_ROW(camera, y)), widened(x - camera.guard));
+    const int at = y * grid.width + x;
+    const wide3_t ray = pixel_ray(grid, widened(FRAME_ROW(grid, y)), widened(x - grid.guard));
     uchar root = hit[at];
-    float4 record = source_record(camera, surfaces, group, psf, ray, depth[at], 0, &root, statistics);
+    float4 record = source_record(grid, lens, surfaces, group, psf, ray, depth[at], 0, &root, statistics);
 #if TEXTURED && SUBPIXELS
-    const float texels = value[CHANNELS * camera.height * camera.width + at];
-    record = with_detail(camera, maps, record, depth[at], hit[at], texels, share + at);
+    const float texels = value[CHANNELS * grid.height * grid.width + at];
+    record = with_detail(lens, maps, record, depth[at], hit[at], texels, share + at);
 #endif
-    put_source(source, camera.height * camera.width, at, record);
+    put_source(source, grid.height * grid.width, at, record);
 #if SUBPIXELS
     label[at] = root;
 #endif
@@ -184,32 +185,32 @@ __kernel void aim(const camera_t camera, __constant surface_t *surfaces, const g
 // Gives a slot to every pixel within 2 px of a change of label, and to those whose texture is DETAILED or FINE. Slots
 // come in any order; what is in them does not. In: label. Out: marks of source, pixels (slots): index p of the pixel,
 // of one that is only DETAILED -1 - 2 p, that is only FINE -2 - 2 p; statistics.
-__kernel void mark_silhouettes(const camera_t camera, __global const uchar *label, const int capacity,
+__kernel void mark_silhouettes(const grid_t grid, __global const uchar *label, const int capacity,
                                __global float *source, __global int *pixels, __global int *statistics)
 {
     const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= camera.width || y >= camera.height)
+    if (x >= grid.width || y >= grid.height)
         return;
-    const int at = y * camera.width + x;
+    const int at = y * grid.width + x;
     const uchar own = label[at];
     bool differs = false, detailed = false, fine = false;
 #if TEXTURED
-    const int mark = as_int(MARKS(source, camera.height * camera.width)[at]);
+    const int mark = as_int(MARKS(source, grid.height * grid.width)[at]);
     fine = mark == FINE;
     detailed = fine || mark == DETAILED;
 #endif
-    if (x >= 2 && x < camera.width - 2 && y >= 2 && y < camera.height - 2) {
+    if (x >= 2 && x < grid.width - 2 && y >= 2 && y < grid.height - 2) {
         // Five labels of a row at a time, as two ints that overlap.
         uint other = 0;
         for (int i = -2; i <= 2; ++i) {
-            __global const uchar *line = label + at + i * camera.width - 2;
+            __global const uchar *line = label + at + i * grid.width - 2;
             other |= (LOAD_FOUR_BYTES(line) ^ own * 0x01010101u) | (LOAD_FOUR_BYTES(line + 1) ^ own * 0x01010101u);
         }
         differs = other != 0;
     } else {
-        for (int i = MAX(y - 2, 0); i <= MIN(y + 2, camera.height - 1); ++i)
-            for (int j = MAX(x - 2, 0); j <= MIN(x + 2, camera.width - 1); ++j)
-                differs |= label[i * camera.width + j] != own;
+        for (int i = MAX(y - 2, 0); i <= MIN(y + 2, grid.height - 1); ++i)
+            for (int j = MAX(x - 2, 0); j <= MIN(x + 2, grid.width - 1); ++j)
+                differs |= label[i * grid.width + j] != own;
     }
     if (!differs && !detailed)
         return;
@@ -217,13 +218,13 @@ __kernel void mark_silhouettes(const camera_t camera, __global const uchar *labe
     if (slot >= capacity)
         return;
     pixels[slot] = differs ? at : -1 - 2 * at - fine;
-    MARKS(source, camera.height * camera.width)[at] = as_float(slot);
+    MARKS(source, grid.height * grid.width)[at] = as_float(slot);
 }
 
 // SUBPIXELS x SUBPIXELS point sources of every marked pixel. Out, per slot and sub-pixel in row-major order: sub_source
 // float4 (coordinate, tilt right, tilt down, WHOLE or PARTLY_OCCLUDED), sub_value float (CHANNELS, slots, SUBPIXELS^2),
 // sub_label uchar, the label before any visibility test, sub_depth wide_t.
-__kernel void trace_subpixels(const camera_t camera, __constant surface_t *surfaces, const group_t group,
+__kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
                               const psf_t psf, const float weight,
                               __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
                               __global const int *pixels, const int capacity, __global float4 *sub_source,
@@ -239,17 +240,17 @@ __kernel void trace_subpixels(const camera_t camera, __constant surface_t *surfa
         atomic_max(statistics + STATISTIC_MOST_SLOTS, statistics[STATISTIC_SLOTS]);
     if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] < 0)
         return;
-    const int row = FRAME_ROW(camera, pixels[slot] / camera.width), column = pixels[slot] % camera.width - camera.guard;
+    const int row = FRAME_ROW(grid, pixels[slot] / grid.width), column = pixels[slot] % grid.width - grid.guard;
     const wide_t down = widened((sub / SUBPIXELS + (real)0.5) / SUBPIXELS - (real)0.5);
     const wide_t right = widened((sub % SUBPIXELS + (real)0.5) / SUBPIXELS - (real)0.5);
-    const wide3_t ray = pixel_ray(camera, wide_add(widened(row), down), wide_add(widened(column), right));
+    const wide3_t ray = pixel_ray(grid, wide_add(widened(row), down), wide_add(widened(column), right));
     uchar root;
     int object;
     const wide_t w = nearest_surface(surfaces, group, ray, &root, &object);
     sub_label[id] = root;
-    take_radiance(camera, surfaces, ray, w, root, row, column, SUBPIXELS, weight / each, texture TEXTURE_MAPS LIGHT,
+    take_radiance(grid, surfaces, ray, w, root, row, column, SUBPIXELS, weight / each, texture TEXTURE_MAPS LIGHT,
                   sub_value + id, capacity * each);
-    sub_source[id] = source_record(camera, surfaces, group, psf, ray, w, 1, &root, statistics);
+    sub_source[id] = source_record(grid, lens, surfaces, group, psf, ray, w, 1, &root, statistics);
 #if OCCLUDED
     sub_depth[id] = w;
 #endif
@@ -257,7 +258,7 @@ __kernel void trace_subpixels(const camera_t camera, __constant surface_t *surfa
 
 // Coverage of these sources where an outline is beside them, see outline.clh. In: marks of source, sub_label. In and
 // out: sub_source, sub_value.
-__kernel void cover_outlines(const camera_t camera, __constant surface_t *surfaces, const group_t group,
+__kernel void cover_outlines(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
                              const psf_t psf, const float weight,
                              __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
                              __global const int *pixels, const int capacity, __global float *source,
@@ -272,12 +273,12 @@ __kernel void cover_outlines(const camera_t camera, __constant surface_t *surfac
     if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] < 0)
         return;
     uchar labels[CELLS_AROUND * CELLS_AROUND];
-    __global const float *marks = MARKS(source, camera.height * camera.width);
-    if (!labels_around(camera, marks, pixels, sub_label, slot, labels))
+    __global const float *marks = MARKS(source, grid.height * grid.width);
+    if (!labels_around(grid, marks, pixels, sub_label, slot, labels))
         return;
-    const int row = FRAME_ROW(camera, pixels[slot] / camera.width), column = pixels[slot] % camera.width - camera.guard;
+    const int row = FRAME_ROW(grid, pixels[slot] / grid.width), column = pixels[slot] % grid.width - grid.guard;
     coverage_t found;
-    cell_coverage(camera, surfaces, row, column, labels, &found);
+    cell_coverage(grid, surfaces, row, column, labels, &found);
     for (int sub = 0; sub < each; ++sub) {
         const int i = sub / SUBPIXELS, j = sub % SUBPIXELS, cell = (i + 1) * CELLS_AROUND + j + 1;
         const int id = slot * each + sub;
@@ -287,7 +288,7 @@ __kernel void cover_outlines(const camera_t camera, __constant surface_t *surfac
             continue;
         const wide_t below = widened((i + (real)0.5 + down) / SUBPIXELS - (real)0.5);
         const wide_t aside = widened((j + (real)0.5 + right) / SUBPIXELS - (real)0.5);
-        const wide3_t ray = pixel_ray(camera, wide_add(widened(row), below), wide_add(widened(column), aside));
+        const wide3_t ray = pixel_ray(grid, wide_add(widened(row), below), wide_add(widened(column), aside));
         int object;
         const wide_t w = nearest_surface(surfaces, group, ray, &there, &object);
         if (there != own) {
@@ -296,23 +297,23 @@ __kernel void cover_outlines(const camera_t camera, __constant surface_t *surfac
                 sub_value[c * capacity * each + id] *= (float)covered;
             continue;
         }
-        take_radiance(camera, surfaces, ray, w, own, row, column, SUBPIXELS, weight * (float)covered / each,
+        take_radiance(grid, surfaces, ray, w, own, row, column, SUBPIXELS, weight * (float)covered / each,
                       texture TEXTURE_MAPS LIGHT, sub_value + id, capacity * each);
-        const wide_t radius = blur_radius(camera, w);
+        const wide_t radius = blur_radius(lens, w);
         float4 record = (float4)(table_coordinate(psf, radius, 1), 0, 0, as_float(WHOLE));
 #if TILT
-        record.yz = tilt_slope(blur_gradient(camera, surface_slope(surfaces + object, ray, w)), narrow(radius));
+        record.yz = tilt_slope(blur_gradient(grid, lens, surface_slope(surfaces + object, ray, w)), narrow(radius));
 #endif
 #if OCCLUDED
         // The lens is tested from the middle of the cell, as by the blur.
         const wide_t middle_down = widened((i + (real)0.5) / SUBPIXELS - (real)0.5);
         const wide_t middle_right = widened((j + (real)0.5) / SUBPIXELS - (real)0.5);
-        const wide3_t middle = pixel_ray(camera, wide_add(widened(row), middle_down),
+        const wide3_t middle = pixel_ray(grid, wide_add(widened(row), middle_down),
                                          wide_add(widened(column), middle_right));
-        const real size = narrow(blur_radius(camera, sub_depth[id]));
-        const lens_t lens = lens_of(size, psf.lens_extent, (real)1 / SUBPIXELS, record.yz);
+        const real size = narrow(blur_radius(lens, sub_depth[id]));
+        const division_t division = division_of(size, psf.lens_extent, (real)1 / SUBPIXELS, record.yz);
         bool edge;
-        const int seen = check_visibility(camera, surfaces, group, middle, sub_depth[id], lens, 0, &edge);
+        const int seen = check_visibility(lens, surfaces, group, middle, sub_depth[id], division, 0, &edge);
         record = seen == HIDDEN ? (float4)(-1, 0, 0, record.w) : record;
         record.w = as_float(seen == PARTLY ? PARTLY_OCCLUDED : WHOLE);
 #endif
@@ -324,8 +325,8 @@ __kernel void cover_outlines(const camera_t camera, __constant surface_t *surfac
 
 #if TEXTURED
 // The same of the pixels that are marked for their textures alone, see detail.clh.
-__kernel void trace_detail(const camera_t camera, __constant surface_t *surfaces, const group_t group, const psf_t psf,
-                           const float weight, __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
+__kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
+                           const psf_t psf, const float weight, __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
                            __global const int *pixels, const int capacity, __global float4 *sub_source,
                            __global float *sub_value, __global int *statistics
 #if OCCLUDED
@@ -337,24 +338,24 @@ __kernel void trace_detail(const camera_t camera, __constant surface_t *surfaces
     if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] >= 0)
         return;
     const int code = -1 - pixels[slot], at = code / 2, fine = code & 1, parts = fine ? FINE_PARTS : FEW_PARTS;
-    const int row = FRAME_ROW(camera, at / camera.width), column = at % camera.width - camera.guard;
-    const wide3_t ray = pixel_ray(camera, widened(row), widened(column));
+    const int row = FRAME_ROW(grid, at / grid.width), column = at % grid.width - grid.guard;
+    const wide3_t ray = pixel_ray(grid, widened(row), widened(column));
     uchar root;
     int object;
     const wide_t w = nearest_surface(surfaces, group, ray, &root, &object);
-    const wide_t whole_radius = blur_radius(camera, w);
+    const wide_t whole_radius = blur_radius(lens, w);
     const real2 slope = surface_slope(surfaces + object, ray, w);
-    const real2 gradient = blur_gradient(camera, slope);
+    const real2 gradient = blur_gradient(grid, lens, slope);
 #if OCCLUDED
     bool edge;
     const real middle = narrow(whole_radius);
     real spread;
     const float2 tilt = TILT ? pixel_tilt(gradient, middle, &spread) : (float2)(0, 0);
-    const lens_t lens = lens_of(middle, psf.lens_extent, 1, tilt);
-    const bool partly = check_visibility(camera, surfaces, group, ray, w, lens, 0, &edge) == PARTLY;
+    const division_t division = division_of(middle, psf.lens_extent, 1, tilt);
+    const bool partly = check_visibility(lens, surfaces, group, ray, w, division, 0, &edge) == PARTLY;
 #endif
     float values[FINE_PARTS * FINE_PARTS * CHANNELS];
-    detailed_texture(texture, surfaces + object, maps + object, camera, ray, w, narrow(whole_radius), fine, values);
+    detailed_texture(texture, surfaces + object, maps + object, grid, ray, w, narrow(whole_radius), fine, values);
     const float share = SHADE(surfaces, object, ray, w);
     for (int sub = 0; sub < each; ++sub) {
         const int i = sub / SUBPIXELS, j = sub % SUBPIXELS, id = slot * each + sub;
@@ -367,12 +368,12 @@ __kernel void trace_detail(const camera_t camera, __constant surface_t *surfaces
         record.yz = tilt_slope(gradient, narrow(radius)) * MIN((float)ABS(narrow(radius)), 1.0f);
 #endif
 #if OCCLUDED
-        sub_depth[id] = wide_add(w, widened(camera.step * (right * slope.x - down * slope.y)));
+        sub_depth[id] = wide_add(w, widened(grid.step * (right * slope.x - down * slope.y)));
         if (partly) {
-            const wide3_t towards = pixel_ray(camera, wide_add(widened(row), widened(down)),
+            const wide3_t towards = pixel_ray(grid, wide_add(widened(row), widened(down)),
                                               wide_add(widened(column), widened(right)));
-            const lens_t own = lens_of(narrow(radius), psf.lens_extent, (real)1 / SUBPIXELS, record.yz);
-            const int seen = check_visibility(camera, surfaces, group, towards, sub_depth[id], own, 0, &edge);
+            const division_t own = division_of(narrow(radius), psf.lens_extent, (real)1 / SUBPIXELS, record.yz);
+            const int seen = check_visibility(lens, surfaces, group, towards, sub_depth[id], own, 0, &edge);
             record.x = seen == HIDDEN ? -1 : record.x;
             record.w = as_float(seen == PARTLY ? PARTLY_OCCLUDED : WHOLE);
         }
@@ -387,17 +388,17 @@ __kernel void trace_detail(const camera_t camera, __constant surface_t *surfaces
 // Radiance after neighbors have exchanged what makes squares of what textures on surfaces show, see mapping.clh. Only
 // pixels with one source take part, which are at least 2 px from other objects. In: value, share, marks of source. Out:
 // sharper, as value.
-__kernel void sharpen(const camera_t camera, __global const float *value, __global const float *share,
+__kernel void sharpen(const grid_t grid, __global const float *value, __global const float *share,
                       __global float *source, __global float *sharper)
 {
     const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= camera.width || y >= camera.height)
+    if (x >= grid.width || y >= grid.height)
         return;
-    const int at = y * camera.width + x, plane = camera.height * camera.width;
+    const int at = y * grid.width + x, plane = grid.height * grid.width;
     __global const float *marks = MARKS(source, plane);
     float shares[4];
-    const int neighbors[4] = {at - 1, at + 1, at - camera.width, at + camera.width};
-    const bool there[4] = {x > 0, x < camera.width - 1, y > 0, y < camera.height - 1};
+    const int neighbors[4] = {at - 1, at + 1, at - grid.width, at + grid.width};
+    const bool there[4] = {x > 0, x < grid.width - 1, y > 0, y < grid.height - 1};
     const bool alone = as_int(marks[at]) < 0;
     for (int k = 0; k < 4; ++k) {
         shares[k] = 0;
@@ -418,22 +419,22 @@ __kernel void sharpen(const camera_t camera, __global const float *value, __glob
 
 // The pinhole image of occlusion group `group`, for `layered` occlusion. Out: value as in trace; coc wide_t, signed
 // R in px, and valid uchar, (height, width); statistics.
-__kernel void pinhole(const camera_t camera, __constant surface_t *surfaces, const group_t group, const float weight,
-                      __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global float *value,
+__kernel void pinhole(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
+                      const float weight, __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global float *value,
                       __global wide_t *coc, __global uchar *valid, __global int *statistics)
 {
     const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= camera.width || y >= camera.height)
+    if (x >= grid.width || y >= grid.height)
         return;
-    const int row = FRAME_ROW(camera, y), column = x - camera.guard, at = y * camera.width + x;
-    const wide3_t ray = pixel_ray(camera, widened(row), widened(column));
+    const int row = FRAME_ROW(grid, y), column = x - grid.guard, at = y * grid.width + x;
+    const wide3_t ray = pixel_ray(grid, widened(row), widened(column));
     uchar root;
     int object;
     const wide_t w = nearest_surface(surfaces, group, ray, &root, &object);
-    take_radiance(camera, surfaces, ray, w, root, row, column, 1, weight, texture TEXTURE_MAPS LIGHT, value + at,
-                  camera.height * camera.width);
+    take_radiance(grid, surfaces, ray, w, root, row, column, 1, weight, texture TEXTURE_MAPS LIGHT, value + at,
+                  grid.height * grid.width);
     const wide_t none = widened(0);
-    coc[at] = root ? blur_radius(camera, w) : none;
+    coc[at] = root ? blur_radius(lens, w) : none;
     valid[at] = root != 0;
     if (root)
         note_radius(statistics, narrow(coc[at]));

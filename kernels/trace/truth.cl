@@ -3,19 +3,19 @@
 // Outputs that are not wanted are null: one program makes any of them.
 
 // Place of a hit in the image in the pose `other`: column, row, and its depth there over its depth here.
-static wide3_t moved_pixel(__constant surface_t *surface, const camera_t camera, __constant pose_t *other, wide3_t ray,
+static wide3_t moved_pixel(__constant surface_t *surface, const grid_t grid, __constant pose_t *other, wide3_t ray,
                            wide_t w)
 {
     const wide3_t rest = wide3_add(wide_load(surface->rest), wide_load(other->shift));
     const wide3_t turned_point = turned(other->rotation, body_point(surface, ray, w));
-    return project(camera, wide3_add(wide3_scale(rest, w), turned_point));
+    return project(grid, wide3_add(wide3_scale(rest, w), turned_point));
 }
 
-static bool outside_frame(const camera_t camera, wide3_t whole)
+static bool outside_frame(const grid_t grid, wide3_t whole)
 {
     const real3 at = narrow3(whole);
-    return !(at.z > 0 && at.x >= (real)-0.5 && at.x < camera.columns - (real)0.5 && at.y >= (real)-0.5 &&
-             at.y < camera.frame_rows - (real)0.5);
+    return !(at.z > 0 && at.x >= (real)-0.5 && at.x < grid.columns - (real)0.5 && at.y >= (real)-0.5 &&
+             at.y < grid.frame_rows - (real)0.5);
 }
 
 // True if a surface at inverse depth `seen` hides a point at inverse depth w here, w / ratio there.
@@ -25,13 +25,13 @@ static bool covered(wide_t seen, wide_t ratio, wide_t w)
 }
 
 // True if a point at inverse depth w is not visible in the pixel `there`, between other surfaces.
-static bool occluded_among(__constant surface_t *surfaces, const camera_t camera, const group_t group, wide3_t there,
+static bool occluded_among(__constant surface_t *surfaces, const grid_t grid, const group_t group, wide3_t there,
                            wide_t w)
 {
     uchar any;
     int nearest;
-    const wide_t seen = nearest_surface(surfaces, group, pixel_ray(camera, there.y, there.x), &any, &nearest);
-    return outside_frame(camera, there) || covered(seen, there.z, w);
+    const wide_t seen = nearest_surface(surfaces, group, pixel_ray(grid, there.y, there.x), &any, &nearest);
+    return outside_frame(grid, there) || covered(seen, there.z, w);
 }
 
 // Ground truth of a strip at pixel centers, (rows, columns[, components]), never anti-aliased: depth mm (+inf:
@@ -42,21 +42,21 @@ static bool occluded_among(__constant surface_t *surfaces, const camera_t camera
 // point is not visible in the next frame). `still` are the surfaces in the reference pose, `opposite` those in the
 // frame of the other view, in poses `there`, and `following` those in the next frame; to_left: 1 for the right view, -1
 // for the left one.
-__kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces, __constant surface_t *still,
-                           __constant pose_t *next, const group_t group,
-                           __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
-                           __constant surface_t *opposite, __constant pose_t *there, const int to_left,
-                           __constant pose_t *previous, __constant surface_t *following,
-                           __global uchar *mask, __global int *object_id, __global float *depth, __global float *coc,
-                           __global float *normal, __global float *flow, __global uchar *hidden, __global float *sharp,
-                           __global float *disparity, __global uchar *occluded, __global float *flow_backward,
-                           __global uchar *flow_occluded, __global float *uv)
+__kernel void ground_truth(const grid_t grid, const lens_t lens, __constant surface_t *surfaces,
+                           __constant surface_t *still, __constant pose_t *next, const group_t group,
+                           __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __constant surface_t *opposite,
+                           __constant pose_t *there, const int to_left, __constant pose_t *previous,
+                           __constant surface_t *following, __global uchar *mask, __global int *object_id,
+                           __global float *depth, __global float *coc, __global float *normal, __global float *flow,
+                           __global uchar *hidden, __global float *sharp, __global float *disparity,
+                           __global uchar *occluded, __global float *flow_backward, __global uchar *flow_occluded,
+                           __global float *uv)
 {
-    const int column = get_global_id(0), row = camera.top + get_global_id(1);
-    if (column >= camera.columns || row >= camera.top + camera.rows)
+    const int column = get_global_id(0), row = grid.top + get_global_id(1);
+    if (column >= grid.columns || row >= grid.top + grid.rows)
         return;
-    const int at = (row - camera.top) * camera.columns + column;
-    const wide3_t ray = pixel_ray(camera, widened(row), widened(column));
+    const int at = (row - grid.top) * grid.columns + column;
+    const wide3_t ray = pixel_ray(grid, widened(row), widened(column));
     uchar root;
     int object;
     const wide_t w = nearest_surface(surfaces, group, ray, &root, &object);
@@ -71,7 +71,7 @@ __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces
     if (depth)
         depth[at] = root ? (float)narrow(wide_div(widened(1), w)) : INFINITY;
     if (coc)
-        coc[at] = root ? (float)narrow(blur_radius(camera, w)) : 0;
+        coc[at] = root ? (float)narrow(blur_radius(lens, w)) : 0;
     if (normal) {
         const real3 n = root ? surface_normal(surface, ray, w) : (real3)(0, 0, 0);
         normal[3 * at] = (float)n.x;
@@ -79,29 +79,29 @@ __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces
         normal[3 * at + 2] = (float)n.z;
     }
     if (flow) {
-        const wide3_t later = moved_pixel(surface, camera, next + MAX(object, 0), ray, w);
+        const wide3_t later = moved_pixel(surface, grid, next + MAX(object, 0), ray, w);
         flow[2 * at] = root && narrow(later.z) > 0 ? (float)narrow(wide_sub(later.x, widened(column))) : 0;
         flow[2 * at + 1] = root && narrow(later.z) > 0 ? (float)narrow(wide_sub(later.y, widened(row))) : 0;
     }
     if (hidden) {
         hidden[at] = 0;
         if (root && !is_mapped) {
-            const wide3_t from = rest_pixel(surface, camera, ray, w);
+            const wide3_t from = rest_pixel(surface, grid, ray, w);
             // 1 / depth in the reference pose of this point, against the depth in that pixel of the pinhole image
             uchar other;
-            const wide_t seen = solve_quadric(still + object, pixel_ray(camera, from.y, from.x), &other);
-            hidden[at] = outside_frame(camera, from) || covered(seen, from.z, w);
+            const wide_t seen = solve_quadric(still + object, pixel_ray(grid, from.y, from.x), &other);
+            hidden[at] = outside_frame(grid, from) || covered(seen, from.z, w);
         }
     }
     const float share = root && sharp ? SHADE(surfaces, object, ray, w) : 0;
     if ((sharp || uv) && !is_mapped) {
-        const wide3_t point = texture_point(surface, camera, ray, w, row, column);
+        const wide3_t point = texture_point(surface, grid, ray, w, row, column);
         for (int c = 0; c < CHANNELS && sharp; ++c)
-            sharp[at * CHANNELS + c] = root ? OF_CHANNEL(share, c) * radiance(texture, surface, camera, c, point) : 0;
+            sharp[at * CHANNELS + c] = root ? OF_CHANNEL(share, c) * radiance(texture, surface, grid, c, point) : 0;
         if (uv) {
             const bool before_lens = root && narrow(point.z) > 0;
-            const wide_t right = wide_div(wide_add(point.x, widened((real)0.5)), widened(camera.columns));
-            const wide_t down = wide_div(wide_add(point.y, widened((real)0.5)), widened(camera.frame_rows));
+            const wide_t right = wide_div(wide_add(point.x, widened((real)0.5)), widened(grid.columns));
+            const wide_t down = wide_div(wide_add(point.y, widened((real)0.5)), widened(grid.frame_rows));
             uv[2 * at] = before_lens ? (float)narrow(right) : 0;
             uv[2 * at + 1] = before_lens ? (float)narrow(wide_sub(widened(1), down)) : 0;
         }
@@ -109,31 +109,31 @@ __kernel void ground_truth(const camera_t camera, __constant surface_t *surfaces
 #if TEXTURED
     if (sharp && is_mapped) {
         float mean[CHANNELS];
-        surface_texture(texture, surface, maps + object, camera, ray, w, 1, mean);
+        surface_texture(texture, surface, maps + object, grid, ray, w, 1, mean);
         for (int c = 0; c < CHANNELS; ++c)
             sharp[at * CHANNELS + c] = OF_CHANNEL(share, c) * mean[c];
     }
     if (uv && is_mapped) {
-        const real2 there = texture_coordinates(surface, maps + object, camera, ray, w);
+        const real2 there = texture_coordinates(surface, maps + object, grid, ray, w);
         uv[2 * at] = (float)there.x, uv[2 * at + 1] = (float)there.y;
     }
 #endif
     if (disparity || occluded) {
-        const wide3_t other = moved_pixel(surface, camera, there + MAX(object, 0), ray, w);
+        const wide3_t other = moved_pixel(surface, grid, there + MAX(object, 0), ray, w);
         if (disparity)
             disparity[at] = root && narrow(other.z) > 0 ? (float)(to_left * narrow(wide_sub(other.x, widened(column))))
                                                         : 0;
         if (occluded)
-            occluded[at] = root ? occluded_among(opposite, camera, group, other, w) : 0;
+            occluded[at] = root ? occluded_among(opposite, grid, group, other, w) : 0;
     }
     if (flow_backward) {
-        const wide3_t earlier = moved_pixel(surface, camera, previous + MAX(object, 0), ray, w);
+        const wide3_t earlier = moved_pixel(surface, grid, previous + MAX(object, 0), ray, w);
         const bool before_lens = root && narrow(earlier.z) > 0;
         flow_backward[2 * at] = before_lens ? (float)narrow(wide_sub(earlier.x, widened(column))) : 0;
         flow_backward[2 * at + 1] = before_lens ? (float)narrow(wide_sub(earlier.y, widened(row))) : 0;
     }
     if (flow_occluded) {
-        const wide3_t later = moved_pixel(surface, camera, next + MAX(object, 0), ray, w);
-        flow_occluded[at] = root ? occluded_among(following, camera, group, later, w) : 0;
+        const wide3_t later = moved_pixel(surface, grid, next + MAX(object, 0), ray, w);
+        flow_occluded[at] = root ? occluded_among(following, grid, group, later, w) : 0;
     }
 }

@@ -35,7 +35,7 @@
 
 // Inverse depth and object of every source; `surfaces` are in the reference pose; maps real (depth maps, rows,
 // columns): inverse depths in the reference pose. Of equally near objects the first counts. Out: rest, object.
-__kernel void reproject_rest(const camera_t camera, __constant surface_t *surfaces, const int count,
+__kernel void reproject_rest(const grid_t grid, __constant surface_t *surfaces, const int count,
                              const ulong members,
 #if MAPPED
                              __global const wide_t *maps,
@@ -47,10 +47,10 @@ __kernel void reproject_rest(const camera_t camera, __constant surface_t *surfac
 )
 {
     const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= camera.columns || row >= camera.rows)
+    if (column >= grid.columns || row >= grid.rows)
         return;
-    const int at = row * camera.columns + column;
-    const wide3_t ray = pixel_ray(camera, widened(row), widened(column));
+    const int at = row * grid.columns + column;
+    const wide3_t ray = pixel_ray(grid, widened(row), widened(column));
     wide_t nearest = widened(0);
     int whose = 0;
 #if MAPPED
@@ -58,7 +58,7 @@ __kernel void reproject_rest(const camera_t camera, __constant surface_t *surfac
         uchar root;
         const bool is_map = !(members >> k & 1);
         const wide_t w = is_map ? maps[at] : solve_quadric(surfaces + k, ray, &root);
-        maps += is_map ? camera.rows * camera.columns : 0;
+        maps += is_map ? grid.rows * grid.columns : 0;
         const bool nearer = wide_less(nearest, w);
         whose = nearer ? k : whose;
         nearest = nearer ? w : nearest;
@@ -76,7 +76,7 @@ __kernel void reproject_rest(const camera_t camera, __constant surface_t *surfac
 
 // Moves the sources of object k in columns begin to end of a row by its pose, about the center of its surface in the
 // reference pose. Gives the lowest and highest target, (INT_MAX, -1) for none.
-static inline int2 move_sources(const camera_t camera, __constant surface_t *surface, __constant pose_t *pose, int row,
+static inline int2 move_sources(const grid_t grid, __constant surface_t *surface, __constant pose_t *pose, int row,
                                 int begin, int end, __global const wide_t *restrict rest, __global int *restrict target,
                                 __global wide_t *restrict moved
 #if SEVERAL
@@ -90,20 +90,20 @@ static inline int2 move_sources(const camera_t camera, __constant surface_t *sur
     const wide3_t turn = turned(R, wide_load(center)), shifted = wide3_add(wide_load(center), wide_load(pose->shift));
     const wide_t across = wide_sub(shifted.x, turn.x), up = wide_sub(shifted.y, turn.y);
     const wide_t away = wide_sub(shifted.z, turn.z);
-    const wide_t step = WIDE_FIELD(camera.step), y = pixel_ray(camera, widened(row), widened(0)).y;
+    const wide_t step = WIDE_FIELD(grid.step), y = pixel_ray(grid, widened(row), widened(0)).y;
     const wide_t line_x = wide_add(wide_mul(wide_part(R, 9, 1), y), wide_part(R, 9, 2));
     const wide_t line_y = wide_add(wide_mul(wide_part(R, 9, 4), y), wide_part(R, 9, 5));
     const wide_t line_z = wide_add(wide_mul(wide_part(R, 9, 7), y), wide_part(R, 9, 8));
     const wide_t R_x = wide_part(R, 9, 0), R_y = wide_part(R, 9, 3), R_z = wide_part(R, 9, 6);
-    const real middle = (real)0.5 * (camera.columns - 1);
+    const real middle = (real)0.5 * (grid.columns - 1);
     const wide_t inverse_step = wide_div(widened(1), step);
     // Where a position is 0 on the padded grid, and one more, so that what is negative is below 1.
-    const wide_t right = widened(middle + (camera.guard + 1) + ROUNDING);
-    const wide_t down = widened((real)0.5 * (camera.rows - 1) + (camera.guard + 1) + ROUNDING);
-    const wide_t first = widened(1), bottom = widened(camera.height + 1), edge = widened(camera.width + 1);
+    const wide_t right = widened(middle + (grid.guard + 1) + ROUNDING);
+    const wide_t down = widened((real)0.5 * (grid.rows - 1) + (grid.guard + 1) + ROUNDING);
+    const wide_t first = widened(1), bottom = widened(grid.height + 1), edge = widened(grid.width + 1);
     int lowest = INT_MAX, highest = -1;
     for (int column = begin; column < end; ++column) {
-        const int at = row * camera.columns + column;
+        const int at = row * grid.columns + column;
         const wide_t w = rest[at], x = wide_mul(step, widened(column - middle));
         const wide_t px = wide_add(wide_add(wide_mul(R_x, x), line_x), wide_mul(across, w));
         const wide_t py = wide_add(wide_add(wide_mul(R_y, x), line_y), wide_mul(up, w));
@@ -118,7 +118,7 @@ static inline int2 move_sources(const camera_t camera, __constant surface_t *sur
         used = used && mine;
 #endif
         const int line = wide_whole(used ? i : first), place = wide_whole(used ? j : widened(0));
-        const int to = line * camera.width + place - camera.width - 1;
+        const int to = line * grid.width + place - grid.width - 1;
 #if SEVERAL
         target[at] = mine ? to : target[at];
         moved[at] = used ? depth : mine ? none : moved[at];
@@ -134,7 +134,7 @@ static inline int2 move_sources(const camera_t camera, __constant surface_t *sur
 
 // Moves every source with its object. In: rest, object. Out: target, moved, and with OWNED bounds int2 per ITEM_PIXELS
 // of a row: lowest and highest target there, (INT_MAX, -1) for none.
-__kernel void reproject_targets(const camera_t camera, __constant surface_t *surfaces, __constant pose_t *poses,
+__kernel void reproject_targets(const grid_t grid, __constant surface_t *surfaces, __constant pose_t *poses,
                                 __global const wide_t *restrict rest, __global int *restrict target,
                                 __global wide_t *restrict moved
 #if SEVERAL
@@ -145,24 +145,24 @@ __kernel void reproject_targets(const camera_t camera, __constant surface_t *sur
 #endif
 )
 {
-    const int id = get_global_id(0), each = (camera.columns + ITEM_PIXELS - 1) / ITEM_PIXELS, row = id / each;
-    if (row >= camera.rows)
+    const int id = get_global_id(0), each = (grid.columns + ITEM_PIXELS - 1) / ITEM_PIXELS, row = id / each;
+    if (row >= grid.rows)
         return;
-    const int begin = id % each * ITEM_PIXELS, end = MIN(begin + ITEM_PIXELS, camera.columns);
+    const int begin = id % each * ITEM_PIXELS, end = MIN(begin + ITEM_PIXELS, grid.columns);
 #if SEVERAL
     ulong present = 0;
     for (int column = begin; column < end; ++column)
-        present |= (ulong)1 << object[row * camera.columns + column];
+        present |= (ulong)1 << object[row * grid.columns + column];
     int2 range = (int2)(INT_MAX, -1);
     for (int k = 0; present >> k; ++k) {
         if (!(present >> k & 1))
             continue;
         const int2 own =
-            move_sources(camera, surfaces + k, poses + k, row, begin, end, rest, target, moved, object, k);
+            move_sources(grid, surfaces + k, poses + k, row, begin, end, rest, target, moved, object, k);
         range = (int2)(MIN(range.x, own.x), MAX(range.y, own.y));
     }
 #else
-    const int2 range = move_sources(camera, surfaces, poses, row, begin, end, rest, target, moved);
+    const int2 range = move_sources(grid, surfaces, poses, row, begin, end, rest, target, moved);
 #endif
 #if OWNED
     bounds[id] = range;
@@ -172,7 +172,7 @@ __kernel void reproject_targets(const camera_t camera, __constant surface_t *sur
 #if OWNED
 // The whole depth test: each work-item owns `band` rows of the padded grid. In: target, moved, bounds. Out: winner;
 // with FILL_FAR depth, as reproject_depth gives it.
-__kernel void reproject_nearest(const camera_t camera, __global const int *target, __global const wide_t *moved,
+__kernel void reproject_nearest(const grid_t grid, __global const int *target, __global const wide_t *moved,
                                 __global const int2 *bounds, const int band, __global int *winner
 #if FILL_FAR
                                 , __global int *depth
@@ -180,18 +180,18 @@ __kernel void reproject_nearest(const camera_t camera, __global const int *targe
 )
 {
     const int first = get_global_id(0) * band;
-    if (first >= camera.height)
+    if (first >= grid.height)
         return;
-    const int begin = first * camera.width, end = MIN(first + band, camera.height) * camera.width;
-    const int each = (camera.columns + ITEM_PIXELS - 1) / ITEM_PIXELS;
+    const int begin = first * grid.width, end = MIN(first + band, grid.height) * grid.width;
+    const int each = (grid.columns + ITEM_PIXELS - 1) / ITEM_PIXELS;
     for (int to = begin; to < end; ++to)
         winner[to] = NO_WINNER;
-    for (int segment = 0; segment < camera.rows * each; ++segment) {
+    for (int segment = 0; segment < grid.rows * each; ++segment) {
         const int2 range = bounds[segment];
         if (range.x >= end || range.y < begin)
             continue;
         const int row = segment / each, column = segment % each * ITEM_PIXELS;
-        const int from = row * camera.columns + column, sources = MIN(ITEM_PIXELS, camera.columns - column);
+        const int from = row * grid.columns + column, sources = MIN(ITEM_PIXELS, grid.columns - column);
         for (int i = from; i < from + sources; ++i) {
             const int to = target[i];
             if (to < begin || to >= end)
@@ -209,22 +209,22 @@ __kernel void reproject_nearest(const camera_t camera, __global const int *targe
 #else
 // Largest inverse depth that comes to each pixel. In: target, moved. In and out: depth, bits of a float per pixel of
 // the padded grid, 0 to begin with; floats > 0 keep their order as ints.
-__kernel void reproject_depth(const camera_t camera, __global const int *target, __global const wide_t *moved,
+__kernel void reproject_depth(const grid_t grid, __global const int *target, __global const wide_t *moved,
                               __global int *depth)
 {
     const int i = get_global_id(0);
-    if (i >= camera.rows * camera.columns)
+    if (i >= grid.rows * grid.columns)
         return;
     if (target[i] >= 0)
         atomic_max(depth + target[i], as_int((float)narrow(moved[i])));
 }
 
 // Lowest source that brings it. In: target, moved, depth. In and out: winner, NO_WINNER to begin with.
-__kernel void reproject_winner(const camera_t camera, __global const int *target, __global const wide_t *moved,
+__kernel void reproject_winner(const grid_t grid, __global const int *target, __global const wide_t *moved,
                                __global const int *depth, __global int *winner)
 {
     const int i = get_global_id(0);
-    if (i >= camera.rows * camera.columns)
+    if (i >= grid.rows * grid.columns)
         return;
     const int to = target[i];
     if (to >= 0 && depth[to] == as_int((float)narrow(moved[i])))
@@ -234,33 +234,33 @@ __kernel void reproject_winner(const camera_t camera, __global const int *target
 
 #if FILL_FAR
 // The first winner that is nearer than `bound`, in steps of (right, down) from a pixel; -1 for none.
-static int nearer_pixel(const camera_t camera, __global const int *depth, int x, int y, int right, int down,
+static int nearer_pixel(const grid_t grid, __global const int *depth, int x, int y, int right, int down,
                         float bound)
 {
     for (int step = 1; step <= WIDEST_GAP; ++step) {
         x += right;
         y += down;
-        if (x < 0 || x >= camera.width || y < 0 || y >= camera.height)
+        if (x < 0 || x >= grid.width || y < 0 || y >= grid.height)
             return -1;
-        if (as_float(depth[y * camera.width + x]) > bound)
-            return y * camera.width + x;
+        if (as_float(depth[y * grid.width + x]) > bound)
+            return y * grid.width + x;
     }
     return -1;
 }
 
 // True if a winner is visible only through a surface that has grown: on opposite sides are nearer ones that were
 // neighbors in the reference pose, on one surface, which was closed between them.
-static bool shows_through(const camera_t camera, __global const int *depth, __global const int *winner, int x, int y)
+static bool shows_through(const grid_t grid, __global const int *depth, __global const int *winner, int x, int y)
 {
-    const float bound = SAME_DEPTH * as_float(depth[y * camera.width + x]);
+    const float bound = SAME_DEPTH * as_float(depth[y * grid.width + x]);
     for (int k = 0; k < 4; ++k) {
         const int right = k == 1 ? 0 : 1, down = k == 0 ? 0 : k == 3 ? -1 : 1;
-        const int before = nearer_pixel(camera, depth, x, y, -right, -down, bound);
-        const int after = before < 0 ? -1 : nearer_pixel(camera, depth, x, y, right, down, bound);
+        const int before = nearer_pixel(grid, depth, x, y, -right, -down, bound);
+        const int after = before < 0 ? -1 : nearer_pixel(grid, depth, x, y, right, down, bound);
         if (after < 0)
             continue;
         const int a = winner[before], b = winner[after];
-        const int rows = a / camera.columns - b / camera.columns, columns = a % camera.columns - b % camera.columns;
+        const int rows = a / grid.columns - b / grid.columns, columns = a % grid.columns - b % grid.columns;
         const float first = as_float(depth[before]), second = as_float(depth[after]);
         if (ABS(rows) <= 1 && ABS(columns) <= 1 && MAX(first, second) <= SAME_DEPTH * MIN(first, second))
             return true;
@@ -270,29 +270,29 @@ static bool shows_through(const camera_t camera, __global const int *depth, __gl
 
 // Leaves out what only shows through another surface, ITEM_PIXELS pixels per work-item. In: depth, winner. Out: valid
 // uchar per pixel of the padded grid, what is known.
-__kernel void reproject_gaps(const camera_t camera, __global const int *restrict depth, __global const int *winner,
+__kernel void reproject_gaps(const grid_t grid, __global const int *restrict depth, __global const int *winner,
                              __global uchar *restrict valid)
 {
     const int begin = get_global_id(0) * ITEM_PIXELS, y = get_global_id(1);
-    if (begin >= camera.width || y >= camera.height)
+    if (begin >= grid.width || y >= grid.height)
         return;
-    const int end = MIN(begin + ITEM_PIXELS, camera.width);
-    __global const int *line = depth + y * camera.width;
+    const int end = MIN(begin + ITEM_PIXELS, grid.width);
+    __global const int *line = depth + y * grid.width;
     for (int x = begin; x < end; ++x)
-        valid[y * camera.width + x] = line[x] > 0;
+        valid[y * grid.width + x] = line[x] > 0;
     // Most segments lie amid one surface. Floats > 0 keep their order as ints, whose extrema PoCL vectorizes.
     int lowest = INT_MAX, highest = 0;
     for (int x = begin; x < end; ++x)
         lowest = MIN(lowest, line[x] > 0 ? line[x] : INT_MAX);
-    const int left = MAX(begin - WIDEST_GAP, 0), right = MIN(end + WIDEST_GAP, camera.width);
-    for (int i = MAX(y - WIDEST_GAP, 0); i <= MIN(y + WIDEST_GAP, camera.height - 1); ++i)
+    const int left = MAX(begin - WIDEST_GAP, 0), right = MIN(end + WIDEST_GAP, grid.width);
+    for (int i = MAX(y - WIDEST_GAP, 0); i <= MIN(y + WIDEST_GAP, grid.height - 1); ++i)
         for (int x = left; x < right; ++x)
-            highest = MAX(highest, depth[i * camera.width + x]);
+            highest = MAX(highest, depth[i * grid.width + x]);
     if (!(as_float(highest) > SAME_DEPTH * as_float(lowest)))  // nor for the NaN of no winner at all
         return;
     for (int x = begin; x < end; ++x)
-        if (line[x] > 0 && shows_through(camera, depth, winner, x, y))
-            valid[y * camera.width + x] = 0;
+        if (line[x] > 0 && shows_through(grid, depth, winner, x, y))
+            valid[y * grid.width + x] = 0;
 }
 #endif
 
@@ -301,7 +301,7 @@ __kernel void reproject_gaps(const camera_t camera, __global const int *restrict
 // (CHANNELS, height, width), radiance times weight; w wide_t, inverse depth in 1/mm; coc wide_t, signed radius in px;
 // valid uchar, there is a winner; status uchar, 0; seen uchar, with SEVERAL, its object. All 0 without one, and seen
 // NO_OBJECT. With FILL_FAR valid is from reproject_gaps, and winners of other pixels do not count.
-__kernel void reproject_gather(const camera_t camera, const float weight, __global const float *texture,
+__kernel void reproject_gather(const grid_t grid, const lens_t lens, const float weight, __global const float *texture,
                                __global const wide_t *moved, __global const int *winner,
 #if SEVERAL
                                __constant surface_t *surfaces, __global const uchar *object,
@@ -314,9 +314,9 @@ __kernel void reproject_gather(const camera_t camera, const float weight, __glob
 )
 {
     const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= camera.width || y >= camera.height)
+    if (x >= grid.width || y >= grid.height)
         return;
-    const int at = y * camera.width + x, source = winner[at];
+    const int at = y * grid.width + x, source = winner[at];
 #if FILL_FAR
     const bool known = valid[at];
 #else
@@ -327,32 +327,32 @@ __kernel void reproject_gather(const camera_t camera, const float weight, __glob
 #if SEVERAL
     const int whose = known ? object[source] : NO_OBJECT;
     seen[at] = whose;
-    texture += known ? (size_t)surfaces[whose].texture * CHANNELS * camera.rows * camera.columns : 0;
+    texture += known ? (size_t)surfaces[whose].texture * CHANNELS * grid.rows * grid.columns : 0;
 #endif
     for (int c = 0; c < CHANNELS; ++c)
-        value[c * camera.height * camera.width + at] =
-            known ? weight * texture[c * camera.rows * camera.columns + source] : 0;
+        value[c * grid.height * grid.width + at] =
+            known ? weight * texture[c * grid.rows * grid.columns + source] : 0;
     w[at] = inverse_depth;
-    coc[at] = known ? blur_radius(camera, inverse_depth) : none;
+    coc[at] = known ? blur_radius(lens, inverse_depth) : none;
     status[at] = 0;
 }
 
 #if MAPPED
-// Number of the pixel of the padded grid where a line of the frame begins, a row or, from camera.rows on, a column.
-static int line_start(const camera_t camera, int line)
+// Number of the pixel of the padded grid where a line of the frame begins, a row or, from grid.rows on, a column.
+static int line_start(const grid_t grid, int line)
 {
-    const int first = camera.guard * camera.width + camera.guard;
-    return first + (line < camera.rows ? line * camera.width : line - camera.rows);
+    const int first = grid.guard * grid.width + grid.guard;
+    return first + (line < grid.rows ? line * grid.width : line - grid.rows);
 }
 
 // Number of the source in a pixel of the frame that is valid, or else of the outermost valid pixel of its row.
-static int outermost_source(const camera_t camera, __global const int *winner, __global const uchar *valid, int at)
+static int outermost_source(const grid_t grid, __global const int *winner, __global const uchar *valid, int at)
 {
-    const int column = at % camera.width - camera.guard;
-    for (int i = 0; i < camera.columns; ++i) {
+    const int column = at % grid.width - grid.guard;
+    for (int i = 0; i < grid.columns; ++i) {
         if (i <= column && valid[at - i])
             return winner[at - i];
-        if (column + i < camera.columns && valid[at + i])
+        if (column + i < grid.columns && valid[at + i])
             return winner[at + i];
     }
     return 0;
@@ -362,23 +362,23 @@ static int outermost_source(const camera_t camera, __global const int *winner, _
 // of their line, which was within EDGE_PX of the frame's edge on that side. Lines from `first` on, up to `end`, first
 // all rows and then all columns, where what is marked counts as known, with the source of its row's outermost one. In:
 // winner, valid. Out: status 1, or 2 where nothing is filled; it begins with 0.
-__kernel void mark_entered(const camera_t camera, const int first, const int end, __global const int *winner,
+__kernel void mark_entered(const grid_t grid, const int first, const int end, __global const int *winner,
                            __global const uchar *valid, __global uchar *status)
 {
     const int line = first + get_global_id(0);
     if (line >= end)
         return;
-    const bool is_row = line < camera.rows;
-    const int length = is_row ? camera.columns : camera.rows, step = is_row ? 1 : camera.width;
+    const bool is_row = line < grid.rows;
+    const int length = is_row ? grid.columns : grid.rows, step = is_row ? 1 : grid.width;
     for (int side = 0; side < 2; ++side) {
-        const int start = line_start(camera, line) + (side ? (length - 1) * step : 0), way = side ? -step : step;
+        const int start = line_start(grid, line) + (side ? (length - 1) * step : 0), way = side ? -step : step;
         int i = 0;
         while (i < length && !valid[start + i * way] && !status[start + i * way])
             ++i;
         if (i == 0 || i == length)
             continue;
-        const int source = outermost_source(camera, winner, valid, start + i * way);
-        const int place = is_row ? source % camera.columns : source / camera.columns;
+        const int source = outermost_source(grid, winner, valid, start + i * way);
+        const int place = is_row ? source % grid.columns : source / grid.columns;
         if ((side ? length - 1 - place : place) > EDGE_PX)
             continue;
         while (i--)
@@ -389,7 +389,7 @@ __kernel void mark_entered(const camera_t camera, const int first, const int end
 // Mirrors the image into what has entered the frame, about the outermost valid pixels of a line: lines from `first` on,
 // up to `end`, first all rows and then all columns. In and out, on the padded grid: value, w, coc, valid, status, seen;
 // what no line reaches has status 2 after the columns.
-__kernel void fill_entered(const camera_t camera, const int first, const int end, __global float *value,
+__kernel void fill_entered(const grid_t grid, const int first, const int end, __global float *value,
                            __global wide_t *w, __global wide_t *coc, __global uchar *valid, __global uchar *status
 #if SEVERAL
                            , __global uchar *seen
@@ -399,9 +399,9 @@ __kernel void fill_entered(const camera_t camera, const int first, const int end
     const int line = first + get_global_id(0);
     if (line >= end)
         return;
-    const bool is_row = line < camera.rows;
-    const int length = is_row ? camera.columns : camera.rows, step = is_row ? 1 : camera.width;
-    const int start = line_start(camera, line), plane = camera.width * camera.height;
+    const bool is_row = line < grid.rows;
+    const int length = is_row ? grid.columns : grid.rows, step = is_row ? 1 : grid.width;
+    const int start = line_start(grid, line), plane = grid.width * grid.height;
     int low = 0, high = length - 1;
     while (low < length && !valid[start + low * step])
         ++low;
@@ -430,19 +430,19 @@ __kernel void fill_entered(const camera_t camera, const int first, const int end
 // A depth map knows nothing outside of the frame: there the image goes on as its mirror image, as textures do. In and
 // out, on the padded grid: value, w, coc, valid as in reproject_gather; pixels outside of the frame that are not valid
 // take what is in their mirror image.
-__kernel void extend_border(const camera_t camera, __global float *value, __global wide_t *w, __global wide_t *coc,
+__kernel void extend_border(const grid_t grid, __global float *value, __global wide_t *w, __global wide_t *coc,
                             __global uchar *valid)
 {
     const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= camera.width || y >= camera.height)
+    if (x >= grid.width || y >= grid.height)
         return;
-    const int column = x - camera.guard, row = y - camera.guard, at = y * camera.width + x;
-    const bool inside = column >= 0 && column < camera.columns && row >= 0 && row < camera.rows;
-    const int from = (mirror_index(row, camera.rows) + camera.guard) * camera.width +
-                     mirror_index(column, camera.columns) + camera.guard;
+    const int column = x - grid.guard, row = y - grid.guard, at = y * grid.width + x;
+    const bool inside = column >= 0 && column < grid.columns && row >= 0 && row < grid.rows;
+    const int from = (mirror_index(row, grid.rows) + grid.guard) * grid.width +
+                     mirror_index(column, grid.columns) + grid.guard;
     if (inside || valid[at] || !valid[from])
         return;
-    const int plane = camera.width * camera.height;
+    const int plane = grid.width * grid.height;
     for (int c = 0; c < CHANNELS; ++c)
         value[c * plane + at] = value[c * plane + from];
     w[at] = w[from];
@@ -452,13 +452,13 @@ __kernel void extend_border(const camera_t camera, __global float *value, __glob
 #endif
 
 // Keeps the range of the radii of a time sample. In: coc, valid, as in reproject_gather. In and out: statistics.
-__kernel void note_radii(const camera_t camera, __global const wide_t *coc, __global const uchar *valid,
+__kernel void note_radii(const grid_t grid, __global const wide_t *coc, __global const uchar *valid,
                          __global int *statistics)
 {
     const int begin = get_global_id(0) * ITEM_PIXELS, y = get_global_id(1);
-    if (begin >= camera.width || y >= camera.height)
+    if (begin >= grid.width || y >= grid.height)
         return;
-    for (int x = begin; x < MIN(begin + ITEM_PIXELS, camera.width); ++x)
-        if (valid[y * camera.width + x])
-            note_radius(statistics, narrow(coc[y * camera.width + x]));
+    for (int x = begin; x < MIN(begin + ITEM_PIXELS, grid.width); ++x)
+        if (valid[y * grid.width + x])
+            note_radius(statistics, narrow(coc[y * grid.width + x]));
 }

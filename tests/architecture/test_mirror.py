@@ -93,7 +93,7 @@ WITHOUT_TWIN = {
 # Parameters that the twin of a function calls otherwise, or has in one record.
 SYNONYMS = {
     "s": "surface", "ray": "rays", "whole_ray": "rays", "D": "d", "m": "matrix", "v": "vector", "n": "normal",
-    "map": "texture_map texture", "object": "number", "point_w": "position",
+    "map": "texture_map texture", "object": "number", "point_w": "position", "grid": "camera",
 }  # fmt: skip
 RECORDS = {"points": ["ray", "w"], "texture": ["texture", "map"]}
 ON_THE_DEVICE = {"bounds", "texture_filter"}  # in surface_t, and a feature
@@ -103,13 +103,13 @@ OTHERWISE = {
     "hides_all": "conditions of an occluder_t are dropped in place",
     "keep_equation": "fields of an occluder_t are filled one after the other",
     "flatten_limits": "limits of an occluder_t are changed in place",
-    "lens_of": "records of sources hold the gradient over the radius",
+    "division_of": "records of sources hold the gradient over the radius",
     "free_share": "the device is told where no two edges meet",
     "check_visibility": "its caller divides the lens, by the radius that it has already",
     "cell_visibility": "one cell after the other, given by its middle",
     "estimate": "settings of all lanes are in an around_t",
     "detailed_texture": "FINE and SUBPIXELS are features",
-    "sample_texture": "camera_t has the size of the texture, and margins are left out",
+    "sample_texture": "grid_t has the size of the texture, and margins are left out",
     "add_texel": "texels of any dimensions at once",
     "footprint_of": "what changes from part to part, right and down, is one argument",
     "mean_texture": "a side of a cube map is part of its texel",

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from clsco.errors import ImageError
 from clsco.inputs.depth_maps import FARTHEST, UNITS, DepthValues, fill_depth, inverse_depth, map_values
-from clsco.optics.lens import LARGEST_BLUR, blur_radius, blur_scale, focus_power
+from clsco.optics.lens import LARGEST_BLUR, Lens, blur_radius
 from clsco.scene.model import Camera, DepthMap
 from tests.scenes import scene_of
 
@@ -52,7 +52,7 @@ def test_an_offset_is_added_to_a_disparity() -> None:
 def test_a_radius_is_taken_as_it_is() -> None:
     radii = [-30.0, 0.0, 12.5, 39.0]
     # K - w cancels: both are at most 0.007 per mm, each rounded twice to 2^-53 of that, and kappa makes px of it.
-    bound = 4 * 2.0**-53 * 0.007 * blur_scale(CAMERA)
+    bound = 4 * 2.0**-53 * 0.007 * Lens.of(CAMERA).blur_scale
     assert blur_radius(CAMERA, w_of(radii, "coc")) == pytest.approx(radii, abs=bound)
     assert blur_radius(CAMERA, w_of(radii, "coc", scale=0.5)) == pytest.approx([-15, 0, 6.25, 19.5], abs=bound)
 
@@ -139,7 +139,7 @@ def test_every_unit_tells_the_same_depth(
     given_baseline = baseline if unit == "disparity" else None
     values = inverse_depth(np.array([[value / scale]]), unit, scale, camera, given_baseline)
     # Eight roundings of 2^-53 at most; of a radius, each is relative to the larger of K and w instead.
-    size = max(wanted, abs(focus_power(camera)), 1 / focal_length) if unit == "coc" else wanted
+    size = max(wanted, abs(Lens.of(camera).focus_power), 1 / focal_length) if unit == "coc" else wanted
     assert values.inverse_depth[0, 0] == pytest.approx(wanted, rel=0, abs=8 * 2.0**-53 * size)
     assert values.invalid == 0
 
@@ -190,7 +190,7 @@ def test_a_camera_of_thousands_of_pixels_is_named() -> None:
 
 
 def test_the_limit_is_the_one_of_the_renderer() -> None:
-    nearest = 1 / (focus_power(CAMERA) + LARGEST_BLUR / blur_scale(CAMERA))
+    nearest = 1 / (Lens.of(CAMERA).focus_power + LARGEST_BLUR / Lens.of(CAMERA).blur_scale)
     w_of([nearest * (1 + 1e-9)], "mm")
     assert fault([nearest * (1 - 1e-9)], "mm").startswith(LARGE)
 
@@ -266,7 +266,7 @@ def test_8_bits_of_relative_inverse_depth_are_not_taken_for_meters() -> None:
     message = fault([1.0, 2.0, 128.0, 255.0], "mm")
     assert message.endswith(f"({OR(IN('m'), 'inverse_m', 0.22)})")
     w_of([1.0, 2.0, 128.0, 255.0], "inverse_m", scale=0.2)
-    limit = 1000 * (focus_power(CAMERA) + LARGEST_BLUR / blur_scale(CAMERA)) / 255
+    limit = 1000 * (Lens.of(CAMERA).focus_power + LARGEST_BLUR / Lens.of(CAMERA).blur_scale) / 255
     assert limit == pytest.approx(0.22, abs=0.005)
     assert fault([2.0, 510.0], "mm", scale=0.5).endswith(f"({OR(IN('m'), 'inverse_m', 0.11)})")
 
@@ -287,7 +287,7 @@ def test_distances_along_rays_become_depths(unit: str, number: Any) -> None:
     planar = inverse_depth(number(distance), unit, 1.0, WIDE)
     # 24 mm at f/2.4 and this pitch have kappa = 333 px mm: the corner would be blurred by another 0.28 px.
     off = blur_radius(WIDE, planar.inverse_depth) - blur_radius(WIDE, values.inverse_depth)
-    assert off[0, 0] == pytest.approx(blur_scale(WIDE) * (1 / 300 - 1 / distance[0, 0]), rel=1e-9)
+    assert off[0, 0] == pytest.approx(Lens.of(WIDE).blur_scale * (1 / 300 - 1 / distance[0, 0]), rel=1e-9)
 
 
 def test_infinity_along_a_ray_and_no_depth_stay_what_they_are() -> None:

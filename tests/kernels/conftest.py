@@ -18,9 +18,10 @@ from clsco.opencl import program as program_module
 from clsco.opencl.buffers import download, upload
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Session
+from clsco.optics.lens import Lens
 from clsco.optics.motion import Pose, pose_at
 from clsco.optics.quadrics import PlacedSurface, place
-from clsco.passes.pack import camera_struct
+from clsco.passes.pack import camera_grid, lens_struct
 from clsco.passes.placed import PlacedScene
 from clsco.passes.warp import ForwardWarp
 from clsco.plan.plan import Plan, make_plan
@@ -159,8 +160,12 @@ class Case:
         return self.plan.rows + 2 * self.guard, self.plan.columns + 2 * self.guard
 
     @property
-    def camera(self) -> Any:
-        return camera_struct(self.plan.scene.camera, self.guard, self.real)
+    def grid(self) -> Any:
+        return camera_grid(self.plan.scene.camera, self.guard, self.real)
+
+    @property
+    def lens(self) -> Any:
+        return lens_struct(Lens.of(self.plan.scene.camera), self.real)
 
     def placed(self, poses: list[Pose]) -> list[PlacedSurface | None]:
         pairs = zip(self.items, poses, strict=True)

@@ -9,7 +9,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from clsco.frame.strips import Grid, frame_struct
+from clsco.frame.strips import Grid, grid_struct
 from clsco.inputs.pupils import load_point_spread
 from clsco.opencl.buffers import download, empty, upload
 from clsco.opencl.program import build
@@ -101,8 +101,8 @@ class Light:
     def samples(self) -> int:
         return 0 if self.sub is None else int(self.sub.hit.shape[1])
 
-    def camera(self) -> Struct:
-        return frame_struct(*self.shape, self.guard, "double")
+    def grid(self) -> Struct:
+        return grid_struct(*self.shape, self.guard, "double")
 
     def expected(self) -> Array:
         """By the twin, (rows, columns, channels)."""
@@ -185,7 +185,7 @@ def blur_of(session: Session, given: Light, method: Blur) -> FrameSum:
         chosen |= spread.blur_features(spec, given.channels, True, "none") | {"RENORMALIZE": 1}
     program = build(session, spread.FILES_OF[method], chosen, STRUCTS, "double")
     grid = Grid.whole(*given.shape, given.guard, given.channels)
-    return make_blur(spread.Target(session, program, "double"), spec, grid, given.camera())
+    return make_blur(spread.Target(session, program, "double"), spec, grid, given.grid())
 
 
 def blurred(session: Session, given: Light, method: Blur, moments: int = 1) -> Array:
@@ -213,7 +213,7 @@ def renormalized(session: Session, given: Light, method: Blur) -> spread.Sources
     assert isinstance(owner, TableBlur)
     names = ("intervals", "coefficients", "sub_intervals", "sub_coefficients")
     tables = dict(zip(names, (*owner.tables[0], *owner.tables[1]), strict=True))
-    planes = {"camera": given.camera(), "psf": owner.struct, **vars(sources), **tables}
+    planes = {"grid": given.grid(), "psf": owner.struct, **vars(sources), **tables}
     run(session, owner.target.program, "renormalize", given.shape[::-1], PIXELS, **planes)
     return sources
 
@@ -225,7 +225,7 @@ def gather(session: Session, given: Light, items: int, kept: dict[str, int], **p
     names = ("intervals", "coefficients", "taps", "outlines")
     planes |= {name: getattr(table, name) for name in names} | {"psf": psf_struct(given.spread, table, None, "double")}
     pad, pitch = margin(given.shape[1], given.guard, table.reach)
-    run(session, program, "gather", (items,), (1,), camera=given.camera(), pad=pad, pitch=pitch, **planes)
+    run(session, program, "gather", (items,), (1,), grid=given.grid(), pad=pad, pitch=pitch, **planes)
 
 
 class Signed(Amid):

@@ -282,7 +282,7 @@ def test_prepare_sources(session: Session, psf: Psf, tilt: bool) -> None:
     struct, out = psf_struct(point_spread(psf), table, None, "double"), empty(session, source_bytes(coc.size, tilt))
     maps = (upload(session, coc), upload(session, valid.astype(np.uint8)))
     target = spread.Target(session, program, "double")
-    spread.prepare_sources(target, given.camera(), struct, maps, out, [])
+    spread.prepare_sources(target, given.grid(), struct, maps, out, [])
     found = download_sources(session, out, coc.shape, tilt, False)
     expected = records(given, coc, twin.prepare_sources(coc, valid), valid, False)
     assert np.abs(expected[..., 1:3]).max() > 1.0

@@ -59,7 +59,7 @@ def test_prepare_sources_writes_those_of_its_work_items(session: Session, tilt: 
     expected[-1] = np.full(coc.shape, -1, np.int32).view(np.float32)
     out = Amid(session, np.full_like(expected, LEFT_ALONE), LEFT_ALONE)
     planes = {
-        "camera": given.camera(),
+        "grid": given.grid(),
         "psf": psf_struct(point_spread(psf), given.table(), None, "double"),
         "source": out,
     }
@@ -77,7 +77,7 @@ def test_resolve_writes_the_frame_alone(session: Session) -> None:
     sums = RNG(49).integers(0, 2**40, (3, 5, 70))
     total = Amid(session, np.full((3, 5, 88), LEFT_ALONE, np.float32), LEFT_ALONE)
     planes = {"scale": 2.0**40, "pitch": 88, "pad": 8, "sums": sums, "total": total}
-    run(session, program, "resolve", (70, 5), PIXELS, camera=given.camera(), **planes)
+    run(session, program, "resolve", (70, 5), PIXELS, grid=given.grid(), **planes)
     found = total.now()
     np.testing.assert_allclose(found[..., 8:78], sums / 2.0**40, rtol=2.0**-23)
     assert (found[..., :8] == LEFT_ALONE).all()

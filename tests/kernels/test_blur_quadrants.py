@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clsco.frame.strips import BAND, Grid, frame_struct
+from clsco.frame.strips import BAND, Grid, grid_struct
 from clsco.opencl.program import build
 from clsco.opencl.session import Session
 from clsco.optics.point_spread import point_spread
@@ -70,10 +70,10 @@ def test_a_device_without_doubles(session: Session, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(session, "device", replace(session.device, has_fp64=False))
     chosen = features(given.psf, 1, 0, given.largest)
     program = build(session, FILES_OF["gather"], chosen, structs("float"), "float")
-    camera = frame_struct(*given.shape, given.guard, "float")
+    strip = grid_struct(*given.shape, given.guard, "float")
     spec = BlurSpec(point_spread(given.psf), "gather", given.smallest, given.largest, tilt=tilt)
     grid = Grid.whole(*given.shape, given.guard, 1)
-    owner = make_blur(Target(session, program, "float"), spec, grid, camera)
+    owner = make_blur(Target(session, program, "float"), spec, grid, strip)
     owner.clear()
     sources = on_device(session, given, 1.0)
     owner.add(sources, [])

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from clsco.constants import TAP_LANES
-from clsco.frame.strips import Grid, frame_struct
+from clsco.frame.strips import Grid, grid_struct
 from clsco.opencl.buffers import download, empty
 from clsco.opencl.program import launch
 from clsco.opencl.session import Session
@@ -54,11 +54,11 @@ class Convolver:
 
     def __init__(self, session: Session, psf: Psf, light: Array, radius: float, brightest: float = 1.0) -> None:
         guard, size = guard_of(psf, radius), abs(radius)
-        camera = frame_struct(light.shape[0] - 2 * guard, light.shape[1] - 2 * guard, guard, "double")
+        strip = grid_struct(light.shape[0] - 2 * guard, light.shape[1] - 2 * guard, guard, "double")
         spec = BlurSpec(point_spread(psf), "convolve", size, size, brightest=brightest)
         rows, columns, channels = light.shape
         grid = Grid.whole(rows - 2 * guard, columns - 2 * guard, guard, channels)
-        blur = make_blur(Target(session, {}, "double"), spec, grid, camera)
+        blur = make_blur(Target(session, {}, "double"), spec, grid, strip)
         assert isinstance(blur, Convolve)
         self.blur = blur
         self.session, self.radius, self.value = session, size, empty(session, 4 * light.size)

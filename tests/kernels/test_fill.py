@@ -17,13 +17,13 @@ from clsco.inputs.textures import Texture
 from clsco.opencl.buffers import download, upload
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Session
-from clsco.optics.lens import blur_radius
+from clsco.optics.lens import Lens, blur_radius
 from clsco.optics.motion import pose_at
 from clsco.optics.quadrics import place
 from clsco.passes import fill
 from clsco.passes.blur import Target
 from clsco.passes.fill import Filler
-from clsco.passes.pack import camera_struct, surface_structs
+from clsco.passes.pack import camera_grid, lens_struct, surface_structs
 from clsco.passes.placed import PlacedScene
 from clsco.passes.warp import ForwardWarp
 from clsco.plan.buffers import COUNTERS, fill_buffers
@@ -44,6 +44,7 @@ from clsco.reference.inpainting.fill_mean_median import fill_mean_median, smooth
 from clsco.reference.inpainting.score import score_mean_median
 from clsco.reference.trace.trace import padded_grid
 from clsco.scene.model import Camera, Fill, Motion, Object, ObjectMotion, Plane, Sphere
+from tests.kernels.launches import parameters
 from tests.kernels.wide_numbers import whole
 from tests.scenes import scene_of
 from tests.slow import combined, mostly_slow
@@ -67,8 +68,8 @@ class Planes:
     ) -> None:  # fmt: skip
         self.session, self.shape, self.channels, self.real = session, known.shape, values.shape[2] - 1, real
         rows, columns = (n - 2 * guard for n in self.shape)
-        self.lens = Camera(resolution=(columns, rows))
-        self.camera = camera_struct(self.lens, guard, real)
+        self.camera = Camera(resolution=(columns, rows))
+        of_camera = camera_grid(self.camera, guard, real), lens_struct(Lens.of(self.camera), real)
         self.placed = place(BALL, pose_at(BALL.motion, 0.0, "euler"))
         self.surface = upload(session, surface_structs([BALL], [self.placed], real))
         features = dict.fromkeys(("LINEAR", "NAPPE", "BOUNDED", "FILTER", "SAMPLED"), 0)
@@ -83,7 +84,7 @@ class Planes:
             real,
         )
         sizes = fill_buffers(Grid.whole(rows, columns, guard, self.channels), far, far, method == "mean_median")
-        self.filler = Filler(Target(session, self.program, real), self.camera, features, sizes)
+        self.filler = Filler(Target(session, self.program, real), *of_camera, features, sizes)
         self.write("value", flat(np.where(known[..., None], values, 0.0)[..., :-1], np.float32))
         self.write("w", in_parts(np.where(known, values[..., -1], 0.0), real))
         self.write("valid", known.astype(np.uint8))
@@ -122,7 +123,8 @@ class Planes:
         return (*before, *self.filler.planes.far)
 
     def run(self, name: str, size: int, *args: Any, local: int = 8) -> None:
-        launch(self.session, kernel(self.program, name), (size,), (local,), self.camera, *args)
+        head = [getattr(self.filler, each) for each in ("grid", "lens") if each in parameters(name)]
+        launch(self.session, kernel(self.program, name), (size,), (local,), *head, *args)
 
     def fill_ait(self, mask: Mask, *rule: Any) -> None:
         f, (pixels, count) = self.filler.planes, self.listed(mask)
@@ -175,7 +177,7 @@ def test_missing_pixels_are_listed(session: Session, domain: str) -> None:
         planes = Planes(session, values, known, "none", guard, domain)
         allowed = None
         if domain == "surface":
-            rays = pixel_ray(planes.lens, *padded_grid(planes.lens, guard))
+            rays = pixel_ray(planes.camera, *padded_grid(planes.camera, guard))
             allowed = solve_quadric(planes.placed, None, rays)[1] > 0
         missing = mark_missing(known, allowed)
         report = planes.filler.fill(planes.surface, 1, [])
@@ -195,7 +197,7 @@ def test_any_root_of_any_object_allows_missing_pixels(session: Session) -> None:
     planes = Planes(session, np.ones((9, 21, 2)), known, "none", domain="surface", far=True)
     around = Sphere(center=(0.0, 0.0, 0.0), radius=300.0)
     placed = place(around, pose_at(around.motion, 0.0, "euler"))
-    _, roots = solve_quadric(placed, None, pixel_ray(planes.lens, *padded_grid(planes.lens, 0)))
+    _, roots = solve_quadric(placed, None, pixel_ray(planes.camera, *padded_grid(planes.camera, 0)))
     assert (roots == 2).all()
     planes.surface = upload(session, surface_structs([around], [placed], "double"))
     _, status, _ = planes.fill()
@@ -260,7 +262,7 @@ def test_a_sweep_of_ait_is_its_twin(session: Session, channels: int, far: int | 
         if far is not None:
             assert (planes.read("object") == objects_of(known).ravel()[source]).all()
         close(planes.values(), expected)
-        coc = np.where(filled, blur_radius(planes.lens, expected[..., -1]), 0.0)
+        coc = np.where(filled, blur_radius(planes.camera, expected[..., -1]), 0.0)
         np.testing.assert_allclose(planes.read("coc", np.float64), coc, rtol=1e-12)
         swept += int(filled.sum())
     assert swept > 1000
@@ -275,7 +277,7 @@ def test_settling_a_sweep_lists_what_is_missing_then(session: Session, method: s
     rng = np.random.default_rng(3)
     for values, known in cases(60, 40):
         planes = Planes(session, values, known, method, 0, domain)
-        rays = pixel_ray(planes.lens, *padded_grid(planes.lens, 0))
+        rays = pixel_ray(planes.camera, *padded_grid(planes.camera, 0))
         allowed = solve_quadric(planes.placed, None, rays)[1] > 0 if domain == "surface" else None
         missing = mark_missing(known, allowed)
         if not missing.any():
@@ -345,7 +347,7 @@ def test_a_sweep_of_mean_median_is_its_twin(session: Session, channels: int, far
             if far:
                 assert (planes.read("object") == objects_of(known).ravel()[source]).all()
             close(planes.values(), expected)
-            coc = np.where(filled, blur_radius(planes.lens, expected[..., -1]), 0.0)
+            coc = np.where(filled, blur_radius(planes.camera, expected[..., -1]), 0.0)
             np.testing.assert_allclose(planes.read("coc", np.float64), coc, rtol=1e-12)
             swept += int(filled.sum())
     assert swept > 1000

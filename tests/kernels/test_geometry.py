@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from clsco.opencl.buffers import download, empty
 from clsco.opencl.session import Session
+from clsco.optics.lens import Lens
 from clsco.optics.motion import pose_at
 from clsco.optics.point_spread import point_spread
 from clsco.optics.psf_tables import psf_table
 from clsco.optics.quadrics import place
-from clsco.passes.pack import camera_struct, psf_struct, surface_structs
+from clsco.passes.pack import camera_grid, lens_struct, psf_struct, surface_structs
 from clsco.records import Real, in_parts
 from clsco.reference.common import geometry as twin
 from clsco.scene.model import Camera, Cone, Ellipsoid, Object, ObjectMotion, Plane, Psf, Quadric
@@ -31,13 +32,14 @@ SOURCE = (
     PARTS
     + """
 // Of the hit of the ray through (row, column): slope, normal, blur radius and its gradient, pixel at rest.
-__kernel void follow(__constant surface_t *surface, const camera_t camera, __global const real *row,
-                     __global const real *column, const int count, __global real *w, __global real *out)
+__kernel void follow(__constant surface_t *surface, const grid_t grid, const lens_t lens,
+                     __global const real *row, __global const real *column, const int count, __global real *w,
+                     __global real *out)
 {
     const int i = get_global_id(0);
     if (i >= count)
         return;
-    const wide3_t ray = pixel_ray(camera, GET(row, i), GET(column, i));
+    const wide3_t ray = pixel_ray(grid, GET(row, i), GET(column, i));
     uchar root;
     const wide_t found = solve_quadric(surface, ray, &root);
     PUT(w, i, found);
@@ -46,23 +48,23 @@ __kernel void follow(__constant surface_t *surface, const camera_t camera, __glo
             PUT(out, 11 * i + k, widened(0));
         return;
     }
-    const real2 slope = surface_slope(surface, ray, found), gradient = blur_gradient(camera, slope);
+    const real2 slope = surface_slope(surface, ray, found), gradient = blur_gradient(grid, lens, slope);
     const real3 normal = surface_normal(surface, ray, found);
-    const wide3_t pixel = rest_pixel(surface, camera, ray, found);
+    const wide3_t pixel = rest_pixel(surface, grid, ray, found);
     const real narrow_ones[7] = {slope.x, slope.y, normal.x, normal.y, normal.z, gradient.x, gradient.y};
     for (int k = 0; k < 7; ++k)
         PUT(out, 11 * i + k, widened(narrow_ones[k]));
-    const wide_t wide_ones[4] = {blur_radius(camera, found), pixel.x, pixel.y, pixel.z};
+    const wide_t wide_ones[4] = {blur_radius(lens, found), pixel.x, pixel.y, pixel.z};
     for (int k = 0; k < 4; ++k)
         PUT(out, 11 * i + 7 + k, wide_ones[k]);
 }
 
-__kernel void sample(const camera_t camera, __global const float *texture, __global const real *row,
+__kernel void sample(const grid_t grid, __global const float *texture, __global const real *row,
                      __global const real *column, const int count, __global float *out)
 {
     const int i = get_global_id(0);
     if (i < count)
-        out[i] = sample_texture(texture, camera, GET(row, i), GET(column, i));
+        out[i] = sample_texture(texture, grid, GET(row, i), GET(column, i));
 }
 
 __kernel void small(const psf_t psf, __global const real *a, __global const real *b, __global const real *c,
@@ -108,9 +110,10 @@ def test_what_follows_from_a_hit(
     count = 800
     row, column = held(RNG(8).uniform([[-0.16], [-0.12]], [[1.14], [1.1]], (2, count)) * np.array(size[::-1])[:, None])
     w, out = empty(session, 8 * count), empty(session, 88 * count)
-    placed, lens = surface_structs([item], [surface], real), camera_struct(camera, 0, real)
+    placed = surface_structs([item], [surface], real)
+    optics = camera_grid(camera, 0, real), lens_struct(Lens.of(camera), real)
     positions = (in_parts(row, real), in_parts(column, real))
-    run_source(SOURCE, "follow", real, features, count, placed, lens, *positions, np.int32(count), w, out)
+    run_source(SOURCE, "follow", real, features, count, placed, *optics, *positions, np.int32(count), w, out)
     rays = twin.pixel_ray(camera, row, column)
     expected_w, label = twin.solve_quadric(surface, None, rays)
     hit = label > 0
@@ -130,8 +133,8 @@ def test_what_follows_from_a_hit(
     wanted = {
         "slope": (slope, digits),
         "normal": (twin.surface_normal(surface, rays, expected_w), digits),
-        "gradient": (twin.blur_gradient(camera, slope), digits),
-        "radius": (twin.blur_radius(camera, expected_w)[:, None], 100 * unit),
+        "gradient": (twin.blur_gradient(camera, Lens.of(camera), slope), digits),
+        "radius": (twin.blur_radius(Lens.of(camera), expected_w)[:, None], 100 * unit),
         "pixel at rest": (np.stack([pixel_column, pixel_row], axis=1), 100 * unit),
     }
     at = 0
@@ -153,10 +156,10 @@ def test_texture_filters(session: Session, run_source: Run, name: twin.Filter, r
     row[40:44], column[40:44] = [2e6, -3e7, np.nan, 3.0], [1.0, 2.0, 3.0, np.inf]  # nowhere: taken as 0
     out = empty(session, 4 * row.size)
     features = {"FILTER": ("nearest", "bilinear", "bicubic").index(name)}
-    camera = camera_struct(Camera(resolution=(17, 13)), 0, real)
+    grid = camera_grid(Camera(resolution=(17, 13)), 0, real)
     with np.errstate(invalid="ignore"):
         rows_columns = in_parts(row, real), in_parts(column, real)
-    run_source(SOURCE, "sample", real, features, row.size, camera, texture, *rows_columns, np.int32(row.size), out)
+    run_source(SOURCE, "sample", real, features, row.size, grid, texture, *rows_columns, np.int32(row.size), out)
     found = download(session, out, row.shape, np.float32)
     row, column = (np.where(np.abs(v) < 1e6, v, 0).astype(float) for v in (row, column))
     expected = twin.sample_texture(texture.astype(float), row, column, name)

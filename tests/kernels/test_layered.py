@@ -9,7 +9,7 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
-from clsco.frame.strips import Grid, frame_struct
+from clsco.frame.strips import Grid, grid_struct
 from clsco.opencl.buffers import download, empty, upload
 from clsco.opencl.session import Session
 from clsco.optics import depth_layers
@@ -79,10 +79,10 @@ class Device:
         psf, channels = view.psf, view.radiance.shape[2]
         spec = spec_of(psf, view.largest, method)
         target = blur_target(session, spec, channels, real)
-        camera = frame_struct(*view.shape, view.guard, real)
+        strip = grid_struct(*view.shape, view.guard, real)
         self.session, self.view = session, view
         grid = Grid.whole(*view.shape, view.guard, channels)
-        self.blur = make_blur(target, spec, grid, camera)
+        self.blur = make_blur(target, spec, grid, strip)
         self.layers = DepthLayers(self.blur, target, grid)
         self.coc, self.valid = upload(session, in_parts(view.coc, real)), upload(session, view.valid.astype(np.uint8))
 

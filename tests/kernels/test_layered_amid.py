@@ -13,7 +13,7 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
-from clsco.frame.strips import frame_struct
+from clsco.frame.strips import grid_struct
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Session
 from clsco.passes.blur import PLAIN
@@ -37,7 +37,7 @@ def run(session: Session, name: str, size: tuple[int, ...], *args: Any, scatter:
 
 
 def grid(shape: tuple[int, ...]) -> Any:
-    return frame_struct(shape[0], shape[1], 0, "double")
+    return grid_struct(shape[0], shape[1], 0, "double")
 
 
 def plane(session: Session, array: Array, around: float, dtype: Any = np.float32) -> Amid:
@@ -247,7 +247,7 @@ def test_composite_to_the_bit(session: Session, scatter: bool) -> None:
     expected, room = twin.composite(np.zeros((rows, columns, CHANNELS)), before, np.moveaxis(inside, 0, -1))
     expected = np.moveaxis(expected, -1, 0)
     covered = plane(session, before, 0.25)
-    head = frame_struct(rows, columns, 2, "double"), np.int32(from_pitch), np.int32(from_pad)
+    head = grid_struct(rows, columns, 2, "double"), np.int32(from_pitch), np.int32(from_pad)
     light = plane(session, blurred, 0.5)
     if scatter:
         unit = 16.0

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from clsco.constants import CODE_LANES, FILL_LANES, SCORE_SUMS
-from clsco.frame.strips import frame_struct
+from clsco.frame.strips import grid_struct
 from clsco.inpainting import mean_median
 from clsco.inpainting.mean_median import (
     FEATURES,
@@ -306,8 +306,8 @@ def test_a_group_writes_its_own_border_pixels_only(session: Session, count: int)
     image: Array = np.random.default_rng(37).random((9, 10, 1)).astype(np.float32)
     entries, outputs = np.flatnonzero(border), [copied(session, np.full(90, -1, np.float32)) for _ in range(2)]
     given = upload(session, entries.astype(np.int32)), np.int32(count), upload(session, image)
-    blend, camera = kernel(program(session, 1), "blend_border"), frame_struct(9, 10, 0, "float")
-    launch(session, blend, VECTORS, VECTORS, camera, *given, *outputs)
+    blend, grid = kernel(program(session, 1), "blend_border"), grid_struct(9, 10, 0, "float")
+    launch(session, blend, VECTORS, VECTORS, grid, *given, *outputs)
     for output, expected in zip(outputs, twin.blend_border(image, border.reshape(9, 10)), strict=True):
         found, own = download(session, output, (90,), np.float32), min(count, 8 * FILL_LANES)
         assert (found[:own] == expected.ravel()[:own]).all()
@@ -324,13 +324,13 @@ def test_scores_of_codes_are_exact(session: Session, avx2: bool, monkeypatch: py
     image, missing = rng.integers(0, 256, (rows, columns, 1), np.uint8), rng.random((rows, columns)) < 0.02
     room = np.zeros(CODE_LANES, np.uint8)
     planes = (np.concatenate([plane.ravel(), room]) for plane in (image, (~missing).astype(np.uint8)))
-    sums, camera = (
+    sums, grid = (
         copied(session, np.full((rows + 1, SCORE_SUMS), -1, np.int64)),
-        frame_struct(rows, columns, 0, "float"),
+        grid_struct(rows, columns, 0, "float"),
     )
     buffers = *(upload(session, plane) for plane in planes), sums
     score = kernel(program(session, 1, codes=True), "score_mean_median")
-    launch(session, score, (rows,), OWNERS, camera, np.float32(256), *buffers)
+    launch(session, score, (rows,), OWNERS, grid, np.float32(256), *buffers)
     found = download(session, sums, (rows + 1, SCORE_SUMS), np.int64)
     assert score_of_sums(found[:rows], 256.0) == score_mean_median(image.astype(np.float64), ~missing, 256.0)
     assert (found[rows:] == -1).all()

@@ -16,12 +16,13 @@ from clsco.opencl.buffers import copied, download, empty, upload
 from clsco.opencl.program import build
 from clsco.opencl.session import Program, Session
 from clsco.optics.exposure import middle_time
+from clsco.optics.lens import Lens
 from clsco.optics.motion import Eye, Pose, poses_at, rest_poses
 from clsco.optics.point_spread import point_spread
 from clsco.optics.psf_tables import psf_table
 from clsco.optics.quadrics import place
 from clsco.optics.visibility import OcclusionGroup
-from clsco.passes.pack import camera_struct, group_struct, pose_structs, psf_struct, surface_structs
+from clsco.passes.pack import camera_grid, group_struct, lens_struct, pose_structs, psf_struct, surface_structs
 from clsco.passes.trace import EMPTY_STATISTICS, TRACE_FILES
 from clsco.plan.buffers import TRUTH_BUFFERS, source_bytes
 from clsco.plan.choice import Choice
@@ -207,7 +208,8 @@ def traced(
     sizes |= {"depth": 8 * area, "sub_depth": 8 * capacity * each} if occluded else {}
     given: dict[str, Any] = {name: empty(session, size) for name, size in sizes.items()}
     given |= {
-        "camera": camera_struct(wanted.camera, plan.guard_px, real),
+        "grid": camera_grid(wanted.camera, plan.guard_px, real),
+        "lens": lens_struct(Lens.of(wanted.camera), real),
         "surfaces": on_device(session, plan, time, real),
         "group": group_struct(group or plan.groups[0], len(wanted.objects)),
         "psf": psf_struct(plan.psf, tables[0], tables[1] if each else None, real),
@@ -404,7 +406,8 @@ def truth_arguments(session: Session, plan: Plan, frame: int, strip: Strip | Non
     before, now, then = (middle_time(wanted.sequence, k) for k in (frame - 1, frame, frame + 1))
     seen = {"next": (then, plan.eye), "previous": (before, plan.eye), "there": (now, other)}
     return {name: pose_structs(poses_at(wanted, *each), "double") for name, each in seen.items()} | {
-        "camera": camera_struct(wanted.camera, plan.guard_px, "double", strip),
+        "grid": camera_grid(wanted.camera, plan.guard_px, "double", strip),
+        "lens": lens_struct(Lens.of(wanted.camera), "double"),
         "surfaces": on_device(session, plan, now, "double"),
         "still": placed_on_device(session, plan, rest_poses(wanted), "double"),
         "opposite": on_device(session, plan, now, "double", other),

@@ -13,9 +13,10 @@ from clsco.frame.strips import Strip
 from clsco.opencl.buffers import copied, download
 from clsco.opencl.program import build
 from clsco.opencl.session import Program, Session
+from clsco.optics.lens import Lens
 from clsco.optics.psf_tables import psf_table
 from clsco.optics.visibility import OcclusionGroup
-from clsco.passes.pack import camera_struct, group_struct, psf_struct
+from clsco.passes.pack import camera_grid, group_struct, lens_struct, psf_struct
 from clsco.passes.trace import EMPTY_STATISTICS, TRACE_FILES
 from clsco.plan.buffers import source_bytes
 from clsco.plan.plan import Plan
@@ -75,7 +76,8 @@ def pixel_arguments(session: Session, plan: Plan, group: OcclusionGroup) -> dict
     wanted = plan.scene
     tables = [psf_table(plan.psf, plan.smallest_blur, plan.largest_blur, n) for n in (0, plan.silhouettes)]
     return {
-        "camera": camera_struct(wanted.camera, plan.guard_px, "double"),
+        "grid": camera_grid(wanted.camera, plan.guard_px, "double"),
+        "lens": lens_struct(Lens.of(wanted.camera), "double"),
         "surfaces": on_device(session, plan, TIME, "double"),
         "group": group_struct(group, len(wanted.objects)),
         "psf": psf_struct(plan.psf, tables[0], tables[1], "double"),

@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from clsco.opencl.buffers import download, empty
 from clsco.opencl.session import Session
+from clsco.optics.lens import Lens
 from clsco.optics.motion import Pose
 from clsco.optics.point_spread import point_spread
 from clsco.optics.psf_tables import psf_table
 from clsco.optics.quadrics import cutting_bounds, place
 from clsco.optics.visibility import OcclusionGroup
-from clsco.passes.pack import camera_struct, group_struct, psf_struct, surface_structs
+from clsco.passes.pack import camera_grid, group_struct, lens_struct, psf_struct, surface_structs
 from clsco.plan.plan import make_plan
 from clsco.records import Real
 from clsco.reference.common.geometry import blur_radius, nearest_surface, pixel_ray
@@ -31,8 +32,9 @@ Runner = Callable[..., None]
 KERNEL = """
 // What source i sees of the lens from every tap: place holds (column, row, ox, oy), tap (dx, dy). state: -1 for no
 // source. along: what row_visibility says of the row of taps through the source.
-__kernel void see_taps(const camera_t camera, __constant surface_t *surfaces, const group_t group, const psf_t psf,
-                       __constant float *lens, const float width, __global const float4 *place, const int taps,
+__kernel void see_taps(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
+                       const psf_t psf, __constant float *cells, const float width, __global const float4 *place,
+                       const int taps,
                        __global const int2 *tap, __global int *state, __global int *edges, __global float *share,
                        __global float *along)
 {
@@ -40,21 +42,21 @@ __kernel void see_taps(const camera_t camera, __constant surface_t *surfaces, co
     if (i >= SOURCES)
         return;
     const real column = place[i].x + place[i].z, row = place[i].y + place[i].w;
-    const wide3_t ray = pixel_ray(camera, widened(row), widened(column));
+    const wide3_t ray = pixel_ray(grid, widened(row), widened(column));
     uchar label;
     int object;
     const wide_t w = nearest_surface(surfaces, group, ray, &label, &object);
     state[i] = -1;
     if (!label)
         return;
-    const real radius = narrow(blur_radius(camera, w));
+    const real radius = narrow(blur_radius(lens, w));
     visibility_t visibility;
     bool edge;
-    const lens_t of_source = lens_of(radius, psf.lens_extent, width, tilt_slope((real2)(0.2, -0.1), radius));
-    state[i] = check_visibility(camera, surfaces, group, ray, w, of_source, &visibility, &edge);
+    const division_t of_source = division_of(radius, psf.lens_extent, width, tilt_slope((real2)(0.2, -0.1), radius));
+    state[i] = check_visibility(lens, surfaces, group, ray, w, of_source, &visibility, &edge);
     edges[i] = edge;
     if (!visibility.wide)
-        cell_visibility(&visibility, lens, radius, psf.lens_extent, place[i].z, place[i].w, NARROW_MIDDLE);
+        cell_visibility(&visibility, cells, radius, psf.lens_extent, place[i].z, place[i].w, NARROW_MIDDLE);
     for (int t = 0; t < taps; ++t) {
         const int dx = tap[t].x, dy = tap[t].y;
         const lanes_t x = dx - place[i].z, y = dy - place[i].w;
@@ -143,7 +145,7 @@ def see(
     buffers = [empty(session, 4 * count * size) for size in (1, 1, len(taps), len(taps))]
     spread = point_spread(psf)
     run(
-        KERNEL, "see_taps", real, features, count, camera_struct(camera, 0, real),
+        KERNEL, "see_taps", real, features, count, camera_grid(camera, 0, real), lens_struct(Lens.of(camera), real),
         surface_structs(items, surfaces, real), group_struct(group, len(items)),
         psf_struct(spread, psf_table(spread, 0.0, 20.0), None, real), spread.lens_cells().astype(np.float32),
         np.float32(width),
@@ -156,11 +158,10 @@ def see(
     w, label, _ = nearest_surface(surfaces, bounds, group, rays)
     there = label > 0
     assert ((state >= 0) == there).all()
-    w, radius, (x, y) = w[there], blur_radius(camera, w[there]), offset[there].T
+    w, radius, (x, y) = w[there], blur_radius(Lens.of(camera), w[there]), offset[there].T
     gradient = np.broadcast_to([0.2, -0.1], (w.size, 2))
-    found, outline, visibility = check_visibility(
-        camera, surfaces, bounds, group, point_spread(psf), Points(rays[there], w, radius, x, y, width, gradient)
-    )
+    points = Points(rays[there], w, radius, x, y, width, gradient)
+    found, outline, visibility = check_visibility(Lens.of(camera), surfaces, bounds, group, point_spread(psf), points)
     cells, expected, wide = cell_visibility(visibility), np.ones((w.size, len(taps))), np.zeros(w.size, dtype=bool)
     for n, (dx, dy) in enumerate(taps.astype(float).tolist()):
         expected[visibility.row >= 0, n] = tap_share(visibility, cells, dx, dy)

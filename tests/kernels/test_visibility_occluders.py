@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from clsco.opencl.buffers import download, empty
 from clsco.opencl.session import Session
+from clsco.optics.lens import Lens
 from clsco.optics.motion import Pose
 from clsco.optics.point_spread import point_spread
 from clsco.optics.quadrics import cutting_bounds, place
 from clsco.optics.visibility import OcclusionGroup
-from clsco.passes.pack import camera_struct, surface_structs
+from clsco.passes.pack import lens_struct, surface_structs
 from clsco.records import Real, in_parts
 from clsco.reference.common.occluder import Occluder
 from clsco.reference.common.visibility import CLEAR, HIDDEN, PARTLY, Points, check_visibility
@@ -28,7 +29,7 @@ KERNEL = """
 typedef char of_its_size[sizeof(occluder_t) == BYTES ? 1 : -1];
 
 // What is in the way of point i: place holds (x, y) of its ray and its inverse depth, chosen (surface, own, root).
-__kernel void meet(const camera_t camera, __constant surface_t *surfaces, const real extent, const real width,
+__kernel void meet(const lens_t lens, __constant surface_t *surfaces, const real extent, const real width,
                    __global const wide_t *place, __global const int4 *chosen, __global const real *radius,
                    __global const real2 *gradient, __global int4 *found, __global float4 *rims,
                    __global uchar *occluders)
@@ -40,8 +41,8 @@ __kernel void meet(const camera_t camera, __constant surface_t *surfaces, const 
     const group_t group = {0, 3, 1, chosen[i].y ? 0 : -1, chosen[i].z};  // of one object: the second bit is no one's
     visibility_t visibility;
     bool edge;
-    const lens_t lens = lens_of(radius[i], extent, width, tilt_slope(gradient[i], radius[i]));
-    found[i].x = check_visibility(camera, surfaces + chosen[i].x, group, ray, place[3 * i + 2], lens, &visibility,
+    const division_t division = division_of(radius[i], extent, width, tilt_slope(gradient[i], radius[i]));
+    found[i].x = check_visibility(lens, surfaces + chosen[i].x, group, ray, place[3 * i + 2], division, &visibility,
                                   &edge);
     found[i].yzw = (int3)(edge, visibility.wide, visibility.count);
     rims[i] = (float4)(visibility.rim, visibility.rim_scale, visibility.rim_shift, 0);
@@ -53,6 +54,7 @@ __kernel void meet(const camera_t camera, __constant surface_t *surfaces, const 
 FIELDS = {"h": 3, "root": 1, "f": 5, "slack": 1, "limits": 1, "crossings": 1}
 FIELDS |= {"b": 3, "f0": 1, "c": 6, "d": 6, "soft": 1, "limit": 28}
 CAMERA = Camera(resolution=(144, 120), pixel_pitch=0.04, aperture_diameter=25.0, focus_distance=250.0)
+LENS = Lens.of(CAMERA)
 PILLBOX, GAUSSIAN = Psf(), Psf(model="gaussian", sigma_ratio=0.5)
 UPRIGHT = Pose(np.eye(3), np.zeros(3))
 FLOAT = 2e-7  # three roundings to float32
@@ -168,7 +170,7 @@ def meet(
     turn = np.arange(count) * 2.4  # slopes of R in every direction, none at some points
     gradient = (np.arange(count) % 5 * 0.1 * np.stack([np.cos(turn), np.sin(turn)])).T
     run(
-        KERNEL, "meet", real, features, count, camera_struct(CAMERA, 0, real), surface_structs(items, placed, real),
+        KERNEL, "meet", real, features, count, lens_struct(LENS, real), surface_structs(items, placed, real),
         number(extent), number(width), in_parts(np.stack([given[k] for k in "xyw"], axis=-1), real),
         chosen.astype(np.int32), given["radius"].astype(number), gradient.astype(number), *buffers,
     )  # fmt: skip
@@ -187,7 +189,7 @@ def meet(
         (k, own, root, _), at = key.tolist(), np.flatnonzero((chosen == key).all(axis=1))
         rays, nothing = np.stack([given["x"][at], given["y"][at], np.ones(at.size)], axis=-1), np.zeros(at.size)
         state[at], edge[at], visibility = check_visibility(
-            CAMERA, placed[k : k + 1], [cutting_bounds(items[k])], OcclusionGroup(1, 1, 0 if own else -1, root),
+            LENS, placed[k : k + 1], [cutting_bounds(items[k])], OcclusionGroup(1, 1, 0 if own else -1, root),
             point_spread(psf),
             Points(rays, given["w"][at], given["radius"][at], nothing, nothing, width, gradient[at]),
         )  # fmt: skip

@@ -53,10 +53,10 @@ def test_warp_is_its_twin(session: Session, any_warp: Warp, make_case: Maker, ch
     assert ("object" in found) == (len(items) > 1)
     if "object" in found:
         assert (found["object"] == expected.object).all()
-    camera = case.camera
-    coc = np.where(known, camera["blur_scale"] * (camera["focus_power"] - w), 0.0)
+    lens = case.lens
+    coc = np.where(known, lens["blur_scale"] * (lens["focus_power"] - w), 0.0)
     # What rtol = 1e-12 of w makes of the radius, in px.
-    np.testing.assert_allclose(found["coc"], coc, rtol=0, atol=1e-12 * camera["blur_scale"] * w.max(initial=0))
+    np.testing.assert_allclose(found["coc"], coc, rtol=0, atol=1e-12 * lens["blur_scale"] * w.max(initial=0))
 
 
 @pytest.mark.parametrize(
@@ -193,7 +193,7 @@ def test_any_rigid_motion_is_that_of_its_points(session: Session, make_case: Mak
     seen = download(session, done.object, case.shape, np.uint8)
     w, value = download(session, done.w, case.shape, np.float64), download(session, done.value, case.shape, np.float32)
     rest, whose = reproject_rest(case.plan.scene, case.rest, case.maps)
-    step, (rows, columns) = case.camera["step"], rest.shape
+    step, (rows, columns) = case.grid["step"], rest.shape
     best: dict[tuple[int, int], tuple[float, int, float]] = {}
     for i, j in np.argwhere(rest > 0):
         k = int(whose[i, j])

@@ -48,7 +48,7 @@ def built(session: Session, case: Any) -> Program:
 
 
 def run(session: Session, case: Any, name: str, size: tuple[int, ...], local: tuple[int, ...], **given: Any) -> None:
-    launches.run(session, built(session, case), name, size, local, camera=case.camera, **given)
+    launches.run(session, built(session, case), name, size, local, grid=case.grid, lens=case.lens, **given)
 
 
 def surfaces(case: Any) -> Array:
@@ -128,7 +128,7 @@ def test_each_band_writes_its_own_rows(session: Session, mapped: Any) -> None:
     key, pixels = moved.astype(np.float32), height * width
     depth = reproject_depth(target.ravel(), key, pixels)
     expected = reproject_winner(target.ravel(), key, depth)
-    inputs = {"camera": mapped.camera, "target": target.astype(np.int32), "moved": moved}
+    inputs = {"grid": mapped.grid, "target": target.astype(np.int32), "moved": moved}
     inputs["bounds"] = Amid(session, np.array(bounds, np.int32), -1)
     for k in range(-(-height // band)):
         own = slice(k * band * width, (k + 1) * band * width)
@@ -161,7 +161,7 @@ def test_gather_takes_each_object_from_its_texture(session: Session, mapped: Any
     expected, known = expected.reshape(*shape, 5), known.reshape(shape)
     assert (np.moveaxis(value.now(), 0, -1) == np.float32(0.3) * expected[..., :3].astype(np.float32)).all()
     assert (w.now() == expected[..., 3]).all()
-    radius = mapped.camera["blur_scale"] * (mapped.camera["focus_power"] - expected[..., 3])
+    radius = mapped.lens["blur_scale"] * (mapped.lens["focus_power"] - expected[..., 3])
     np.testing.assert_allclose(coc.now(), np.where(known, radius, 0.0), rtol=1e-12)
     assert (before.now() == known).all()
     assert not status.now().any()
@@ -251,7 +251,7 @@ def test_targets_have_all_digits_of_a_pose(session: Session, make_case: Maker) -
     """In single precision, of 48 bits; what leaves the grid on any side by a pixel has no target."""
     case = replace(make_case((CUT,), (2, 2), guard=0), real="float")
     rest, whose = np.full((2, 2), 1 / 256.0), np.zeros((2, 2), np.uint8)
-    step = float(case.camera["step"]) + float(case.camera["step_low"])
+    step = float(case.grid["step"]) + float(case.grid["step_low"])
     pixel, center = 256.0 * step, np.array([0.0, 0.0, 280.0])
     first = np.array([-0.5 * pixel, 0.5 * pixel, 256.0])
     poses = [in_place(entry, first, center) for entry in range(9)]

@@ -50,7 +50,7 @@ class Kernels:
         self.surfaces = case.forward(session, owned).rest_surfaces
 
     def run(self, name: str, size: tuple[int, ...], local: tuple[int, ...], **given: Any) -> None:
-        run(self.session, self.program, name, size, local, camera=self.case.camera, **given)
+        run(self.session, self.program, name, size, local, grid=self.case.grid, lens=self.case.lens, **given)
 
     def out(self, dtype: Any, count: int, value: int = 0) -> cl.Buffer:
         buffer = empty(self.session, np.dtype(dtype).itemsize * count)

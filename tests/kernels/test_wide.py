@@ -44,12 +44,12 @@ __kernel void compute(__global const real *numbers, const int count, __global re
 }
 
 // Every number of a struct, as the kernels get at it.
-__kernel void fields(const camera_t camera, __constant surface_t *surface, __global real *out)
+__kernel void fields(const grid_t grid, __constant surface_t *surface, __global real *out)
 {
     if (get_global_id(0) > 0)
         return;
     const wide3_t row = wide_row(surface->turn, 1), column = wide_column(surface->turn, 1), q = wide_load(surface->q);
-    const wide_t all[10] = {WIDE_FIELD(camera.step), wide_part(surface->offset, 3, 2), row.x, row.y, row.z,
+    const wide_t all[10] = {WIDE_FIELD(grid.step), wide_part(surface->offset, 3, 2), row.x, row.y, row.z,
                           column.x, column.y, column.z, q.y, WIDE_FIELD(surface->k)};
     for (int k = 0; k < 10; ++k)
         PUT(out, k, all[k]);
@@ -129,8 +129,8 @@ def test_the_same_bits_without_instructions(session: Session, run_source: Run, t
 @pytest.mark.parametrize("real", ["double", "float"])
 def test_fields_of_structs_keep_their_digits(session: Session, run_source: Run, real: Real) -> None:
     rng = RNG(12)
-    camera, surface = (np.zeros(1, structs("double")[name]) for name in ("camera_t", "surface_t"))
-    for record in (camera, surface):
+    grid, surface = (np.zeros(1, structs("double")[name]) for name in ("grid_t", "surface_t"))
+    for record in (grid, surface):
         for name in record.dtype.names or ():
             if record[name].dtype.kind == "f":
                 record[name] = held(rng.standard_normal(record[name].shape))
@@ -138,8 +138,8 @@ def test_fields_of_structs_keep_their_digits(session: Session, run_source: Run, 
     single = packed("surface_t", surface, "float")
     assert (single["bounds_low"] == [-np.inf] * 3 + [0.0] * 3).all()
     out = empty(session, 80)
-    arguments = (packed("camera_t", camera, real)[0], packed("surface_t", surface, real))
+    arguments = (packed("grid_t", grid, real)[0], packed("surface_t", surface, real))
     run_source(SOURCE, "fields", real, {}, 1, *arguments, out)
     turn = surface["turn"][0].reshape(3, 3)
-    expected = [camera["step"][0], surface["offset"][0, 2], *turn[1], *turn[:, 1], surface["q"][0, 1], surface["k"][0]]
+    expected = [grid["step"][0], surface["offset"][0, 2], *turn[1], *turn[:, 1], surface["q"][0, 1], surface["k"][0]]
     np.testing.assert_array_equal(whole(session, out, (10,), real), expected)

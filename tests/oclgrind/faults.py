@@ -126,8 +126,8 @@ FAULTS = (
     Fault(
         "a row too many",
         "layered/layered.cl",
-        "    if (line >= camera.height + camera.width)\n",
-        "    if (line > camera.height + camera.width)\n",
+        "    if (line >= grid.height + grid.width)\n",
+        "    if (line > grid.height + grid.width)\n",
         "layers",
         "Invalid read",
     ),

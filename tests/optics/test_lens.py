@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from clsco.optics.lens import blur_radius, blur_scale, focus_power, lens_radius, ray_step
+from clsco.optics.lens import Lens, blur_radius, ray_step
 from clsco.scene.model import Camera
 
 EPS = np.finfo(np.float64).eps
@@ -49,7 +49,7 @@ def test_radius_from_half_the_focus_distance_to_infinity(camera: Camera) -> None
         # 1/u is rounded once: the figure to reach is 1e-4 px, and float64 stays a million times below it. K is
         # the difference of 1/f and 1/s, rounded by eps of those.
         w = 1.0 / u
-        scale = blur_scale(camera) * (1.0 / camera.focal_length + w)
+        scale = Lens.of(camera).blur_scale * (1.0 / camera.focal_length + w)
         found = float(blur_radius(camera, w))
         assert abs(found - float(exact_radius(camera, Fraction(u)))) <= 4 * EPS * scale
         assert abs(found - float(exact_radius(camera, Fraction(u)))) < 1e-9
@@ -59,7 +59,7 @@ def test_radius_from_half_the_focus_distance_to_infinity(camera: Camera) -> None
 def test_the_thesis_camera_focuses_at_a_quarter_of_a_meter() -> None:
     camera = Camera()
     assert camera.focused_distance == pytest.approx(250.0172, abs=1e-4)  # 1 / (1/20 - 1/21.739) mm by hand
-    assert blur_scale(camera) == 20.0 * 10.0 / (2.0 * 0.01)
+    assert Lens.of(camera).blur_scale == 20.0 * 10.0 / (2.0 * 0.01)
     assert float(blur_radius(camera, 1.0 / camera.focused_distance)) == pytest.approx(0.0, abs=1e-10)
     # "Blur at most about 6 px": at 292 mm, 10^4 (1/250.0172 - 1/292) = 5.75 px.
     assert float(blur_radius(camera, 1.0 / 292.0)) == pytest.approx(1e4 * (1 / 250.0172 - 1 / 292.0), abs=1e-4)
@@ -69,7 +69,7 @@ def test_sign_tells_the_side_of_the_focus_and_infinity_is_finite() -> None:
     camera = Camera(focus_distance=250.0)
     radius = blur_radius(camera, 1.0 / np.array([200.0, 300.0, np.inf]))
     assert radius[0] < 0 < radius[1] < radius[2]
-    assert radius[2] == blur_scale(camera) * focus_power(camera)
+    assert radius[2] == Lens.of(camera).blur_scale * Lens.of(camera).focus_power
     assert radius.dtype == np.float64
 
 
@@ -77,17 +77,17 @@ def test_radius_is_linear_in_inverse_depth() -> None:
     w = np.random.default_rng(1).uniform(0.0, 0.1, (2, 50))
     camera = Camera()
     mean = blur_radius(camera, w.mean(axis=0))
-    scale = blur_scale(camera) * 0.1
+    scale = Lens.of(camera).blur_scale * 0.1
     np.testing.assert_allclose(blur_radius(camera, w).mean(axis=0), mean, rtol=0, atol=4 * EPS * scale)
     assert np.ptp(mean) > 1.0
 
 
 def test_focus_at_infinity() -> None:
     camera = Camera(sensor_distance=20.0)
-    assert focus_power(camera) == 0.0
+    assert Lens.of(camera).focus_power == 0.0
     assert camera.focused_distance == np.inf
     assert Camera(sensor_distance=19.0).focused_distance == np.inf  # nearer than the focal length: nothing is sharp
-    assert (blur_radius(camera, np.array([0.0, 0.01])) == [0.0, -blur_scale(camera) * 0.01]).all()
+    assert (blur_radius(camera, np.array([0.0, 0.01])) == [0.0, -Lens.of(camera).blur_scale * 0.01]).all()
 
 
 @pytest.mark.parametrize("focus", [20.1, 250.0, 1e6])
@@ -109,4 +109,4 @@ def test_ray_step_is_the_pixel_seen_from_the_lens() -> None:
 
 
 def test_half_the_aperture_is_the_lens_radius() -> None:
-    assert lens_radius(Camera(aperture_diameter=10.0)) == 5.0
+    assert Lens.of(Camera(aperture_diameter=10.0)).radius == 5.0

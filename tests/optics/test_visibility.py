@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from clsco.constants import LENS_CELLS
-from clsco.optics.lens import blur_radius
+from clsco.optics.lens import Lens, blur_radius
 from clsco.optics.motion import Pose, poses_at, rotation_matrix
 from clsco.optics.point_spread import point_spread
 from clsco.optics.quadrics import Extent, place
@@ -231,7 +231,7 @@ def blocked(plan: Plan, near: int, far: int, time: float) -> bool:
     radius, zero = blur_radius(scene.camera, w), np.zeros_like(w)
     group = OcclusionGroup(1 << far, 1 << near)
     points = Points(rays, w, radius, zero, zero, 1.0, np.zeros((len(w), 2)))
-    state, _, visibility = check_visibility(scene.camera, surfaces, bounds, group, plan.psf, points)
+    state, _, visibility = check_visibility(Lens.of(scene.camera), surfaces, bounds, group, plan.psf, points)
     if (state == HIDDEN).any() or (state == CLEAR).all():
         return bool((state == HIDDEN).any())
     cells = cell_visibility(visibility)

@@ -13,7 +13,7 @@ import clsco
 from clsco import reference
 from clsco.engine.sequence import render_sweep
 from clsco.frame.frame import Frame
-from clsco.optics.lens import focus_power
+from clsco.optics.lens import Lens
 from clsco.scene.model import Scene
 from tests.scenes import scene_from
 from tests.slow import combined
@@ -176,7 +176,7 @@ def test_a_depth_map_of_a_scene_gives_its_frame(waves: str, tmp_path: Path) -> N
         assert 6e-8 * bend / 176.0 < 1e-5
         assert mapped.depth is not None
         np.testing.assert_allclose(mapped.depth, frame.depth, rtol=1e-5, atol=0)
-    assert focus_power(analytic.camera) > 0
+    assert Lens.of(analytic.camera).focus_power > 0
 
 
 def frames_of(scenes: list[Scene]) -> list[Frame]:

@@ -12,7 +12,7 @@ import pytest
 
 from clsco.frame.frame import TRUTH_NAMES
 from clsco.frame.strips import BAND
-from clsco.optics.lens import blur_scale, focus_power
+from clsco.optics.lens import Lens
 from clsco.optics.point_spread import point_spread
 from clsco.plan.buffers import ThisMachine
 from clsco.plan.plan import make_plan
@@ -111,7 +111,8 @@ def test_guard_bands_hold_what_lights_the_frame_and_two_pixels_more(model: Any, 
 def test_strips_have_as_many_rows_around_them_as_may_matter(radius: float, edge: Any) -> None:
     """Sources anywhere in their pixels light pixels less than R + 1 px away; 2 px more are to see silhouettes in."""
     camera = Camera()
-    distance = 1.0 / (focus_power(camera) - radius / blur_scale(camera))
+    lens = Lens.of(camera)
+    distance = 1.0 / (lens.focus_power - radius / lens.blur_scale)
     whole = plan_of(Plane(distance=distance), size=(16, 4 * BAND), psf=Psf(edge=edge, border="renormalize"))
     assert whole.largest_blur == pytest.approx(radius)
     given, far = replace(whole, strip_rows=BAND), floor(radius + 1.0) + 2

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clsco.optics.lens import blur_radius
+from clsco.optics.lens import Lens, blur_radius
 from clsco.optics.point_spread import point_spread
 from clsco.optics.psf_grid import table_coordinate as coordinate_of_radius
 from clsco.optics.quadrics import PlacedSurface
@@ -364,7 +364,7 @@ def test_blur_gradient_agrees_with_differences(at: Placer) -> None:
 
     ray = pixel_ray(CAMERA, row, column)
     w, _ = solve_quadric(surface, None, ray)
-    right, down = blur_gradient(CAMERA, surface_slope(surface, ray, w))
+    right, down = blur_gradient(CAMERA, Lens.of(CAMERA), surface_slope(surface, ray, w))
     # R is linear over the plane, so that differences are exact but for eps R / 1 px.
     assert abs(right - (radius(row, column + 1) - radius(row, column))) < 1e-11
     assert abs(down - (radius(row + 1, column) - radius(row, column))) < 1e-11

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clsco.optics.lens import blur_radius, lens_radius
+from clsco.optics.lens import Lens, blur_radius
 from clsco.optics.motion import Pose, rest_center, rotation_matrix
 from clsco.optics.point_spread import PointSpread, point_spread
 from clsco.optics.quadrics import place
@@ -24,6 +24,7 @@ Array = NDArray[Any]
 # Pixels so small that the lens is 10^4 to 10^6 of them wide: the soft edge is 1 cell, and what it adds for the width of
 # the source at most some hundred cells, unless the occluder touches the source.
 CAMERA = Camera(pixel_pitch=1e-6, aperture_diameter=30.0, resolution=(64, 64))
+LENS = Lens.of(CAMERA)
 STILL = Pose(np.eye(3), np.zeros(3))
 BOX = ((-20.0, 14.0), (-16.0, 25.0), (-30.0, 22.0))
 BOWL = Quadric(coefficients=(1.0, 0.8, 0.0, 0, 0, 0, 0, 0, -40.0, 0), center=(3.0, 0.0, 170.0))
@@ -124,7 +125,7 @@ def free_shares(
     radius, middle = blur_radius(CAMERA, w), np.zeros_like(w)
     bounds = [item.bounds for item in items]
     state, _, visibility = check_visibility(
-        CAMERA, surfaces, bounds, group, psf, Points(rays, w, radius, middle, middle, 1.0, np.zeros((len(w), 2)))
+        LENS, surfaces, bounds, group, psf, Points(rays, w, radius, middle, middle, 1.0, np.zeros((len(w), 2)))
     )
     cells, share = cell_visibility(visibility), np.ones((len(lens), w.size))
     tested = visibility.row >= 0
@@ -139,7 +140,7 @@ def blocked_lines(items: Sequence[Object], poses: Sequence[Pose], rays: Array, w
     taps = lens[:, None] * blur_radius(CAMERA, w)[None, :, None]
     ends = lens_points(rays, w, taps[..., 0], taps[..., 1])
     assert np.abs(ends[..., 2]).max() < 1e-6  # the lens is where z = 0, and as wide as it is said to be
-    size = np.hypot(ends[..., 0], ends[..., 1]) / lens_radius(CAMERA)
+    size = np.hypot(ends[..., 0], ends[..., 1]) / LENS.radius
     np.testing.assert_allclose(size, np.broadcast_to(np.linalg.norm(lens, axis=1)[:, None], size.shape), rtol=1e-6)
     start = np.broadcast_to(rays / w[:, None], ends.shape)
     return np.asarray(np.any([crossings(*one, start, ends) for one in zip(items, poses, strict=True)], axis=0))
@@ -150,7 +151,7 @@ def passes_lens(item: Object, pose: Pose, extent: float) -> bool:
     matrix, vector, constant = quadric_of(item)
     angle = np.arange(64) * (np.pi / 32)
     rings = [size * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=-1) for size in np.linspace(0, extent, 9)]
-    own = (lens_radius(CAMERA) * np.concatenate(rings) - rest_center(item) - pose.shift) @ pose.rotation
+    own = (LENS.radius * np.concatenate(rings) - rest_center(item) - pose.shift) @ pose.rotation
     value = np.einsum("ni,ij,nj->n", own, matrix, own) + 2 * own @ vector + constant
     return bool(value.min() <= 0 <= value.max())
 
@@ -270,7 +271,7 @@ def test_points_inside_of_another_object_are_hidden() -> None:
             PILLBOX,
             Points(rays, w, radius, middle, middle, 1.0, np.zeros((len(w), 2))),
         )
-        state, edge, _ = check_visibility(CAMERA, *args)
+        state, edge, _ = check_visibility(LENS, *args)
         assert (state[inside] == HIDDEN).all()
         assert (state[~inside] != HIDDEN).any()
         # The change is an outline for sub-pixel sources, whether or not anything can be seen of what is beyond.
@@ -302,7 +303,7 @@ def test_narrow_lenses_are_weighed_cell_by_cell() -> None:
     assert 0.5 < radius[0] < 2.0
     zero, surfaces = np.zeros(1), [place(item, STILL)]
     _, _, visibility = check_visibility(
-        camera,
+        Lens.of(camera),
         surfaces,
         [item.bounds],
         OcclusionGroup(0, 1),

@@ -9,7 +9,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clsco.constants import TAP_LANES
-from clsco.frame.strips import Grid, frame_struct
+from clsco.frame.strips import Grid, grid_struct
 from clsco.opencl.buffers import empty, upload
 from clsco.opencl.session import Session
 from clsco.optics.point_spread import point_spread
@@ -44,9 +44,9 @@ class Pass:
             brightest=brightest,
             border=psf.border,
         )
-        self.camera, self.target = frame_struct(rows, columns, guard, real), blur_target(session, spec, channels, real)
+        self.grid, self.target = grid_struct(rows, columns, guard, real), blur_target(session, spec, channels, real)
         grid = Grid.whole(rows, columns, guard, channels)
-        self.blur = make_blur(self.target, spec, grid, self.camera)
+        self.blur = make_blur(self.target, spec, grid, self.grid)
         self.sizes = defocus_bytes(spec, grid, session.device)
         padded = np.pad(flat(image, np.float32), ((0, 0), (guard, guard), (guard, guard)))
         source = None if constant else empty(session, source_bytes(rows * columns, psf.tilt))
@@ -61,7 +61,7 @@ class Pass:
         if self.sources.source is not None:
             coc, valid = self.radii
             struct, source = self.blur.struct, self.sources.source
-            prepare_sources(self.target, self.camera, struct, (coc, valid), source, events)
+            prepare_sources(self.target, self.grid, struct, (coc, valid), source, events)
 
     def spread(self, events: Events) -> None:
         """Enqueue the blur of all sources into an empty frame."""

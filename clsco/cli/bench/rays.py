@@ -5,26 +5,26 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import log, sqrt
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsco.cli.bench import oracle
 from clsco.cli.bench.doubledouble import Wide, wide
-from clsco.frame.strips import frame_struct
+from clsco.frame.strips import grid_struct
 from clsco.opencl.buffers import download, empty, upload
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Session
-from clsco.optics.lens import blur_scale, focus_power
+from clsco.optics.lens import Lens
 from clsco.optics.motion import pose_at, rest_center
 from clsco.optics.point_spread import point_spread
 from clsco.optics.psf_tables import psf_features
 from clsco.optics.quadrics import PlacedSurface, place
 from clsco.optics.visibility import OcclusionGroup
 from clsco.passes.blur import PIXELS
-from clsco.passes.pack import group_struct, surface_structs
-from clsco.records import WIDE, WIDE_BYTES, Real, structs, together
+from clsco.passes.pack import group_struct, lens_struct, surface_structs
+from clsco.records import WIDE, WIDE_BYTES, Real, Struct, structs, together
 from clsco.scene.model import Camera, Cone, Cylinder, Ellipsoid, Object, ObjectMotion, Plane, Psf, Quadric, Sphere
 from clsco.scene.quantities import Vector
 
@@ -90,26 +90,19 @@ class Caster:
 
     def blur(self, target: Target, camera: Camera) -> tuple[NDArray[np.bool_], Array]:
         """Cast the rays of a target: mask of hits (side, side), and the signed blur radius there in px."""
-        self.launch("pinhole", target, blur_scale(camera), focus_power(camera))
+        self.launch("pinhole", target, lens_struct(Lens.of(camera), self.real))
         return self._found(target.window.side)
 
-    def launch(self, name: str, target: Target, blur_scale: float = 0.0, focus_power: float = 0.0) -> None:
-        """Run a kernel over the window and wait for it; blur_scale in px mm, focus_power in 1/mm of the camera."""
+    def launch(self, name: str, target: Target, *lens: Struct) -> None:
+        """Run a kernel over the window and wait for it; lens: lens_t of one that needs it."""
         window = target.window
-        camera = frame_struct(1, 1, 0, self.real, step=window.step, blur_scale=blur_scale, focus_power=focus_power)
+        grid = grid_struct(1, 1, 0, self.real, step=window.step)
         # A frame of one pixel on the axis, with sources on a grid anywhere around it.
-        camera["guard"], camera["top"] = -window.column, window.row
-        camera["above"], camera["width"], camera["height"] = 0, window.side, window.side
+        grid["guard"], grid["top"] = -window.column, window.row
+        grid["above"], grid["width"], grid["height"] = 0, window.side, window.side
         surfaces = upload(self.session, surface_structs([target.item], [target.placed()], self.real))
-        args = (
-            camera,
-            surfaces,
-            group_struct(OcclusionGroup(1, 0), 1),
-            np.float32(1.0),
-            self.texture,
-            self.value,
-            self.wide,
-        )
+        values: tuple[Any, ...] = self.texture, self.value, self.wide
+        args = (grid, *lens, surfaces, group_struct(OcclusionGroup(1, 0), 1), np.float32(1.0), *values)
         last = (self.class_, *((self.statistics,) if name == "pinhole" else ()))
         launch(self.session, kernel(self.program, name), (window.side,) * 2, PIXELS, *args, *last)
         self.session.queue.finish()

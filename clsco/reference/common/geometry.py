@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clsco.optics.lens import blur_scale, focus_power, ray_step
+from clsco.optics.lens import Lens, ray_step
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_grid import table_coordinate as coordinate_of_radius
 from clsco.optics.quadrics import PlacedSurface
@@ -236,17 +236,17 @@ def surface_slope(surface: PlacedSurface, rays: Array, w: Array) -> Array:
         return np.asarray(scale[..., None] * n[..., :2])
 
 
-def blur_radius(camera: Camera, w: Array) -> Array:
+def blur_radius(lens: Lens, w: Array) -> Array:
     """Signed blur radius (...) in px of inverse depths w (...) in 1/mm (2.33)."""
-    return np.asarray(blur_scale(camera) * (focus_power(camera) - w))
+    return np.asarray(lens.blur_scale * (lens.focus_power - w))
 
 
-def blur_gradient(camera: Camera, slope: Array) -> Array:
+def blur_gradient(camera: Camera, lens: Lens, slope: Array) -> Array:
     """Gradient (..., 2) of the signed blur radius in px per px, right and down.
 
     slope: (..., 2) from `surface_slope`. R = kappa (K - w) (2.33), so that it changes against w.
     """
-    return np.asarray(blur_scale(camera) * ray_step(camera) * slope * np.array([-1.0, 1.0]))
+    return np.asarray(lens.blur_scale * ray_step(camera) * slope * np.array([-1.0, 1.0]))
 
 
 def surface_normal(surface: PlacedSurface, rays: Array, w: Array) -> Array:

@@ -18,13 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.constants import LENS_CELLS
-from clsco.optics.lens import blur_scale, lens_radius
+from clsco.optics.lens import Lens
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import PlacedSurface
 from clsco.optics.visibility import OcclusionGroup
 from clsco.reference.common.geometry import Array, Bounds, difference_of_products, turned
 from clsco.reference.common.occluder import TINY, Mask, Occluder, hides_all
-from clsco.scene.model import Camera
 
 CLEAR, PARTLY, HIDDEN = np.uint8(0), np.uint8(1), np.uint8(2)
 SOFT_BOX = (5.0 / 12.0) ** 0.5  # half width of the cubic step that has the variance of a box 1 wide
@@ -71,7 +70,7 @@ class Points:
 
 
 @dataclass(frozen=True, eq=False)
-class Lens:
+class Division:
     """Division of the lens into cells for N sources.
 
     cells (N,): per lens radius, signed as the blur radius; wide (N,): a cell is a pixel; blur (N,): |R| extent, px;
@@ -91,12 +90,12 @@ class Lens:
         return np.asarray(self.extent * np.abs(self.cells) + 1.5)
 
 
-def lens_of(radius: Array, extent: float, width: float, gradient: Array) -> Lens:
+def division_of(radius: Array, extent: float, width: float, gradient: Array) -> Division:
     """Cells for sources of blur radius (N,) px."""
     blur = np.abs(radius) * extent
     wide = blur >= WIDE_LENS
     cells = np.where(wide, radius, np.where(radius < 0, -LENS_CELLS, LENS_CELLS) / extent)
-    return Lens(cells, blur, extent, width, wide, gradient)
+    return Division(cells, blur, extent, width, wide, gradient)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,11 +120,11 @@ class Equation:
     flat: bool
 
 
-def equation_of(camera: Camera, surface: PlacedSurface, rays: Array, w: Array, cells: Array, own: bool) -> Equation:
+def equation_of(lens: Lens, surface: PlacedSurface, rays: Array, w: Array, cells: Array, own: bool) -> Equation:
     """The equation of points on rays (N, 3); own: they are on the surface, F = 0."""
     q, l, k, o = surface.canonical.q, surface.canonical.l, surface.canonical.k, surface.offset  # noqa: E741
     p = o * w[:, None] + turned(surface.turn, rays)
-    right = lens_radius(camera) / cells
+    right = lens.radius / cells
     along_x, along_y = (way[:, None] * surface.turn[:, i] for i, way in enumerate((right, -right)))
     sign = -1.0 if surface.constant < 0 else 1.0
     f = np.zeros_like(w) if own else sign * (_dot(q, p * p) + w * (2 * _dot(l, p) - k * w))
@@ -165,20 +164,20 @@ def slopes_of(surface: PlacedSurface, e: Equation, w: Array, d: Array) -> Slopes
     return Slopes(d, bx, by, cx, cy, cxx, cxy, cyy, dx, dy, dxx, dxy, dyy)
 
 
-def crossing_place(camera: Camera, e: Equation, d: Array) -> Array:
+def crossing_place(lens: Lens, e: Equation, d: Array) -> Array:
     """Distance in the image at which the line meets the surface, or passes it, (N,), px per lens radius."""
     root = np.sqrt(np.maximum(d, 0.0))
     # The outline itself is at sqrt(F / C): half of it keeps its edge from growing endlessly where the line passes the
     # surface next to the point.
     passed = np.maximum(np.abs(e.B), 0.5 * np.sqrt(np.maximum(e.C * e.F, 0.0))) / e.C
     v = np.where(e.once, np.where(e.B < 0, (root - e.B) / e.C, -e.F / (e.B + root)), passed)
-    return np.maximum(np.abs(blur_scale(camera) * v), TINY)
+    return np.maximum(np.abs(lens.blur_scale * v), TINY)
 
 
-def edge_width(lens: Lens, place: Array) -> Array:
+def edge_width(division: Division, place: Array) -> Array:
     """Half width (N,) of the edge of an occluder, in cells: over the cell, and the part that a source's width adds."""
-    away = lens.cells / place
-    return np.asarray(SOFT_BOX * np.hypot(1.0, lens.width * np.where(lens.wide, away - 1, away)))
+    away = division.cells / place
+    return np.asarray(SOFT_BOX * np.hypot(1.0, division.width * np.where(division.wide, away - 1, away)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,10 +273,10 @@ def keep_equation(e: Equation, m: Slopes, soft: Array, outline: Outline, limits:
     )
 
 
-def out_of_the_way(camera: Camera, surface: PlacedSurface, rays: Array, w: Array, extent: float) -> Mask:
+def out_of_the_way(lens: Lens, surface: PlacedSurface, rays: Array, w: Array, extent: float) -> Mask:
     """Mark points (N,) that nothing of a surface can be before: the line to lens point l goes over the image by
     lens_radius l per inverse depth."""
-    way = lens_radius(camera) * extent * (surface.seen.w[1] - w)
+    way = lens.radius * extent * (surface.seen.w[1] - w)
     far = way <= 0
     for axis, (low, high) in enumerate((surface.seen.x, surface.seen.y)):
         far = far | (rays[:, axis] + way < low) | (rays[:, axis] - way > high)
@@ -285,7 +284,7 @@ def out_of_the_way(camera: Camera, surface: PlacedSurface, rays: Array, w: Array
 
 
 def meet_occluder(
-    camera: Camera, surface: PlacedSurface, bounds: Bounds | None, points: Points, lens: Lens, own: bool = False
+    lens: Lens, surface: PlacedSurface, bounds: Bounds | None, points: Points, division: Division, own: bool = False
 ) -> tuple[NDArray[np.uint8], Mask, Occluder]:
     """Find how a surface hides the lens from N points.
 
@@ -294,40 +293,40 @@ def meet_occluder(
     outline of it that has hardly any width (N,), and what is to be tested per tap.
     """
     rays, w = points.rays, points.w
-    far = out_of_the_way(camera, surface, rays, w, lens.extent)
-    e = equation_of(camera, surface, rays, w, lens.cells, own)
+    far = out_of_the_way(lens, surface, rays, w, division.extent)
+    e = equation_of(lens, surface, rays, w, division.cells, own)
     d = difference_of_products(e.B, e.B, e.C, e.F)
     limits = _limits(surface, bounds, w, rays, e)
     with np.errstate(all="ignore"):  # where there is one crossing, what belongs to two is not used, and vice versa
-        place = crossing_place(camera, e, d)
-        soft = edge_width(lens, place)
+        place = crossing_place(lens, e, d)
+        soft = edge_width(division, place)
         if surface.canonical.radius < np.inf:
-            disc = disc_outline(surface, e, points, soft, lens.most)
+            disc = disc_outline(surface, e, points, soft, division.most)
             state = np.select([far | ~e.once | disc.clear, disc.hidden], [CLEAR, HIDDEN], PARTLY)
             occluder = replace(_planar((), (), w.size), h=disc.h, root=disc.root, f=disc.f)
             return state.astype(np.uint8), (e.F < 0) & ~far, occluder
         if e.flat:
             l = surface.canonical.l  # noqa: E741
             change = (float(l @ surface.offset), e.along_x @ l, e.along_y @ l)
-            state, limits, needed = flatten_limits(camera, limits, e.linear, change, lens)
+            state, limits, needed = flatten_limits(lens, limits, e.linear, change, division)
             state = np.where(e.once & ~far, state, CLEAR)
             return state.astype(np.uint8), (e.F < 0) & ~far, _planar(limits, needed, w.size)
         slopes = slopes_of(surface, e, w, d)
-        outline = outline_of(e, slopes, soft, lens.most)
+        outline = outline_of(e, slopes, soft, division.most)
         occluder = keep_equation(e, slopes, soft, outline, limits)
     clear, hidden = far | ~e.once & outline.clear, e.once | outline.hidden
     state = np.where(clear, CLEAR, np.where(hidden & (not limits), HIDDEN, PARTLY))
-    narrow = ~e.once & ~clear & ~hidden & (place * lens.extent <= SHARP_EDGE)
+    narrow = ~e.once & ~clear & ~hidden & (place * division.extent <= SHARP_EDGE)
     edge = ~far & (e.once & (e.F < 0) | narrow)
     if limits:
-        all_hidden, needed = hides_all(occluder, lens.most)
+        all_hidden, needed = hides_all(occluder, division.most)
         state = np.where(~clear & all_hidden, HIDDEN, state)
         occluder = replace(occluder, needed=needed)
     return state.astype(np.uint8), edge, occluder
 
 
 def flatten_limits(
-    camera: Camera, limits: Sequence[Array], near: Array, far: tuple[float, Array, Array], lens: Lens
+    lens: Lens, limits: Sequence[Array], near: Array, far: tuple[float, Array, Array], division: Division
 ) -> tuple[NDArray[np.uint8], list[Array], tuple[Mask, ...]]:
     """Conditions on the one crossing with a plane, linear in the tap: state of the lens (N,), h (N, 3) of each, and
     where (N,) each is needed.
@@ -343,13 +342,13 @@ def flatten_limits(
         slope = np.sqrt(square)
         # By how many cells the edge moves if the source moves by 1 px across it: as in `edge_width`, with 1 / v there.
         over_v = sum(u * (far[0] * limit[:, 1 + k] - limit[:, 1] * far[k]) for k, u in ((1, x), (2, y)))
-        moved = np.abs(side * lens.cells / blur_scale(camera) * over_v / square - lens.wide)
+        moved = np.abs(side * division.cells / lens.blur_scale * over_v / square - division.wide)
         # Not so far if it moves on a tilted surface, and not at all if that ends at this limit.
-        tilted = base / lens.cells
-        along = np.hypot(x - tilted * lens.gradient[:, 0], y - tilted * lens.gradient[:, 1])
-        soft = SOFT_BOX * np.hypot(slope, lens.width * moved * np.minimum(along, slope))
-        clear |= base + lens.most * slope <= -soft
-        needed.append(base - lens.most * slope < soft)
+        tilted = base / division.cells
+        along = np.hypot(x - tilted * division.gradient[:, 0], y - tilted * division.gradient[:, 1])
+        soft = SOFT_BOX * np.hypot(slope, division.width * moved * np.minimum(along, slope))
+        clear |= base + division.most * slope <= -soft
+        needed.append(base - division.most * slope < soft)
         found.append(np.stack([base, x, y], axis=-1) / (2 * soft)[:, None])
     state = np.where(clear, CLEAR, np.where(np.any(needed, axis=0), PARTLY, HIDDEN))
     return state, found, tuple(needed)
@@ -406,7 +405,7 @@ class Visibility:
 
 
 def check_visibility(
-    camera: Camera, surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], group: OcclusionGroup,
+    lens: Lens, surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], group: OcclusionGroup,
     psf: PointSpread, points: Points,
 ) -> tuple[NDArray[np.uint8], Mask, Visibility]:  # fmt: skip
     """Visibility of the lens from N points.
@@ -415,20 +414,20 @@ def check_visibility(
     HIDDEN (N,); what changes where two surfaces meet, and at outlines of occluders close to the point (N,); and what is
     to be tested for taps.
     """
-    lens = lens_of(points.radius, psf.extent, points.width, points.gradient)
+    division = division_of(points.radius, psf.extent, points.width, points.gradient)
     state, edge = np.full(points.w.shape, CLEAR), np.zeros(points.w.shape, dtype=bool)
     found = []
     for k, surface in enumerate(surfaces):
         # The near one of two roots has nothing of its own surface before it.
         front = k == group.own and group.root == (2 if surface.constant < 0 else 1)
         if group.occluders >> k & 1 and not front:
-            one, changes, occluder = meet_occluder(camera, surface, bounds[k], points, lens, k == group.own)
+            one, changes, occluder = meet_occluder(lens, surface, bounds[k], points, division, k == group.own)
             state, edge = np.maximum(state, one), edge ^ changes
             found.append((one == PARTLY, occluder))
     partly = state == PARTLY
     row = np.where(partly, np.cumsum(partly) - 1, -1)
     occluders = tuple((mask[partly], occluder.of(mask & partly)) for mask, occluder in found)
     return state, edge, Visibility(
-        row, points.radius[partly], lens.wide[partly], points.x[partly], points.y[partly], occluders, lens.extent,
-        psf.lens_cells(), np.array(psf.pupil.edges).reshape(-1, 3),
+        row, points.radius[partly], division.wide[partly], points.x[partly], points.y[partly], occluders,
+        division.extent, psf.lens_cells(), np.array(psf.pupil.edges).reshape(-1, 3),
     )  # fmt: skip

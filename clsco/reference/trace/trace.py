@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.inputs.pupils import scene_point_spread
-from clsco.optics.lens import ray_step
+from clsco.optics.lens import Lens, ray_step
 from clsco.optics.light import PlacedLight, place_light
 from clsco.optics.motion import Eye, poses_at
 from clsco.optics.point_spread import PointSpread, subpixel_offsets
@@ -111,6 +111,11 @@ class View:
     psf: PointSpread
 
     @property
+    def lens(self) -> Lens:
+        """The lens of the camera."""
+        return Lens.of(self.scene.camera)
+
+    @property
     def channels(self) -> int:
         """Number of channels of the textures."""
         first = self.textures[0]
@@ -167,12 +172,12 @@ def cast(
         if not group.members >> k & 1:
             continue
         own = (number == k)[..., None]
-        gradient = np.where(own, blur_gradient(scene.camera, surface_slope(surface, rays, w)), gradient)
+        gradient = np.where(own, blur_gradient(scene.camera, view.lens, surface_slope(surface, rays, w)), gradient)
         texels, texture = (np.asarray(n, dtype=np.int64) for n in texel), view.textures[k]
         if isinstance(texture, MappedTexture):
             here = np.where(own[..., 0], w, 0.0)
             shown, fineness = _mapped_radiance(scene, surface, texture, rays, here, sources)
-            size = blur_radius(scene.camera, w)
+            size = blur_radius(view.lens, w)
             cut = parts_of(texture, fineness, size, scene.psf.silhouette_samples)
             parts = np.where(own[..., 0], cut, parts)
             share = np.where(own[..., 0], sharpening(texture, size), share)
@@ -183,7 +188,7 @@ def cast(
         if view.light is not None:
             shown = shown * shade(view.light, surface, k, rays, w)[..., None]
         radiance = np.where(own, shown, radiance)
-    radius = np.where(label > 0, blur_radius(scene.camera, w), 0.0)
+    radius = np.where(label > 0, blur_radius(view.lens, w), 0.0)
     return Cast(w, label, number, radius, gradient, radiance, parts, share)
 
 
@@ -226,7 +231,7 @@ def trace(view: View, group: OcclusionGroup, guard: int) -> Sources:
         size = np.maximum(np.abs(radius), np.minimum(2.0 * np.abs(radius), 1.0)) * np.where(radius < 0.0, -1.0, 1.0)
         bounds = [cutting_bounds(item) for item in scene.objects]
         state, edge, seen = check_visibility(
-            scene.camera,
+            view.lens,
             view.surfaces,
             bounds,
             group,
@@ -324,7 +329,7 @@ def trace_subpixels(
         size = np.maximum(np.abs(lens_radius), SMALLEST_RADIUS) / np.maximum(np.abs(hit.radius), SMALLEST_RADIUS)
         tilted = hit.gradient * (size * np.where(lens_radius * hit.radius < 0.0, -1.0, 1.0))[..., None]
         state, _, visibility = check_visibility(
-            scene.camera, view.surfaces, bounds, group, view.psf,
+            view.lens, view.surfaces, bounds, group, view.psf,
             Points(rays, hit.w[lit], lens_radius[lit], x, y, 1.0 / samples, tilted[lit] * scene.psf.tilt),
         )  # fmt: skip
         seen = state != HIDDEN

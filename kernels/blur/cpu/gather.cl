@@ -103,7 +103,7 @@ static void settle(int first, int last, int apart, int shift, int plane, int pit
 // walked, 0 at first, DONE in the end. Such pieces give the sums of the whole, in its order. part: BAND rows for each
 // work-item, of which every `part_rows` rows of sources the sum goes on to total; with 0 rows it is total. scratch: see
 // discs.clh and columns.clh, zeros as well.
-__kernel void gather(const camera_t camera, const psf_t psf, __global const float *source,
+__kernel void gather(const grid_t grid, const psf_t psf, __global const float *source,
                      __global const float *value, __global const int2 *intervals,
                      __global const float *coefficients,
                      __global const float *taps, __global const outline_t *outlines,
@@ -121,23 +121,23 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
 )
 {
     const int own = get_global_id(0), first = (start + own) * BAND;
-    if (first >= camera.rows)
+    if (first >= grid.rows)
         return;
     const bool cut = budget.x > 0;
-    const int end = MIN(camera.rows, first + BAND);
-    const int plane = camera.width * camera.height, total_plane = camera.rows * pitch;
+    const int end = MIN(grid.rows, first + BAND);
+    const int plane = grid.width * grid.height, total_plane = grid.rows * pitch;
     const int apart = part_rows ? (int)get_global_size(0) * BAND * pitch : total_plane;
     const int shift = part_rows ? (own * BAND - first) * pitch : 0;  // from a row of the frame to that of part
-    const int from = MAX(first - psf.reach, -camera.above), to = MIN(end + psf.reach, camera.height - camera.above);
+    const int from = MAX(first - psf.reach, -grid.above), to = MIN(end + psf.reach, grid.height - grid.above);
     const int before = cut ? position[own] : 0;
     if (before == DONE)
         return;
     int at_first = before & (OTHERS - 1);
 #if BY_ROWS || BY_COLUMNS
-    const int steps = (camera.columns + GATHER_STEP - 1) / GATHER_STEP;
+    const int steps = (grid.columns + GATHER_STEP - 1) / GATHER_STEP;
     if (at_first < steps) {
         const int until = cut ? MIN(at_first + budget.x, steps) : steps;
-        const bool others = ADD_ALIKE(camera, psf, source, value, intervals, taps, outlines, first, end,
+        const bool others = ADD_ALIKE(grid, psf, source, value, intervals, taps, outlines, first, end,
                                       at_first * GATHER_STEP, until * GATHER_STEP, scratch + own * scratch_size, pitch,
                                       pad, total);
         if (cut)
@@ -150,20 +150,20 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
 #else
     const int steps = 0;
 #endif
-    const int blocks = (camera.width + SOURCE_BLOCK - 1) / SOURCE_BLOCK;
+    const int blocks = (grid.width + SOURCE_BLOCK - 1) / SOURCE_BLOCK;
     int left = budget.y, block_first = at_first % blocks;
     bool added = at_first > 0;  // anything to `part` since it was settled
     for (int y = from + at_first / blocks; y < to; ++y, block_first = 0) {
-    const int line = (y + camera.above) * camera.width, place = shift + y * pitch - camera.guard + pad;
-    for (int block = block_first * SOURCE_BLOCK; block < camera.width; block += SOURCE_BLOCK) {
+    const int line = (y + grid.above) * grid.width, place = shift + y * pitch - grid.guard + pad;
+    for (int block = block_first * SOURCE_BLOCK; block < grid.width; block += SOURCE_BLOCK) {
     if (cut && left <= 0) {
         position[own] = steps + (y - from) * blocks + block / SOURCE_BLOCK;
         return;
     }
     left -= BLOCK_WORK;
-    int single = (1 << MIN(SOURCE_BLOCK, camera.width - block)) - 1;
+    int single = (1 << MIN(SOURCE_BLOCK, grid.width - block)) - 1;
 #if BY_ROWS || BY_COLUMNS
-    const int16 others = take_sources(psf, source, plane, line, block, camera.width, intervals, outlines).others;
+    const int16 others = take_sources(psf, source, plane, line, block, grid.width, intervals, outlines).others;
     single = bits_of(others.lo) | bits_of(UPPER(others)) << TAP_LANES;
 #endif
     added |= single != 0;
@@ -190,8 +190,8 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
                 if (as_int(p.w) == PARTLY_OCCLUDED) {
                     left -= HIDDEN_WORK + HIDDEN_TAPS * vectors;
                     visibility_t visibility;
-                    source_visibility(camera, surfaces, group, psf, lens, camera.top + y + spread.oy,
-                                      x - camera.guard + spread.ox,
+                    source_visibility(grid, lens, surfaces, group, psf, lens_cells, grid.top + y + spread.oy,
+                                      x - grid.guard + spread.ox,
                                       sub_depth[id], spread, p, (real)1 / SUBPIXELS, &visibility);
                     add_occluded_rows(spread, &visibility, up, down, sub_value + id, capacity * SUBPIXELS * SUBPIXELS,
                                       p,
@@ -217,8 +217,8 @@ __kernel void gather(const camera_t camera, const psf_t psf, __global const floa
         if (as_int(s.w) == PARTLY_OCCLUDED) {
             left -= HIDDEN_WORK + HIDDEN_TAPS * vectors;
             visibility_t visibility;
-            source_visibility(camera, surfaces, group, psf, lens, camera.top + y, x - camera.guard, depth[at], spread,
-                              s, (real)1, &visibility);
+            source_visibility(grid, lens, surfaces, group, psf, lens_cells, grid.top + y, x - grid.guard, depth[at],
+                              spread, s, (real)1, &visibility);
             add_occluded_rows(spread, &visibility, up, down, value + at, plane,
                           s, out - half_width, apart, pitch);
             continue;
