@@ -54,10 +54,13 @@ def folder(name: str) -> Traversable:
 
 
 def code_digest(*modules: ModuleType) -> str:
-    """SHA-256 of the source files of modules: what they compute, kept on disk, is anew when they change."""
+    """SHA-256 of the source files of modules, and of all in a package: what they compute, kept on disk, is anew when
+    they change."""
     digest = hashlib.sha256()
     for module in modules:
-        digest.update(Path(str(module.__file__)).read_bytes())
+        path = Path(str(module.__file__))
+        for file in sorted(path.parent.glob("*.py")) if path.name == "__init__.py" else (path,):
+            digest.update(file.read_bytes())
     return digest.hexdigest()
 
 

@@ -6,7 +6,6 @@ as piecewise cubics in the blur radius, which is what a device reads.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from math import floor, sqrt
@@ -16,19 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.constants import LENS_CELLS
-from clsco.optics.pupils.circle import Circle
+from clsco.optics.pupils import FORMULAS
 from clsco.optics.pupils.gaussian import Gaussian
-from clsco.optics.pupils.polygon import Polygon
 from clsco.optics.pupils.pupil import Array, Pupil
-from clsco.optics.pupils.ring import Ring
 from clsco.scene.model import Aperture, Psf
 
-FORMULAS: dict[str, Callable[[Aperture], Pupil]] = {
-    "circle": lambda _: Circle(),
-    "polygon": lambda aperture: Polygon(aperture.blades, aperture.rotation),
-    "ring": lambda aperture: Ring(aperture.obstruction),
-}
-"""Pupil of an aperture by its shape; that of an image is read from its file."""
 MINIMUM_BLUR = 0.5  # px; sampled PSFs leave smaller radii alone (thesis, 2.2)
 POINT = 1e-9  # px; smaller radii are 0
 PIXEL_MOMENT = {"sampled": 0.0, "area": 1 / 12, "integrated": 1 / 6}  # px^2 per axis: what `edge` adds
@@ -55,7 +46,7 @@ class PointSpread:
     --------
     >>> import numpy as np
     >>> from clsco.optics.point_spread import PointSpread
-    >>> from clsco.optics.pupils.circle import Circle
+    >>> from clsco.optics.pupils import FORMULAS
     >>> psf = PointSpread(Circle())
     >>> x = np.arange(-4.0, 5.0)
     >>> float(psf.weights(x, x[:, None], np.asarray(3.0)).sum().round(12))

@@ -16,11 +16,10 @@ from clsco.cache import Cache
 from clsco.files.array_cache import ArrayCache, user_cache
 from clsco.opencl.pages import SMALLEST, in_pages, trim
 from clsco.opencl.session import Session
-from clsco.optics import point_spread, psf_blocks, psf_grid
+from clsco.optics import point_spread, psf_blocks, psf_grid, pupils
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_blocks import WeightBlock, weight_block
 from clsco.optics.psf_tables import PsfTable, narrowed, rounded_span, span_sizes, table_of
-from clsco.optics.pupils import circle, differences, gaussian, image, polygon, ring
 from clsco.plan.methods import BlurSpec
 from clsco.resources import code_digest
 
@@ -101,8 +100,7 @@ class TableStore:
 @cache
 def _code() -> str:
     """Digest of the code that makes blocks."""
-    pupils = circle, differences, gaussian, image, polygon, ring
-    return code_digest(constants, point_spread, *pupils, psf_blocks, psf_grid)
+    return code_digest(constants, point_spread, pupils, psf_blocks, psf_grid)
 
 
 @cache

@@ -5,16 +5,14 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar, cast, get_args
 
 from pydantic import BaseModel
 
 from clsco.errors import SceneError
 from clsco.scene.faults import parsed
+from clsco.scene.spread import APERTURE_KEYS, ApertureShape
 from clsco.scene.text import brief, shown
-
-APERTURE_KEYS = {"blades": "polygon", "rotation": "polygon", "obstruction": "ring", "image": "image"}
-"""Keys of [aperture] that belong to one shape."""
 
 # (key, its new value or None for any, key of the file that would contradict it)
 _DISPLACED: tuple[tuple[str, str | None, str], ...] = (
@@ -27,7 +25,7 @@ _DISPLACED: tuple[tuple[str, str | None, str], ...] = (
     *(
         ("aperture.shape", shape, f"aperture.{key}")
         for key, own in APERTURE_KEYS.items()
-        for shape in ("circle", "polygon", "ring", "image")
+        for shape in get_args(ApertureShape)
         if shape != own
     ),
     ("psf.model", "pillbox", "psf.sigma_ratio"),

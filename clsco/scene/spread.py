@@ -9,16 +9,20 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from clsco.errors import SceneError
 from clsco.scene.arrays import HasInputs, Input, TextureInput
-from clsco.scene.changes import APERTURE_KEYS
 from clsco.scene.quantities import Flag, Strict, Within, at_keys, fault
 
 NEEDS_RAYS = '"visibility" needs analytic surfaces, which rays can be cast at; use "layered" or "none"'
 
 
+ApertureShape = Literal["circle", "polygon", "ring", "image"]
+APERTURE_KEYS = {"blades": "polygon", "rotation": "polygon", "obstruction": "ring", "image": "image"}
+"""Keys of [aperture] that belong to one shape."""
+
+
 class Aperture(HasInputs, Strict):
     """Opening of the lens: a circle, or a polygon, ring or image inscribed in it; the light through it is the same."""
 
-    shape: Literal["circle", "polygon", "ring", "image"] = "circle"
+    shape: ApertureShape = "circle"
     """A circle, straight blades, a circle whose middle is covered, or what an image shows."""
     blades: Annotated[int, Within(3, 32)] = 6
     """Number of blades; only with shape = "polygon"."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -26,6 +28,7 @@ from clsco.passes.tables import _key
 from clsco.plan.predict import LENS_KEYS, _inverse_depths, without_lens
 from clsco.plan.prepare import prepare
 from clsco.plan.request import Request
+from clsco.resources import code_digest
 from clsco.scene.model import Camera, CameraMotion, DepthMap, Fill, ImageOptions, ObjectMotion, Plane, Scene, Sphere
 from tests.scenes import scene_of
 
@@ -162,7 +165,7 @@ def test_rays_of_a_prediction_depend_on_the_camera_and_not_on_its_lens() -> None
         assert not same or rays(other) == rays(base)
 
 
-def test_textures_depend_on_content_transfer_size_and_primaries(tmp_path: Any) -> None:
+def test_textures_depend_on_content_transfer_size_and_primaries(tmp_path: Path) -> None:
     image = np.linspace(0.0, 1.0, 48, dtype=np.float32).reshape(4, 4, 3)
     for name, data in (("a", image), ("b", image[::-1])):
         np.save(tmp_path / f"{name}.npy", data)
@@ -210,3 +213,13 @@ def test_programs_depend_on_each_part_of_a_request(session: Session, monkeypatch
     for sources, features, structs, real in [*requests, base]:
         program.build(fresh, sources, features, structs, real)
     assert len(fresh.programs) == len(requests)
+
+
+def test_a_package_is_told_by_all_of_its_files(tmp_path: Path) -> None:
+    package = ModuleType("package")
+    package.__file__ = str(tmp_path / "__init__.py")
+    found = set()
+    for name, text in (("__init__", ""), ("one", "a = 1\n"), ("two", "b = 1\n"), ("one", "a = 2\n")):
+        (tmp_path / f"{name}.py").write_text(text)
+        found.add(code_digest(package))
+    assert len(found) == 4
