@@ -46,7 +46,7 @@ class PointSpread:
     --------
     >>> import numpy as np
     >>> from clsco.optics.point_spread import PointSpread
-    >>> from clsco.optics.pupils import FORMULAS
+    >>> from clsco.optics.pupils.circle import Circle
     >>> psf = PointSpread(Circle())
     >>> x = np.arange(-4.0, 5.0)
     >>> float(psf.weights(x, x[:, None], np.asarray(3.0)).sum().round(12))
