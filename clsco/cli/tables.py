@@ -105,7 +105,7 @@ def planned_values(
 def _times(plan: Plan, kind: Kind) -> int:
     """Number of times that a frame has passes of this kind."""
     members = sum(each.kind == kind for each in plan.passes)
-    return members if kind == "ground truth" else members * plan.samples * (2 if "subframes" in plan.truth else 1)
+    return members if kind == "ground truth" else members * plan.samples
 
 
 def _time(cost: Cost | None) -> str:

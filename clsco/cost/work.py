@@ -118,11 +118,11 @@ def frame_work(plan: Plan, maps: Maps) -> list[tuple[Pass, Work]]:
     else:
         of_kind |= _of_image(plan, lattice, maps)
     of_kind["ground truth"] = _of_truth(plan)
-    times = plan.samples * (2 if "subframes" in plan.truth else 1)
+    of_kind["accumulate"] = {"accumulated": float(plan.channels * plan.rows * plan.columns)}
     shared = sum(strip.height for strip in plan.strips) / plan.height  # strips have rows of sources in common
     found = []
     for each in plan.passes:
-        often = 1.0 if each.kind == "ground truth" else times * shared
+        often = 1.0 if each.kind == "ground truth" else plan.samples * shared
         work = groups[each.group][each.kind]
         found.append((each, {name: often * count for name, count in work.items() if count}))
     return found
@@ -206,7 +206,7 @@ def _of_group(plan: Plan, group: OcclusionGroup, lattice: Lattice) -> dict[str, 
         }
         finer = np.maximum(marked, detailed)
     lit = (hits.w > 0.0) & (hits.state != HIDDEN)
-    found["blur" if plan.blur != "none" else "accumulate"] = _of_blur(plan, lattice, hits.radius, lit, finer, hits)
+    found["blur"] = _of_blur(plan, lattice, hits.radius, lit, finer, hits)
     return found
 
 
@@ -282,7 +282,6 @@ def _of_image(plan: Plan, lattice: Lattice, maps: Maps) -> dict[str, Work]:
         "sources": {"sent": pixels},
         "depth layers": layers,
         "blur": blur,
-        "accumulate": blur,
     }
 
 
@@ -296,7 +295,7 @@ def _of_blur(
 ) -> Work:
     """Work of the blur of sources (n, m) of signed radii in px; finer: the share with sub-pixel sources."""
     if plan.blur == "none":
-        return {"accumulated": plan.channels * lattice.total(lit)}
+        return {}
     psf, channels, total = plan.psf, plan.channels, lattice.total
     size = np.abs(radius)
     if plan.blur == "convolve":

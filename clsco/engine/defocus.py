@@ -350,7 +350,7 @@ class _Engine:
                 maps = (self.coc,) if self.valid is None else (self.coc, self.valid)
                 prepare_sources(self.target, grid, blur.struct, maps, self.source, [])
             blur.add(Sources(self.source, self.value, radius=self.given.largest), [])
-        blur.image([], out)
+        blur.plane([]).read(self.target.session, out)
 
     def _send(self, strip: Strip) -> None:
         """Send what of image and radii lights a strip to the device."""

@@ -21,7 +21,7 @@ from clsco.opencl.buffers import download
 from clsco.opencl.pace import spent
 from clsco.opencl.session import Progress, Session
 from clsco.optics.depth_layers import LayerBounds
-from clsco.optics.exposure import frame_exposure
+from clsco.optics.exposure import Exposure, frame_exposure
 from clsco.passes.blur import Events
 from clsco.passes.pack import camera_grid
 from clsco.passes.placed import PlacedScene, TimeSample
@@ -92,9 +92,10 @@ class Renderer:
         assert self.space is not None
         return self.space
 
-    def begin(self, times: Sequence[float]) -> None:
+    def begin(self, exposure: Exposure) -> None:
         """Begin a frame of these time samples: no radiance yet."""
-        plan, space = self.plan, self._ready
+        plan, space, times = self.plan, self._ready, exposure.times.tolist()
+        self.exposure, self.weights = exposure, exposure.of_rows(plan.rows)
         self.began = perf_counter()
         self.events: Events = []
         self.reports: list[dict[str, Any]] = []
@@ -123,28 +124,24 @@ class Renderer:
 
     def _work(self, strip: Strip, sample: TimeSample) -> Work:
         grid = self._grid(strip)
-        if self.plan.color:
+        if self._ready.making is not None:
             self._ready.blur.grid = grid
         return Work(strip, grid, self.events, sample)
-
-    def add_subframes(self, strip: Strip, times: Sequence[float]) -> None:
-        """Make the sub-frames of a strip, where they are wanted: each time sample by itself."""
-        for image, time in zip(self.subframes, times, strict=False):
-            self.begin_strip()
-            self.add(strip, time, 1.0)
-            self._ready.blur.image(self.events, image[strip.inside])
 
     def begin_strip(self) -> None:
         """Begin one of the strips of the frame."""
         self.reports = []  # the same for every strip
-        if self.plan.color:
-            self._ready.blur.clear()
+        if (frame := self._ready.frame) is not None:
+            frame.clear()
 
-    def add(self, strip: Strip, time: float, weight: float) -> None:
-        """Run the passes of a time sample on a strip."""
-        work = self._work(strip, self.scene.at(time, weight))
-        work.depth_layers = self.depth_layers
-        work.report = {"time": time, "weight": weight} | NOTHING_MISSING
+    def add(self, strip: Strip, number: int) -> None:
+        """Run the passes of a time sample, by its number, on a strip."""
+        time, weights = float(self.exposure.times[number]), self.exposure.weights[number]
+        work = self._work(strip, self.scene.at(time))
+        work.depth_layers, work.weights = self.depth_layers, self.weights[number, strip.inside]
+        work.report = {"time": time, "weight": float(weights.mean())} | NOTHING_MISSING
+        if self._ready.making is not None:
+            self._ready.blur.clear()
         for step in self.plan.passes:
             self.scene.session.go_on()
             self.scene.session.doing(step.kind)
@@ -153,11 +150,16 @@ class Renderer:
         self.reports.append(work.report)
         if work.missing is not None:
             self.missing |= work.missing
+        if self.plan.color:
+            plane = self._ready.plane(work)
+            if len(self.subframes):
+                plane.read(self.scene.session, self.subframes[number][strip.inside])
+            self.image = work.image or plane
 
     def end_strip(self, strip: Strip) -> None:
         """Read back a strip to which all time samples have been added."""
         if self.plan.color:
-            self._ready.blur.image(self.events, self.color[strip.inside])
+            self.image.read(self.scene.session, self.color[strip.inside])
 
     def finish(self, index: int) -> Frame:
         """The frame of this number, of the strips added: again with larger buffers where the plan was too small."""
@@ -245,21 +247,20 @@ def expose(renderers: Sequence[Renderer], index: int) -> None:
     of both."""
     plan = renderers[0].plan
     exposure, strips = frame_exposure(plan.scene, index, plan.samples), plan.strips
-    times, weights = exposure.times, exposure.weights
+    samples = len(exposure.times)
     for renderer in renderers:
-        renderer.begin(times.tolist())
+        renderer.begin(exposure)
     if {step.kind for step in renderers[0].plan.passes} <= {"ground truth"}:
         return
     for number, strip in enumerate(strips):
         for renderer in renderers:
-            renderer.add_subframes(strip, times.tolist())
             renderer.begin_strip()
-        for count, (time, weight) in enumerate(zip(times.tolist(), weights.tolist(), strict=True)):
+        for count in range(samples):
             before = [renderer.events[-1:] for renderer in renderers]
             for renderer in renderers:
-                renderer.add(strip, time, weight)
+                renderer.add(strip, count)
             if (progress := renderers[0].scene.session.progress) is not None:
-                _keep_pace(before, progress, number * len(times) + count, len(strips) * len(times))
+                _keep_pace(before, progress, number * samples + count, len(strips) * samples)
         for renderer in renderers:
             renderer.end_strip(strip)
 

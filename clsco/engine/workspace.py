@@ -9,13 +9,17 @@ import pyopencl as cl
 
 from clsco.opencl.buffers import allocate
 from clsco.optics.lens import blur_radius
-from clsco.passes.blur import FrameSum, Sources, Target, blur_target, prepare_sources
+from clsco.passes.accumulate import FrameSum
+from clsco.passes.blur import BlurredPlane, Plane, Sources, Target, blur_target, padded_plane, prepare_sources
 from clsco.passes.frame_blur import make_blur
 from clsco.passes.layered import DepthLayers
+from clsco.passes.pack import psf_struct
 from clsco.passes.placed import PlacedScene, TimeSample
 from clsco.passes.static_image import StaticMap
+from clsco.passes.tables import tables_of
 from clsco.passes.trace import Hits, Tracer, Work
 from clsco.passes.warp import ForwardWarp
+from clsco.plan.buffers import sum_buffers
 from clsco.plan.passes import Kind, Pass
 from clsco.plan.plan import Plan
 from clsco.records import Struct
@@ -47,22 +51,25 @@ class Workspace:
     ----------
     plan : Plan
     scene : PlacedScene
-    making : (Target, FrameSum), optional
-        Makes the image, where it is wanted.
+    making : (Target, BlurredPlane), optional
+        Makes the blurred image of a time sample, where one is wanted, and anything is blurred.
     buffers : mapping
         Buffers of `SHARED` that the plan has.
     tracer : Tracer
     layers : DepthLayers, optional
+    frame : FrameSum, optional
+        Sum of time samples, where a frame has several.
     pixels : ForwardWarp or StaticMap, optional
         Moves the pixels of the reference pose, or has them as they are.
     """
 
     plan: Plan
     scene: PlacedScene
-    making: tuple[Target, FrameSum] | None
+    making: tuple[Target, BlurredPlane] | None
     buffers: Mapping[str, cl.Buffer]
     tracer: Tracer
     layers: DepthLayers | None
+    frame: FrameSum | None
     pixels: ForwardWarp | StaticMap | None
 
     @property
@@ -72,8 +79,8 @@ class Workspace:
         return self.making[0]
 
     @property
-    def blur(self) -> FrameSum:
-        """Sum of the image."""
+    def blur(self) -> BlurredPlane:
+        """Blurred plane of a time sample."""
         assert self.making is not None
         return self.making[1]
 
@@ -82,12 +89,20 @@ class Workspace:
         work.group = step.group
         RUN[step.kind](self, work)
 
+    def plane(self, work: Work) -> Plane:
+        """Blurred plane of the time sample, after its passes."""
+        if work.plane is None and self.making is None:
+            work.plane = padded_plane(work.grid, _lit(work).value, self.plan.channels)
+        elif work.plane is None:
+            work.plane = self.blur.plane(work.events)
+        return work.plane
+
     def radii(self, work: Work) -> None:
         """Only what `layers` needs to find depth layers: the radii of the image of a pinhole, or of a depth map."""
         if isinstance(self.pixels, StaticMap):
             _send_radii(self, self.pixels, work)
         else:
-            self.tracer.pinhole(work, 0.0)
+            self.tracer.pinhole(work)
 
 
 def make_workspace(
@@ -98,14 +113,17 @@ def make_workspace(
     sizes = {name: size for each in plan.passes for name, size in each.buffers.items()}
     buffers = allocate(session, {name: sizes[name] for name in SHARED if name in sizes})
     if not plan.color:
-        return Workspace(plan, scene, None, buffers, Tracer(plan, scene, buffers, None, hits), None, pixels)
+        return Workspace(plan, scene, None, buffers, Tracer(plan, scene, buffers, None, hits), None, None, pixels)
     spec = replace(plan.spec, brightest=scene.brightest)
     from_radii = plan.forward or plan.static_map or plan.occlusion == "layered"
-    target = blur_target(session, spec, plan.channels, real, "wide" if from_radii else "none")
-    blur = make_blur(target, spec, plan.grid, grid)
-    tracer = Tracer(plan, scene, buffers, blur.struct, hits)
-    layers = DepthLayers(blur, target, plan.grid) if plan.occlusion == "layered" else None
-    return Workspace(plan, scene, (target, blur), buffers, tracer, layers, pixels)
+    making, layers = None, None
+    if plan.blur != "none":
+        target = blur_target(session, spec, plan.channels, real, "wide" if from_radii else "none")
+        making = target, make_blur(target, spec, plan.grid, grid)
+        layers = DepthLayers(making[1], target, plan.grid) if plan.occlusion == "layered" else None
+    tracer = Tracer(plan, scene, buffers, psf_struct(spec.psf, *tables_of(spec, session), real), hits)
+    frame = FrameSum(session, sum_buffers(plan.grid)) if plan.averages else None
+    return Workspace(plan, scene, making, buffers, tracer, layers, frame, pixels)
 
 
 def _trace(space: Workspace, work: Work) -> None:
@@ -117,7 +135,7 @@ def _silhouettes(space: Workspace, work: Work) -> None:
 
 
 def _pinhole(space: Workspace, work: Work) -> None:
-    space.tracer.pinhole(work, work.sample.weight)
+    space.tracer.pinhole(work)
 
 
 def _static_image(space: Workspace, work: Work) -> None:
@@ -125,13 +143,13 @@ def _static_image(space: Workspace, work: Work) -> None:
     assert isinstance(static, StaticMap)
     missing = int(static.missing.sum())
     work.report |= {"missing_pixels": missing, "unfilled_pixels": missing}
-    static.send(space.target.session, work.strip, space.buffers["value"])
+    static.send(space.scene.session, work.strip, space.buffers["value"])
     _send_radii(space, static, work)
 
 
 def _send_radii(space: Workspace, static: StaticMap, work: Work) -> None:
     value, coc, valid = (space.buffers[name] for name in ("value", "coc", "valid"))
-    static.send_radii(space.target.session, work.strip, coc, valid)
+    static.send_radii(space.scene.session, work.strip, coc, valid)
     work.planes = value, coc, valid
 
 
@@ -139,7 +157,7 @@ def _reproject(space: Workspace, work: Work) -> None:
     warp = space.pixels
     assert isinstance(warp, ForwardWarp)
     warp.nearest(work.sample, work.events)
-    warp.gather(work.sample.weight, work.events)
+    warp.gather(work.events)
 
 
 def _fill(space: Workspace, work: Work) -> None:
@@ -167,14 +185,25 @@ def _depth_layers(space: Workspace, work: Work) -> None:
     work.report["depth_layers"] = space.layers.add(work.planes, work.events, work.depth_layers.get(work.sample.time))
 
 
+def _lit(work: Work) -> Sources:
+    """Sources of a time sample: those of an image whose pixels all have one radius, or none, are the image itself."""
+    if work.sources is not None:
+        return work.sources
+    assert work.planes is not None
+    return Sources(None, work.planes[0])
+
+
 def _blur(space: Workspace, work: Work) -> None:
-    sources = work.sources
-    if sources is None:  # an image whose pixels all have one radius, or none
-        assert work.planes is not None
-        sources = Sources(None, work.planes[0])
+    sources = _lit(work)
     if space.plan.blur == "convolve":
         sources = replace(sources, radius=_central_radius(space, work.sample))
     space.blur.add(sources, work.events)
+
+
+def _accumulate(space: Workspace, work: Work) -> None:
+    assert space.frame is not None
+    assert work.weights is not None
+    work.image = space.frame.add(space.plane(work), work.weights, work.events)
 
 
 def _central_radius(space: Workspace, sample: TimeSample) -> float:
@@ -197,5 +226,5 @@ RUN: dict[Kind, Callable[[Workspace, Work], None]] = {
     "sources": _sources,
     "depth layers": _depth_layers,
     "blur": _blur,
-    "accumulate": _blur,
+    "accumulate": _accumulate,
 }

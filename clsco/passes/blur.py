@@ -1,4 +1,4 @@
-"""Host side of the blur: one class per method adds the radiance of time samples to a frame, or a strip of it."""
+"""Host side of the blur: one class per method makes the blurred plane of a time sample, of a frame or a strip of it."""
 
 from __future__ import annotations
 
@@ -36,7 +36,6 @@ FILES_OF: dict[Blur, tuple[str, ...]] = {
     "scatter": ("blur/blur.cl",),
     "tiles": ("blur/blur.cl", "blur/tiles.cl"),
     "convolve": (),
-    "none": ("blur/accumulate.cl",),
 }
 
 UNITS_PER_TAP = 1 / 125  # of work (`clsco.opencl.pace`), were all sources as wide as the widest
@@ -123,7 +122,7 @@ class Sources:
     source : Buffer, optional
         Planes of frame and apron (sources.clh); None for "convolve" and "none".
     value : Buffer
-        Radiance times weight.
+        Radiance.
     sub_source, sub_value : Buffer, optional
         Sub-pixel sources of `capacity` pixels near silhouettes.
     lens, surfaces, group, depth, sub_depth : optional
@@ -165,8 +164,56 @@ def prepare_sources(
     target.run("prepare_sources", size, BLOCKS, events, grid, psf, *maps, source)
 
 
-class FrameSum:
-    """A frame of sums, and what all methods share; by itself method "none", which adds radiance where it is.
+@dataclass(frozen=True)
+class Plane:
+    """An image on the device.
+
+    Attributes
+    ----------
+    buffer : Buffer
+        Floats of this shape.
+    shape : tuple of int
+        Channels, and rows and columns that each of them has.
+    rows, columns : int
+        Size of the image.
+    top, left : int
+        Place of its first pixel.
+    """
+
+    buffer: cl.Buffer
+    shape: tuple[int, int, int]
+    rows: int
+    columns: int
+    top: int = 0
+    left: int = 0
+
+    @property
+    def layout(self) -> tuple[object, ...]:
+        """Kernel arguments: buffer, floats from channel to channel, to the first pixel, and from row to row."""
+        _, height, pitch = self.shape
+        return self.buffer, np.int32(height * pitch), np.int32(self.top * pitch + self.left), np.int32(pitch)
+
+    def read(self, session: Session, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
+        """The image, (rows, columns[, channels]), in `out` where it is given; waits for the device."""
+        if out is None:
+            size = (self.rows, self.columns)
+            out = np.empty(size if self.shape[0] == 1 else (*size, self.shape[0]), np.float32)
+        with mapped(session, self.buffer, self.shape) as planes:
+            image = planes[:, self.top : self.top + self.rows, self.left : self.left + self.columns]
+            out[...] = image[0] if len(image) == 1 else np.moveaxis(image, 0, -1)
+        return out
+
+
+def padded_plane(grid: Struct, buffer: cl.Buffer, channels: int) -> Plane:
+    """The frame's part of an image on the padded grid: the blurred plane where nothing is blurred."""
+    columns, rows, width, height, above, guard = (
+        int(grid[name]) for name in ("columns", "rows", "width", "height", "above", "guard")
+    )
+    return Plane(buffer, (channels, height, width), rows, columns, above, guard)
+
+
+class BlurredPlane:
+    """The blurred image of a time sample, and what all methods share.
 
     Parameters
     ----------
@@ -189,7 +236,7 @@ class FrameSum:
 
     @property
     def layout(self) -> tuple[object, ...]:
-        """Kernel arguments of the frame: pitch, pad, buffer."""
+        """Kernel arguments of the plane: pitch, pad, buffer."""
         return np.int32(self.pitch), np.int32(self.pad), self.total
 
     @property
@@ -203,30 +250,25 @@ class FrameSum:
         return int(self.grid["columns"]), int(self.grid["rows"])
 
     def clear(self) -> None:
-        """Begin a frame, or a strip of it."""
+        """Begin a time sample of a frame, or a strip of it."""
         cl.enqueue_fill_buffer(self.target.session.queue, self.total, np.zeros(1, np.uint32), 0, self.total.size)
 
     def add(self, sources: Sources, events: Events) -> None:
-        """Add the blurred radiance of one time sample."""
-        self.target.run("accumulate", self.size, PIXELS, events, self.grid, sources.value, *self.layout)
+        """Add the blurred radiance of sources."""
+        raise NotImplementedError
 
     def resolve(self, events: Events) -> None:
-        """Enqueue what leaves the frame in the buffer of `layout`."""
+        """Enqueue what leaves the image in the buffer of `layout`."""
 
-    def image(self, events: Events, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
-        """The frame, or its strip, (rows, columns[, channels]), in `out` where it is given; waits for the device."""
+    def plane(self, events: Events) -> Plane:
+        """All that was added, until the next time sample begins."""
         self.resolve(events)
-        (columns, rows), channels = self.size, self.channels
-        if out is None:
-            out = np.empty((rows, columns) if channels == 1 else (rows, columns, channels), np.float32)
-        with mapped(self.target.session, self.total, (channels, rows, self.pitch)) as total:
-            planes = total[:, :, self.pad : self.pad + columns]
-            out[...] = planes[0] if channels == 1 else np.moveaxis(planes, 0, -1)
-        return out
+        columns, rows = self.size
+        return Plane(self.total, (self.channels, rows, self.pitch), rows, columns, left=self.pad)
 
 
-class TableBlur(FrameSum, ABC):
-    """A blur of sources of any radius each, with weights from tables; arguments as for `FrameSum`."""
+class TableBlur(BlurredPlane, ABC):
+    """A blur of sources of any radius each, with weights from tables; arguments as for `BlurredPlane`."""
 
     def __init__(self, target: Target, spec: BlurSpec, tallest: Grid, grid: Struct, sizes: Sizes) -> None:
         super().__init__(target, spec, tallest, grid, sizes)

@@ -12,7 +12,7 @@ from clsco.frame.strips import Grid
 from clsco.opencl.buffers import Refilled, empty
 from clsco.opencl.program import build
 from clsco.optics.stencil import Stencil, stencils
-from clsco.passes.blur import Events, FrameSum, Sources, Target
+from clsco.passes.blur import BlurredPlane, Events, Sources, Target
 from clsco.plan.buffers import SUMS_BEYOND, Sizes
 from clsco.plan.methods import BlurSpec
 from clsco.records import Struct, structs
@@ -28,8 +28,9 @@ BRIGHTEST = 4.0
 Plane = tuple[cl.Buffer | None, int, int, int]  # buffer, where a plane begins in it, pixel (0, 0) there, pitch
 
 
-class Convolve(FrameSum):
-    """Adds frames that are blurred with one radius; arguments as for `FrameSum`, of whose target it needs no program.
+class Convolve(BlurredPlane):
+    """The blur with one radius, of all sources at once; arguments as for `BlurredPlane`, of whose target it needs no
+    program.
 
     It makes the PSF of the sources' radius, up to `spec.largest`. Validated against
     `clsco.reference.blur.convolve`.
@@ -47,12 +48,11 @@ class Convolve(FrameSum):
             unit = 8 if self.wide else 4
             end = unit * (sizes["sums"] // 8 - SUMS_BEYOND)
             cl.enqueue_fill_buffer(session.queue, self.sums, np.zeros(1, np.uint32), end, unit * SUMS_BEYOND)
-        self.fresh = True  # nothing has been added to the frame yet: what is there does not count
         arrays = [name for name in sizes if name[-1].isdecimal()]
         self.stencils = {name: Refilled(session, sizes[name]) for name in arrays}
 
     def clear(self) -> None:
-        self.fresh = True
+        """Nothing, as what is in the plane does not count."""
 
     def add(self, sources: Sources, events: Events) -> None:
         columns, rows, width, height, above, guard = (
@@ -66,12 +66,11 @@ class Convolve(FrameSum):
             for across in first:
                 line = -(-columns // CONVOLVED_COLUMNS) * CONVOLVED_COLUMNS
                 rows_of = (sources.value, k * width * height, guard, width)
-                self._convolve(across, (height, columns), rows_of, 0.0, (self.across, 0, line), True, events)
+                self._convolve(across, (height, columns), rows_of, 0.0, (self.across, 0, line), events)
                 source = (self.across, 0, above * line, line)
             unit = self._sum(last[0], (height, width), source, events) if last[0].rectangles else 0.0
             target = (self.total, k * rows * self.pitch + self.pad, self.pitch)
-            self._convolve(last, (rows, columns), source, last[0].share * unit, target, self.fresh, events)
-        self.fresh = False
+            self._convolve(last, (rows, columns), source, last[0].share * unit, target, events)
 
     def _tables(self, number: int, stencil: Stencil) -> list[cl.Buffer | None]:
         """Runs, weights and pairs of a stencil on the device; launches in the queue may still read those before."""
@@ -89,7 +88,7 @@ class Convolve(FrameSum):
 
     def _convolve(
         self, stencil: tuple[Stencil, list[cl.Buffer | None]], size: tuple[int, int], source: Plane, share: float,
-        target: tuple[cl.Buffer | None, int, int], fresh: bool, events: Events,
+        target: tuple[cl.Buffer | None, int, int], events: Events,
     ) -> None:  # fmt: skip
         """One launch; target: buffer, pixel (0, 0), pitch."""
         found, (runs, weights, pairs) = stencil
@@ -97,7 +96,7 @@ class Convolve(FrameSum):
             *map(np.int32, size), source[0], *map(np.int32, source[1:]), runs, np.int32(len(found.runs)), weights,
             self.sums, pairs, np.int32(len(found.pairs)), np.float32(share),
             *map(np.int32, found.reach),
-            target[0], *map(np.int32, target[1:]), np.int32(fresh),
+            target[0], *map(np.int32, target[1:]),
         )  # fmt: skip
         tiles = (TILES_ABREAST, -(-size[0] // CONVOLVED_ROWS), -(-size[1] // (TILES_ABREAST * CONVOLVED_COLUMNS)))
         self.target.run("convolve", tiles, (1, 1, 1), events, *args)

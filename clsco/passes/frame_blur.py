@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from clsco.frame.strips import Grid
-from clsco.passes.blur import FrameSum, Scatter, Target, Tiles
+from clsco.passes.blur import BlurredPlane, Scatter, Target, Tiles
 from clsco.passes.convolve import Convolve
 from clsco.passes.gather import Gather
 from clsco.plan.buffers import blur_buffers
 from clsco.plan.methods import Blur, BlurSpec
 from clsco.records import Struct
 
-METHODS: dict[Blur, type[FrameSum]] = {
-    "gather": Gather, "scatter": Scatter, "tiles": Tiles, "convolve": Convolve, "none": FrameSum,
+METHODS: dict[Blur, type[BlurredPlane]] = {
+    "gather": Gather, "scatter": Scatter, "tiles": Tiles, "convolve": Convolve,
 }  # fmt: skip
 
 
-def make_blur(target: Target, spec: BlurSpec, tallest: Grid, grid: Struct) -> FrameSum:
-    """The blur of a frame, or its strips.
+def make_blur(target: Target, spec: BlurSpec, tallest: Grid, grid: Struct) -> BlurredPlane:
+    """The blur of the time samples of a frame, or its strips.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ def make_blur(target: Target, spec: BlurSpec, tallest: Grid, grid: Struct) -> Fr
 
     Returns
     -------
-    FrameSum
+    BlurredPlane
     """
     sizes = blur_buffers(spec, tallest, target.session.device)
     return METHODS[spec.method](target, spec, tallest, grid, sizes)

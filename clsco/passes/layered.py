@@ -12,7 +12,7 @@ from clsco.frame.strips import Grid
 from clsco.opencl.buffers import allocate, download, empty
 from clsco.opencl.program import build
 from clsco.optics.depth_layers import LayerBounds, bins_of, depth_of_hidden, layer_bounds, levels_of
-from clsco.passes.blur import BLOCKS, PIXELS, PLAIN, Events, FrameSum, Sources, Target, blur_target, prepare_sources
+from clsco.passes.blur import BLOCKS, PIXELS, PLAIN, BlurredPlane, Events, Sources, Target, blur_target, prepare_sources
 from clsco.passes.frame_blur import make_blur
 from clsco.plan.buffers import Sizes, depth_layer_spec, layered_buffers
 from clsco.plan.methods import BlurSpec
@@ -84,7 +84,7 @@ class DepthLayers:
 
     Parameters
     ----------
-    blur : FrameSum
+    blur : BlurredPlane
         Blur of the frame, or a strip of it, by one of MANY_RADII and without sub-pixel sources.
     target : Target
         Target of the frame's blur.
@@ -107,7 +107,7 @@ class DepthLayers:
     Validated against `clsco.reference.layered.layered` and the ray tracer.
     """
 
-    def __init__(self, blur: FrameSum, target: Target, tallest: Grid) -> None:
+    def __init__(self, blur: BlurredPlane, target: Target, tallest: Grid) -> None:
         session, real, spec = target.session, target.real, depth_layer_spec(blur.spec)
         planes = tallest.channels + 1
         self.outer, self.values = blur, planes
@@ -140,9 +140,8 @@ class DepthLayers:
         Parameters
         ----------
         planes : (Buffer, Buffer, Buffer)
-            On the padded grid: float (channels, height, width), radiance times the weight of the time sample, which is
-            written to with border = "renormalize"; wide_t (height, width), signed R in px; uchar (height, width), where
-            it is known.
+            On the padded grid: float (channels, height, width), radiance, which is written to with border =
+            "renormalize"; wide_t (height, width), signed R in px; uchar (height, width), where it is known.
         events : list
         found : LayerBounds, optional
             Depth layers of the whole time sample; without, they are found first, which waits once for the device.

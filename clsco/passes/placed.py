@@ -37,8 +37,6 @@ class TimeSample:
     ----------
     time : float
         Seconds.
-    weight : float
-        In the exposure.
     poses : tuple of Pose
         Pose of every object before the camera, wherever that is itself.
     placed : tuple of PlacedSurface or None
@@ -52,7 +50,6 @@ class TimeSample:
     """
 
     time: float
-    weight: float
     poses: tuple[Pose, ...]
     placed: Surfaces
     packed: NDArray[np.void]
@@ -160,22 +157,22 @@ class PlacedScene:
         first = [bases.get(texture, 0) for texture in self.textures]
         return texture_map_structs(maps, first, self.psf, float(self.covered), self.real)
 
-    def at(self, time: float, weight: float = 1.0, eye: Eye | None = None) -> TimeSample:
+    def at(self, time: float, eye: Eye | None = None) -> TimeSample:
         """The objects at a time in s, as `eye` sees them."""
         eye = eye or self.eye
-        sample, light = self.posed(poses_at(self.scene, time, eye), time, weight), place_light(self.scene, time, eye)
+        sample, light = self.posed(poses_at(self.scene, time, eye), time), place_light(self.scene, time, eye)
         return sample if light is None else replace(sample, light=(light_struct(light, self.real),))
 
     def in_reference_pose(self) -> TimeSample:
         """The objects as the textures show them."""
         return self.posed(rest_poses(self.scene))
 
-    def posed(self, poses: Sequence[Pose], time: float = 0.0, weight: float = 1.0) -> TimeSample:
+    def posed(self, poses: Sequence[Pose], time: float = 0.0) -> TimeSample:
         """The objects in given poses."""
         pairs = zip(self.scene.objects, poses, strict=True)
         placed = tuple(place(item, pose) if item.is_analytic else None for item, pose in pairs)
         packed = self._surface_structs(placed)
-        return TimeSample(time, weight, tuple(poses), placed, packed, self.hold(packed))
+        return TimeSample(time, tuple(poses), placed, packed, self.hold(packed))
 
     def poses(self, sample: TimeSample) -> cl.Buffer:
         """pose_t of every object."""

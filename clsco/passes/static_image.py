@@ -33,8 +33,7 @@ class StaticMap:
         self.guard, self.real = guard, real
 
     def send(self, session: Session, strip: Strip, value: cl.Buffer) -> None:
-        """Write the radiance of a strip on its padded grid, of weight 1: as `clsco.passes.layered.DepthLayers.add`
-        takes it."""
+        """Write the radiance of a strip on its padded grid, as `clsco.passes.layered.DepthLayers.add` takes it."""
         cl.enqueue_copy(session.queue, value, flat(self._around(self.radiance, strip), np.float32))
 
     def send_radii(self, session: Session, strip: Strip, coc: cl.Buffer, valid: cl.Buffer) -> None:

@@ -19,7 +19,7 @@ from clsco.opencl.session import Session
 from clsco.optics.depth_layers import LayerBounds
 from clsco.optics.lens import Lens
 from clsco.optics.visibility import OcclusionGroup
-from clsco.passes.blur import PIXELS, Events, Sources, Target
+from clsco.passes.blur import PIXELS, Events, Plane, Sources, Target
 from clsco.passes.pack import group_struct, lens_struct
 from clsco.passes.placed import PlacedScene, TimeSample
 from clsco.plan.buffers import STATISTICS, Sizes, hit_buffers
@@ -116,6 +116,10 @@ class Work:
         An image with its radii, where there is one.
     sources : Sources
         Sources that the blur adds.
+    weights : ndarray (rows,), optional
+        Weights of the time sample in the strip.
+    plane, image : Plane, optional
+        The blurred image of the time sample, and the weighted sum of all so far, where there are several.
     depth_layers : dict
         Depth layers of whole time samples by their times, where the frame is made in strips.
     report : dict
@@ -131,6 +135,9 @@ class Work:
     group: OcclusionGroup | None = None
     planes: Planes | None = None
     sources: Sources | None = None
+    weights: NDArray[np.float64] | None = None
+    plane: Plane | None = None
+    image: Plane | None = None
     depth_layers: Mapping[float, LayerBounds] = field(default_factory=dict)
     report: dict[str, Any] = field(default_factory=dict)
     missing: NDArray[np.bool_] | None = None
@@ -173,16 +180,15 @@ class Tracer:
         """Sources of one occlusion group; its buffers are those of the group before, which the queue is done with."""
         buffers, occluded = self.buffers, self.plan.spec.occluders > 0
         sample, head = work.sample, self._head(work)
-        share = np.float32(sample.weight)
         source, label, statistics = (buffers.get(name) for name in ("source", "label", "statistics"))
         exchanged = (buffers["share"],) if "share" in buffers else ()
         assert work.group is not None
         if self.hits is None:
             value, depth = buffers["value"], buffers.get("depth")
-            args = (*head, share, *self._appearance(work), source, value, label, statistics)
+            args = (*head, *self._appearance(work), source, value, label, statistics)
             self._per_pixel("trace", work, *args, *((depth,) if occluded else ()), *exchanged)
         else:
-            args = (work.grid, *head[2:4], share, *self._appearance(work))
+            args = (work.grid, *head[2:4], *self._appearance(work))
 
             def cast(planes: HitPlanes) -> None:
                 self._per_pixel("cast", work, *args, *planes)
@@ -207,7 +213,7 @@ class Tracer:
         subs, labels = (buffers["sub_source"], buffers["sub_value"]), buffers["sub_label"]
         sub_depth = buffers.get("sub_depth")
         occluded = (sub_depth,) if sub_depth is not None else ()
-        head = (*self._head(work), np.float32(work.sample.weight), *self._appearance(work))
+        head = (*self._head(work), *self._appearance(work))
         size, slotted = (plan.slots * plan.silhouettes**2,), (*head, buffers["pixels"], slots)
         traced = (*slotted, *subs, labels, statistics, *occluded)
         self.target.run("trace_subpixels", size, PIXELS[:1], work.events, *traced)
@@ -223,17 +229,10 @@ class Tracer:
             work.sources, value=value, sub_source=subs[0], sub_value=subs[1], capacity=plan.slots, sub_depth=sub_depth
         )
 
-    def pinhole(self, work: Work, weight: float) -> None:
-        """The image of a pinhole of so much weight, with its radii."""
+    def pinhole(self, work: Work) -> None:
+        """The image of a pinhole, with its radii."""
         value, coc, valid = (self.buffers[name] for name in ("value", "coc", "valid"))
-        head = (
-            work.grid,
-            self.lens,
-            work.sample.surfaces,
-            everything(self.plan),
-            np.float32(weight),
-            *self._appearance(work),
-        )
+        head = (work.grid, self.lens, work.sample.surfaces, everything(self.plan), *self._appearance(work))
         self._per_pixel("pinhole", work, *head, value, coc, valid, self.buffers["statistics"])
         work.planes = value, coc, valid
 
@@ -244,7 +243,7 @@ class Tracer:
         members = [k for k in range(len(sample.placed)) if work.group.members >> k & 1]
         built = tuple(features[name] for name in ("CHANNELS", "MOVED", "FILTER", "TEXTURED", "LIT")), self.scene.real
         light = tuple(each.tobytes() for each in sample.light)
-        cast = (work.grid.tobytes(), sample.weight, sample.packed[members].tobytes(), light, tuple(members), built)
+        cast = (work.grid.tobytes(), sample.packed[members].tobytes(), light, tuple(members), built)
         maps = self.scene.packed_maps.tobytes() if self.plan.mapped else b""
         return HitKey(work.group, (cast, maps), self.scene.content)
 

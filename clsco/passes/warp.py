@@ -36,7 +36,7 @@ SHAPE_FEATURES = ("CHANNELS", "SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDE
 class Warped:
     """One time sample on the device, on the padded grid (height, width); overwritten by the next one.
 
-    value: float (CHANNELS, height, width), radiance times weight; w: wide_t, inverse depth in 1/mm; coc: wide_t, signed
+    value: float (CHANNELS, height, width), radiance; w: wide_t, inverse depth in 1/mm; coc: wide_t, signed
     radius of the blur in px; valid: uchar, known or filled (elsewhere value, w and coc are 0); status: uchar, 0 known
     or not missing, 1 filled, 2 left; object: uchar, number of the object that is seen, 255 for none and in
     the mirror image around a depth map, or None where the scene has only one; counters: as `Filler.fill` returns them.
@@ -140,14 +140,13 @@ class ForwardWarp:
         Warped
         """
         self.nearest(sample, events)
-        self.gather(sample.weight, events)
+        self.gather(events)
         return self.fill(sample, events)
 
     def fill(self, sample: TimeSample, events: Events) -> Warped:
         """Fill what is missing after `gather`; arguments and what is returned as for `warp`."""
         planes, plan = self.filler.planes, self.plan
-        brightest = self.scene.brightest * sample.weight
-        counters = self.filler.fill(sample.surfaces, len(sample.placed), events, brightest)
+        counters = self.filler.fill(sample.surfaces, len(sample.placed), events, self.scene.brightest)
         if self.maps:
             out = (planes.value, planes.w, planes.coc, planes.valid)
             seen = () if planes.object is None else (planes.object,)
@@ -166,14 +165,14 @@ class ForwardWarp:
         else:
             self._test_by_atomics(args, events)
 
-    def gather(self, weight: float, events: Events) -> None:
+    def gather(self, events: Events) -> None:
         """Enqueue what the winners of the depth test bring: the planes of `filler`, with nothing filled. As `warp`."""
         planes, plan = self.filler.planes, self.plan
         if self.filler.is_far:
             chunks = (-(-plan.width // (OWNED_PIXELS if self.owned else 1)), plan.height)
             gaps = (self.grid, self.depth, self.winner, planes.valid)
             self.kernels.run("reproject_gaps", chunks, (1, *LINES) if self.owned else PIXELS, events, *gaps)
-        head = (self.grid, self.lens, np.float32(weight), self.scene.texture, self.moved, self.winner)
+        head = (self.grid, self.lens, self.scene.texture, self.moved, self.winner)
         several = (self.rest_surfaces, *self.object) if self.object else ()
         seen = () if planes.object is None else (planes.object,)
         out = (planes.value, planes.w, planes.coc, planes.valid, planes.status, *seen)
@@ -192,7 +191,7 @@ class ForwardWarp:
         return self._frame(warped.status, np.uint8) > 0
 
     def truth(self, sample: TimeSample, wanted: Collection[str], events: Events) -> dict[str, NDArray[Any]]:
-        """Wanted ones of these arrays, float32 or as stated, (rows, columns[, channels]); sample: of weight 1.
+        """Wanted ones of these arrays, float32 or as stated, (rows, columns[, channels]).
 
         "sharp": radiance after the move; "filled": uint8, as `Warped.status`. Of a scene with a depth map, at which no
         ray can be cast, also what is known of the pixels' surface, filled ones included: "depth" in mm, +inf for none,

@@ -167,7 +167,7 @@ def blur_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
     Returns
     -------
     dict
-        "total": the frame, in rows of `margin`; the others are of single methods.
+        "total": the plane of a time sample, in rows of `margin`; the others are of single methods.
     """
     reach, channels, rows, columns = spec.reach, grid.channels, grid.rows, grid.columns
     _, pitch = margin(columns, grid.guard, reach)
@@ -195,6 +195,12 @@ def blur_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
             sizes["across"] = 4 * height * ceil(columns / CONVOLVED_COLUMNS) * CONVOLVED_COLUMNS
         sizes |= stencil_sizes(spec.psf, reach)
     return sizes
+
+
+def sum_buffers(grid: Grid) -> Sizes:
+    """Buffers of the sum of time samples (`clsco.passes.accumulate.FrameSum`)."""
+    pixels = grid.rows * grid.columns
+    return {"sum": 4 * grid.channels * pixels, "lost": 4 * grid.channels * pixels, "weights": 4 * grid.rows}
 
 
 def _table_buffers(spec: BlurSpec) -> Sizes:

@@ -19,6 +19,7 @@ from clsco.errors import SceneError
 from clsco.frame.strips import Grid, Strip, cut
 from clsco.inputs.pupils import scene_point_spread
 from clsco.optics.depth_layers import margin_of_layers
+from clsco.optics.exposure import frame_exposure
 from clsco.optics.lens import LARGEST_BLUR, blur_radius
 from clsco.optics.motion import Eye
 from clsco.optics.point_spread import PointSpread
@@ -37,6 +38,7 @@ from clsco.plan.buffers import (
     map_buffers,
     silhouette_buffers,
     source_buffers,
+    sum_buffers,
     texture_buffers,
     trace_buffers,
     truth_buffers,
@@ -225,6 +227,11 @@ class Plan:
         return displaced(self.scene, self.eye)
 
     @property
+    def averages(self) -> bool:
+        """True if a frame is a weighted sum of time samples, and not the image of a single one."""
+        return not frame_exposure(self.scene, 0, self.samples).is_one_image
+
+    @property
     def device_truth(self) -> tuple[str, ...]:
         """Outputs of ground truth that rays give; a forward warp makes its own focused image."""
         if not self.scene.is_analytic:
@@ -344,8 +351,7 @@ def _predicted_taps(plan: Plan, w: Array) -> float:
     if not seen.size:
         return 0.0
     lit = np.pi * (seen * plan.psf.extent + 0.7) ** 2
-    times = plan.samples * (2 if "subframes" in plan.truth else 1)
-    return float((w > 0).mean() * plan.width * plan.height * times * lit.mean())
+    return float((w > 0).mean() * plan.width * plan.height * plan.samples * lit.mean())
 
 
 def _passes(plan: Plan) -> tuple[Pass, ...]:
@@ -390,7 +396,9 @@ def _image_passes(plan: Plan) -> Iterator[Pass]:
             slope = (("gradient", "from differences of R"),) if plan.tilt else ()
             source = source_buffers(spec, grid)
             yield Pass("sources", (("R", "from the inverse depth of every pixel"), *slope), source)
-        yield _blur_pass(plan)
+        yield from _blur_pass(plan)
+    if plan.averages:
+        yield Pass("accumulate", (("time samples", "with a weight for each row"),), _named("frame", sum_buffers(grid)))
 
 
 def _truth_pass(plan: Plan) -> Pass:
@@ -412,11 +420,13 @@ def _group_passes(plan: Plan, group: OcclusionGroup) -> Iterator[Pass]:
         what += ", and where textures are finer than the blur" if plan.mapped else ""
         sizes = silhouette_buffers(spec, grid, plan.slots, plan.mapped > 0)
         yield Pass("silhouettes", (("sub-pixel sources", what),), sizes, group)
-    yield _blur_pass(plan, group)
+    yield from _blur_pass(plan, group)
 
 
-def _blur_pass(plan: Plan, group: OcclusionGroup | None = None) -> Pass:
-    return Pass("accumulate" if plan.blur == "none" else "blur", _of_blur(plan), _blur_sizes(plan), group)
+def _blur_pass(plan: Plan, group: OcclusionGroup | None = None) -> Iterator[Pass]:
+    """The pass of a blur, where anything is blurred."""
+    if plan.blur != "none":
+        yield Pass("blur", _of_blur(plan), _blur_sizes(plan), group)
 
 
 def _named(owner: str, sizes: Sizes) -> Sizes:
@@ -453,8 +463,6 @@ def _of_frame(plan: Plan) -> Parameters:
 
 def _of_blur(plan: Plan) -> Parameters:
     groups = len(plan.groups)
-    if plan.blur == "none":
-        return (("radiance", "every pixel keeps its own"),)
     found = [
         ("PSF", f"{plan.psf.name}, R up to {plan.largest_blur:.3g} px"),
         ("method", f"{plan.blur}: {plan.choices.blur.reason}"),

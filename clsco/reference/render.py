@@ -211,12 +211,12 @@ def _frame(plan: Plan, textures: tuple[Texture, ...], maps: Maps, index: int, su
     color, samples = np.zeros((plan.rows, plan.columns, plan.channels)), []
     missing, alone = np.zeros(color.shape[:2], dtype=bool), []
     exposure = frame_exposure(scene, index, plan.samples)
-    for time, weight in zip(exposure.times.tolist(), exposure.weights.tolist(), strict=True):
+    for time, weights in zip(exposure.times.tolist(), exposure.weights, strict=True):
         image, unknown, report = _time_sample(plan, textures, maps, time)
-        color, missing = accumulate(color, image, weight), missing | unknown
+        color, missing = accumulate(color, image, weights), missing | unknown
         if subframes:
             alone.append(_without_channel(image))
-        samples.append({"time": time, "weight": weight, **report})
+        samples.append({"time": time, "weight": float(weights.mean()), **report})
     arrays = _truth(plan, textures, maps, index) | {"filled": np.zeros(color.shape[:2], dtype=np.uint8)}
     arrays |= {"missing": missing, "subframes": np.stack(alone) if alone else None}
     if _moves_pixels(plan):

@@ -156,13 +156,13 @@ INLINE void prefetch_tile(__global const float *value, __global const sum_t *sum
 //           WIDE_LANES more columns
 //   runs    (dx, first dy, number of weights, where in `weights` they are)
 //   sums    of sum_down, pixel (0, 0) at origin; pairs: see add_rectangles; share: radiance of one unit
-//   target  pixel (0, 0) at target_start, rows of target_pitch. fresh: what is there does not count
+//   target  pixel (0, 0) at target_start, rows of target_pitch.
 //   half_width, half_height: of what the runs reach
 __kernel void convolve(const int rows, const int columns, __global const float *value, const int start,
                        const int origin, const int pitch, __global const int4 *runs, const int run_count,
                        __global const float *weights, __global sum_t *sums, __global const int4 *pairs,
                        const int pair_count, const float share, const int half_width, const int half_height,
-                       __global float *target, const int target_start, const int target_pitch, const int fresh)
+                       __global float *target, const int target_start, const int target_pitch)
 {
     const int first = get_global_id(1) * CONVOLVED_ROWS, tile = get_global_id(2) * TILES_ABREAST + get_global_id(0);
     const int x0 = tile * CONVOLVED_VECTORS * WIDE_LANES;
@@ -202,13 +202,8 @@ __kernel void convolve(const int rows, const int columns, __global const float *
             for (int r = 0; r < end - first; ++r)
                 own[r] += part[r];
         }
-        for (int y = first; y < end; ++y) {
-            __global float *out = target + target_start + y * target_pitch + x;
-            float16 before = 0;
-            if (!fresh)
-                before = FLOATS(out);
-            STORE(float, 16, before + own[y - first], out);
-        }
+        for (int y = first; y < end; ++y)
+            STORE(float, 16, own[y - first], target + target_start + y * target_pitch + x);
     }
 }
 

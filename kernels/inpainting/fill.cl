@@ -2,7 +2,7 @@
 // which is built after this file, has the other way of filling them. Twin: clsco/reference/inpainting/fill.py.
 //
 // On the padded grid, row-major:
-//   value    float (CHANNELS, height, width): radiance times the weight of the time sample
+//   value    float (CHANNELS, height, width): radiance
 //   w, coc   wide_t: inverse depth in 1/mm and signed radius of the blur in px
 //   valid    uchar: 1 known or filled, else 0
 //   status   uchar: 0 known or not missing, 1 filled, 2 missing

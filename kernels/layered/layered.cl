@@ -5,7 +5,7 @@
 // "layered".
 //
 // On the padded grid (height, width), row-major; a smaller signed radius is nearer:
-//   value    float (CHANNELS - 1, height, width): radiance times the weight of the time sample
+//   value    float (CHANNELS - 1, height, width): radiance
 //   coc      wide_t: signed blur radius in px
 //   valid    uchar: whether there is surface
 //   layer    uchar: 1 is the nearest, 0 no surface

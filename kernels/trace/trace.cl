@@ -5,7 +5,7 @@
 // Sources lie on the frame, or a strip of its rows, and on the apron around it that contributes to it: (height, width),
 // row-major.
 //   source  planes, see common/sources.clh
-//   value   float (CHANNELS, height, width): radiance times the weight of the time sample in the exposure
+//   value   float (CHANNELS, height, width): radiance
 //   label   uchar (height, width): 0 no surface, else which root of which object was hit, and on which side of others
 //   depth   wide_t (height, width): inverse depth, with OCCLUDED
 //   texture float (textures, CHANNELS, frame_rows, columns); surface_t names its object's. Then mipmaps, float (sides,
@@ -48,10 +48,10 @@ static float4 source_record(const grid_t grid, const lens_t lens, __constant sur
     return record;
 }
 
-// Radiance of a hit on a pixel's ray, times the weight, to a plane of `values` per channel; 0 without one. sources: per
-// axis of a pixel. Returns what `surface_texture` does, 0 of a projected one.
+// Radiance of a hit on a pixel's ray, times its part of the pixel, to a plane of `values` per channel; 0 without one.
+// sources: per axis of a pixel. Returns what `surface_texture` does, 0 of a projected one.
 static float take_radiance(const grid_t grid, __constant surface_t *surfaces, wide3_t ray, wide_t w, uchar label,
-                          int row, int column, int sources, float weight,
+                          int row, int column, int sources, float part,
                           __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global float *values, int plane)
 {
     const int object = MAX(label - 1, 0) / 2;
@@ -62,7 +62,7 @@ static float take_radiance(const grid_t grid, __constant surface_t *surfaces, wi
         float mean[CHANNELS];
         const float texels = surface_texture(texture, surface, maps + object, grid, ray, w, sources, mean);
         for (int c = 0; c < CHANNELS; ++c)
-            values[c * plane] = OF_CHANNEL(share, c) * weight * mean[c];
+            values[c * plane] = OF_CHANNEL(share, c) * part * mean[c];
         return texels;
     }
 #endif
@@ -70,7 +70,7 @@ static float take_radiance(const grid_t grid, __constant surface_t *surfaces, wi
     const wide3_t nowhere = wide_vector(zero, zero, zero);
     const wide3_t point = label ? texture_point(surface, grid, ray, w, row, column) : nowhere;
     for (int c = 0; c < CHANNELS; ++c)
-        values[c * plane] = label ? OF_CHANNEL(share, c) * weight * radiance(texture, surface, grid, c, point) : 0;
+        values[c * plane] = label ? OF_CHANNEL(share, c) * part * radiance(texture, surface, grid, c, point) : 0;
     return 0;
 }
 
@@ -96,7 +96,7 @@ static float4 with_detail(const lens_t lens, __constant texture_map_t *maps, flo
 // One source per pixel of frame and apron, on the nearest object of occlusion group `group`. Out: source, value,
 // label, statistics, depth.
 __kernel void trace(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
-                    const psf_t psf, const float weight, __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
+                    const psf_t psf, __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
                     __global float *source, __global float *value, __global uchar *label, __global int *statistics
 #if OCCLUDED
                     , __global wide_t *depth
@@ -114,7 +114,7 @@ __kernel void trace(const grid_t grid, const lens_t lens, __constant surface_t *
     uchar root;
     int object;
     const wide_t w = nearest_surface(surfaces, group, ray, &root, &object);
-    const float texels = take_radiance(grid, surfaces, ray, w, root, row, column, 1, weight,
+    const float texels = take_radiance(grid, surfaces, ray, w, root, row, column, 1, 1,
                                        texture TEXTURE_MAPS LIGHT, value + at, grid.height * grid.width);
     const uchar hit = root;
     float4 record = source_record(grid, lens, surfaces, group, psf, ray, w, 0, &root, statistics);
@@ -133,7 +133,7 @@ __kernel void trace(const grid_t grid, const lens_t lens, __constant surface_t *
 // The part of trace that all lenses have in common. Out: value, depth, and hit uchar (height, width), the label before
 // any visibility test. With textures on surfaces value has a plane more, of texels per pixel as `surface_texture` gives
 // them.
-__kernel void cast(const grid_t grid, __constant surface_t *surfaces, const group_t group, const float weight,
+__kernel void cast(const grid_t grid, __constant surface_t *surfaces, const group_t group,
                    __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global float *value,
                    __global wide_t *depth, __global uchar *hit)
 {
@@ -147,7 +147,7 @@ __kernel void cast(const grid_t grid, __constant surface_t *surfaces, const grou
     depth[at] = nearest_surface(surfaces, group, ray, &root, &object);
     hit[at] = root;
     const int plane = grid.height * grid.width;
-    const float texels = take_radiance(grid, surfaces, ray, depth[at], root, row, column, 1, weight,
+    const float texels = take_radiance(grid, surfaces, ray, depth[at], root, row, column, 1, 1,
                                        texture TEXTURE_MAPS LIGHT, value + at, plane);
 #if TEXTURED
     value[CHANNELS * plane + at] = texels;
@@ -225,7 +225,7 @@ __kernel void mark_silhouettes(const grid_t grid, __global const uchar *label, c
 // float4 (coordinate, tilt right, tilt down, WHOLE or PARTLY_OCCLUDED), sub_value float (CHANNELS, slots, SUBPIXELS^2),
 // sub_label uchar, the label before any visibility test, sub_depth wide_t.
 __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
-                              const psf_t psf, const float weight,
+                              const psf_t psf,
                               __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
                               __global const int *pixels, const int capacity, __global float4 *sub_source,
                               __global float *sub_value, __global uchar *sub_label, __global int *statistics
@@ -248,7 +248,7 @@ __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant s
     int object;
     const wide_t w = nearest_surface(surfaces, group, ray, &root, &object);
     sub_label[id] = root;
-    take_radiance(grid, surfaces, ray, w, root, row, column, SUBPIXELS, weight / each, texture TEXTURE_MAPS LIGHT,
+    take_radiance(grid, surfaces, ray, w, root, row, column, SUBPIXELS, 1.0f / each, texture TEXTURE_MAPS LIGHT,
                   sub_value + id, capacity * each);
     sub_source[id] = source_record(grid, lens, surfaces, group, psf, ray, w, 1, &root, statistics);
 #if OCCLUDED
@@ -259,7 +259,7 @@ __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant s
 // Coverage of these sources where an outline is beside them, see outline.clh. In: marks of source, sub_label. In and
 // out: sub_source, sub_value.
 __kernel void cover_outlines(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
-                             const psf_t psf, const float weight,
+                             const psf_t psf,
                              __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
                              __global const int *pixels, const int capacity, __global float *source,
                              __global const uchar *sub_label, __global float4 *sub_source, __global float *sub_value,
@@ -297,7 +297,7 @@ __kernel void cover_outlines(const grid_t grid, const lens_t lens, __constant su
                 sub_value[c * capacity * each + id] *= (float)covered;
             continue;
         }
-        take_radiance(grid, surfaces, ray, w, own, row, column, SUBPIXELS, weight * (float)covered / each,
+        take_radiance(grid, surfaces, ray, w, own, row, column, SUBPIXELS, (float)covered / each,
                       texture TEXTURE_MAPS LIGHT, sub_value + id, capacity * each);
         const wide_t radius = blur_radius(lens, w);
         float4 record = (float4)(table_coordinate(psf, radius, 1), 0, 0, as_float(WHOLE));
@@ -326,7 +326,7 @@ __kernel void cover_outlines(const grid_t grid, const lens_t lens, __constant su
 #if TEXTURED
 // The same of the pixels that are marked for their textures alone, see detail.clh.
 __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
-                           const psf_t psf, const float weight, __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
+                           const psf_t psf, __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
                            __global const int *pixels, const int capacity, __global float4 *sub_source,
                            __global float *sub_value, __global int *statistics
 #if OCCLUDED
@@ -381,7 +381,7 @@ __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surf
         sub_source[id] = record;
         const int part = (i * parts / SUBPIXELS) * parts + j * parts / SUBPIXELS;
         for (int c = 0; c < CHANNELS; ++c)
-            sub_value[c * capacity * each + id] = OF_CHANNEL(share, c) * (weight / each) * values[part * CHANNELS + c];
+            sub_value[c * capacity * each + id] = OF_CHANNEL(share, c) * (1.0f / each) * values[part * CHANNELS + c];
     }
 }
 
@@ -420,7 +420,7 @@ __kernel void sharpen(const grid_t grid, __global const float *value, __global c
 // The pinhole image of occlusion group `group`, for `layered` occlusion. Out: value as in trace; coc wide_t, signed
 // R in px, and valid uchar, (height, width); statistics.
 __kernel void pinhole(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
-                      const float weight, __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global float *value,
+                      __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global float *value,
                       __global wide_t *coc, __global uchar *valid, __global int *statistics)
 {
     const int x = get_global_id(0), y = get_global_id(1);
@@ -431,7 +431,7 @@ __kernel void pinhole(const grid_t grid, const lens_t lens, __constant surface_t
     uchar root;
     int object;
     const wide_t w = nearest_surface(surfaces, group, ray, &root, &object);
-    take_radiance(grid, surfaces, ray, w, root, row, column, 1, weight, texture TEXTURE_MAPS LIGHT, value + at,
+    take_radiance(grid, surfaces, ray, w, root, row, column, 1, 1, texture TEXTURE_MAPS LIGHT, value + at,
                   grid.height * grid.width);
     const wide_t none = widened(0);
     coc[at] = root ? blur_radius(lens, w) : none;

@@ -297,11 +297,11 @@ __kernel void reproject_gaps(const grid_t grid, __global const int *restrict dep
 #endif
 
 // Gathers the winners' values. In: texture float (textures, CHANNELS, rows, columns), of which each surface names its
-// own; moved, winner, object; weight of the time sample in the exposure. Out, on the padded grid: value float
-// (CHANNELS, height, width), radiance times weight; w wide_t, inverse depth in 1/mm; coc wide_t, signed radius in px;
-// valid uchar, there is a winner; status uchar, 0; seen uchar, with SEVERAL, its object. All 0 without one, and seen
-// NO_OBJECT. With FILL_FAR valid is from reproject_gaps, and winners of other pixels do not count.
-__kernel void reproject_gather(const grid_t grid, const lens_t lens, const float weight, __global const float *texture,
+// own; moved, winner, object. Out, on the padded grid: value float (CHANNELS, height, width), radiance; w wide_t,
+// inverse depth in 1/mm; coc wide_t, signed radius in px; valid uchar, there is a winner; status uchar, 0; seen uchar,
+// with SEVERAL, its object. All 0 without one, and seen NO_OBJECT. With FILL_FAR valid is from reproject_gaps, and
+// winners of other pixels do not count.
+__kernel void reproject_gather(const grid_t grid, const lens_t lens, __global const float *texture,
                                __global const wide_t *moved, __global const int *winner,
 #if SEVERAL
                                __constant surface_t *surfaces, __global const uchar *object,
@@ -330,8 +330,7 @@ __kernel void reproject_gather(const grid_t grid, const lens_t lens, const float
     texture += known ? (size_t)surfaces[whose].texture * CHANNELS * grid.rows * grid.columns : 0;
 #endif
     for (int c = 0; c < CHANNELS; ++c)
-        value[c * grid.height * grid.width + at] =
-            known ? weight * texture[c * grid.rows * grid.columns + source] : 0;
+        value[c * grid.height * grid.width + at] = known ? texture[c * grid.rows * grid.columns + source] : 0;
     w[at] = inverse_depth;
     coc[at] = known ? blur_radius(lens, inverse_depth) : none;
     status[at] = 0;

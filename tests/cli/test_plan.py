@@ -39,7 +39,7 @@ def test_plan_predicts_seconds(ball: Path) -> None:
     result = clsco_("plan", ball, "--json", "--truth", "npz:depth")
     found = json.loads(result.stdout)
     (view,) = found["views"]
-    assert [each["pass"] for each in view["passes"]] == ["trace", "silhouettes", "blur", "ground truth"]
+    assert [each["pass"] for each in view["passes"]] == ["trace", "silhouettes", "blur", "accumulate", "ground truth"]
     assert 0.0 < sum(each["seconds"] for each in view["passes"]) < found["seconds"]
     assert found["frames"] == 3
     assert "not known" in clsco_("plan", ball, "--gpu").output

@@ -17,7 +17,7 @@ from clsco.opencl.session import Session
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_tables import PsfTable, psf_table
 from clsco.passes import blur as spread
-from clsco.passes.blur import FILES_OF, PIXELS, FrameSum, TableBlur
+from clsco.passes.blur import FILES_OF, PIXELS, BlurredPlane, TableBlur
 from clsco.passes.frame_blur import make_blur
 from clsco.passes.pack import psf_struct
 from clsco.plan.buffers import margin
@@ -177,7 +177,7 @@ def features(
     return kernels | dict.fromkeys(("GATHER", "SCATTER", "RENORMALIZE", "PREPARE"), 1)
 
 
-def blur_of(session: Session, given: Light, method: Blur) -> FrameSum:
+def blur_of(session: Session, given: Light, method: Blur) -> BlurredPlane:
     sizes: dict[str, Any] = {"smallest": given.smallest, "subpixels": given.samples}
     spec = spec_of(given.psf, given.largest, method, given.aperture, **sizes)
     chosen = features(given.psf, given.channels, given.samples, given.largest, given.aperture)
@@ -189,13 +189,13 @@ def blur_of(session: Session, given: Light, method: Blur) -> FrameSum:
 
 
 def blurred(session: Session, given: Light, method: Blur, moments: int = 1) -> Array:
-    """Frame (rows, columns, channels) of a method; moments: that many equal shares of the light."""
+    """Plane (rows, columns, channels) of a method; moments: that many equal shares of the light."""
     owner = blur_of(session, given, method)
     owner.clear()
     sources = on_device(session, given, 1.0 / moments)
     for _ in range(moments):
         owner.add(replace(sources, radius=given.largest), [])
-    image = owner.image([])
+    image = owner.plane([]).read(session)
     return image if given.channels > 1 else image[..., None]
 
 

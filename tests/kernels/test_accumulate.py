@@ -1,30 +1,53 @@
-"""accumulate.cl: what it adds, and that it adds nothing else."""
+"""accumulate.cl: the weighted sum of planes, and that it adds nothing else."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from clsco.frame.strips import Strip, grid_struct
-from clsco.opencl.buffers import copied, download, upload
-from clsco.opencl.program import build, kernel, launch
+from clsco.frame.strips import Grid
+from clsco.opencl.buffers import copied
 from clsco.opencl.session import Session
-from clsco.records import structs
-from tests.kernels.conftest import PLAIN
+from clsco.passes.accumulate import FrameSum
+from clsco.passes.blur import Plane
+from clsco.plan.buffers import sum_buffers
+from clsco.reference.blur.accumulate import accumulate
+from tests.kernels.launches import Amid, run
+
+RNG = np.random.default_rng
 
 
-@pytest.mark.parametrize("local", [(64, 1), (7, 5)])
-def test_the_frame_without_its_guard_band_is_added(session: Session, local: tuple[int, int]) -> None:
+@pytest.mark.parametrize("local", [(8, 1), (3, 5)])
+def test_the_frame_without_what_is_around_it_is_added(session: Session, local: tuple[int, int]) -> None:
     """Work-groups that reach beyond it add nothing of the next channel's."""
-    rows, columns, pad, channels, strip = 12, 17, 4, 3, Strip(top=3, rows=8, above=2, below=5)
-    grid = grid_struct(rows, columns, 3, "double", strip)
-    program = build(session, ["blur/accumulate.cl"], PLAIN | {"CHANNELS": channels}, structs("double"), "double")
-    rng = np.random.default_rng(6)
-    value = rng.random((channels, strip.height, columns + 6), np.float32)
-    total = rng.random((channels + 1, strip.rows, columns + 2 * pad), np.float32)
-    buffer = copied(session, total)
-    sizes = (np.int32(total.shape[2]), np.int32(pad))
-    args = (grid, upload(session, value), *sizes, buffer)
-    launch(session, kernel(program, "accumulate"), (columns, strip.rows), local, *args)
-    total[:channels, :, pad:-pad] += value[:, 2:10, 3:-3]
-    np.testing.assert_array_equal(download(session, buffer, total.shape, np.float32), total)
+    plane = RNG(6).random((3, 15, 23), np.float32)
+    weights, total = RNG(7).random(8, np.float32), RNG(8).random((3, 8, 17), np.float32)
+    sums, lost = Amid(session, total, 5.0), Amid(session, np.zeros_like(total), 7.0)
+    given = {"rows": 8, "columns": 17, "channels": 3, "apart": 15 * 23, "start": 2 * 23 + 3, "pitch": 23}
+    program = FrameSum(session, sum_buffers(Grid.whole(8, 17, 0, 3))).target.program
+    run(session, program, "accumulate", (17, 8), local, **given, plane=plane, weights=weights, sum=sums, lost=lost)
+    part = weights[:, None] * plane[:, 2:10, 3:20]
+    np.testing.assert_array_equal(sums.now(), total + part)
+    np.testing.assert_array_equal(lost.now(), ((total + part) - total) - part)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_many_planes_are_off_by_no_more_than_a_few(session: Session, channels: int) -> None:
+    """Half a unit in the last place of each weight, and one of the sum: what 2000 roundings of a plain sum exceed."""
+    rows, columns, samples = 6, 140, 2000
+    found = FrameSum(session, sum_buffers(Grid.whole(rows, columns, 0, channels)))
+    image = RNG(9).random((channels, rows, columns), np.float32)
+    plane = Plane(copied(session, image), image.shape, rows, columns)
+    ramp = RNG(10).random((samples, rows))
+    ramp /= ramp.sum(axis=0)
+    found.clear()
+    plain, exact = np.zeros(image.shape, np.float32), np.zeros((rows, columns, channels))
+    for weights in ramp:
+        frame = found.add(plane, weights, [])
+        plain += weights[:, None].astype(np.float32) * image
+        exact = accumulate(exact, np.moveaxis(image, 0, -1).astype(np.float64), weights)
+    error = np.abs(frame.read(session).reshape(exact.shape) - exact)
+    assert error.max() < 1.2e-7 < 1e-6 < np.abs(np.moveaxis(plain, 0, -1) - exact).max()
+    found.clear()
+    again = found.add(plane, np.ones(rows), []).read(session)
+    np.testing.assert_array_equal(again.reshape(exact.shape), np.moveaxis(image, 0, -1))

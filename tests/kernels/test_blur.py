@@ -211,14 +211,6 @@ def test_moments_add_up(session: Session, method: Blur) -> None:
     assert_close(blurred(session, given, method, 3), blurred(session, given, method), ROUNDING)
 
 
-def test_accumulate(session: Session) -> None:
-    given = light(Psf(), channels=3).constant(0.0)
-    m, n = given.shape
-    frame = given.sources.radiance[5 : 5 + m, 5 : 5 + n]
-    assert (blurred(session, given, "none") == frame.astype(np.float32)).all()
-    np.testing.assert_allclose(blurred(session, given, "none", 3), frame, rtol=4 * 2.0**-24)  # 3 divisions, 2 sums
-
-
 @pytest.mark.parametrize("method", mostly_slow(["gather", "scatter"], ["gather"]))
 def test_same_bits_again_and_in_other_groups(session: Session, method: Blur, monkeypatch: pytest.MonkeyPatch) -> None:
     given = light(Psf(), shape=(130, 61), guard=14, channels=3, samples=2)

@@ -77,4 +77,4 @@ def test_a_device_without_doubles(session: Session, monkeypatch: pytest.MonkeyPa
     owner.clear()
     sources = on_device(session, given, 1.0)
     owner.add(sources, [])
-    assert_close(owner.image([])[..., None], expected, ROUNDING)
+    assert_close(owner.plane([]).read(session)[..., None], expected, ROUNDING)

@@ -95,7 +95,7 @@ class Device:
         for _ in range(moments):
             cl.enqueue_copy(self.session.queue, value, light)  # "renormalize" writes to it
             count = self.layers.add((value, self.coc, self.valid), events)
-        image = self.blur.image(events)
+        image = self.blur.plane(events).read(self.session)
         return image.reshape(*self.view.shape, -1), count
 
     def read(self, name: str, dtype: Any) -> Array:
@@ -267,4 +267,4 @@ def test_one_layer_is_plain_scattering_to_the_bit(session: Session, method: Blur
     plain.clear()
     value = upload(session, flat(view.radiance, np.float32))
     plain.add(Light(device.layers.source, value), [])
-    assert plain.image([]).tobytes() == found.tobytes()
+    assert plain.plane([]).read(session).tobytes() == found.tobytes()

@@ -189,7 +189,7 @@ def stack(session: Session, plan: Plan) -> cl.Buffer:
 
 
 def traced(
-    session: Session, plan: Plan, time: float, weight: float = 1.0, real: Real = "double",
+    session: Session, plan: Plan, time: float, real: Real = "double",
     local: tuple[int, int] = (64, 1), capacity: int | None = None, group: OcclusionGroup | None = None,
 ) -> Traced:  # fmt: skip
     """All passes of one moment, of one group; by default the first."""
@@ -213,7 +213,6 @@ def traced(
         "surfaces": on_device(session, plan, time, real),
         "group": group_struct(group or plan.groups[0], len(wanted.objects)),
         "psf": psf_struct(plan.psf, tables[0], tables[1] if each else None, real),
-        "weight": weight,
         "texture": stack(session, plan),
         "capacity": capacity,
         "statistics": copied(session, EMPTY_STATISTICS),
@@ -271,7 +270,7 @@ def test_sources(session: Session, name: str, time: float) -> None:
     assert (len(plan.groups) > 1) == (len(wanted.objects) > 1 or bounded(wanted))
     shares = []
     for group in plan.groups:
-        found, expected = traced(session, plan, time, 0.3, group=group), twin.trace(view(plan, time), group, GUARD)
+        found, expected = traced(session, plan, time, group=group), twin.trace(view(plan, time), group, GUARD)
         there = expected.label > 0
         shares.append(there.mean())
         if plan.silhouettes and plan.features()["QUADRATIC"]:  # a plane has but one root
@@ -281,8 +280,8 @@ def test_sources(session: Session, name: str, time: float) -> None:
         assert ((found.source[..., 0] >= 0) == expected.lit).all()
         assert_records(plan, found.source, expected.radius, expected.gradient, expected.lit, False)
         # Filters work in float32, on positions that float32 would not hold: see test_geometry.py for the figure.
-        limit = 0.3 * (34 * SINGLE if plan.moves else SINGLE) + SINGLE
-        np.testing.assert_allclose(found.value, 0.3 * np.moveaxis(expected.radiance, -1, 0), rtol=0, atol=limit)
+        limit = (34 * SINGLE if plan.moves else SINGLE) + SINGLE
+        np.testing.assert_allclose(found.value, np.moveaxis(expected.radiance, -1, 0), rtol=0, atol=limit)
         assert not found.value[:, ~there].any()
         blocked = (
             np.zeros_like(there) if expected.visibility is None else expected.visibility.row.reshape(there.shape) >= 0
@@ -346,7 +345,7 @@ def test_subpixel_sources(session: Session, name: str, samples: int) -> None:
     wanted, channels = SCENES[name]
     wanted = wanted.model_copy(update={"psf": wanted.psf.model_copy(update={"silhouette_samples": samples})})
     plan = planned(wanted, channels, samples)
-    found = traced(session, plan, 0.55, 0.3)
+    found = traced(session, plan, 0.55)
     marked = twin.mark_silhouettes(found.label)
     expected = twin.trace_subpixels(view(plan, 0.55), plan.groups[0], GUARD, marked)
     slots = found.slot[expected.row, expected.column]
@@ -356,8 +355,8 @@ def test_subpixel_sources(session: Session, name: str, samples: int) -> None:
     assert_records(plan, records, expected.radius, expected.gradient, hit, True)
     value = np.moveaxis(found.sub_value[:, slots], 0, -1)[hit]
     # The texture is sampled where each sub-pixel's point was at rest.
-    limit = 0.3 / samples**2 * 40 * SINGLE
-    np.testing.assert_allclose(value, 0.3 / samples**2 * expected.radiance[hit], rtol=0, atol=limit)
+    limit = 40 * SINGLE / samples**2
+    np.testing.assert_allclose(value, 1 / samples**2 * expected.radiance[hit], rtol=0, atol=limit)
 
 
 @pytest.mark.parametrize("name", mostly_slow([*SOME[1:3], "bounded paraboloid", "three in a row"], SOME[2:3]))

@@ -46,7 +46,7 @@ from tests.kernels.test_trace import (
 Array = NDArray[Any]
 LOCAL = (7, 5)  # divide neither the grid nor its part
 SPARE, UNTOUCHED = 4096, 0xA5  # bytes beyond what a kernel may write, and what is in them
-TIME, WEIGHT = 0.55, 0.3
+TIME = 0.55
 
 
 @pytest.fixture
@@ -81,7 +81,6 @@ def pixel_arguments(session: Session, plan: Plan, group: OcclusionGroup) -> dict
         "surfaces": on_device(session, plan, TIME, "double"),
         "group": group_struct(group, len(wanted.objects)),
         "psf": psf_struct(plan.psf, tables[0], tables[1], "double"),
-        "weight": WEIGHT,
         "texture": stack(session, plan),
     }
 
@@ -128,8 +127,8 @@ def test_pinhole(session: Session, plan: Plan) -> None:
     np.testing.assert_array_equal(written(session, out["valid"], shape, np.uint8), seen)
     np.testing.assert_allclose(written(session, out["coc"], shape, np.float64), expected.radius, rtol=1e-11, atol=1e-11)
     value = written(session, out["value"], (plan.channels, *shape), np.float32)
-    limit = WEIGHT * 34 * SINGLE + SINGLE  # as in test_trace.py
-    np.testing.assert_allclose(value, WEIGHT * np.moveaxis(expected.radiance, -1, 0), rtol=0, atol=limit)
+    limit = 35 * SINGLE  # as in test_trace.py
+    np.testing.assert_allclose(value, np.moveaxis(expected.radiance, -1, 0), rtol=0, atol=limit)
     noted = download(session, statistics, (4,), np.int32)[:2].view(np.float32)
     radii = np.abs(expected.radius[seen])
     np.testing.assert_allclose(noted, [radii.max(), radii.min()], rtol=1e-6)

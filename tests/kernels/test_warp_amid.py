@@ -151,15 +151,15 @@ def test_gather_takes_each_object_from_its_texture(session: Session, mapped: Any
     value, w, coc, status, seen = (Amid(session, np.full(of, 9, dtype), 9) for of, dtype in planes)
     before = Amid(session, valid.astype(np.uint8), 1)
     stack = np.ascontiguousarray(np.moveaxis(mapped.textures, -1, 1))
-    inputs = {"texture": stack, "moved": moved, "surfaces": surfaces(mapped), "object": whose, "weight": 0.3}
-    inputs["winner"] = Amid(session, winner.astype(np.int32), 0)
+    inputs: dict[str, Any] = {"texture": stack, "moved": moved, "surfaces": surfaces(mapped), "object": whose}
+    inputs |= {"winner": Amid(session, winner.astype(np.int32), 0)}
     outputs = {"value": value, "w": w, "coc": coc, "valid": before, "status": status, "seen": seen}
     run(session, mapped, "reproject_gather", shape[::-1], LOCAL, **inputs, **outputs)
     radiance = mapped.textures.reshape(2, sources, 3)[1 - whose, np.arange(sources)]
     values = np.concatenate([radiance, moved[:, None], whose[:, None]], axis=1)
     known, expected = reproject_gather(np.where(valid, winner, NO_WINNER).ravel(), values)
     expected, known = expected.reshape(*shape, 5), known.reshape(shape)
-    assert (np.moveaxis(value.now(), 0, -1) == np.float32(0.3) * expected[..., :3].astype(np.float32)).all()
+    assert (np.moveaxis(value.now(), 0, -1) == expected[..., :3].astype(np.float32)).all()
     assert (w.now() == expected[..., 3]).all()
     radius = mapped.lens["blur_scale"] * (mapped.lens["focus_power"] - expected[..., 3])
     np.testing.assert_allclose(coc.now(), np.where(known, radius, 0.0), rtol=1e-12)

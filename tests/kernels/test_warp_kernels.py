@@ -187,7 +187,7 @@ def test_groups_show_all_their_objects(make_case: Maker, warps: Warps, name: str
     assert set(range(len(items))) <= set(np.unique(seen).tolist())
 
 
-def test_gather_weighs_what_winners_bring(session: Session, make_case: Maker) -> None:
+def test_gather_takes_what_winners_bring(session: Session, make_case: Maker) -> None:
     case = make_case((Plane(),), (40, 61), guard=2, channels=3)
     kernels, pixels = Kernels(session, case, True), case.shape[0] * case.shape[1]
     rng = np.random.default_rng(7)
@@ -197,12 +197,12 @@ def test_gather_weighs_what_winners_bring(session: Session, make_case: Maker) ->
     out = [kernels.out(t, n * pixels, 9) for t, n in (("f4", 3), ("f8", 1), ("f8", 1), ("u1", 1), ("u1", 1))]
     planes = dict(zip(("value", "w", "coc", "valid", "status"), out, strict=True))
     given = {"texture": flat(case.textures[0], np.float32), "moved": moved, "winner": winner}
-    kernels.run("reproject_gather", case.shape[::-1], (64, 1), weight=0.3, **given, **planes)
+    kernels.run("reproject_gather", case.shape[::-1], (64, 1), **given, **planes)
     values = np.concatenate([case.textures.reshape(sources, 3), moved[:, None]], axis=1)
     known, expected = reproject_gather(winner.astype(np.int64), values)
     assert 0.5 < known.mean() < 0.7
     value = download(session, out[0], (3, pixels), np.float32).T
-    assert (value == np.float32(0.3) * expected[:, :3].astype(np.float32)).all()
+    assert (value == expected[:, :3].astype(np.float32)).all()
     assert (download(session, out[1], (pixels,), np.float64) == expected[:, 3]).all()
     assert (download(session, out[3], (pixels,), np.uint8) == known).all()
     assert not download(session, out[4], (pixels,), np.uint8).any()

@@ -256,7 +256,7 @@ def test_passes_that_a_scene_has_no_use_for_are_not_run() -> None:
 
     in_focus = {"focus_distance": 250.0}
     sharp = scene({"shape": "plane"}, camera=in_focus, psf={"edge": "area"})
-    assert passes(sharp) == {"trace", "accumulate"}
+    assert passes(sharp) == {"trace"}
     assert passes(scene({"shape": "plane", "distance": 260.0})) == {"trace", "convolve"}
     assert passes(scene({"shape": "plane", "slope_x": 1.0})) == {"trace", "gather"}
     assert passes(scene(BALL)) == {"trace", "mark_silhouettes", "trace_subpixels", "cover_outlines", "gather"}

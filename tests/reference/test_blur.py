@@ -330,5 +330,6 @@ def test_resolve_undoes_the_scale() -> None:
 
 def test_accumulate_is_a_weighted_sum() -> None:
     first, second = np.full((2, 3, 1), 1.0), np.full((2, 3, 1), 4.0)
-    total = accumulate(accumulate(np.zeros((2, 3, 1)), first, 0.25), second, 0.75)
-    assert (total == 3.25).all()
+    total = accumulate(accumulate(np.zeros((2, 3, 1)), first, 0.25), second, np.array([0.75, 0.5]))
+    assert (total[0] == 3.25).all()
+    assert (total[1] == 2.25).all()

@@ -72,7 +72,7 @@ class Pass:
         """All of it: the frame (rows, columns[, channels]) on the host."""
         self.prepare(events)
         self.spread(events)
-        return self.blur.image(events)
+        return self.blur.plane(events).read(self.target.session)
 
     @property
     def bytes(self) -> int:

@@ -40,7 +40,7 @@ class Stages:
 
     def gather(self) -> None:
         """Bring what the nearest ones are, with nothing filled."""
-        self.warp.gather(1.0, [])
+        self.warp.gather([])
         self.session.queue.finish()
 
     def fill(self) -> None:

@@ -1,13 +1,16 @@
-"""Average of the sub-frames of one exposure, in linear radiance."""
+"""Exposure of a frame: the weighted sum of the blurred images of its time samples, in linear radiance."""
 
 from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from clsco.reference.common.geometry import Array
 
 
-def accumulate(total: Array, frame: Array, weight: float) -> Array:
-    """Running sum of an exposure: `total` plus `weight` x `frame`.
+def accumulate(total: Array, plane: Array, weights: ArrayLike) -> Array:
+    """Running sum of an exposure: `total` plus `weights` times `plane`, both (m, n, C).
 
-    Arrays (m, n, C), linear; the weights of one exposure sum to 1.
+    weights: (m,), or a number for all rows; those of an exposure sum to 1 in each row.
     """
-    return total + weight * frame
+    return np.asarray(total + np.reshape(weights, (-1, 1, 1)) * plane)

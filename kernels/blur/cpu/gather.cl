@@ -2,9 +2,9 @@
 //
 //   source, value, sub_source, sub_value, intervals, coefficients: as in blur.cl
 //   taps, outlines: the same weights in the order of columns.clh, PsfTable of clsco/optics/psf_tables.py
-//   total   float (CHANNELS, rows, pitch), in and out: the irradiance of the frame, or a strip of it, so far; time
-//           samples of the exposure add up here. `pad` columns on both sides of a row are scratch, so that a vector of
-//           taps may reach beyond
+//   total   float (CHANNELS, rows, pitch), in and out: the irradiance of the frame, or a strip of it, at a time
+//           sample, so far; occlusion groups add up here. `pad` columns on both sides of a row are scratch, so that a
+//           vector of taps may reach beyond
 //   part    the same, 0 at first: what some rows of sources add, on its way to total. Summing thousands of equal taps
 //           in one float accumulates a systematic rounding error: 1.4e-5 of white at R60 without, 1.2e-6 with it
 //
