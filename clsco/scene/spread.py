@@ -35,7 +35,7 @@ class Aperture(HasInputs, Strict):
     """Square gray image of the transmission, as a far light's blur shows it; the circle in it is the rim of the lens;
     only with shape = "image"."""
 
-    @field_validator("blades", "rotation", "obstruction", "image")
+    @field_validator(*APERTURE_KEYS)
     @classmethod
     def _of_its_shape(cls, value: Any, info: ValidationInfo) -> Any:
         shape = APERTURE_KEYS[str(info.field_name)]
