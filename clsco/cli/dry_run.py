@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rich.console import RenderableType
 
-from clsco.cli.tables import _table, print_tables
+from clsco.cli.tables import print_tables, table
 from clsco.data.dryrun import DryRun, Histogram
 
 BAR = 40  # characters of the longest bar
@@ -16,7 +16,7 @@ def dry_run_tables(found: DryRun) -> list[RenderableType]:
         (one.name, _number(one.low), _number(one.mean), _number(one.high), one.note) for one in found.parameters
     ]
     tables: list[RenderableType] = [
-        _table(
+        table(
             f"Parameters of {found.count} samples, as first drawn",
             ("parameter", "lowest", "mean", "highest", ""),
             parameters,
@@ -25,7 +25,7 @@ def dry_run_tables(found: DryRun) -> list[RenderableType]:
     ]
     if found.splits:
         rows = [(name, f"{many}", f"{many / found.count:.2%}") for name, many in found.splits.items()]
-        tables.append(_table("Splits", ("split", "samples", "share"), rows, ("samples", "share")))
+        tables.append(table("Splits", ("split", "samples", "share"), rows, ("samples", "share")))
     accepted = found.looked_at - len(found.failed)
     seen = [
         ("accepted", f"{accepted / max(1, found.attempts):.1%} of {found.attempts} attempts"),
@@ -34,16 +34,16 @@ def dry_run_tables(found: DryRun) -> list[RenderableType]:
         ("predicted work", f"{found.weights:.3g} weights per frame"),
     ]
     of = f"{found.looked_at} of {found.count} samples"
-    tables.append(_table(f"Looked at: {of}, with rays on a coarse grid", ("what", "how much"), seen))
+    tables.append(table(f"Looked at: {of}, with rays on a coarse grid", ("what", "how much"), seen))
     tables += [_histogram(one) for one in found.histograms]
     sizes = [(name, _bytes(size), _bytes(size * found.count)) for name, size in found.bytes.items()]
     total = sum(found.bytes.values())
     sizes.append(("in all", _bytes(total), _bytes(total * found.count)))
     tables.append(
-        _table("Size before compression", ("array", "per sample", "of the set"), sizes, ("per sample", "of the set"))
+        table("Size before compression", ("array", "per sample", "of the set"), sizes, ("per sample", "of the set"))
     )
     duration = "not known" if found.seconds is None else _duration(found.seconds)
-    tables.append(_table("Time", ("predicted", "from"), [(duration, found.basis)]))
+    tables.append(table("Time", ("predicted", "from"), [(duration, found.basis)]))
     return tables
 
 
@@ -60,7 +60,7 @@ def _histogram(one: Histogram) -> RenderableType:
         (f"{low:.4g} to {high:.4g}", f"{share:.1%}", "#" * round(BAR * share / most))
         for low, high, share in zip(one.edges, one.edges[1:], one.shares, strict=False)
     ]
-    return _table(one.name, ("from, to", "share", ""), rows, ("from, to", "share"))
+    return table(one.name, ("from, to", "share", ""), rows, ("from, to", "share"))
 
 
 def _number(value: float | None) -> str:

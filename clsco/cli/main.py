@@ -143,7 +143,8 @@ def plan(
     device = ThisMachine(kind="gpu") if gpu else None
     first = _first(scene, overrides, request_for(files, memory=memory, color=not no_color), device, machine)
     report_stretched(scene, [first])
-    from clsco.cli.tables import plan_tables, planned_values, print_tables
+    from clsco.cli.plan_tables import plan_tables, planned_values
+    from clsco.cli.tables import print_tables
     from clsco.cost.cheaper import cheaper_settings
     from clsco.cost.predict import cost_of
 

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 
 import clsco.data
 from clsco.cli.main import main
-from clsco.cli.tables import _table, print_tables
+from clsco.cli.tables import print_tables, table
 from clsco.data.manifest import part_key
 from clsco.data.storage import open_storage
 from clsco.data.strict import MOST_DEEP, strict_json
@@ -85,7 +85,7 @@ class TestTerminal:
         assert tomllib.loads(written) == table
 
     def test_tables(self, capsys: pytest.CaptureFixture[str]) -> None:
-        print_tables(_table(f"Plan: {ESCAPES}", ("what", "how much"), [(ESCAPES, ESCAPES)]), f"a {ESCAPES}")
+        print_tables(table(f"Plan: {ESCAPES}", ("what", "how much"), [(ESCAPES, ESCAPES)]), f"a {ESCAPES}")
         shown = capsys.readouterr().out
         assert not obeyed(shown)
         assert shown.count("\\x1b[2J") == 4

@@ -1,0 +1,149 @@
+"""Plans as tables for the terminal, and as figures for programs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from rich.console import RenderableType
+
+from clsco.cli.tables import table
+from clsco.cost.cheaper import Setting, cores
+from clsco.cost.predict import Cost, duration
+from clsco.plan.buffers import Sizes
+from clsco.plan.memory import device_bytes
+from clsco.plan.passes import Kind, Pass
+from clsco.plan.plan import Plan
+from clsco.plan.unused_keys import unused_keys
+
+
+def plan_tables(
+    plans: Sequence[Plan], cost: Cost | None, cheaper: Sequence[tuple[Setting, float]]
+) -> list[RenderableType]:
+    """Tables of a plan: its passes, the parts that it leaves out, its costs and what would cost less, and keys of the
+    scene that it has no use for.
+
+    plans: one, or those of the left and the right view of a stereo pair; cost: of a frame, None where it is not known;
+    cheaper: settings and their seconds.
+    """
+    plan = plans[0]
+    scene = plan.scene
+    samples, motion = f"{plan.samples} per frame", plan.choices.motion
+    samples += f", {motion.reason}" if motion.reason and not motion.left_out else ""
+    kind = "gray" if plan.colors == 1 else "color"
+    figures = [("frames", f"{scene.sequence.frames}, {plan.columns} x {plan.rows} px, {kind}")]
+    if scene.stereo is not None:
+        turned = f", each turned inwards by {scene.stereo.toe_in:g} deg" if scene.stereo.toe_in else ""
+        figures.append(("views", f"left and right, {scene.stereo.baseline:g} mm apart{turned}"))
+    figures.append(("intermediate frames", samples))
+    figures += _of_views([_figures(each) for each in plans])
+    figures.append(("predicted time", _time(cost)))
+    columns = ("pass", "times", "MiB", "time", "what", "how")
+    tables: list[RenderableType] = [
+        table(f"Plan: {scene.title or scene.objects[0].name}", ("what", "how much"), figures),
+        table("Passes, in order", columns, _passes(plans, cost), ("times", "MiB", "time")),
+        table("Left out", ("pass", "why"), _of_views([each.choices.left_out for each in plans])),
+    ]
+    if unused := unused_keys(plan):
+        tables.append(table("Keys that this scene has no use for", ("key", "why"), unused))
+    if cheaper:
+        rows = [(one.text, duration(seconds), f"{one.error} ({one.page})") for one, seconds in cheaper]
+        tables.append(table("What takes less time", ("key", "frame", "PSNR against the lens"), rows, ("frame",)))
+    return tables
+
+
+def planned_values(
+    plans: Sequence[Plan], cost: Cost | None, cheaper: Sequence[tuple[Setting, float]]
+) -> dict[str, Any]:
+    """The figures of `plan_tables` for programs: bytes, px, seconds of a frame; null for what is not known."""
+    first = plans[0]
+    views = []
+    for plan, seconds in zip(plans, ({},) * len(plans) if cost is None else cost.views, strict=True):
+        kinds = dict.fromkeys(each.kind for each in plan.passes)
+        passes = [{"pass": kind, "times": _times(plan, kind), "seconds": seconds.get(kind)} for kind in kinds]
+        blur = {"method": plan.blur, "smallest_px": plan.smallest_blur, "largest_px": plan.largest_blur}
+        views.append({"view": plan.eye, "blur": blur, "bytes": device_bytes(plan), "passes": passes})
+    return {
+        "frames": first.scene.sequence.frames,
+        "columns": first.columns,
+        "rows": first.rows,
+        "channels": first.channels,
+        "samples": first.samples,
+        "seconds": None if cost is None else cost.seconds,
+        "cores": None if cost is None else cost.cores,
+        "views": views,
+        "cheaper": [
+            {"key": one.key, "value": one.value, "seconds": spent, "psnr": one.error} for one, spent in cheaper
+        ],
+    }
+
+
+def _times(plan: Plan, kind: Kind) -> int:
+    """Number of times that a frame has passes of this kind."""
+    members = sum(each.kind == kind for each in plan.passes)
+    return members if kind == "ground truth" else members * plan.samples
+
+
+def _time(cost: Cost | None) -> str:
+    if cost is None:
+        return "not known: nothing has been measured on graphics cards"
+    kind, share = cost.dearest
+    return f"{duration(cost.seconds)} per frame on {cores(cost)}, {share:.0%} of it in the pass {kind}"
+
+
+def _passes(plans: Sequence[Plan], cost: Cost | None) -> list[tuple[str, ...]]:
+    """Rows of what is run, those of all occlusion groups together; of a stereo pair, of each view. A buffer counts for
+    the first pass that works with it."""
+    found: list[tuple[str, ...]] = []
+    views = ({},) * len(plans) if cost is None else cost.views
+    for plan, seconds in zip(plans, views, strict=True):
+        counted: Sizes = {}
+        view = f" ({plan.eye})" if plan.scene.stereo is not None else ""
+        groups: dict[Kind, list[Pass]] = {}
+        for each in plan.passes:
+            groups.setdefault(each.kind, []).append(each)
+        for kind, members in groups.items():
+            sizes = {name: size for each in members for name, size in each.buffers.items() if name not in counted}
+            counted |= sizes
+            spent = duration(seconds[kind]) if kind in seconds else ""
+            names = (
+                (f"{kind}{view}", f"{_times(plan, kind)}", f"{sum(sizes.values()) / 2**20:.1f}", spent),
+                *(("", "", "", ""),) * (len(members[0].parameters) - 1),
+            )
+            found += [(*name, *row) for name, row in zip(names, members[0].parameters, strict=True)]
+    return found
+
+
+def _figures(plan: Plan) -> list[tuple[str, str]]:
+    memory = f"{device_bytes(plan) / 2**20:.1f} MiB"
+    return [
+        ("blur radius |R|", f"{plan.smallest_blur:.2f} to {plan.largest_blur:.2f} px, predicted with a margin"),
+        ("guard band", f"{plan.guard_px} px on every side"),
+        ("blur method", plan.blur if plan.color else "none, as there is no image"),
+        ("memory on the device", memory + (" for each view" if plan.scene.stereo else "")),
+        ("strips", _strips(plan)),
+        ("predicted work", f"{plan.taps:.3g} weights per frame"),
+    ]
+
+
+def _strips(plan: Plan) -> str:
+    count = len(plan.strips)
+    if count == 1:
+        return "1, the whole frame"
+    beside = max(max(strip.above, strip.below) for strip in plan.strips)
+    return f"{count} of up to {plan.strips[0].rows} rows, with up to {beside} more on either side"
+
+
+def _of_views(rows: Sequence[Sequence[tuple[str, str]]]) -> list[tuple[str, str]]:
+    """Rows of all views in the order of the first one: once where they agree, else with the name of the view."""
+    if len(rows) == 1:
+        return list(rows[0])
+    views = [dict(one) for one in rows]
+    found = []
+    for name in dict.fromkeys(name for one in rows for name, _ in one):
+        texts = [view.get(name) for view in views]
+        alike = len(set(texts)) == 1
+        for eye, text in zip(("left", "right"), texts, strict=True):
+            if text is not None and (eye == "left" or not alike):
+                found.append((name if alike else f"{name} ({eye})", text))
+    return found
