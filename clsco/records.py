@@ -11,17 +11,13 @@ from numpy.typing import NDArray
 
 Real = Literal["double", "float"]
 Struct = np.void
-WIDE_BYTES = 8  # of a number on the device: a double, or two floats
-WIDE: dict[Real, np.dtype[Any]] = {"double": np.dtype("f8"), "float": np.dtype([("high", "f4"), ("low", "f4")])}
-LOW = "_low"  # ends the name of a low part
+REAL: dict[Real, np.dtype[Any]] = {"double": np.dtype("f8"), "float": np.dtype("f4")}
+REAL_BYTES = 8  # planned for a number on the device, in either precision
 
 
 @cache
 def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     """C name -> dtype of every struct, in the order in which they are declared.
-
-    In single precision every real number has a low part, what rounding to float left of it (kernels/common/wide.clh): a
-    scalar x is followed by x_low, an array of n numbers is one of 2 n, the low parts last.
 
     grid_t: rows, columns of the frame, or of a strip of it (`clsco.frame.strips`); frame_rows: of the frame; top:
     first row of the strip; guard: columns, above: rows of the grid before its own; width, height of the grid; step:
@@ -59,58 +55,16 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
 
 
 def _reals(real: Real, **shapes: tuple[int, ...]) -> list[Any]:
-    """Fields for real numbers and arrays (n,) of them, with low parts in single precision."""
-    fields: list[Any] = []
-    for name, shape in shapes.items():
-        if real == "double":
-            fields.append((name, "f8", shape))
-        elif shape:
-            fields.append((name, "f4", (2 * shape[0],)))
-        else:
-            fields += [(name, "f4"), (name + LOW, "f4")]
-    return fields
-
-
-def packed(name: str, records: NDArray[np.void], real: Real) -> NDArray[np.void]:
-    """Structs `name` of double precision, any shape, as the device takes them."""
-    if real == "double":
-        return records
-    out = np.zeros(records.shape, structs(real)[name])
-    for field in structs("double")[name].fields or ():
-        values = records[field]
-        if values.dtype.kind in "iu":
-            out[field] = values
-            continue
-        high = values.astype(np.float32)
-        finite = np.isfinite(values)
-        low = np.where(finite, values, 0.0) - np.where(finite, high, 0.0)
-        if field + LOW in out.dtype.fields:
-            out[field], out[field + LOW] = high, low
-        else:
-            out[field] = np.concatenate([high, low], axis=-1)
-    return out
-
-
-def in_parts(values: NDArray[Any], real: Real) -> NDArray[Any]:
-    """Numbers (...) of double precision as the device's `wide_t`, (...) of dtype WIDE."""
-    if real == "double":
-        return values
-    out = np.empty(values.shape, WIDE[real])
-    out["high"] = values
-    out["low"] = values - out["high"]
-    return out
-
-
-def together(parts: NDArray[Any], real: Real) -> NDArray[Any]:
-    """Numbers (...) of dtype WIDE in float64."""
-    return parts if real == "double" else parts["high"] + parts["low"].astype(np.float64)
+    """Fields for real numbers and arrays (n,) of them."""
+    return [(name, REAL[real], shape) for name, shape in shapes.items()]
 
 
 def filled(name: str, real: Real, values: dict[str, Any]) -> Struct:
-    record = np.zeros((), structs("double")[name])
+    """Struct `name` with these values, and 0 elsewhere."""
+    record = np.zeros((), structs(real)[name])
     for field, value in values.items():
         record[field] = value
-    return cast(Struct, packed(name, record, real)[()])
+    return cast(Struct, record[()])
 
 
 def flat(values: NDArray[Any], dtype: Any) -> NDArray[Any]:

@@ -69,7 +69,7 @@ def assert_agree(frames: list[Frame], exact: list[Frame], least: float = 0.02) -
     """
     assert len(frames) == len(exact) > 0
     found = [difference for pair in zip(frames, exact, strict=True) for difference in compare(*pair)]
-    assert [difference for difference in found if difference.count] == []
+    assert [difference for difference in found if not difference.agrees] == []
     for frame in frames:
         assert np.ptp(frame.color) > 0.1
         assert frame.mask is not None

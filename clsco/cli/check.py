@@ -16,7 +16,8 @@ from clsco.frame.frame import ALL_TRUTH, Frame
 from clsco.scene.model import Scene
 
 # Output -> unit, and the figure up to which it agrees: float32 of values of their size, and for color what an
-# 8-bit image could never show (1/255 is 400 times more). Masks and numbers agree exactly.
+# 8-bit image could never show (1/255 is 400 times more). Masks and numbers agree exactly. In single precision
+# figures are ten times as large, and one pixel in LEAST_AGREEING may be on the other side of an edge.
 FIGURES: dict[str, tuple[str, float]] = {
     "color": ("of white", 1e-5),
     "sharp": ("of white", 1e-5),
@@ -35,13 +36,15 @@ FIGURES: dict[str, tuple[str, float]] = {
     "disparity": ("px", 1e-4),
     "occluded": ("", 0.0),
 }
+LEAST_AGREEING = 1000
 
 
 @dataclass(frozen=True)
 class Difference:
     """Difference of an output from the reference's.
 
-    largest, rms: in `unit`; row, column: of the largest; count: pixels above `figure`; pixels: of the frame.
+    largest, rms: in `unit`; row, column: of the largest; count: pixels above `figure`; pixels: of the frame; allowed:
+    pixels that may be above.
     """
 
     output: str
@@ -53,6 +56,12 @@ class Difference:
     count: int
     figure: float
     pixels: int
+    allowed: int
+
+    @property
+    def agrees(self) -> bool:
+        """True if no more pixels are above than may be."""
+        return self.count <= self.allowed
 
 
 @dataclass(frozen=True)
@@ -70,9 +79,11 @@ class Checked:
     reference_seconds: float
 
 
-def difference(output: str, got: NDArray[Any], wanted: NDArray[Any]) -> Difference:
-    """Compare two arrays (rows, columns[, channels]); equal infinities agree, and NaN never does."""
+def difference(output: str, got: NDArray[Any], wanted: NDArray[Any], single: bool = False) -> Difference:
+    """Compare two arrays (rows, columns[, channels]); equal infinities agree, and NaN never does. single: the
+    precision."""
     unit, figure = FIGURES[output]
+    figure *= 10.0 if single else 1.0
     found, exact = np.asarray(got, np.float64), np.asarray(wanted, np.float64)
     with np.errstate(invalid="ignore"):  # infinity minus infinity
         error = np.abs(found - exact)
@@ -85,13 +96,15 @@ def difference(output: str, got: NDArray[Any], wanted: NDArray[Any]) -> Differen
     row, column = np.unravel_index(int(error.argmax()), error.shape)
     rms = float(np.sqrt(np.mean(error**2)))
     count = int((error > figure).sum())
-    return Difference(output, unit, float(error.max()), rms, int(row), int(column), count, figure, error.size)
+    allowed = error.size // LEAST_AGREEING if single and not np.isnan(found).any() else 0
+    return Difference(output, unit, float(error.max()), rms, int(row), int(column), count, figure, error.size, allowed)
 
 
 def compare(frame: Frame, exact: Frame) -> tuple[Difference, ...]:
     """Differences of color and of all truth that `frame` has."""
+    single = frame.metadata.get("precision") == "single"
     return tuple(
-        difference(name, getattr(frame, name), getattr(exact, name))
+        difference(name, getattr(frame, name), getattr(exact, name), single)
         for name in ("color", *ALL_TRUTH)
         if getattr(frame, name) is not None
     )

@@ -32,7 +32,7 @@ from clsco.plan.buffers import image_buffers
 from clsco.plan.memory import Limit, defocus_bytes, defocus_strips, limit_of, rows_that_fit
 from clsco.plan.methods import BlurSpec, can_convolve, check_shape, choose_blur
 from clsco.plan.predict import guard_band
-from clsco.records import Real, Struct, flat, in_parts
+from clsco.records import REAL, Real, Struct, flat
 from clsco.scene.file import ApertureLike, PsfLike, aperture_of, psf_of
 from clsco.scene.model import Psf
 
@@ -362,7 +362,7 @@ class _Engine:
     def _send_radii(self, strip: Strip) -> None:
         """The radii around a strip to the device."""
         radii = self._around(self.given.coc, strip).astype(np.float32 if self.floats else np.float64, "C", copy=False)
-        self.coc = self._sent(self.coc, radii if self.floats else in_parts(radii, self.target.real))
+        self.coc = self._sent(self.coc, radii if self.floats else radii.astype(REAL[self.target.real]))
 
     def _around(self, plane: NDArray[Any], strip: Strip) -> NDArray[Any]:
         return around(plane, strip, self.guard, "symmetric" if self.given.mirrored else "constant")

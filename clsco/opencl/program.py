@@ -24,7 +24,7 @@ from clsco.opencl.session import Program, Session
 from clsco.resources import folder
 
 Argument: TypeAlias = cl.Buffer | np.generic | NDArray[np.void] | None
-HEADERS = ("common/wide.clh", "common/geometry.clh")
+HEADERS = ("common/geometry.clh",)
 # Built before all others: in OpenCL C 1.2, or for a processor in what its compiler makes more of.
 BUILTINS, CPU_BUILTINS = "common/builtins.clh", "common/cpu/builtins.clh"
 # On processors with PoCL before these, for its own header, which the option leaves out.

@@ -47,7 +47,7 @@ PLAIN = dict.fromkeys(
 
 Events = list[tuple[str, cl.Event]]
 Maps = Literal["none", "wide", "float"]
-"""Input of `prepare_sources`: none; a map of wide_t, which may have gaps; a map of float without gaps."""
+"""Input of `prepare_sources`: none; a map of real, which may have gaps; a map of float without gaps."""
 MAPS: tuple[Maps, ...] = ("none", "wide", "float")
 
 
@@ -155,7 +155,7 @@ def prepare_sources(
     grid, psf : numpy.void
         grid_t of the map, and psf_t of the blur that adds the sources.
     maps : tuple of Buffer
-        Signed R in px, wide_t (height, width), and where there is a source, uchar (height, width); or R alone, float.
+        Signed R in px, real (height, width), and where there is a source, uchar (height, width); or R alone, float.
     source : Buffer
         Gets the records.
     events : list

@@ -43,7 +43,7 @@ class FillPlanes:
     value : Buffer
         float (CHANNELS, height, width), radiance.
     w, coc : Buffer
-        wide_t, inverse depth in 1/mm and signed R in px.
+        real, inverse depth in 1/mm and signed R in px.
     valid, status : Buffer
         uchar.
     object : Buffer, optional

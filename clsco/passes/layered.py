@@ -141,7 +141,7 @@ class DepthLayers:
         ----------
         planes : (Buffer, Buffer, Buffer)
             On the padded grid: float (channels, height, width), radiance, which is written to with border =
-            "renormalize"; wide_t (height, width), signed R in px; uchar (height, width), where it is known.
+            "renormalize"; real (height, width), signed R in px; uchar (height, width), where it is known.
         events : list
         found : LayerBounds, optional
             Depth layers of the whole time sample; without, they are found first, which waits once for the device.

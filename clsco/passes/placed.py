@@ -194,8 +194,6 @@ class PlacedScene:
         given = [surface for surface in placed if surface is not None]
         array[known] = surface_structs([items[k] for k in known], given, self.real)
         for k in set(range(len(items))) - set(known):
-            center, rest = rest_center(items[k]), array["rest"][k]
-            rest[:3] = center
-            rest[3:] = (center - rest[:3])[: rest.size - 3]  # the low parts of single precision
+            array["rest"][k] = rest_center(items[k])
         array["texture"] = self.texture_of
         return array

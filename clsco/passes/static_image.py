@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from clsco.frame.strips import Strip, around
 from clsco.opencl.session import Session
 from clsco.optics.lens import blur_radius
-from clsco.records import Real, flat, in_parts
+from clsco.records import REAL, Real, flat
 from clsco.scene.model import Camera
 
 Array = NDArray[np.float64]
@@ -41,7 +41,7 @@ class StaticMap:
         w = self._around(self.inverse_depth, strip)
         there, radii = w > 0, blur_radius(self.camera, w)
         radii *= there
-        cl.enqueue_copy(session.queue, coc, in_parts(radii, self.real))
+        cl.enqueue_copy(session.queue, coc, radii.astype(REAL[self.real]))
         cl.enqueue_copy(session.queue, valid, there.view(np.uint8))
 
     @cached_property

@@ -20,7 +20,7 @@ from clsco.passes.pack import camera_grid, lens_struct
 from clsco.passes.placed import PlacedScene, TimeSample
 from clsco.plan.buffers import fill_sizes, warp_buffers
 from clsco.plan.plan import Plan
-from clsco.records import WIDE, in_parts, structs, together
+from clsco.records import REAL, structs
 
 KERNELS = ("warp/warp.cl", "inpainting/fill.cl", "inpainting/score.cl", "inpainting/fill_mean_median.cl")
 NOWHERE = np.array(NO_WINNER, np.int32)
@@ -36,7 +36,7 @@ SHAPE_FEATURES = ("CHANNELS", "SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDE
 class Warped:
     """One time sample on the device, on the padded grid (height, width); overwritten by the next one.
 
-    value: float (CHANNELS, height, width), radiance; w: wide_t, inverse depth in 1/mm; coc: wide_t, signed
+    value: float (CHANNELS, height, width), radiance; w: real, inverse depth in 1/mm; coc: real, signed
     radius of the blur in px; valid: uchar, known or filled (elsewhere value, w and coc are 0); status: uchar, 0 known
     or not missing, 1 filled, 2 left; object: uchar, number of the object that is seen, 255 for none and in
     the mirror image around a depth map, or None where the scene has only one; counters: as `Filler.fill` returns them.
@@ -115,7 +115,7 @@ class ForwardWarp:
             for buffer in (self.target, self.moved):
                 cl.enqueue_fill_buffer(session.queue, buffer, ZERO, 0, buffer.size)
         given = [depth for depth in maps if depth is not None]
-        self.maps = (upload(session, in_parts(np.stack(given), real)),) if given else ()
+        self.maps = (upload(session, np.stack(given).astype(REAL[real])),) if given else ()
         self.bounds = empty(session, sizes["bounds"]) if self.owned else None
         # The filling writes its radii later.
         self.depth = self.filler.planes.coc if self.owned else empty(session, self.winner.size)
@@ -203,7 +203,7 @@ class ForwardWarp:
         if not names & set(wanted):
             return {}
         warped = self.warp(sample, events)
-        wide, valid = WIDE[self.scene.real], self._frame(warped.valid, np.bool_)
+        real, valid = REAL[self.scene.real], self._frame(warped.valid, np.bool_)
         found: dict[str, NDArray[Any]] = {"mask": valid}
         if "sharp" in wanted:
             planes = self._frame(warped.value, np.float32, plan.channels)
@@ -211,9 +211,9 @@ class ForwardWarp:
         if "filled" in wanted:
             found["filled"] = self._frame(warped.status, np.uint8)
         if self.maps:
-            w = together(self._frame(warped.w, wide), self.scene.real)
+            w = self._frame(warped.w, real).astype(np.float64)
             found["depth"] = np.where(valid, 1.0 / np.where(valid, w, 1.0), np.inf)
-            found["blur_radius"] = together(self._frame(warped.coc, wide), self.scene.real).astype(np.float32)
+            found["blur_radius"] = self._frame(warped.coc, real).astype(np.float32)
             seen = np.zeros(valid.shape, np.int32)
             if warped.object is not None:
                 seen = self._frame(warped.object, np.uint8).astype(np.int32)

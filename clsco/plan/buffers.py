@@ -35,7 +35,7 @@ from clsco.optics.psf_tables import rounded_span, table_sizes
 from clsco.optics.stencil import is_by_axes, is_summed, stencil_sizes
 from clsco.optics.visibility import lens_floats
 from clsco.plan.methods import MANY_RADII, BlurSpec
-from clsco.records import WIDE_BYTES, structs
+from clsco.records import REAL_BYTES, structs
 from clsco.scene.model import Scene
 
 Sizes = dict[str, int]
@@ -259,7 +259,7 @@ def layered_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
         "edge": pixels,
         "pyramid": pyramid_bytes(spec.psf, grid.channels, grid.width, grid.height, spec.largest),
         "value": 4 * values * pixels,
-        "coc": WIDE_BYTES * pixels,
+        "coc": REAL_BYTES * pixels,
         "valid": pixels,
         "covered": 4 * grid.rows * grid.columns,
     }
@@ -287,11 +287,11 @@ def warp_buffers(scene: Scene, grid: Grid, device: DeviceFacts) -> Sizes:
     pixels, objects = grid.rows * grid.columns, len(scene.objects)
     maps = sum(not item.is_analytic for item in scene.objects)
     surfaces = objects * structs("double")["surface_t"].itemsize
-    sizes = {"rest": WIDE_BYTES * pixels, "moved": WIDE_BYTES * pixels, "rest surfaces": surfaces}
+    sizes = {"rest": REAL_BYTES * pixels, "moved": REAL_BYTES * pixels, "rest surfaces": surfaces}
     if objects > 1:
         sizes["object"] = pixels
     if maps:
-        sizes["maps"] = WIDE_BYTES * maps * pixels
+        sizes["maps"] = REAL_BYTES * maps * pixels
     if device.kind == "cpu":
         sizes["bounds"] = 8 * grid.rows * ceil(grid.columns / OWNED_PIXELS)
     else:
@@ -320,8 +320,8 @@ def fill_buffers(grid: Grid, several: bool, far: bool, smooths: bool) -> Sizes:
     pixels, lines = grid.sources, grid.width + grid.height
     sizes = {
         "value": 4 * (grid.channels * pixels + FILL_LANES),
-        "w": WIDE_BYTES * pixels,
-        "coc": WIDE_BYTES * pixels,
+        "w": REAL_BYTES * pixels,
+        "coc": REAL_BYTES * pixels,
         "valid": pixels + FILL_LANES,
         "status": pixels,
         "list": 4 * pixels,
@@ -347,7 +347,7 @@ def fill_sizes(scene: Scene, grid: Grid) -> Sizes:
 def trace_buffers(spec: BlurSpec, grid: Grid) -> Sizes:
     """Sources of one time sample of an occlusion group, as trace.cl writes them; and statistics of a frame."""
     sizes = source_buffers(spec, grid) | {"value": 4 * grid.channels * grid.sources, "statistics": 4 * STATISTICS}
-    return sizes | ({"depth": WIDE_BYTES * grid.sources} if spec.occluders else {})
+    return sizes | ({"depth": REAL_BYTES * grid.sources} if spec.occluders else {})
 
 
 def silhouette_buffers(spec: BlurSpec, grid: Grid, slots: int, mapped: bool) -> Sizes:
@@ -357,7 +357,7 @@ def silhouette_buffers(spec: BlurSpec, grid: Grid, slots: int, mapped: bool) -> 
     sizes = {"label": grid.sources, "pixels": 4 * slots, "sub_label": subs}
     sizes |= {"sub_source": 16 * subs, "sub_value": 4 * grid.channels * subs}
     sizes |= {"share": 4 * grid.sources, "sharper": 4 * grid.channels * grid.sources} if mapped else {}
-    return sizes | ({"sub_depth": WIDE_BYTES * subs} if spec.occluders else {})
+    return sizes | ({"sub_depth": REAL_BYTES * subs} if spec.occluders else {})
 
 
 def texture_buffers(scene: Scene, channels: int, alpha: bool = False) -> Sizes:
@@ -380,12 +380,12 @@ def hit_buffers(grid: Grid, mapped: bool) -> Sizes:
     """Sizes of the planes of what rays of an occlusion group hit, for all lenses (`clsco.passes.trace.Hits`); mapped:
     textures lie on surfaces, and a plane has their texels per pixel."""
     pixels, planes = grid.sources, grid.channels + mapped
-    return {"value": 4 * planes * pixels, "depth": WIDE_BYTES * pixels, "hit": pixels}
+    return {"value": 4 * planes * pixels, "depth": REAL_BYTES * pixels, "hit": pixels}
 
 
 def map_buffers(grid: Grid) -> Sizes:
     """An image with its map of signed radii."""
-    return {"value": 4 * grid.channels * grid.sources, "coc": WIDE_BYTES * grid.sources, "valid": grid.sources}
+    return {"value": 4 * grid.channels * grid.sources, "coc": REAL_BYTES * grid.sources, "valid": grid.sources}
 
 
 def image_buffers(spec: BlurSpec, grid: Grid, layered: bool) -> Sizes:

@@ -183,11 +183,11 @@ __kernel void renormalize(const grid_t grid, const psf_t psf, __global const flo
 typedef float map_t;
 #define MAPS __global const map_t *restrict coc
 #define MAPS_VALUE coc
-#define RADIUS(r) widened((real)(r))
+#define RADIUS(r) (real)(r)
 #define IS_THERE(at) true
 #define ALL_THERE(at) true
 #else
-typedef wide_t map_t;
+typedef real map_t;
 #define MAPS __global const map_t *restrict coc, __global const uchar *restrict valid
 #define MAPS_VALUE coc, valid
 #define RADIUS(r) (r)
@@ -201,10 +201,10 @@ static real difference(MAPS, int at, int step, bool before, bool after)
     before = before && IS_THERE(at - step);
     after = after && IS_THERE(at + step);
     if (before && after)
-        return (real)0.5 * narrow(wide_sub(RADIUS(coc[at + step]), RADIUS(coc[at - step])));
+        return (real)0.5 * (RADIUS(coc[at + step]) - RADIUS(coc[at - step]));
     if (after)
-        return narrow(wide_sub(RADIUS(coc[at + step]), RADIUS(coc[at])));
-    return before ? narrow(wide_sub(RADIUS(coc[at]), RADIUS(coc[at - step]))) : 0;
+        return RADIUS(coc[at + step]) - RADIUS(coc[at]);
+    return before ? RADIUS(coc[at]) - RADIUS(coc[at - step]) : 0;
 }
 
 // One source from a map of signed radii.
@@ -218,13 +218,13 @@ static float4 record_of(const grid_t grid, const psf_t psf, MAPS, int x, int y)
         const int w = grid.width;
         const real2 gradient = (real2)(difference(MAPS_VALUE, at, 1, x > 0, x + 1 < w),
                                        difference(MAPS_VALUE, at, w, y > 0, y + 1 < grid.height));
-        record.yz = tilt_slope(gradient, narrow(RADIUS(coc[at])));
+        record.yz = tilt_slope(gradient, RADIUS(coc[at]));
 #endif
     }
     return record;
 }
 
-// Sources from a map of signed radii, px, instead of from a surface. In: coc wide_t, valid uchar (0 or 1), both
+// Sources from a map of signed radii, px, instead of from a surface. In: coc real, valid uchar (0 or 1), both
 // (height, width); with PREPARE = 2 coc float, and no valid: an image, all of whose pixels are there. Out: source.
 // TAP_LANES at a time; where all of them and their neighbors are there, in loops that are made vectors.
 __kernel void prepare_sources(const grid_t grid, const psf_t psf, MAPS, __global float *restrict source)
@@ -254,13 +254,13 @@ __kernel void prepare_sources(const grid_t grid, const psf_t psf, MAPS, __global
     __global float *restrict right = coordinate + plane, *restrict down = right + plane;
     #pragma unroll
     for (int i = 0; i < TAP_LANES; ++i) {
-        const real across = (real)0.5 * narrow(wide_sub(RADIUS(here[i + 1]), RADIUS(here[i - 1])));
-        right[i] = tilt_slope((real2)(across, 0), narrow(RADIUS(here[i]))).x;
+        const real across = (real)0.5 * (RADIUS(here[i + 1]) - RADIUS(here[i - 1]));
+        right[i] = tilt_slope((real2)(across, 0), RADIUS(here[i])).x;
     }
     #pragma unroll
     for (int i = 0; i < TAP_LANES; ++i) {
-        const real along = (real)0.5 * narrow(wide_sub(RADIUS(below[i]), RADIUS(above[i])));
-        down[i] = tilt_slope((real2)(0, along), narrow(RADIUS(here[i]))).y;
+        const real along = (real)0.5 * (RADIUS(below[i]) - RADIUS(above[i]));
+        down[i] = tilt_slope((real2)(0, along), RADIUS(here[i])).y;
     }
 #endif
 #if SUBPIXELS || OCCLUDED

@@ -3,7 +3,7 @@
 //
 // On the padded grid, row-major:
 //   value    float (CHANNELS, height, width): radiance
-//   w, coc   wide_t: inverse depth in 1/mm and signed radius of the blur in px
+//   w, coc   real: inverse depth in 1/mm and signed radius of the blur in px
 //   valid    uchar: 1 known or filled, else 0
 //   status   uchar: 0 known or not missing, 1 filled, 2 missing
 //   spans    int2 per line, the rows and then the columns: first and last valid pixel, (INT_MAX, -1) for none
@@ -37,7 +37,7 @@ static bool may_be_missing(const grid_t grid, __constant surface_t *surfaces, in
 {
 #if DOMAIN_SURFACE
     const group_t everything = {~(ulong)0, 0, count, -1, 0};
-    const wide3_t ray = pixel_ray(grid, widened(y - grid.guard), widened(x - grid.guard));
+    const real3 ray = pixel_ray(grid, y - grid.guard, x - grid.guard);
     uchar label;
     int object;
     nearest_surface(surfaces, everything, ray, &label, &object);
@@ -51,7 +51,7 @@ static bool may_be_missing(const grid_t grid, __constant surface_t *surfaces, in
 // Bound on the inverse depth of neighbors that may serve a missing pixel. Of the row, the column and the two diagonals
 // the one decides that meets valid pixels on both sides first, that is within the fewest steps; in a wide hole between
 // two sides that are equally deep the pair whose surface is the farthest at the pixel.
-static float far_bound(const grid_t grid, __global const uchar *valid, __global const wide_t *w, int x, int y)
+static float far_bound(const grid_t grid, __global const uchar *valid, __global const real *w, int x, int y)
 {
     int ends[8], steps[8];
     for (int k = 0; k < 8; ++k)
@@ -70,7 +70,7 @@ static float far_bound(const grid_t grid, __global const uchar *valid, __global 
             }
             if (!(k % 2) || ends[k - 1] < 0 || ends[k] < 0 || MAX(steps[k - 1], steps[k]) != step)
                 continue;
-            const float one = (float)narrow(w[ends[k - 1]]), other = (float)narrow(w[ends[k]]);
+            const float one = (float)w[ends[k - 1]], other = (float)w[ends[k]];
             const float near = steps[k - 1], far = steps[k], smaller = MIN(one, other);
             const float here = (one * far + other * near) / (near + far);
             if (!begun && (MAX(one, other) > FAR_SLACK * smaller || step <= WIDEST_GAP))
@@ -86,9 +86,9 @@ static float far_bound(const grid_t grid, __global const uchar *valid, __global 
 }
 
 // True if a valid pixel may serve one with this bound.
-static bool serves(__global const uchar *valid, __global const wide_t *w, int at, float bound)
+static bool serves(__global const uchar *valid, __global const real *w, int at, float bound)
 {
-    return valid[at] && (float)narrow(w[at]) <= bound;
+    return valid[at] && (float)w[at] <= bound;
 }
 #else
 #define serves(valid, w, at, bound) valid[at]
@@ -119,7 +119,7 @@ __kernel void mark_missing(const grid_t grid, __constant surface_t *surfaces, co
                            __global const uchar *valid, __global const int2 *spans, __global uchar *status,
                            __global int *list, __global int *counters
 #if FILL_FAR
-                           , __global const wide_t *w, __global float *far
+                           , __global const real *w, __global float *far
 #endif
 )
 {
@@ -220,7 +220,7 @@ __kernel void mark_grown(const grid_t grid, __constant surface_t *surfaces, cons
                          __global const uchar *valid, __global int2 *spans, __global const int2 *grown,
                          __global uchar *status, __global int *list, __global int *counters
 #if FILL_FAR
-                         , __global const wide_t *w, __global float *far
+                         , __global const real *w, __global float *far
 #endif
 )
 {
@@ -277,7 +277,7 @@ __kernel void fill_ait(const grid_t grid, const lens_t lens, __global const int 
 #if FILL_FAR
                        const int minimum, __global const float *far,
 #endif
-                       __global const uchar *valid, __global float *value, __global wide_t *w, __global wide_t *coc,
+                       __global const uchar *valid, __global float *value, __global real *w, __global real *coc,
                        __global uchar *status
 #if SEVERAL
                        , __global uchar *object
@@ -289,7 +289,7 @@ __kernel void fill_ait(const grid_t grid, const lens_t lens, __global const int 
         return;
     const int at = list[id], x = at % grid.width, y = at / grid.width;
     int2 from = -1;
-    wide_t whole_share = widened((real)0.5);
+    real share = (real)0.5;
     if (x == 0 || y == 0 || x == grid.width - 1 || y == grid.height - 1) {
         int step = 1;
         from = between_valid(valid, at, step, x, grid.width);
@@ -298,11 +298,11 @@ __kernel void fill_ait(const grid_t grid, const lens_t lens, __global const int 
             from = between_valid(valid, at, step, y, grid.height);
         }
         if (from.y >= 0)
-            whole_share = wide_div(widened((at - from.x) / step), widened((from.y - from.x) / step));
+            share = (real)((at - from.x) / step) / ((from.y - from.x) / step);
 #if FILL_FAR
-        if (from.y >= 0 && (float)narrow(w[from.x]) > FAR_SLACK * (float)narrow(w[from.y]))
+        if (from.y >= 0 && (float)w[from.x] > FAR_SLACK * (float)w[from.y])
             from.x = from.y;
-        else if (from.y >= 0 && (float)narrow(w[from.y]) > FAR_SLACK * (float)narrow(w[from.x]))
+        else if (from.y >= 0 && (float)w[from.y] > FAR_SLACK * (float)w[from.x])
             from.y = from.x;
 #endif
     } else {
@@ -322,13 +322,12 @@ __kernel void fill_ait(const grid_t grid, const lens_t lens, __global const int 
     }
     if (from.y < 0)
         return;
-    const real share = narrow(whole_share);
     for (int c = 0; c < CHANNELS; ++c) {
         __global float *plane = value + c * grid.height * grid.width;
         plane[at] = (float)(plane[from.x] + ((real)plane[from.y] - plane[from.x]) * share);
     }
-    const wide_t change = wide_mul(wide_sub(w[from.y], w[from.x]), whole_share);
-    const wide_t inverse_depth = wide_add(w[from.x], change);
+    const real change = (w[from.y] - w[from.x]) * share;
+    const real inverse_depth = w[from.x] + change;
     w[at] = inverse_depth;
     coc[at] = blur_radius(lens, inverse_depth);
     status[at] = 1;

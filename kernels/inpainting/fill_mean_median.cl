@@ -7,7 +7,7 @@
 static around_t look_around(const grid_t grid, __global const uchar *valid, __global const int *list, int entries,
                             int median_wins
 #if FILL_FAR
-                            , __global const wide_t *w, __global const float *far, int minimum
+                            , __global const real *w, __global const float *far, int minimum
 #endif
 )
 {
@@ -38,8 +38,8 @@ static around_t look_around(const grid_t grid, __global const uchar *valid, __gl
 
 // Writes the estimates of all planes; of lanes with fewer than `minimum` neighbors nothing.
 static void write_estimates(const grid_t grid, const lens_t lens, const around_t around, int minimum,
-                            __global const float *value_in, __global const wide_t *w_in, __global float *value_out,
-                            __global wide_t *w_out, __global wide_t *coc)
+                            __global const float *value_in, __global const real *w_in, __global float *value_out,
+                            __global real *w_out, __global real *coc)
 {
     real8 near[8], result;
     const real *count = (const real *)&around.count, *found = (const real *)&result;
@@ -51,12 +51,12 @@ static void write_estimates(const grid_t grid, const lens_t lens, const around_t
             if (count[lane] >= minimum)
                 value_out[plane + around.at[lane]] = (float)found[lane];
     }
-    NEAR(near, narrow(w_in[from]))
+    NEAR(near, w_in[from])
     estimate(&around, near, &result);
     for (int lane = 0; lane < FILL_LANES; ++lane)
         if (count[lane] >= minimum) {
-            w_out[around.at[lane]] = widened(found[lane]);
-            coc[around.at[lane]] = blur_radius(lens, widened(found[lane]));
+            w_out[around.at[lane]] = found[lane];
+            coc[around.at[lane]] = blur_radius(lens, found[lane]);
         }
 }
 
@@ -74,8 +74,8 @@ __kernel void fill_mean_median(const grid_t grid, const lens_t lens, __global co
 #if FILL_FAR
                                __global const float *far,
 #endif
-                               __global const uchar *valid, __global float *value, __global wide_t *w,
-                               __global wide_t *coc, __global uchar *status
+                               __global const uchar *valid, __global float *value, __global real *w,
+                               __global real *coc, __global uchar *status
 #if SEVERAL
                                , __global uchar *object
 #endif
@@ -106,8 +106,8 @@ __kernel void smooth_median(const grid_t grid, const lens_t lens, __global const
 #if FILL_FAR
                             __global const float *far,
 #endif
-                            __global const uchar *valid, __global const float *value_in, __global const wide_t *w_in,
-                            __global float *value_out, __global wide_t *w_out, __global wide_t *coc)
+                            __global const uchar *valid, __global const float *value_in, __global const real *w_in,
+                            __global float *value_out, __global real *w_out, __global real *coc)
 {
     if (get_global_id(0) * FILL_LANES >= count)
         return;

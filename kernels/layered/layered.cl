@@ -6,7 +6,7 @@
 //
 // On the padded grid (height, width), row-major; a smaller signed radius is nearer:
 //   value    float (CHANNELS - 1, height, width): radiance
-//   coc      wide_t: signed blur radius in px
+//   coc      real: signed blur radius in px
 //   valid    uchar: whether there is surface
 //   layer    uchar: 1 is the nearest, 0 no surface
 //   seed     uchar: at an edge, the layer that is extrapolated behind the pixel, else 0
@@ -47,7 +47,7 @@ static int bin_of(real coc, real low, int bins)
 // beyond DISCONTINUITY 2^class, whose far side is in a bin, 1 + the largest bin of the near side, 0 for none; after it
 // the largest sum of the two radii of a discontinuity, without their signs, px, rounded up.
 __kernel void find_discontinuities(const grid_t grid, const real low, const int bins, const int far,
-                                   __global const wide_t *coc, __global const uchar *valid, __global int *latest)
+                                   __global const real *coc, __global const uchar *valid, __global int *latest)
 {
     const int line = get_global_id(0);
     if (line >= grid.height + grid.width)
@@ -61,7 +61,7 @@ __kernel void find_discontinuities(const grid_t grid, const real low, const int 
         const int at = start + i * step;
         if (!valid[at])
             continue;
-        const real now = narrow(coc[at]), size = ABS(now - before);
+        const real now = coc[at], size = ABS(now - before);
         if (size > DISCONTINUITY && i - last <= far && last >= 0) {
             int class = 0;
             while (class < DISCONTINUITY_CLASSES - 1 && size > DISCONTINUITY * (2 << class))
@@ -81,13 +81,13 @@ __kernel void find_discontinuities(const grid_t grid, const real low, const int 
 
 // bounds: first bins of the second and each further layer, `count` of them. Out: layer.
 __kernel void label_depth_layers(const grid_t grid, const real low, const int bins, const int count,
-                                 const int8 bounds, __global const wide_t *coc, __global const uchar *valid,
+                                 const int8 bounds, __global const real *coc, __global const uchar *valid,
                                  __global uchar *layer)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)
         return;
-    const int at = y * grid.width + x, bin = bin_of(narrow(coc[at]), low, bins);
+    const int at = y * grid.width + x, bin = bin_of(coc[at], low, bins);
     int label = 1;
     while (label <= count && bin >= ((const int *)&bounds)[label - 1])
         ++label;
@@ -95,7 +95,7 @@ __kernel void label_depth_layers(const grid_t grid, const real low, const int bi
 }
 
 // In: coc, layer. Out: seed.
-__kernel void seed_hidden(const grid_t grid, __global const wide_t *coc, __global const uchar *layer,
+__kernel void seed_hidden(const grid_t grid, __global const real *coc, __global const uchar *layer,
                           __global uchar *seed)
 {
     const int x = get_global_id(0), y = get_global_id(1);
@@ -107,7 +107,7 @@ __kernel void seed_hidden(const grid_t grid, __global const wide_t *coc, __globa
     int found = 0;
     for (int k = 0; k < 4 && own; ++k) {
         const int other = layer[near[k]];
-        if (other > own && narrow(coc[near[k]]) - narrow(coc[at]) > DISCONTINUITY && (!found || other < found))
+        if (other > own && coc[near[k]] - coc[at] > DISCONTINUITY && (!found || other < found))
             found = other;
     }
     seed[at] = found;
@@ -243,7 +243,7 @@ __kernel void reach_hidden(const grid_t grid, const int deep, __global const uch
 
 // Out: the finest level of the pyramid, of the pixels of layer `which`.
 __kernel void open_depth_layer(const grid_t grid, const int which, __global const float *value,
-                               __global const wide_t *coc, __global const uchar *layer, __global float *pyramid)
+                               __global const real *coc, __global const uchar *layer, __global float *pyramid)
 {
     const int x = get_global_id(0), y = get_global_id(1), plane = grid.height * grid.width;
     if (x >= grid.width || y >= grid.height)
@@ -252,7 +252,7 @@ __kernel void open_depth_layer(const grid_t grid, const int which, __global cons
     const bool known = layer[at] == which;
     for (int c = 0; c < CHANNELS - 1; ++c)
         pyramid[c * plane + at] = known ? value[c * plane + at] : 0;
-    pyramid[RADIUS * plane + at] = known ? (float)narrow(coc[at]) : 0;
+    pyramid[RADIUS * plane + at] = known ? (float)coc[at] : 0;
     pyramid[KNOWN * plane + at] = known;
 }
 
@@ -369,9 +369,10 @@ __kernel void pull(const int fine_rows, const int fine_columns, const int rows, 
 
 // Layer `which` with its hidden part, which comes from the second level (rows, columns) of the pyramid, at `coarse`.
 __kernel void take_depth_layer(const grid_t grid, const int which, const int rows, const int columns,
-                               const int coarse, __global const float *value, __global const wide_t *coc,
-                               __global const uchar *layer, __global const uchar *hidden, __global const float *pyramid,
-                               __global float *layer_value, __global wide_t *layer_coc, __global uchar *layer_valid)
+                               const int coarse, __global const float *value, __global const real *coc,
+                               __global const uchar *layer, __global const uchar *hidden,
+                                       __global const float *pyramid, __global float *layer_value,
+                                       __global real *layer_coc, __global uchar *layer_valid)
 {
     const int x = get_global_id(0), y = get_global_id(1), plane = grid.height * grid.width;
     if (x >= grid.width || y >= grid.height)
@@ -384,13 +385,13 @@ __kernel void take_depth_layer(const grid_t grid, const int which, const int row
     if (own || !there) {
         for (int c = 0; c < CHANNELS - 1; ++c)
             layer_value[c * plane + at] = own ? value[c * plane + at] : 0;
-        layer_coc[at] = own ? coc[at] : widened(0);
+        layer_coc[at] = own ? coc[at] : 0;
         return;
     }
     const around_t near = around(behind + KNOWN * rows * columns, rows, columns, y, x);
     for (int c = 0; c < CHANNELS - 1; ++c)
         layer_value[c * plane + at] = between(behind + c * rows * columns, near);
-    layer_coc[at] = widened(between(behind + RADIUS * rows * columns, near));
+    layer_coc[at] = between(behind + RADIUS * rows * columns, near);
 }
 
 // Leaves only the sources near edges, or only the others. In: edge. In and out: source.

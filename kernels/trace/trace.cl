@@ -7,7 +7,7 @@
 //   source  planes, see common/sources.clh
 //   value   float (CHANNELS, height, width): radiance
 //   label   uchar (height, width): 0 no surface, else which root of which object was hit, and on which side of others
-//   depth   wide_t (height, width): inverse depth, with OCCLUDED
+//   depth   real (height, width): inverse depth, with OCCLUDED
 //   texture float (textures, CHANNELS, frame_rows, columns); surface_t names its object's. Then mipmaps, float (sides,
 //           rows, columns, CHANNELS) per level, of textures that lie on surfaces: texture_map_t of an object has where
 // Features besides geometry.clh's: MOVED (not all is in its reference pose), TILT, SUBPIXELS (sources per axis in a
@@ -18,14 +18,12 @@
 // Record of a hit, as the lens takes it; below 0 where none of its radiance reaches the lens. subpixel: the source
 // is one of SUBPIXELS^2. In and out: label, statistics.
 static float4 source_record(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
-                            const psf_t psf, wide3_t ray, wide_t w, int subpixel, uchar *label,
-                            __global int *statistics)
+                            const psf_t psf, real3 ray, real w, int subpixel, uchar *label, __global int *statistics)
 {
     float4 record = (float4)(-1, 0, 0, as_float(WHOLE));
     if (*label == 0)
         return record;
-    const wide_t whole_radius = blur_radius(lens, w);
-    const real radius = narrow(whole_radius);
+    const real radius = blur_radius(lens, w);
     __constant surface_t *surface = surfaces + (*label - 1) / 2;
     float2 tilt = 0;
     real spread = radius;
@@ -43,16 +41,16 @@ static float4 source_record(const grid_t grid, const lens_t lens, __constant sur
     record.w = as_float(seen == PARTLY ? PARTLY_OCCLUDED : WHOLE);
 #endif
     note_radius(statistics, spread);
-    record.x = table_coordinate(psf, spread == radius ? whole_radius : widened(spread), subpixel);
+    record.x = table_coordinate(psf, spread, subpixel);
     record.yz = tilt;
     return record;
 }
 
 // Radiance of a hit on a pixel's ray, times its part of the pixel, to a plane of `values` per channel; 0 without one.
 // sources: per axis of a pixel. Returns what `surface_texture` does, 0 of a projected one.
-static float take_radiance(const grid_t grid, __constant surface_t *surfaces, wide3_t ray, wide_t w, uchar label,
-                          int row, int column, int sources, float part,
-                          __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global float *values, int plane)
+static float take_radiance(const grid_t grid, __constant surface_t *surfaces, real3 ray, real w, uchar label, int row,
+                           int column, int sources, float part,
+                           __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global float *values, int plane)
 {
     const int object = MAX(label - 1, 0) / 2;
     __constant surface_t *surface = surfaces + object;
@@ -66,9 +64,7 @@ static float take_radiance(const grid_t grid, __constant surface_t *surfaces, wi
         return texels;
     }
 #endif
-    const wide_t zero = widened(0);
-    const wide3_t nowhere = wide_vector(zero, zero, zero);
-    const wide3_t point = label ? texture_point(surface, grid, ray, w, row, column) : nowhere;
+    const real3 point = label ? texture_point(surface, grid, ray, w, row, column) : (real3)(0, 0, 0);
     for (int c = 0; c < CHANNELS; ++c)
         values[c * plane] = label ? OF_CHANNEL(share, c) * part * radiance(texture, surface, grid, c, point) : 0;
     return 0;
@@ -77,13 +73,13 @@ static float take_radiance(const grid_t grid, __constant surface_t *surfaces, wi
 #if TEXTURED && SUBPIXELS
 // Record of a pixel with a texture on a surface, marked where it needs sub-pixel sources. Out: its share in what
 // neighbors exchange, 0 where it has no part in it. root: the label before any visibility test.
-static float4 with_detail(const lens_t lens, __constant texture_map_t *maps, float4 record, wide_t w, uchar root,
+static float4 with_detail(const lens_t lens, __constant texture_map_t *maps, float4 record, real w, uchar root,
                           float texels, __global float *share)
 {
     *share = 0;
     if (record.x >= 0 && maps[(root - 1) / 2].kind != MAP_PROJECTED) {
         __constant texture_map_t *map = maps + (root - 1) / 2;
-        const real radius = narrow(blur_radius(lens, w));
+        const real radius = blur_radius(lens, w);
         *share = sharpening(map, radius);
         const int detail = detail_of(map, texels, radius);
         if (detail != WHOLE)
@@ -99,7 +95,7 @@ __kernel void trace(const grid_t grid, const lens_t lens, __constant surface_t *
                     const psf_t psf, __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
                     __global float *source, __global float *value, __global uchar *label, __global int *statistics
 #if OCCLUDED
-                    , __global wide_t *depth
+                    , __global real *depth
 #endif
 #if TEXTURED && SUBPIXELS
                     , __global float *share
@@ -110,10 +106,10 @@ __kernel void trace(const grid_t grid, const lens_t lens, __constant surface_t *
     if (x >= grid.width || y >= grid.height)
         return;
     const int row = FRAME_ROW(grid, y), column = x - grid.guard, at = y * grid.width + x;
-    const wide3_t ray = pixel_ray(grid, widened(row), widened(column));
+    const real3 ray = pixel_ray(grid, row, column);
     uchar root;
     int object;
-    const wide_t w = nearest_surface(surfaces, group, ray, &root, &object);
+    const real w = nearest_surface(surfaces, group, ray, &root, &object);
     const float texels = take_radiance(grid, surfaces, ray, w, root, row, column, 1, 1,
                                        texture TEXTURE_MAPS LIGHT, value + at, grid.height * grid.width);
     const uchar hit = root;
@@ -135,13 +131,13 @@ __kernel void trace(const grid_t grid, const lens_t lens, __constant surface_t *
 // them.
 __kernel void cast(const grid_t grid, __constant surface_t *surfaces, const group_t group,
                    __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global float *value,
-                   __global wide_t *depth, __global uchar *hit)
+                   __global real *depth, __global uchar *hit)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)
         return;
     const int row = FRAME_ROW(grid, y), column = x - grid.guard, at = y * grid.width + x;
-    const wide3_t ray = pixel_ray(grid, widened(row), widened(column));
+    const real3 ray = pixel_ray(grid, row, column);
     uchar root;
     int object;
     depth[at] = nearest_surface(surfaces, group, ray, &root, &object);
@@ -157,7 +153,7 @@ __kernel void cast(const grid_t grid, __constant surface_t *surfaces, const grou
 // The rest of it, for one lens. In: depth, hit, and with textures on surfaces value, as `cast` leaves them. Out:
 // source, label, statistics, and with these textures share.
 __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
-                  const psf_t psf, __global const wide_t *depth, __global const uchar *hit, __global float *source,
+                  const psf_t psf, __global const real *depth, __global const uchar *hit, __global float *source,
                   __global uchar *label, __global int *statistics
 #if TEXTURED && SUBPIXELS
                   , __global const float *value, __constant texture_map_t *maps, __global float *share
@@ -168,7 +164,7 @@ __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *su
     if (x >= grid.width || y >= grid.height)
         return;
     const int at = y * grid.width + x;
-    const wide3_t ray = pixel_ray(grid, widened(FRAME_ROW(grid, y)), widened(x - grid.guard));
+    const real3 ray = pixel_ray(grid, FRAME_ROW(grid, y), x - grid.guard);
     uchar root = hit[at];
     float4 record = source_record(grid, lens, surfaces, group, psf, ray, depth[at], 0, &root, statistics);
 #if TEXTURED && SUBPIXELS
@@ -223,14 +219,14 @@ __kernel void mark_silhouettes(const grid_t grid, __global const uchar *label, c
 
 // SUBPIXELS x SUBPIXELS point sources of every marked pixel. Out, per slot and sub-pixel in row-major order: sub_source
 // float4 (coordinate, tilt right, tilt down, WHOLE or PARTLY_OCCLUDED), sub_value float (CHANNELS, slots, SUBPIXELS^2),
-// sub_label uchar, the label before any visibility test, sub_depth wide_t.
+// sub_label uchar, the label before any visibility test, sub_depth real.
 __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
                               const psf_t psf,
                               __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
                               __global const int *pixels, const int capacity, __global float4 *sub_source,
                               __global float *sub_value, __global uchar *sub_label, __global int *statistics
 #if OCCLUDED
-                              , __global wide_t *sub_depth
+                              , __global real *sub_depth
 #endif
 )
 {
@@ -241,12 +237,12 @@ __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant s
     if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] < 0)
         return;
     const int row = FRAME_ROW(grid, pixels[slot] / grid.width), column = pixels[slot] % grid.width - grid.guard;
-    const wide_t down = widened((sub / SUBPIXELS + (real)0.5) / SUBPIXELS - (real)0.5);
-    const wide_t right = widened((sub % SUBPIXELS + (real)0.5) / SUBPIXELS - (real)0.5);
-    const wide3_t ray = pixel_ray(grid, wide_add(widened(row), down), wide_add(widened(column), right));
+    const real down = (sub / SUBPIXELS + (real)0.5) / SUBPIXELS - (real)0.5;
+    const real right = (sub % SUBPIXELS + (real)0.5) / SUBPIXELS - (real)0.5;
+    const real3 ray = pixel_ray(grid, row + down, column + right);
     uchar root;
     int object;
-    const wide_t w = nearest_surface(surfaces, group, ray, &root, &object);
+    const real w = nearest_surface(surfaces, group, ray, &root, &object);
     sub_label[id] = root;
     take_radiance(grid, surfaces, ray, w, root, row, column, SUBPIXELS, 1.0f / each, texture TEXTURE_MAPS LIGHT,
                   sub_value + id, capacity * each);
@@ -265,7 +261,7 @@ __kernel void cover_outlines(const grid_t grid, const lens_t lens, __constant su
                              __global const uchar *sub_label, __global float4 *sub_source, __global float *sub_value,
                              __global int *statistics
 #if OCCLUDED
-                             , __global const wide_t *sub_depth
+                             , __global const real *sub_depth
 #endif
 )
 {
@@ -286,11 +282,11 @@ __kernel void cover_outlines(const grid_t grid, const lens_t lens, __constant su
         uchar own = labels[cell], there;
         if (own == 0 || (covered == 1 && right == 0 && down == 0))
             continue;
-        const wide_t below = widened((i + (real)0.5 + down) / SUBPIXELS - (real)0.5);
-        const wide_t aside = widened((j + (real)0.5 + right) / SUBPIXELS - (real)0.5);
-        const wide3_t ray = pixel_ray(grid, wide_add(widened(row), below), wide_add(widened(column), aside));
+        const real below = (i + (real)0.5 + down) / SUBPIXELS - (real)0.5;
+        const real aside = (j + (real)0.5 + right) / SUBPIXELS - (real)0.5;
+        const real3 ray = pixel_ray(grid, row + below, column + aside);
         int object;
-        const wide_t w = nearest_surface(surfaces, group, ray, &there, &object);
+        const real w = nearest_surface(surfaces, group, ray, &there, &object);
         if (there != own) {
             // Beside a corner.
             for (int c = 0; c < CHANNELS; ++c)
@@ -299,18 +295,17 @@ __kernel void cover_outlines(const grid_t grid, const lens_t lens, __constant su
         }
         take_radiance(grid, surfaces, ray, w, own, row, column, SUBPIXELS, (float)covered / each,
                       texture TEXTURE_MAPS LIGHT, sub_value + id, capacity * each);
-        const wide_t radius = blur_radius(lens, w);
+        const real radius = blur_radius(lens, w);
         float4 record = (float4)(table_coordinate(psf, radius, 1), 0, 0, as_float(WHOLE));
 #if TILT
-        record.yz = tilt_slope(blur_gradient(grid, lens, surface_slope(surfaces + object, ray, w)), narrow(radius));
+        record.yz = tilt_slope(blur_gradient(grid, lens, surface_slope(surfaces + object, ray, w)), radius);
 #endif
 #if OCCLUDED
         // The lens is tested from the middle of the cell, as by the blur.
-        const wide_t middle_down = widened((i + (real)0.5) / SUBPIXELS - (real)0.5);
-        const wide_t middle_right = widened((j + (real)0.5) / SUBPIXELS - (real)0.5);
-        const wide3_t middle = pixel_ray(grid, wide_add(widened(row), middle_down),
-                                         wide_add(widened(column), middle_right));
-        const real size = narrow(blur_radius(lens, sub_depth[id]));
+        const real middle_down = (i + (real)0.5) / SUBPIXELS - (real)0.5;
+        const real middle_right = (j + (real)0.5) / SUBPIXELS - (real)0.5;
+        const real3 middle = pixel_ray(grid, row + middle_down, column + middle_right);
+        const real size = blur_radius(lens, sub_depth[id]);
         const division_t division = division_of(size, psf.lens_extent, (real)1 / SUBPIXELS, record.yz);
         bool edge;
         const int seen = check_visibility(lens, surfaces, group, middle, sub_depth[id], division, 0, &edge);
@@ -318,7 +313,7 @@ __kernel void cover_outlines(const grid_t grid, const lens_t lens, __constant su
         record.w = as_float(seen == PARTLY ? PARTLY_OCCLUDED : WHOLE);
 #endif
         if (record.x >= 0)
-            note_radius(statistics, narrow(radius));
+            note_radius(statistics, radius);
         sub_source[id] = record;
     }
 }
@@ -330,7 +325,7 @@ __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surf
                            __global const int *pixels, const int capacity, __global float4 *sub_source,
                            __global float *sub_value, __global int *statistics
 #if OCCLUDED
-                           , __global wide_t *sub_depth
+                           , __global real *sub_depth
 #endif
 )
 {
@@ -339,40 +334,38 @@ __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surf
         return;
     const int code = -1 - pixels[slot], at = code / 2, fine = code & 1, parts = fine ? FINE_PARTS : FEW_PARTS;
     const int row = FRAME_ROW(grid, at / grid.width), column = at % grid.width - grid.guard;
-    const wide3_t ray = pixel_ray(grid, widened(row), widened(column));
+    const real3 ray = pixel_ray(grid, row, column);
     uchar root;
     int object;
-    const wide_t w = nearest_surface(surfaces, group, ray, &root, &object);
-    const wide_t whole_radius = blur_radius(lens, w);
+    const real w = nearest_surface(surfaces, group, ray, &root, &object);
+    const real middle = blur_radius(lens, w);
     const real2 slope = surface_slope(surfaces + object, ray, w);
     const real2 gradient = blur_gradient(grid, lens, slope);
 #if OCCLUDED
     bool edge;
-    const real middle = narrow(whole_radius);
     real spread;
     const float2 tilt = TILT ? pixel_tilt(gradient, middle, &spread) : (float2)(0, 0);
     const division_t division = division_of(middle, psf.lens_extent, 1, tilt);
     const bool partly = check_visibility(lens, surfaces, group, ray, w, division, 0, &edge) == PARTLY;
 #endif
     float values[FINE_PARTS * FINE_PARTS * CHANNELS];
-    detailed_texture(texture, surfaces + object, maps + object, grid, ray, w, narrow(whole_radius), fine, values);
+    detailed_texture(texture, surfaces + object, maps + object, grid, ray, w, middle, fine, values);
     const float share = SHADE(surfaces, object, ray, w);
     for (int sub = 0; sub < each; ++sub) {
         const int i = sub / SUBPIXELS, j = sub % SUBPIXELS, id = slot * each + sub;
         const real right = (j + (real)0.5) / SUBPIXELS - (real)0.5, down = (i + (real)0.5) / SUBPIXELS - (real)0.5;
-        const wide_t radius = wide_add(whole_radius, widened(right * gradient.x + down * gradient.y));
-        note_radius(statistics, narrow(radius));
+        const real radius = middle + (right * gradient.x + down * gradient.y);
+        note_radius(statistics, radius);
         float4 record = (float4)(table_coordinate(psf, radius, 1), 0, 0, as_float(WHOLE));
 #if TILT
         // In its own pixel a source is visible from all of the lens until its disc reaches over the border.
-        record.yz = tilt_slope(gradient, narrow(radius)) * MIN((float)ABS(narrow(radius)), 1.0f);
+        record.yz = tilt_slope(gradient, radius) * MIN((float)ABS(radius), 1.0f);
 #endif
 #if OCCLUDED
-        sub_depth[id] = wide_add(w, widened(grid.step * (right * slope.x - down * slope.y)));
+        sub_depth[id] = w + grid.step * (right * slope.x - down * slope.y);
         if (partly) {
-            const wide3_t towards = pixel_ray(grid, wide_add(widened(row), widened(down)),
-                                              wide_add(widened(column), widened(right)));
-            const division_t own = division_of(narrow(radius), psf.lens_extent, (real)1 / SUBPIXELS, record.yz);
+            const real3 towards = pixel_ray(grid, row + down, column + right);
+            const division_t own = division_of(radius, psf.lens_extent, (real)1 / SUBPIXELS, record.yz);
             const int seen = check_visibility(lens, surfaces, group, towards, sub_depth[id], own, 0, &edge);
             record.x = seen == HIDDEN ? -1 : record.x;
             record.w = as_float(seen == PARTLY ? PARTLY_OCCLUDED : WHOLE);
@@ -417,25 +410,24 @@ __kernel void sharpen(const grid_t grid, __global const float *value, __global c
 #endif
 #endif
 
-// The pinhole image of occlusion group `group`, for `layered` occlusion. Out: value as in trace; coc wide_t, signed
+// The pinhole image of occlusion group `group`, for `layered` occlusion. Out: value as in trace; coc real, signed
 // R in px, and valid uchar, (height, width); statistics.
 __kernel void pinhole(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
                       __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global float *value,
-                      __global wide_t *coc, __global uchar *valid, __global int *statistics)
+                          __global real *coc, __global uchar *valid, __global int *statistics)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)
         return;
     const int row = FRAME_ROW(grid, y), column = x - grid.guard, at = y * grid.width + x;
-    const wide3_t ray = pixel_ray(grid, widened(row), widened(column));
+    const real3 ray = pixel_ray(grid, row, column);
     uchar root;
     int object;
-    const wide_t w = nearest_surface(surfaces, group, ray, &root, &object);
+    const real w = nearest_surface(surfaces, group, ray, &root, &object);
     take_radiance(grid, surfaces, ray, w, root, row, column, 1, 1, texture TEXTURE_MAPS LIGHT, value + at,
                   grid.height * grid.width);
-    const wide_t none = widened(0);
-    coc[at] = root ? blur_radius(lens, w) : none;
+    coc[at] = root ? blur_radius(lens, w) : 0;
     valid[at] = root != 0;
     if (root)
-        note_radius(statistics, narrow(coc[at]));
+        note_radius(statistics, coc[at]);
 }

@@ -3,34 +3,31 @@
 // Outputs that are not wanted are null: one program makes any of them.
 
 // Place of a hit in the image in the pose `other`: column, row, and its depth there over its depth here.
-static wide3_t moved_pixel(__constant surface_t *surface, const grid_t grid, __constant pose_t *other, wide3_t ray,
-                           wide_t w)
+static real3 moved_pixel(__constant surface_t *surface, const grid_t grid, __constant pose_t *other, real3 ray, real w)
 {
-    const wide3_t rest = wide3_add(wide_load(surface->rest), wide_load(other->shift));
-    const wide3_t turned_point = turned(other->rotation, body_point(surface, ray, w));
-    return project(grid, wide3_add(wide3_scale(rest, w), turned_point));
+    const real3 rest = load3(surface->rest) + load3(other->shift);
+    const real3 turned_point = turned(other->rotation, body_point(surface, ray, w));
+    return project(grid, rest * w + turned_point);
 }
 
-static bool outside_frame(const grid_t grid, wide3_t whole)
+static bool outside_frame(const grid_t grid, real3 at)
 {
-    const real3 at = narrow3(whole);
     return !(at.z > 0 && at.x >= (real)-0.5 && at.x < grid.columns - (real)0.5 && at.y >= (real)-0.5 &&
              at.y < grid.frame_rows - (real)0.5);
 }
 
 // True if a surface at inverse depth `seen` hides a point at inverse depth w here, w / ratio there.
-static bool covered(wide_t seen, wide_t ratio, wide_t w)
+static bool covered(real seen, real ratio, real w)
 {
-    return wide_less(wide_mul(w, wide_add(widened(1), widened((real)1e-6))), wide_mul(seen, ratio));
+    return w * (1 + (REAL_IS_DOUBLE ? (real)1e-6 : (real)1e-5)) < seen * ratio;
 }
 
 // True if a point at inverse depth w is not visible in the pixel `there`, between other surfaces.
-static bool occluded_among(__constant surface_t *surfaces, const grid_t grid, const group_t group, wide3_t there,
-                           wide_t w)
+static bool occluded_among(__constant surface_t *surfaces, const grid_t grid, const group_t group, real3 there, real w)
 {
     uchar any;
     int nearest;
-    const wide_t seen = nearest_surface(surfaces, group, pixel_ray(grid, there.y, there.x), &any, &nearest);
+    const real seen = nearest_surface(surfaces, group, pixel_ray(grid, there.y, there.x), &any, &nearest);
     return outside_frame(grid, there) || covered(seen, there.z, w);
 }
 
@@ -56,10 +53,10 @@ __kernel void ground_truth(const grid_t grid, const lens_t lens, __constant surf
     if (column >= grid.columns || row >= grid.top + grid.rows)
         return;
     const int at = (row - grid.top) * grid.columns + column;
-    const wide3_t ray = pixel_ray(grid, widened(row), widened(column));
+    const real3 ray = pixel_ray(grid, row, column);
     uchar root;
     int object;
-    const wide_t w = nearest_surface(surfaces, group, ray, &root, &object);
+    const real w = nearest_surface(surfaces, group, ray, &root, &object);
     __constant surface_t *surface = surfaces + MAX(object, 0);
     mask[at] = root != 0;
     bool is_mapped = false;  // the texture lies on the surface
@@ -69,9 +66,9 @@ __kernel void ground_truth(const grid_t grid, const lens_t lens, __constant surf
     if (object_id)
         object_id[at] = object;
     if (depth)
-        depth[at] = root ? (float)narrow(wide_div(widened(1), w)) : INFINITY;
+        depth[at] = root ? (float)(1 / w) : INFINITY;
     if (coc)
-        coc[at] = root ? (float)narrow(blur_radius(lens, w)) : 0;
+        coc[at] = root ? (float)blur_radius(lens, w) : 0;
     if (normal) {
         const real3 n = root ? surface_normal(surface, ray, w) : (real3)(0, 0, 0);
         normal[3 * at] = (float)n.x;
@@ -79,31 +76,31 @@ __kernel void ground_truth(const grid_t grid, const lens_t lens, __constant surf
         normal[3 * at + 2] = (float)n.z;
     }
     if (flow) {
-        const wide3_t later = moved_pixel(surface, grid, next + MAX(object, 0), ray, w);
-        flow[2 * at] = root && narrow(later.z) > 0 ? (float)narrow(wide_sub(later.x, widened(column))) : 0;
-        flow[2 * at + 1] = root && narrow(later.z) > 0 ? (float)narrow(wide_sub(later.y, widened(row))) : 0;
+        const real3 later = moved_pixel(surface, grid, next + MAX(object, 0), ray, w);
+        flow[2 * at] = root && later.z > 0 ? (float)(later.x - column) : 0;
+        flow[2 * at + 1] = root && later.z > 0 ? (float)(later.y - row) : 0;
     }
     if (hidden) {
         hidden[at] = 0;
         if (root && !is_mapped) {
-            const wide3_t from = rest_pixel(surface, grid, ray, w);
+            const real3 from = rest_pixel(surface, grid, ray, w);
             // 1 / depth in the reference pose of this point, against the depth in that pixel of the pinhole image
             uchar other;
-            const wide_t seen = solve_quadric(still + object, pixel_ray(grid, from.y, from.x), &other);
+            const real seen = solve_quadric(still + object, pixel_ray(grid, from.y, from.x), &other);
             hidden[at] = outside_frame(grid, from) || covered(seen, from.z, w);
         }
     }
     const float share = root && sharp ? SHADE(surfaces, object, ray, w) : 0;
     if ((sharp || uv) && !is_mapped) {
-        const wide3_t point = texture_point(surface, grid, ray, w, row, column);
+        const real3 point = texture_point(surface, grid, ray, w, row, column);
         for (int c = 0; c < CHANNELS && sharp; ++c)
             sharp[at * CHANNELS + c] = root ? OF_CHANNEL(share, c) * radiance(texture, surface, grid, c, point) : 0;
         if (uv) {
-            const bool before_lens = root && narrow(point.z) > 0;
-            const wide_t right = wide_div(wide_add(point.x, widened((real)0.5)), widened(grid.columns));
-            const wide_t down = wide_div(wide_add(point.y, widened((real)0.5)), widened(grid.frame_rows));
-            uv[2 * at] = before_lens ? (float)narrow(right) : 0;
-            uv[2 * at + 1] = before_lens ? (float)narrow(wide_sub(widened(1), down)) : 0;
+            const bool before_lens = root && point.z > 0;
+            const real right = (point.x + (real)0.5) / grid.columns;
+            const real down = (point.y + (real)0.5) / grid.frame_rows;
+            uv[2 * at] = before_lens ? (float)right : 0;
+            uv[2 * at + 1] = before_lens ? (float)(1 - down) : 0;
         }
     }
 #if TEXTURED
@@ -119,21 +116,21 @@ __kernel void ground_truth(const grid_t grid, const lens_t lens, __constant surf
     }
 #endif
     if (disparity || occluded) {
-        const wide3_t other = moved_pixel(surface, grid, there + MAX(object, 0), ray, w);
+        const real3 other = moved_pixel(surface, grid, there + MAX(object, 0), ray, w);
         if (disparity)
-            disparity[at] = root && narrow(other.z) > 0 ? (float)(to_left * narrow(wide_sub(other.x, widened(column))))
+            disparity[at] = root && other.z > 0 ? (float)(to_left * (other.x - column))
                                                         : 0;
         if (occluded)
             occluded[at] = root ? occluded_among(opposite, grid, group, other, w) : 0;
     }
     if (flow_backward) {
-        const wide3_t earlier = moved_pixel(surface, grid, previous + MAX(object, 0), ray, w);
-        const bool before_lens = root && narrow(earlier.z) > 0;
-        flow_backward[2 * at] = before_lens ? (float)narrow(wide_sub(earlier.x, widened(column))) : 0;
-        flow_backward[2 * at + 1] = before_lens ? (float)narrow(wide_sub(earlier.y, widened(row))) : 0;
+        const real3 earlier = moved_pixel(surface, grid, previous + MAX(object, 0), ray, w);
+        const bool before_lens = root && earlier.z > 0;
+        flow_backward[2 * at] = before_lens ? (float)(earlier.x - column) : 0;
+        flow_backward[2 * at + 1] = before_lens ? (float)(earlier.y - row) : 0;
     }
     if (flow_occluded) {
-        const wide3_t later = moved_pixel(surface, grid, next + MAX(object, 0), ray, w);
+        const real3 later = moved_pixel(surface, grid, next + MAX(object, 0), ray, w);
         flow_occluded[at] = root ? occluded_among(following, grid, group, later, w) : 0;
     }
 }

@@ -2,10 +2,10 @@
 // projected to the nearest pixel of the padded grid (thesis, 4.3.3). Twin: clsco/reference/warp/warp.py. Host:
 // clsco/passes/warp.py, for motion.warp = "forward" where something moves, and for depth maps that move.
 //
-//   rest     wide_t per source (pixel of the frame, row-major): inverse depth in the reference pose, 1/mm, 0 for no
+//   rest     real per source (pixel of the frame, row-major): inverse depth in the reference pose, 1/mm, 0 for no
 //            surface
 //   target   int per source: pixel of the padded grid that it moves to, -1 for none
-//   moved    wide_t per source: its inverse depth after the move, 1/mm, 0 for none
+//   moved    real per source: its inverse depth after the move, 1/mm, 0 for none
 //   winner   int per pixel of the padded grid: lowest source among the nearest that come there, NO_WINNER for none
 //   object   uchar per source, with SEVERAL: which object it belongs to, 0 where there is none
 //
@@ -38,9 +38,9 @@
 __kernel void reproject_rest(const grid_t grid, __constant surface_t *surfaces, const int count,
                              const ulong members,
 #if MAPPED
-                             __global const wide_t *maps,
+                             __global const real *maps,
 #endif
-                             __global wide_t *rest
+                             __global real *rest
 #if SEVERAL
                              , __global uchar *object
 #endif
@@ -50,16 +50,16 @@ __kernel void reproject_rest(const grid_t grid, __constant surface_t *surfaces, 
     if (column >= grid.columns || row >= grid.rows)
         return;
     const int at = row * grid.columns + column;
-    const wide3_t ray = pixel_ray(grid, widened(row), widened(column));
-    wide_t nearest = widened(0);
+    const real3 ray = pixel_ray(grid, row, column);
+    real nearest = 0;
     int whose = 0;
 #if MAPPED
     for (int k = 0; k < count; ++k) {
         uchar root;
         const bool is_map = !(members >> k & 1);
-        const wide_t w = is_map ? maps[at] : solve_quadric(surfaces + k, ray, &root);
+        const real w = is_map ? maps[at] : solve_quadric(surfaces + k, ray, &root);
         maps += is_map ? grid.rows * grid.columns : 0;
-        const bool nearer = wide_less(nearest, w);
+        const bool nearer = nearest < w;
         whose = nearer ? k : whose;
         nearest = nearer ? w : nearest;
     }
@@ -77,8 +77,8 @@ __kernel void reproject_rest(const grid_t grid, __constant surface_t *surfaces, 
 // Moves the sources of object k in columns begin to end of a row by its pose, about the center of its surface in the
 // reference pose. Gives the lowest and highest target, (INT_MAX, -1) for none.
 static inline int2 move_sources(const grid_t grid, __constant surface_t *surface, __constant pose_t *pose, int row,
-                                int begin, int end, __global const wide_t *restrict rest, __global int *restrict target,
-                                __global wide_t *restrict moved
+                                int begin, int end, __global const real *restrict rest, __global int *restrict target,
+                                __global real *restrict moved
 #if SEVERAL
                                 , __global const uchar *restrict object, int k
 #endif
@@ -87,44 +87,43 @@ static inline int2 move_sources(const grid_t grid, __constant surface_t *surface
     // With the ray r, R r + w offset is the moved point times w. Component by component, and the divisions taken out:
     // PoCL vectorizes no loop that computes with vectors.
     __constant real *R = pose->rotation, *center = surface->rest;
-    const wide3_t turn = turned(R, wide_load(center)), shifted = wide3_add(wide_load(center), wide_load(pose->shift));
-    const wide_t across = wide_sub(shifted.x, turn.x), up = wide_sub(shifted.y, turn.y);
-    const wide_t away = wide_sub(shifted.z, turn.z);
-    const wide_t step = WIDE_FIELD(grid.step), y = pixel_ray(grid, widened(row), widened(0)).y;
-    const wide_t line_x = wide_add(wide_mul(wide_part(R, 9, 1), y), wide_part(R, 9, 2));
-    const wide_t line_y = wide_add(wide_mul(wide_part(R, 9, 4), y), wide_part(R, 9, 5));
-    const wide_t line_z = wide_add(wide_mul(wide_part(R, 9, 7), y), wide_part(R, 9, 8));
-    const wide_t R_x = wide_part(R, 9, 0), R_y = wide_part(R, 9, 3), R_z = wide_part(R, 9, 6);
+    const real3 turn = turned(R, load3(center)), shifted = load3(center) + load3(pose->shift);
+    const real across = shifted.x - turn.x, up = shifted.y - turn.y;
+    const real away = shifted.z - turn.z;
+    const real step = grid.step, y = pixel_ray(grid, row, 0).y;
+    const real line_x = R[1] * y + R[2];
+    const real line_y = R[4] * y + R[5];
+    const real line_z = R[7] * y + R[8];
+    const real R_x = R[0], R_y = R[3], R_z = R[6];
     const real middle = (real)0.5 * (grid.columns - 1);
-    const wide_t inverse_step = wide_div(widened(1), step);
+    const real inverse_step = 1 / step;
     // Where a position is 0 on the padded grid, and one more, so that what is negative is below 1.
-    const wide_t right = widened(middle + (grid.guard + 1) + ROUNDING);
-    const wide_t down = widened((real)0.5 * (grid.rows - 1) + (grid.guard + 1) + ROUNDING);
-    const wide_t first = widened(1), bottom = widened(grid.height + 1), edge = widened(grid.width + 1);
+    const real right = middle + (grid.guard + 1) + ROUNDING;
+    const real down = (real)0.5 * (grid.rows - 1) + (grid.guard + 1) + ROUNDING;
+    const real first = 1, bottom = grid.height + 1, edge = grid.width + 1;
     int lowest = INT_MAX, highest = -1;
     for (int column = begin; column < end; ++column) {
         const int at = row * grid.columns + column;
-        const wide_t w = rest[at], x = wide_mul(step, widened(column - middle));
-        const wide_t px = wide_add(wide_add(wide_mul(R_x, x), line_x), wide_mul(across, w));
-        const wide_t py = wide_add(wide_add(wide_mul(R_y, x), line_y), wide_mul(up, w));
-        const wide_t pz = wide_add(wide_add(wide_mul(R_z, x), line_z), wide_mul(away, w));
-        const wide_t nearness = wide_div(widened(1), pz), scale = wide_mul(nearness, inverse_step);
-        const wide_t i = wide_sub(down, wide_mul(py, scale)), j = wide_add(right, wide_mul(px, scale));
-        const wide_t depth = wide_mul(w, nearness), none = widened(0);
-        bool used = narrow(w) > 0 && narrow(pz) > 0 && !wide_less(i, first) && wide_less(i, bottom) &&
-                    !wide_less(j, first) && wide_less(j, edge);
+        const real w = rest[at], x = step * (column - middle);
+        const real px = R_x * x + line_x + across * w;
+        const real py = R_y * x + line_y + up * w;
+        const real pz = R_z * x + line_z + away * w;
+        const real nearness = 1 / pz, scale = nearness * inverse_step;
+        const real i = down - py * scale, j = right + px * scale;
+        const real depth = w * nearness;
+        bool used = w > 0 && pz > 0 && !(i < first) && i < bottom && !(j < first) && j < edge;
 #if SEVERAL
         const bool mine = object[at] == k;
         used = used && mine;
 #endif
-        const int line = wide_whole(used ? i : first), place = wide_whole(used ? j : widened(0));
+        const int line = (int)(used ? i : first), place = (int)(used ? j : 0);
         const int to = line * grid.width + place - grid.width - 1;
 #if SEVERAL
         target[at] = mine ? to : target[at];
-        moved[at] = used ? depth : mine ? none : moved[at];
+        moved[at] = used ? depth : mine ? 0 : moved[at];
 #else
         target[at] = to;
-        moved[at] = used ? depth : none;
+        moved[at] = used ? depth : 0;
 #endif
         lowest = MIN(lowest, used ? to : INT_MAX);
         highest = MAX(highest, to);
@@ -135,8 +134,8 @@ static inline int2 move_sources(const grid_t grid, __constant surface_t *surface
 // Moves every source with its object. In: rest, object. Out: target, moved, and with OWNED bounds int2 per ITEM_PIXELS
 // of a row: lowest and highest target there, (INT_MAX, -1) for none.
 __kernel void reproject_targets(const grid_t grid, __constant surface_t *surfaces, __constant pose_t *poses,
-                                __global const wide_t *restrict rest, __global int *restrict target,
-                                __global wide_t *restrict moved
+                                __global const real *restrict rest, __global int *restrict target,
+                                __global real *restrict moved
 #if SEVERAL
                                 , __global const uchar *restrict object
 #endif
@@ -172,7 +171,7 @@ __kernel void reproject_targets(const grid_t grid, __constant surface_t *surface
 #if OWNED
 // The whole depth test: each work-item owns `band` rows of the padded grid. In: target, moved, bounds. Out: winner;
 // with FILL_FAR depth, as reproject_depth gives it.
-__kernel void reproject_nearest(const grid_t grid, __global const int *target, __global const wide_t *moved,
+__kernel void reproject_nearest(const grid_t grid, __global const int *target, __global const real *moved,
                                 __global const int2 *bounds, const int band, __global int *winner
 #if FILL_FAR
                                 , __global int *depth
@@ -197,37 +196,37 @@ __kernel void reproject_nearest(const grid_t grid, __global const int *target, _
             if (to < begin || to >= end)
                 continue;
             const int other = winner[to];
-            if (other == NO_WINNER || (float)narrow(moved[i]) > (float)narrow(moved[other]))
+            if (other == NO_WINNER || (float)moved[i] > (float)moved[other])
                 winner[to] = i;
         }
     }
 #if FILL_FAR
     for (int to = begin; to < end; ++to)
-        depth[to] = winner[to] == NO_WINNER ? 0 : as_int((float)narrow(moved[winner[to]]));
+        depth[to] = winner[to] == NO_WINNER ? 0 : as_int((float)moved[winner[to]]);
 #endif
 }
 #else
 // Largest inverse depth that comes to each pixel. In: target, moved. In and out: depth, bits of a float per pixel of
 // the padded grid, 0 to begin with; floats > 0 keep their order as ints.
-__kernel void reproject_depth(const grid_t grid, __global const int *target, __global const wide_t *moved,
+__kernel void reproject_depth(const grid_t grid, __global const int *target, __global const real *moved,
                               __global int *depth)
 {
     const int i = get_global_id(0);
     if (i >= grid.rows * grid.columns)
         return;
     if (target[i] >= 0)
-        atomic_max(depth + target[i], as_int((float)narrow(moved[i])));
+        atomic_max(depth + target[i], as_int((float)moved[i]));
 }
 
 // Lowest source that brings it. In: target, moved, depth. In and out: winner, NO_WINNER to begin with.
-__kernel void reproject_winner(const grid_t grid, __global const int *target, __global const wide_t *moved,
+__kernel void reproject_winner(const grid_t grid, __global const int *target, __global const real *moved,
                                __global const int *depth, __global int *winner)
 {
     const int i = get_global_id(0);
     if (i >= grid.rows * grid.columns)
         return;
     const int to = target[i];
-    if (to >= 0 && depth[to] == as_int((float)narrow(moved[i])))
+    if (to >= 0 && depth[to] == as_int((float)moved[i]))
         atomic_min(winner + to, i);
 }
 #endif
@@ -297,16 +296,16 @@ __kernel void reproject_gaps(const grid_t grid, __global const int *restrict dep
 #endif
 
 // Gathers the winners' values. In: texture float (textures, CHANNELS, rows, columns), of which each surface names its
-// own; moved, winner, object. Out, on the padded grid: value float (CHANNELS, height, width), radiance; w wide_t,
-// inverse depth in 1/mm; coc wide_t, signed radius in px; valid uchar, there is a winner; status uchar, 0; seen uchar,
+// own; moved, winner, object. Out, on the padded grid: value float (CHANNELS, height, width), radiance; w real,
+// inverse depth in 1/mm; coc real, signed radius in px; valid uchar, there is a winner; status uchar, 0; seen uchar,
 // with SEVERAL, its object. All 0 without one, and seen NO_OBJECT. With FILL_FAR valid is from reproject_gaps, and
 // winners of other pixels do not count.
 __kernel void reproject_gather(const grid_t grid, const lens_t lens, __global const float *texture,
-                               __global const wide_t *moved, __global const int *winner,
+                               __global const real *moved, __global const int *winner,
 #if SEVERAL
                                __constant surface_t *surfaces, __global const uchar *object,
 #endif
-                               __global float *value, __global wide_t *w, __global wide_t *coc, __global uchar *valid,
+                               __global float *value, __global real *w, __global real *coc, __global uchar *valid,
                                __global uchar *status
 #if SEVERAL
                                , __global uchar *seen
@@ -323,7 +322,7 @@ __kernel void reproject_gather(const grid_t grid, const lens_t lens, __global co
     const bool known = source != NO_WINNER;
     valid[at] = known;
 #endif
-    const wide_t none = widened(0), inverse_depth = known ? moved[source] : none;
+    const real inverse_depth = known ? moved[source] : 0;
 #if SEVERAL
     const int whose = known ? object[source] : NO_OBJECT;
     seen[at] = whose;
@@ -332,7 +331,7 @@ __kernel void reproject_gather(const grid_t grid, const lens_t lens, __global co
     for (int c = 0; c < CHANNELS; ++c)
         value[c * grid.height * grid.width + at] = known ? texture[c * grid.rows * grid.columns + source] : 0;
     w[at] = inverse_depth;
-    coc[at] = known ? blur_radius(lens, inverse_depth) : none;
+    coc[at] = known ? blur_radius(lens, inverse_depth) : 0;
     status[at] = 0;
 }
 
@@ -389,7 +388,7 @@ __kernel void mark_entered(const grid_t grid, const int first, const int end, __
 // up to `end`, first all rows and then all columns. In and out, on the padded grid: value, w, coc, valid, status, seen;
 // what no line reaches has status 2 after the columns.
 __kernel void fill_entered(const grid_t grid, const int first, const int end, __global float *value,
-                           __global wide_t *w, __global wide_t *coc, __global uchar *valid, __global uchar *status
+                           __global real *w, __global real *coc, __global uchar *valid, __global uchar *status
 #if SEVERAL
                            , __global uchar *seen
 #endif
@@ -429,7 +428,7 @@ __kernel void fill_entered(const grid_t grid, const int first, const int end, __
 // A depth map knows nothing outside of the frame: there the image goes on as its mirror image, as textures do. In and
 // out, on the padded grid: value, w, coc, valid as in reproject_gather; pixels outside of the frame that are not valid
 // take what is in their mirror image.
-__kernel void extend_border(const grid_t grid, __global float *value, __global wide_t *w, __global wide_t *coc,
+__kernel void extend_border(const grid_t grid, __global float *value, __global real *w, __global real *coc,
                             __global uchar *valid)
 {
     const int x = get_global_id(0), y = get_global_id(1);
@@ -451,7 +450,7 @@ __kernel void extend_border(const grid_t grid, __global float *value, __global w
 #endif
 
 // Keeps the range of the radii of a time sample. In: coc, valid, as in reproject_gather. In and out: statistics.
-__kernel void note_radii(const grid_t grid, __global const wide_t *coc, __global const uchar *valid,
+__kernel void note_radii(const grid_t grid, __global const real *coc, __global const uchar *valid,
                          __global int *statistics)
 {
     const int begin = get_global_id(0) * ITEM_PIXELS, y = get_global_id(1);
@@ -459,5 +458,5 @@ __kernel void note_radii(const grid_t grid, __global const wide_t *coc, __global
         return;
     for (int x = begin; x < MIN(begin + ITEM_PIXELS, grid.width); ++x)
         if (valid[y * grid.width + x])
-            note_radius(statistics, narrow(coc[y * grid.width + x]));
+            note_radius(statistics, coc[y * grid.width + x]);
 }

@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 KERNELS = sorted((ROOT / "kernels").rglob("*.cl"))
-# wide.clh makes of two floats what NumPy has as float64, angles.clh its functions; others are vectors of processors.
+# NumPy has what angles.clh has; others are vectors of processors.
 VECTORS = [
     f"{group}/{folder}{name}.clh"
     for group, name in (("common", "builtins"), ("common", "lanes"), ("inpainting", "lanes"))
@@ -18,7 +18,7 @@ VECTORS = [
 ]
 HEADERS = sorted(
     set((ROOT / "kernels").rglob("*.clh"))
-    - {ROOT / "kernels" / name for name in ("common/wide.clh", "common/angles.clh", "common/cpu/pocl.clh", *VECTORS)}
+    - {ROOT / "kernels" / name for name in ("common/angles.clh", "common/cpu/pocl.clh", *VECTORS)}
 )
 # What has no twin of its own, and why.
 WITHOUT_TWIN = {
@@ -54,7 +54,10 @@ WITHOUT_TWIN = {
         "detail_of": "parts_of",
     },
     "texture": dict.fromkeys(("texture_point", "radiance"), "parts of cast, for all pixels at once"),
-    "geometry": {"note_radius": "the largest and the smallest of an array"},
+    "geometry": {
+        "note_radius": "the largest and the smallest of an array",
+        **dict.fromkeys(("load3", "row3", "column3", "inner_product"), "arrays of NumPy, and their products"),
+    },
     "warp": {"note_radii": "the largest and the smallest of an array"},
     "tiles": {"tiles": "the sum of scatter, which each tile forms for its pixels"},
     "many": dict.fromkeys(
@@ -99,6 +102,7 @@ RECORDS = {"points": ["ray", "w"], "texture": ["texture", "map"]}
 ON_THE_DEVICE = {"bounds", "texture_filter"}  # in surface_t, and a feature
 # Functions that take other things than their twins, and why.
 OTHERWISE = {
+    "quarter_discriminant": "A and B are needed as well, and linear terms seldom",
     "table_coordinate": "psf_t has the range of the table",
     "hides_all": "conditions of an occluder_t are dropped in place",
     "keep_equation": "fields of an occluder_t are filled one after the other",
@@ -203,9 +207,9 @@ def test_functions_take_what_their_twins_take() -> None:
 @pytest.mark.parametrize(
     ("device", "twin", "alike"),
     [
-        ("static real f(const lens_t lens, wide3_t ray, real w, real *out) {", "lens, rays, w", True),
+        ("static real f(const lens_t lens, real3 ray, real w, real *out) {", "lens, rays, w", True),
         ("INLINE int f(__constant surface_t *s, real w) {", "surface, bounds, w", True),
-        ("static int f(wide3_t ray, wide_t w, real x) {", "points, x", True),
+        ("static int f(real3 ray, real w, real x) {", "points, x", True),
         ("static int f(__global const float *at, real w) {", "w, at", False),
         ("static int f(real w, real x) {", "w", False),
         ("static int f(real w) {", "w, x", False),

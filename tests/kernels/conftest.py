@@ -41,7 +41,7 @@ from clsco.scene.model import (
     Quadric,
     Sphere,
 )
-from tests.kernels.wide_numbers import whole
+from tests.kernels.numbers import whole
 from tests.scenes import scene_of
 from tests.slow import mostly_slow
 

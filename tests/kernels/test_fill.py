@@ -28,7 +28,7 @@ from clsco.passes.placed import PlacedScene
 from clsco.passes.warp import ForwardWarp
 from clsco.plan.buffers import COUNTERS, fill_buffers
 from clsco.plan.plan import make_plan
-from clsco.records import Real, flat, in_parts, structs
+from clsco.records import REAL, Real, flat, structs
 from clsco.reference.common.geometry import pixel_ray, solve_quadric
 from clsco.reference.inpainting.fill import (
     Method,
@@ -45,7 +45,7 @@ from clsco.reference.inpainting.score import score_mean_median
 from clsco.reference.trace.trace import padded_grid
 from clsco.scene.model import Camera, Fill, Motion, Object, ObjectMotion, Plane, Sphere
 from tests.kernels.launches import parameters
-from tests.kernels.wide_numbers import whole
+from tests.kernels.numbers import whole
 from tests.scenes import scene_of
 from tests.slow import combined, mostly_slow
 
@@ -86,7 +86,7 @@ class Planes:
         sizes = fill_buffers(Grid.whole(rows, columns, guard, self.channels), far, far, method == "mean_median")
         self.filler = Filler(Target(session, self.program, real), *of_camera, features, sizes)
         self.write("value", flat(np.where(known[..., None], values, 0.0)[..., :-1], np.float32))
-        self.write("w", in_parts(np.where(known, values[..., -1], 0.0), real))
+        self.write("w", np.where(known, values[..., -1], 0.0).astype(REAL[real]))
         self.write("valid", known.astype(np.uint8))
         for name in ("coc", "status", "spans", "grown", "counters"):
             self.write(name, np.zeros(getattr(self.filler.planes, name).size, np.uint8))

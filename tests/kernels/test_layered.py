@@ -19,7 +19,7 @@ from clsco.passes.blur import Sources as Light
 from clsco.passes.frame_blur import make_blur
 from clsco.passes.layered import DepthLayers
 from clsco.plan.methods import Blur
-from clsco.records import Real, flat, in_parts
+from clsco.records import REAL, Real, flat
 from clsco.reference.blur.blur import prepare_sources, scatter
 from clsco.reference.layered import layered as twin
 from clsco.reference.trace.trace import Sources
@@ -84,7 +84,8 @@ class Device:
         grid = Grid.whole(*view.shape, view.guard, channels)
         self.blur = make_blur(target, spec, grid, strip)
         self.layers = DepthLayers(self.blur, target, grid)
-        self.coc, self.valid = upload(session, in_parts(view.coc, real)), upload(session, view.valid.astype(np.uint8))
+        self.coc = upload(session, view.coc.astype(REAL[real]))
+        self.valid = upload(session, view.valid.astype(np.uint8))
 
     def image(self, moments: int = 1) -> tuple[Array, int]:
         """The frame (rows, columns, channels) of equal moments, and the number of layers of each."""

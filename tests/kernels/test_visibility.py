@@ -42,14 +42,14 @@ __kernel void see_taps(const grid_t grid, const lens_t lens, __constant surface_
     if (i >= SOURCES)
         return;
     const real column = place[i].x + place[i].z, row = place[i].y + place[i].w;
-    const wide3_t ray = pixel_ray(grid, widened(row), widened(column));
+    const real3 ray = pixel_ray(grid, row, column);
     uchar label;
     int object;
-    const wide_t w = nearest_surface(surfaces, group, ray, &label, &object);
+    const real w = nearest_surface(surfaces, group, ray, &label, &object);
     state[i] = -1;
     if (!label)
         return;
-    const real radius = narrow(blur_radius(lens, w));
+    const real radius = blur_radius(lens, w);
     visibility_t visibility;
     bool edge;
     const division_t of_source = division_of(radius, psf.lens_extent, width, tilt_slope((real2)(0.2, -0.1), radius));
@@ -218,7 +218,6 @@ def test_taps(session: Session, run_source: Runner, name: str, gather: int, psf:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["ball", "wire, narrow lens", "disc", "bounded cone"])
 def test_single_precision(session: Session, run_source: Runner, name: str) -> None:
-    """Lines are decided with pairs of floats, as float64 does."""
     assert_same(see(session, run_source, SCENES[name], real="float"))
 
 

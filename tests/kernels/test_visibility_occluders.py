@@ -18,7 +18,7 @@ from clsco.optics.point_spread import point_spread
 from clsco.optics.quadrics import cutting_bounds, place
 from clsco.optics.visibility import OcclusionGroup
 from clsco.passes.pack import lens_struct, surface_structs
-from clsco.records import Real, in_parts
+from clsco.records import REAL, Real
 from clsco.reference.common.occluder import Occluder
 from clsco.reference.common.visibility import CLEAR, HIDDEN, PARTLY, Points, check_visibility
 from clsco.scene.model import Camera, Cone, Cylinder, Ellipsoid, Object, Plane, Psf, Quadric, Sphere
@@ -30,14 +30,14 @@ typedef char of_its_size[sizeof(occluder_t) == BYTES ? 1 : -1];
 
 // What is in the way of point i: place holds (x, y) of its ray and its inverse depth, chosen (surface, own, root).
 __kernel void meet(const lens_t lens, __constant surface_t *surfaces, const real extent, const real width,
-                   __global const wide_t *place, __global const int4 *chosen, __global const real *radius,
-                   __global const real2 *gradient, __global int4 *found, __global float4 *rims,
-                   __global uchar *occluders)
+                   __global const real *place, __global const int4 *chosen, __global const real *radius,
+                       __global const real2 *gradient, __global int4 *found, __global float4 *rims,
+                           __global uchar *occluders)
 {
     const int i = get_global_id(0);
     if (i >= POINTS)
         return;
-    const wide3_t ray = wide_vector(place[3 * i], place[3 * i + 1], widened(1));
+    const real3 ray = (real3)(place[3 * i], place[3 * i + 1], 1);
     const group_t group = {0, 3, 1, chosen[i].y ? 0 : -1, chosen[i].z};  // of one object: the second bit is no one's
     visibility_t visibility;
     bool edge;
@@ -171,7 +171,7 @@ def meet(
     gradient = (np.arange(count) % 5 * 0.1 * np.stack([np.cos(turn), np.sin(turn)])).T
     run(
         KERNEL, "meet", real, features, count, lens_struct(LENS, real), surface_structs(items, placed, real),
-        number(extent), number(width), in_parts(np.stack([given[k] for k in "xyw"], axis=-1), real),
+        number(extent), number(width), np.stack([given[k] for k in "xyw"], axis=-1).astype(REAL[real]),
         chosen.astype(np.int32), given["radius"].astype(number), gradient.astype(number), *buffers,
     )  # fmt: skip
     found = download(session, buffers[0], (count, 4), np.int32)

@@ -17,7 +17,7 @@ from clsco.opencl.session import Program, Session
 from clsco.optics.motion import Pose
 from clsco.passes.pack import pose_structs, surface_structs
 from clsco.passes.warp import forward_features
-from clsco.records import in_parts, structs
+from clsco.records import structs
 from clsco.reference.warp.warp import (
     SAME_DEPTH,
     extend_border,
@@ -33,7 +33,7 @@ from clsco.reference.warp.warp import (
 from clsco.scene.model import Fill, Sphere
 from tests.kernels import launches
 from tests.kernels.launches import Amid
-from tests.kernels.wide_numbers import whole
+from tests.kernels.numbers import whole
 
 Array = NDArray[Any]
 LOCAL = (8, 4)  # beyond the grid in both directions
@@ -237,7 +237,7 @@ def test_far_side_of_a_cut_surface_is_seen(session: Session, make_case: Maker) -
     rest = empty(session, 8 * expected.size)
     inputs = {"surfaces": surfaces(case), "count": 1, "members": np.uint64(1)}
     run(session, case, "reproject_rest", (9, 5), LOCAL, rest=rest, **inputs)
-    np.testing.assert_allclose(whole(session, rest, (5, 9), "float"), expected, rtol=1e-11)  # 48 bits that cancel
+    np.testing.assert_allclose(whole(session, rest, (5, 9), "float"), expected, rtol=1e-6)
 
 
 def in_place(entry: int, point: Array, center: Array) -> Pose:
@@ -248,10 +248,10 @@ def in_place(entry: int, point: Array, center: Array) -> Pose:
 
 
 def test_targets_have_all_digits_of_a_pose(session: Session, make_case: Maker) -> None:
-    """In single precision, of 48 bits; what leaves the grid on any side by a pixel has no target."""
-    case = replace(make_case((CUT,), (2, 2), guard=0), real="float")
+    """A place beyond the grid on any side by a pixel is no target."""
+    case = make_case((CUT,), (2, 2), guard=0)
     rest, whose = np.full((2, 2), 1 / 256.0), np.zeros((2, 2), np.uint8)
-    step = float(case.grid["step"]) + float(case.grid["step_low"])
+    step = float(case.grid["step"])
     pixel, center = 256.0 * step, np.array([0.0, 0.0, 280.0])
     first = np.array([-0.5 * pixel, 0.5 * pixel, 256.0])
     poses = [in_place(entry, first, center) for entry in range(9)]
@@ -260,7 +260,7 @@ def test_targets_have_all_digits_of_a_pose(session: Session, make_case: Maker) -
     for pose in poses:
         expected, depth = reproject_targets(case.plan.scene, [pose], rest, whose, 0)
         target, moved = Amid(session, np.full(4, 9, np.int32), 9), empty(session, 32)
-        inputs = {"surfaces": surfaces(case), "poses": pose_structs([pose], "float"), "rest": in_parts(rest, "float")}
+        inputs = {"surfaces": surfaces(case), "poses": pose_structs([pose], "double"), "rest": rest}
         run(session, case, "reproject_targets", (2,), (8,), target=target, moved=moved, bounds=bounds, **inputs)
         assert (target.now() == expected).all()
-        np.testing.assert_allclose(whole(session, moved, (4,), "float"), depth, rtol=1e-6)
+        np.testing.assert_allclose(whole(session, moved, (4,), "double"), depth, rtol=1e-6)

@@ -52,7 +52,6 @@ TESTS = {
     "pipeline/test_occlusion",
     "common/visibility_test.clh": "kernels/test_visibility_test kernels/test_visibility pipeline/test_occlusion",
     "common/angles.clh": "kernels/test_angles",
-    "common/wide.clh": "kernels/test_wide kernels/test_ray_surface kernels/test_geometry kernels/test_trace",
     "inpainting/biharmonic.cl": "kernels/test_biharmonic",
     "inpainting/cpu/lanes.clh": "kernels/test_fill kernels/test_mean_median",
     "inpainting/estimate.clh": "kernels/test_fill kernels/test_mean_median",

@@ -18,7 +18,7 @@ from clsco.passes.frame_blur import make_blur
 from clsco.plan.buffers import source_bytes
 from clsco.plan.memory import defocus_bytes
 from clsco.plan.methods import Blur, BlurSpec
-from clsco.records import Real, flat, in_parts
+from clsco.records import REAL, Real, flat
 from clsco.scene.model import Psf
 
 Array = NDArray[Any]
@@ -53,7 +53,7 @@ class Pass:
         self.sources = Sources(source, upload(session, padded), radius=self.largest)
         valid = np.ones(radii.shape, np.uint8)
         self.radii: tuple[cl.Buffer, ...] = (
-            () if constant else (upload(session, in_parts(radii, real)), upload(session, valid))
+            () if constant else (upload(session, radii.astype(REAL[real])), upload(session, valid))
         )
 
     def prepare(self, events: Events) -> None:

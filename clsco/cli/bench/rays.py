@@ -24,7 +24,7 @@ from clsco.optics.quadrics import PlacedSurface, place
 from clsco.optics.visibility import OcclusionGroup
 from clsco.passes.blur import PIXELS
 from clsco.passes.pack import group_struct, lens_struct, surface_structs
-from clsco.records import WIDE, WIDE_BYTES, Real, Struct, structs, together
+from clsco.records import REAL, Real, Struct, structs
 from clsco.scene.model import Camera, Cone, Cylinder, Ellipsoid, Object, ObjectMotion, Plane, Psf, Quadric, Sphere
 from clsco.scene.quantities import Vector
 
@@ -33,7 +33,7 @@ SIDE = 64  # rays a side of a window
 BAND = 2.0**-20  # of the terms of discriminant and leading coefficient, within which hit or miss may differ
 FARTHEST_RATIO = 1e6  # of distance and size
 REALS: tuple[Real, Real] = ("double", "float")
-ROUNDING = 2.0**-47  # of an operation in single precision (kernels/common/wide.clh)
+ROUNDING = 2.0**-24  # of an operation in single precision
 NEARER, MOST_ZOOMS = 32, 3  # each time at an outline, rays are so many times closer together
 FARTHEST_PIXEL = 2**23  # from the axis; frames have up to 2^16 px a side
 # Every shape by one program: what a shape has no use for is 0.
@@ -80,7 +80,7 @@ class Caster:
         self.session, self.real = session, real
         self.program = build(session, ["trace/trace.cl"], features, structs(real), real)
         self.texture, area = upload(session, np.ones((1, 1), np.float32)), side * side
-        self.value, self.wide, self.class_ = (empty(session, size * area) for size in (4, WIDE_BYTES, 1))
+        self.value, self.wide, self.class_ = (empty(session, size * area) for size in (4, REAL[real].itemsize, 1))
         self.statistics = empty(session, 16)
 
     def __call__(self, target: Target) -> tuple[NDArray[np.bool_], Array]:
@@ -108,7 +108,7 @@ class Caster:
         self.session.queue.finish()
 
     def _found(self, side: int) -> tuple[NDArray[np.bool_], Array]:
-        values = together(download(self.session, self.wide, (side, side), WIDE[self.real]), self.real)
+        values = download(self.session, self.wide, (side, side), REAL[self.real]).astype(np.float64)
         return download(self.session, self.class_, (side, side), np.uint8) > 0, values
 
 

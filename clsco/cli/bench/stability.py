@@ -29,8 +29,8 @@ class HardCase:
 
     name: that of the table; condition: what makes it hard, the points' abscissa; unit: of errors; values: how many were
     compared; points: errors, of which the rows show the largest; bounds: of the package's errors in single and double
-    precision. wrong: values of another class (hit or miss, root, winner) per form, None where there are no classes;
-    ns: time per value and form, process CPU time; remedy: what the package does.
+    precision, infinite for none. wrong: values of another class (hit or miss, root, winner) per form, None where there
+    are no classes; ns: time per value and form, process CPU time; remedy: what the package does.
     """
 
     name: str
@@ -51,10 +51,11 @@ class HardCase:
 
     @property
     def reached(self) -> bool:
-        """True if every error of the package is within its bound, and nothing is of another class."""
+        """True if every error of the package is within its bound, and nothing with a bound is of another class."""
         own = [self.worst(form) for form in FORMS[1:]]
         within = all(not error > bound for error, bound in zip(own, self.bounds, strict=True))
-        return within and any(isfinite(error) for error in own) and (self.wrong is None or not any(self.wrong[1:]))
+        wrong = [n for n, bound in zip((self.wrong or (0, 0, 0))[1:], self.bounds, strict=True) if isfinite(bound)]
+        return within and any(isfinite(error) for error in own) and not any(wrong)
 
 
 @dataclass(frozen=True)

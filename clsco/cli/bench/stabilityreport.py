@@ -52,7 +52,7 @@ class Stability:
         lines += [
             f"{one.name}, {one.precision}: {one.not_finite} not finite, {one.other_class} of another class"
             for one in (*self.degenerate, *self.rendered)
-            if one.not_finite or one.other_class
+            if not one.reached
         ]
         return lines
 
@@ -150,8 +150,7 @@ def _notes(stability: Stability) -> Iterable[str]:
             yield (
                 f"{len({one.name for one in found})} degenerate cases, {how} in each precision: "
                 f"{sum(one.not_finite for one in found)} numbers not finite, {sum(one.other_class for one in found)} "
-                f"pixels of another class than the reference, {sum(one.on_edge for one in found)} on an edge, "
-                f"{refused} refused for their blur"
+                f"pixels of another class than the reference, {refused} refused for their blur"
             )
     yield from stability.shortfalls()
 
@@ -200,7 +199,7 @@ def _panel(panel: Any, case: HardCase) -> None:
             if group:
                 panel.plot(*zip(*group, strict=True), marker, **style)
     for bound, form in zip(case.bounds, FORMS[1:], strict=True):
-        if bound:
+        if 0.0 < bound < math.inf:
             panel.axhline(bound, color=COLORS[form], linewidth=0.6, linestyle="--")
     ends = [point.condition for point in case.points]
     panel.set_xscale("log" if min(ends) > 0.0 and max(ends) > 20.0 * min(ends) else "linear")

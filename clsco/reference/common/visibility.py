@@ -22,7 +22,7 @@ from clsco.optics.lens import Lens
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import PlacedSurface
 from clsco.optics.visibility import OcclusionGroup
-from clsco.reference.common.geometry import Array, Bounds, difference_of_products, turned
+from clsco.reference.common.geometry import Array, Bounds, difference_of_products, quarter_discriminant, turned
 from clsco.reference.common.occluder import TINY, Mask, Occluder, hides_all
 
 CLEAR, PARTLY, HIDDEN = np.uint8(0), np.uint8(1), np.uint8(2)
@@ -201,7 +201,7 @@ def outline_of(e: Equation, m: Slopes, soft: Array, most: Array) -> Outline:
     """Outline of a surface with two crossings, or none: h over the width `soft` (N,) of the edge; most (N,): cells to
     the farthest tap."""
     under = np.sqrt(e.C * e.F)
-    h = -e.B - under
+    h = np.where(e.B < 0.0, m.D / (under - e.B), -e.B - under)
     change = e.F * (np.hypot(m.C_x, m.C_y) + (np.abs(m.C_xx) + np.abs(m.C_xy) + np.abs(m.C_yy)) * most) * most
     reach = np.minimum(np.where(under > 0, change / under, np.inf), np.sqrt(change))
     reach = reach + np.hypot(m.B_x, m.B_y) * most
@@ -295,7 +295,8 @@ def meet_occluder(
     rays, w = points.rays, points.w
     far = out_of_the_way(lens, surface, rays, w, division.extent)
     e = equation_of(lens, surface, rays, w, division.cells, own)
-    d = difference_of_products(e.B, e.B, e.C, e.F)
+    # The same for every point of the ray, and without the cancellation of B^2 - C F.
+    d = quarter_discriminant(surface, turned(surface.turn, rays))
     limits = _limits(surface, bounds, w, rays, e)
     with np.errstate(all="ignore"):  # where there is one crossing, what belongs to two is not used, and vice versa
         place = crossing_place(lens, e, d)
