@@ -1,4 +1,4 @@
-"""Numbers that host and kernels must agree on, all of them whole: each stands here, and kernels have them by -D.
+"""Numbers that host and kernels, or device and reference, must agree on: each stands here, and kernels have them by -D.
 
 Every program is compiled with all of them (`clsco.opencl.program.build`), so each name has one meaning in all kernels.
 What only kernels know is a `#define` there; what differs from program to program is a feature.
@@ -28,6 +28,22 @@ WRAP_CLAMP = 2
 WRAP_NONE = 3
 CUBE_BORDER = 2  # texels of its neighbors around a face of a cube map, at each level: what a bicubic filter reads
 
+# Footprints of pixels on textures that lie on surfaces (kernels/trace/footprint.clh).
+FOOTPRINT_CELLS = 8  # along an axis of a pixel
+LEAST_TEXELS = 2  # across the narrow side of a footprint, where the level is not the finest
+CELL_TEXELS = 3  # along an axis of a cell, at most
+MOST_TEXELS = FOOTPRINT_CELLS * CELL_TEXELS  # along an axis of a pixel: beyond, the level is a coarser one
+MOST_BENT_TEXELS = 64  # the same near a pole, where the footprint is bent
+DETAILED_TEXELS = 0.54  # per pixel, along the wider axis, from which on it may need sub-pixel sources
+DETAILED_LEAST = 0.01  # |R| in px, from which on
+DETAILED_MOST = 4.5  # and up to which
+FINE_TEXELS = 1.17  # from which on a pixel is cut into smaller parts, up to a larger radius
+FINE_MOST = 9.0
+NEAR_FOCUS = 0.3  # |R| in px below which smaller parts are needed as well
+# Squares of texels per pixel are compared with so many times the whole numbers, which images often have exactly:
+# rounding must not decide.
+APART = 1.17
+
 # Visibility (kernels/common/visibility.clh).
 LENS_CELLS = 8  # cells of the lens per half axis, where it is tested on a grid of its own
 
@@ -39,6 +55,9 @@ POWERS = 4  # coefficients of a weight, a cubic in the position in its interval
 WIDE_LANES = 16
 
 # Blur by `gather` (kernels/blur/cpu).
+# Rows that a work-item owns: enough bands for several cores, and little overlap. It walks the sources that reach them
+# in an order that counts from its first row, so strips of whole bands have the bits of the whole frame.
+BAND = 64
 ROW_TILE = 256  # columns of a tile of a band, with whole rows of sources
 COLUMN_STEP = 32  # columns of sources that a launch cut into pieces takes at least, with columns of sources
 MOST_ITEMS = 256  # groups of sources of a column that are kept at a time, at most
@@ -57,6 +76,9 @@ LONGEST_RUN = 8  # weights of a run, which a kernel keeps in registers
 DROPPED_BITS = 26  # lower bits of a sum over a disc that sums of 32 bits leave out
 
 # Layered occlusion (kernels/layered/layered.cl).
+DISCONTINUITY = 1.0  # px: over the lens two points shift by |R1 - R2| against each other; less hides no pixel
+LAYER_BIN = 0.25  # px: depth layers end at multiples of it
+NO_SEED = 1 << 14  # px: farther than any blur reaches
 DISCONTINUITY_CLASSES = 10  # of sizes: beyond 1, 2, 4 ... times the least discontinuity
 REACH_PIXELS = 64  # pixels of a row for which a work-item finds the nearest edge
 SEED_COLUMNS = 16  # columns that a work-item walks down
@@ -95,6 +117,6 @@ FSE_BLOCK = 2  # px of the block in the middle of a window that is filled from i
 FSE_BEFORE = (FSE_SIDE - FSE_BLOCK) // 2  # px of a window before its block, along an axis
 
 
-def definitions() -> dict[str, int]:
+def definitions() -> dict[str, int | float]:
     """Name -> value of all constants of this module, for the compiler of kernels."""
     return {name: value for name, value in globals().items() if name.isupper()}

@@ -9,9 +9,9 @@ from time import perf_counter
 
 import numpy as np
 
+from clsco.constants import BAND
 from clsco.cost.rates import CORE_SECONDS, RATES
 from clsco.cost.work import Work, frame_work
-from clsco.frame.strips import BAND
 from clsco.plan.plan import Plan
 from clsco.plan.prepare import Prepared
 from clsco.resources import processors

@@ -13,8 +13,7 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.constants import MAP_TRIPLANAR, TAP_LANES
-from clsco.frame.strips import BAND
+from clsco.constants import BAND, MAP_TRIPLANAR, TAP_LANES
 from clsco.inputs.focus import seen
 from clsco.inputs.textures import mapped_size
 from clsco.optics.exposure import middle_time

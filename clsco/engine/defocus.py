@@ -15,7 +15,7 @@ from clsco.constants import TAP_LANES
 from clsco.engine.shrinking import Shrinking
 from clsco.errors import ImageError, SceneError
 from clsco.files.transfer import decode, encode
-from clsco.frame.strips import Grid, Strip, around, grid_struct
+from clsco.frame.strips import Grid, Strip, around
 from clsco.inputs.pupils import load_point_spread
 from clsco.inputs.soft_edges import assign_soft_edges
 from clsco.opencl.arrays import check_image, on_host, without_mask
@@ -27,6 +27,7 @@ from clsco.optics.point_spread import PointSpread
 from clsco.passes.blur import Sources, blur_target, prepare_sources
 from clsco.passes.frame_blur import make_blur
 from clsco.passes.layered import DepthLayers
+from clsco.passes.pack import grid_struct
 from clsco.passes.tables import forget_others
 from clsco.plan.buffers import image_buffers
 from clsco.plan.memory import Limit, defocus_bytes, defocus_strips, limit_of, rows_that_fit

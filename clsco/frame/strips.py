@@ -9,12 +9,6 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.records import Real, Struct, filled
-
-# Rows that a work-item of `gather` owns: enough bands for several cores, and little overlap. It walks the sources that
-# reach them in an order that counts from its first row, so strips of whole bands have the bits of the whole frame.
-BAND = 64
-
 
 @dataclass(frozen=True)
 class Strip:
@@ -136,30 +130,3 @@ class Grid:
     def sources(self) -> int:
         """Pixels of the grid of sources."""
         return self.width * self.height
-
-
-def grid_struct(
-    rows: int, columns: int, guard: int, real: Real, strip: Strip | None = None, step: float = 0.0
-) -> Struct:
-    """grid_t of a frame with an apron.
-
-    Parameters
-    ----------
-    rows, columns : int
-        Size of the frame, px.
-    guard : int
-        Width of the apron, px.
-    real : {"double", "float"}
-    strip : Strip, optional
-        Rows of the frame that are worked on; all by default.
-    step : float
-        Slope between the rays of neighboring pixels, where rays are cast.
-
-    Returns
-    -------
-    numpy.void
-    """
-    part = strip or Strip(0, rows, guard, guard)
-    values = {"rows": part.rows, "columns": columns, "frame_rows": rows, "top": part.top, "guard": guard, "step": step}
-    values |= {"above": part.above, "width": columns + 2 * guard, "height": part.height}
-    return filled("grid_t", real, values)

@@ -18,7 +18,6 @@ import pyopencl as cl
 from numpy.typing import DTypeLike, NDArray
 
 from clsco.constants import CODE_LANES, FILL_LANES, SCORE_SUMS, SCORED_COLUMNS
-from clsco.frame.strips import grid_struct
 from clsco.inpainting.rules import (
     Histogram,
     MeanMedian,
@@ -32,7 +31,7 @@ from clsco.inpainting.rules import (
 from clsco.opencl.buffers import copied, download, download_into, empty, upload
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Program, Session
-from clsco.records import structs
+from clsco.records import Struct, filled, structs
 
 Mask = NDArray[np.bool_]
 Floats = NDArray[np.float32]
@@ -238,7 +237,7 @@ def score_image(
     segments, found = -(-columns // SCORED_COLUMNS), [np.zeros((1, SCORE_SUMS), np.int64)]
     for band in bands(image, missing, np.ones(rows, np.bool_), np.uint8 if image.dtype == np.uint8 else np.float32):
         valid = np.concatenate([~band.missing.ravel(), np.zeros(CODE_LANES, np.bool_)])
-        grid, count = grid_struct(band.count, columns, 0, "float"), band.count * segments
+        grid, count = _grid(band.count, columns), band.count * segments
         sums, buffers = empty(session, 8 * SCORE_SUMS * count), (upload(session, band.value), upload(session, valid))
         launch(session, kernel(program, "score_mean_median"), (count,), OWNERS, grid, np.float32(scale), *buffers, sums)
         found.append(download(session, sums, (count, SCORE_SUMS), np.int64).sum(axis=0, keepdims=True))
@@ -379,10 +378,15 @@ def blend_border(
         planes[stages.pixels[holes] - before] = stages.smoothed[holes]
         some = slice(*np.searchsorted(border, (band.top * columns, band.bottom * columns)))
         entries = (border[some] - before).astype(np.int32)
-        count, grid = entries.size, grid_struct(band.count, columns, 0, "float")
+        count, grid = entries.size, _grid(band.count, columns)
         steepness, blended = empty(session, 4 * count), empty(session, 4 * count * channels)
         args = (upload(session, entries), np.int32(count), upload(session, band.value), steepness, blended)
         launch(session, kernel(program, "blend_border"), (-(-count // FILL_LANES),), VECTORS, grid, *args)
         stages.gradients[some] = np.sqrt(download(session, steepness, (count,), np.float32).astype(np.float64))
         download_into(session, blended, stages.blended[some])
         progress(band.bottom / rows)
+
+
+def _grid(rows: int, columns: int) -> Struct:
+    """grid_t of an image without an apron."""
+    return filled("grid_t", "float", {"columns": columns, "width": columns, "rows": rows, "height": rows})

@@ -8,11 +8,10 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.constants import DISCONTINUITY_CLASSES
+from clsco.constants import DISCONTINUITY_CLASSES, LAYER_BIN
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_grid import table_reach
 
-DISCONTINUITY, BIN = 1.0, 0.25  # px, as in kernels/layered/layered.cl
 MOST_LAYERS = 8
 
 
@@ -27,8 +26,8 @@ class LayerBounds:
 
 def bins_of(largest: float) -> tuple[float, int]:
     """Lower end in px of the first bin, and the number of bins, for radii in [-largest, largest] px."""
-    half = ceil(largest / BIN) + 1
-    return -half * BIN, 2 * half
+    half = ceil(largest / LAYER_BIN) + 1
+    return -half * LAYER_BIN, 2 * half
 
 
 def layer_bounds(latest: NDArray[np.int32]) -> list[int]:

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.constants import (
+    DETAILED_LEAST,
     MAP_CONE,
     MAP_CUBE,
     MAP_CYLINDER,
@@ -47,8 +48,6 @@ KINDS: dict[Mapped | None, int] = {
     "cube": MAP_CUBE,
 }
 WRAPS = {"repeat": WRAP_REPEAT, "mirror": WRAP_MIRROR, "clamp": WRAP_CLAMP, "none": WRAP_NONE}
-# |R| in px between which fine textures may need sub-pixel sources; the last of the finest ones.
-DETAILED_LEAST, DETAILED_MOST, FINE_MOST = 0.01, 4.5, 9.0
 Matrix = NDArray[np.float64]
 
 

@@ -12,7 +12,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clsco.constants import GROUP_COLUMNS, GROUP_ROWS, TAP_LANES
-from clsco.frame.strips import BAND, Grid
+from clsco.frame.strips import Grid
 from clsco.opencl.buffers import empty, mapped, upload, upload_cached
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Program, Session
@@ -85,7 +85,6 @@ def blur_features(spec: BlurSpec, channels: int, fp64: bool, maps: Maps) -> dict
             "SCATTER": int(method == "scatter"),
             "RENORMALIZE": int(spec.border == "renormalize" and method != "none"),
             "PREPARE": MAPS.index(maps) if method in MANY_RADII else 0,
-            "BAND": BAND,
         }
     )
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 
-from clsco.constants import COLUMN_STEP, ROW_TILE, WIDE_LANES
-from clsco.frame.strips import BAND, Grid
+from clsco.constants import BAND, COLUMN_STEP, ROW_TILE, WIDE_LANES
+from clsco.frame.strips import Grid
 from clsco.opencl import pace
 from clsco.opencl.buffers import download_into, empty, filled_with, upload_cached
 from clsco.opencl.program import kernel, launch_whole

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.constants import MAP_PROJECTED
-from clsco.frame.strips import Strip, grid_struct
+from clsco.frame.strips import Strip
 from clsco.inputs.mipmaps import level_sizes
 from clsco.optics.lens import Lens, ray_step
 from clsco.optics.light import PlacedLight
@@ -24,6 +24,33 @@ from clsco.records import Real, Struct, filled, structs
 from clsco.scene.model import Camera, Object
 
 EVERYWHERE = ((-np.inf, np.inf),) * 3  # bounds of an object that has none, beside one that has
+
+
+def grid_struct(
+    rows: int, columns: int, guard: int, real: Real, strip: Strip | None = None, step: float = 0.0
+) -> Struct:
+    """grid_t of a frame with an apron.
+
+    Parameters
+    ----------
+    rows, columns : int
+        Size of the frame, px.
+    guard : int
+        Width of the apron, px.
+    real : {"double", "float"}
+    strip : Strip, optional
+        Rows of the frame that are worked on; all by default.
+    step : float
+        Slope between the rays of neighboring pixels, where rays are cast.
+
+    Returns
+    -------
+    numpy.void
+    """
+    part = strip or Strip(0, rows, guard, guard)
+    values = {"rows": part.rows, "columns": columns, "frame_rows": rows, "top": part.top, "guard": guard, "step": step}
+    values |= {"above": part.above, "width": columns + 2 * guard, "height": part.height}
+    return filled("grid_t", real, values)
 
 
 def camera_grid(camera: Camera, guard: int, real: Real, strip: Strip | None = None) -> Struct:

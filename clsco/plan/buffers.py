@@ -11,6 +11,7 @@ from typing import Literal, Protocol
 import numpy as np
 
 from clsco.constants import (
+    BAND,
     CONVOLVED_COLUMNS,
     COUNTER_DONE,
     DISCONTINUITY_CLASSES,
@@ -26,7 +27,7 @@ from clsco.constants import (
     TAP_LANES,
     WIDE_LANES,
 )
-from clsco.frame.strips import BAND, Grid
+from clsco.frame.strips import Grid
 from clsco.inputs.mipmaps import mipmap_floats
 from clsco.inputs.textures import mapped_size
 from clsco.optics.depth_layers import bins_of, levels_of, most_deep

@@ -8,8 +8,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from math import ceil
 
+from clsco.constants import BAND
 from clsco.errors import SceneError
-from clsco.frame.strips import BAND, Grid, Strip, cut
+from clsco.frame.strips import Grid, Strip, cut
 from clsco.optics.depth_layers import margin_of_layers
 from clsco.optics.psf_grid import table_reach
 from clsco.plan.buffers import (

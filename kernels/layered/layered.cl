@@ -24,9 +24,6 @@
 
 #pragma OPENCL FP_CONTRACT ON  // as where radiance is summed in the blur
 
-#define DISCONTINUITY ((real)1)  // px, as in the twin
-#define BIN ((real)0.25)         // px
-#define NO_SEED (1 << 14)  // farther than any blur reaches
 #define NEVER (1 << 24)    // beyond the last pixel of any frame
 #define RADIUS (CHANNELS - 1)  // plane of the pyramid
 #define KNOWN CHANNELS
@@ -39,7 +36,7 @@ __constant float TENT[4] = {0.125f, 0.375f, 0.375f, 0.125f};
 
 static int bin_of(real coc, real low, int bins)
 {
-    const real at = FLOOR((coc - low) / BIN);
+    const real at = FLOOR((coc - low) / LAYER_BIN);
     return at < 0 ? 0 : at < bins ? (int)at : bins - 1;
 }
 

@@ -46,5 +46,5 @@ def test_no_feature_has_the_name_of_one() -> None:
     assert definitions().keys() & {name for features in PROGRAMS.values() for name in features} == set()
 
 
-def test_all_are_whole() -> None:
-    assert {type(value) for value in definitions().values()} == {int}
+def test_all_are_numbers() -> None:
+    assert {type(value) for value in definitions().values()} == {int, float}

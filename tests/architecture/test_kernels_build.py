@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from clsco.frame.strips import BAND
 from clsco.inpainting.mean_median import FEATURES
 from clsco.inpainting.mean_median import KERNELS as HOLES
 from clsco.opencl.program import (
@@ -58,14 +57,14 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     | {"SUBPIXELS": (0, 4, 2, 3), "TEXTURED": (0, 2, 1), "LIT": (0, 1, 3), "EDGES": (0,)},
     GATHER: dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(BLUR, ON_OR_OFF)
-    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BAND": (1, BAND), "BY_COLUMNS": (0, 0, 1)}
+    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BY_COLUMNS": (0, 0, 1)}
     | {"GATHER": (1,)}
     | ROOMS
     | {"PREPARE": (0, 1, 2)}
     | GENERAL,
     SCATTER: dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(BLUR, ON_OR_OFF)
-    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BAND": (BAND,)}
+    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3)}
     | dict.fromkeys(("GATHER", "BY_ROWS", "BY_COLUMNS"), (0,))
     | ROOMS
     | {"PREPARE": (0, 1, 2)}

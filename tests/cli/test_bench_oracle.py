@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from clsco.cli.bench import oracle
 from clsco.cli.bench.doubledouble import Wide, rounded, wide
 from clsco.cli.bench.hardgeometry import textbook
-from clsco.cli.bench.rays import BAND, FAMILIES, Target, Window, certain, closer, random_target, single_depth, ulps
+from clsco.cli.bench.rays import DOUBTFUL, FAMILIES, Target, Window, certain, closer, random_target, single_depth, ulps
 from clsco.scene.model import ObjectMotion, Sphere
 
 U = Fraction(1, 2**53)
@@ -72,7 +72,7 @@ def test_depths_are_those_of_mpmath(family: str) -> None:
             of = oracle.surface(target.item, target.motion)
             x, y = target.window.slopes()
             found = oracle.solve(of, x, y)
-            sure = certain(target, of, found, BAND)
+            sure = certain(target, of, found, DOUBTFUL)
             for i, j in rng.integers(64, size=(25, 2)).tolist():
                 if not sure[i, j]:
                     continue
@@ -99,7 +99,7 @@ def test_the_textbook_form_is_found() -> None:
     of = oracle.surface(target.item, target.motion)
     x, y = target.window.slopes()
     exact = oracle.solve(of, x, y)
-    sure: NDArray[np.bool_] = certain(target, of, exact, BAND)
+    sure: NDArray[np.bool_] = certain(target, of, exact, DOUBTFUL)
     hit, z = textbook(target.item, x.high.astype(np.float32), y.high.astype(np.float32))
     assert sure.mean() > 0.99
     assert 0.4 < exact.hit.mean() < 0.7

@@ -9,7 +9,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from clsco.frame.strips import Grid, grid_struct
+from clsco.frame.strips import Grid
 from clsco.inputs.pupils import load_point_spread
 from clsco.opencl.buffers import download, empty, upload
 from clsco.opencl.program import build
@@ -19,7 +19,7 @@ from clsco.optics.psf_tables import PsfTable, psf_table
 from clsco.passes import blur as spread
 from clsco.passes.blur import FILES_OF, PIXELS, BlurredPlane, TableBlur
 from clsco.passes.frame_blur import make_blur
-from clsco.passes.pack import psf_struct
+from clsco.passes.pack import grid_struct, psf_struct
 from clsco.plan.buffers import margin
 from clsco.plan.methods import Blur
 from clsco.records import Struct, flat, structs

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from clsco.constants import ITEMS_BYTES, ROW_TILE, WIDE_LANES
-from clsco.frame import strips
+from clsco.constants import BAND, ITEMS_BYTES, ROW_TILE, WIDE_LANES
 from clsco.opencl.buffers import download, empty, upload
 from clsco.opencl.program import build, launch
 from clsco.opencl.session import Session
@@ -65,7 +64,7 @@ def test_every_psf(session: Session, psf: Psf, tilt: bool, method: Blur) -> None
 )
 def test_wide_discs(session: Session, psf: Psf, channels: int) -> None:
     """Radii of one interval side by side, and none such; steep tilts, of which weights end at 0; several bands."""
-    shape = (3 * strips.BAND // 2, 61)
+    shape = (3 * BAND // 2, 61)
     largest = 44.0 if psf.edge == "sampled" else 26.0
     given = light(psf, shape=shape, guard=3, largest=largest, steepest=0.2, channels=channels, samples=2)
     assert features(psf, channels, 2, largest)["BY_ROWS" if psf.edge == "sampled" else "BY_COLUMNS"]
@@ -95,13 +94,13 @@ def test_rows_of_any_length(session: Session) -> None:
 @pytest.mark.parametrize("tilt", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_more_rows_of_wide_gaussians_than_are_kept_at_a_time(session: Session, tilt: bool) -> None:
     """Rows that reach a band are more than the items of ITEMS_BYTES, so that they come in several parts."""
-    psf, shape, guard = SMOOTH.model_copy(update={"tilt": tilt}), (strips.BAND + 30, 20), 3
+    psf, shape, guard = SMOOTH.model_copy(update={"tilt": tilt}), (BAND + 30, 20), 3
     given = light(psf, shape=shape, guard=guard, largest=60.0, steepest=0.01)
     rows, columns = np.indices(given.sources.lit.shape)
     radius = np.where(given.sources.lit, 55.0 + 0.05 * rows - 0.1 * columns, 0.0)
     given = replace(given, sources=replace(given.sources, radius=radius))
     item = 4 * WIDE_LANES * point_spread(psf).reach(55.0)
-    assert item * min(strips.BAND + point_spread(psf).reach(55.0), shape[0] + 2 * guard) > ITEMS_BYTES
+    assert item * min(BAND + point_spread(psf).reach(55.0), shape[0] + 2 * guard) > ITEMS_BYTES
     assert_close(blurred(session, given, "gather"), blurred(session, given, "scatter"), ROUNDING)
 
 
@@ -114,7 +113,7 @@ def test_more_rows_of_wide_gaussians_than_are_kept_at_a_time(session: Session, t
 )
 def test_rows_of_several_tiles(session: Session, psf: Psf, tilt: bool, channels: int) -> None:
     """Level, steep, jumping, thin and single places in several tiles and bands; much brighter ones among them."""
-    psf, shape = psf.model_copy(update={"tilt": tilt}), (strips.BAND + 7, 2 * ROW_TILE + 45)
+    psf, shape = psf.model_copy(update={"tilt": tilt}), (BAND + 7, 2 * ROW_TILE + 45)
     given = light(psf, shape=shape, guard=5, largest=21.0, steepest=0.05, channels=channels)
     rows, columns = np.indices(given.sources.lit.shape)
     radius = 0.02 * columns + 0.05 * rows + np.where(columns > 300, 5.0, 0.0)
@@ -154,7 +153,7 @@ def test_subpixel_sources_of_a_sampled_psf_and_without_tilt(session: Session) ->
 def test_gather_is_scatter(session: Session, channels: int, samples: int) -> None:
     """The same weights from the same tables, in another order and in fixed point: only float32 rounding is left."""
     given = light(Psf(), shape=(150, 70), largest=7.0, channels=channels, samples=samples)
-    assert given.shape[0] > 2 * strips.BAND
+    assert given.shape[0] > 2 * BAND
     assert_close(blurred(session, given, "gather"), blurred(session, given, "scatter"), ROUNDING)
 
 

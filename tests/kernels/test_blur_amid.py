@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clsco.frame.strips import BAND
+from clsco.constants import BAND
 from clsco.opencl.buffers import download
 from clsco.opencl.program import build
 from clsco.opencl.session import Session
@@ -119,26 +119,34 @@ def test_subpixel_sources_in_focus(session: Session) -> None:
 
 
 def gathered(
-    session: Session, given: Light, group: int, start: int, kept: dict[str, int], scratch: dict[str, Any], part: Amid
+    session: Session,
+    given: Light,
+    part_rows: int,
+    start: int,
+    kept: dict[str, int],
+    scratch: dict[str, Any],
+    part: Amid,
 ) -> Array:
     """The frame (channels, rows, columns) after two work-items, from band `start` on; kept: features for `scratch`."""
     pad, pitch = margin(given.shape[1], given.guard, given.table().reach)
     total = Amid(session, np.zeros((given.channels, given.shape[0], pitch), np.float32), LEFT_ALONE)
     sources = on_device(session, given, 1.0)
     planes = {"source": sources.source, "value": sources.value, "total": total, "part": part}
-    gather(session, given, 2, kept, group=group, start=start, position=np.zeros(2, np.int32), **planes, **scratch)
+    gather(
+        session, given, 2, kept, part_rows=part_rows, start=start, position=np.zeros(2, np.int32), **planes, **scratch
+    )
     return total.now()[..., pad : pad + given.shape[1]]
 
 
-@pytest.mark.parametrize(("group", "start"), [(1, 1), (3, 1), (3, 2)])
-def test_gather_source_by_source(session: Session, group: int, start: int) -> None:
+@pytest.mark.parametrize(("part_rows", "start"), [(1, 1), (3, 1), (3, 2)])
+def test_gather_source_by_source(session: Session, part_rows: int, start: int) -> None:
     """Sums of few rows of sources, each with light up to the top of its reach, in bands from the second on."""
     psf = Psf(edge="sampled", tilt=False)
     given = light(psf, shape=(3 * BAND, 17), guard=5, largest=4.0, channels=2)
     given = given.constant(4.0)
     _, pitch = margin(17, 5, psf_table(point_spread(psf), 4.0, 4.0).reach)
     part = Amid(session, np.zeros((2, 2 * BAND, pitch), np.float32), 1.0)
-    found = gathered(session, given, group, start, {"BY_ROWS": 0}, {}, part)
+    found = gathered(session, given, part_rows, start, {"BY_ROWS": 0}, {}, part)
     expected = np.moveaxis(given.expected(), -1, 0)
     assert_close(found[:, start * BAND :], expected[:, start * BAND :], ROUNDING)
     assert not found[:, : start * BAND].any()

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 import clsco
 from clsco import reference
 from clsco.cli.check import compare
-from clsco.constants import ROW_TILE
-from clsco.frame.strips import BAND
+from clsco.constants import BAND, ROW_TILE
 from clsco.opencl.session import Session
 from clsco.optics.point_spread import point_spread
 from clsco.plan.buffers import band_scratch, column_bytes, margin, row_bytes
@@ -47,8 +46,8 @@ def test_small_discs_in_several_tiles(session: Session) -> None:
     np.testing.assert_allclose(found[~dim], expected[~dim], rtol=2e-6)
 
 
-def gathered(session: Session, given: Light, group: int = 0, part: Amid | None = None) -> Array:
-    """The frame (rows, columns, channels) after one work-item, of the first band; group, part: of blur.cl.
+def gathered(session: Session, given: Light, part_rows: int = 0, part: Amid | None = None) -> Array:
+    """The frame (rows, columns, channels) after one work-item, of the first band; part_rows, part: of gather.cl.
 
     The grid's sources stand amid wide and bright ones. Nothing is written beyond the frame and the memory that the host
     gives to a work-item.
@@ -72,7 +71,7 @@ def gathered(session: Session, given: Light, group: int = 0, part: Amid | None =
     begin = memory.buffer.offset + own[0].nbytes
     scratch = memory.all.get_sub_region(begin, own[0].nbytes)
     gather(
-        session, given, 1, {}, source=planes, value=value, total=total, group=group, part=part or total,
+        session, given, 1, {}, source=planes, value=value, total=total, part_rows=part_rows, part=part or total,
         scratch=scratch, scratch_size=own[0].nbytes // 8,
     )  # fmt: skip
     assert memory.now().view(np.uint32).any(axis=1).tolist() == [False, True, False]

@@ -7,13 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clsco.frame.strips import BAND, Grid, grid_struct
+from clsco.constants import BAND
+from clsco.frame.strips import Grid
 from clsco.opencl.program import build
 from clsco.opencl.session import Session
 from clsco.optics.point_spread import point_spread
 from clsco.optics.psf_tables import psf_table
 from clsco.passes.blur import FILES_OF, Target
 from clsco.passes.frame_blur import make_blur
+from clsco.passes.pack import grid_struct
 from clsco.plan.methods import BlurSpec
 from clsco.records import structs
 from clsco.scene.model import Psf

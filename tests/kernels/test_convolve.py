@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from clsco.constants import TAP_LANES
-from clsco.frame.strips import Grid, grid_struct
+from clsco.frame.strips import Grid
 from clsco.opencl.buffers import download, empty
 from clsco.opencl.program import launch
 from clsco.opencl.session import Session
@@ -21,6 +21,7 @@ from clsco.passes import convolve as convolution
 from clsco.passes.blur import Sources, Target
 from clsco.passes.convolve import Convolve
 from clsco.passes.frame_blur import make_blur
+from clsco.passes.pack import grid_struct
 from clsco.plan.buffers import SUMS_BEYOND
 from clsco.plan.methods import BlurSpec
 from clsco.records import flat

@@ -9,7 +9,8 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
-from clsco.frame.strips import Grid, grid_struct
+from clsco.constants import NO_SEED
+from clsco.frame.strips import Grid
 from clsco.opencl.buffers import download, empty, upload
 from clsco.opencl.session import Session
 from clsco.optics import depth_layers
@@ -18,6 +19,7 @@ from clsco.passes.blur import Events, blur_target
 from clsco.passes.blur import Sources as Light
 from clsco.passes.frame_blur import make_blur
 from clsco.passes.layered import DepthLayers
+from clsco.passes.pack import grid_struct
 from clsco.plan.methods import Blur
 from clsco.records import REAL, Real, flat
 from clsco.reference.blur.blur import prepare_sources, scatter
@@ -173,7 +175,7 @@ def test_seeds_of_frames_taller_than_any_blur(session: Session) -> None:
     seed = twin.seed_hidden(view.coc, layer)
     offset = twin.column_seeds(seed)
     assert count == 3
-    assert (offset == twin.NO_SEED).any(axis=0).all()
+    assert (offset == NO_SEED).any(axis=0).all()
     assert np.abs(offset[:, 1]).max() > 10000
     np.testing.assert_array_equal(device.read("seed", np.uint8), seed)
     np.testing.assert_array_equal(device.read("offset", np.int32), offset)
@@ -206,11 +208,7 @@ def test_the_last_layer_is_extended_as_by_the_twin(session: Session) -> None:
 
 def test_bounds_of_the_host_are_those_of_the_twin() -> None:
     rng = RNG(12)
-    assert (depth_layers.MOST_LAYERS, depth_layers.DISCONTINUITY, depth_layers.BIN) == (
-        twin.MOST_LAYERS,
-        twin.DISCONTINUITY,
-        twin.BIN,
-    )
+    assert depth_layers.MOST_LAYERS == twin.MOST_LAYERS
     low, bins = twin.bins_of(30.0)
     assert depth_layers.bins_of(30.0) == (low, bins)
     counts = set()

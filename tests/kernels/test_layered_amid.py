@@ -13,10 +13,10 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
-from clsco.frame.strips import grid_struct
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Session
 from clsco.passes.blur import PLAIN
+from clsco.passes.pack import grid_struct
 from clsco.records import flat, structs
 from clsco.reference.layered import layered as twin
 from tests.kernels.launches import Amid

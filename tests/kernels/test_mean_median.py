@@ -13,7 +13,6 @@ import pytest
 from numpy.typing import NDArray
 
 from clsco.constants import CODE_LANES, FILL_LANES, SCORE_SUMS
-from clsco.frame.strips import grid_struct
 from clsco.inpainting import mean_median
 from clsco.inpainting.mean_median import (
     FEATURES,
@@ -34,6 +33,7 @@ from clsco.opencl import program as program_module
 from clsco.opencl.buffers import copied, download, empty, upload
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Program, Session
+from clsco.passes.pack import grid_struct
 from clsco.records import structs
 from clsco.reference.inpainting import mean_median as twin
 from clsco.reference.inpainting.fill_mean_median import smooth_median

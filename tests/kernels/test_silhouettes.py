@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from clsco.frame.frame import TRUTH_NAMES
-from clsco.frame.strips import grid_struct
 from clsco.opencl.buffers import copied, download, empty
 from clsco.opencl.program import build
 from clsco.opencl.session import Program, Session
+from clsco.passes.pack import grid_struct
 from clsco.passes.trace import EMPTY_STATISTICS
 from clsco.records import structs
 from clsco.reference.trace import trace as twin

@@ -12,10 +12,11 @@ import pyopencl as cl
 import pytest
 
 import clsco
+from clsco.constants import BAND
 from clsco.engine.sequence import render_sweep
 from clsco.errors import SceneError
 from clsco.frame.frame import ALL_TRUTH, Frame
-from clsco.frame.strips import BAND, cut
+from clsco.frame.strips import cut
 from clsco.opencl.device import choose
 from clsco.opencl.session import session_for
 from clsco.plan.memory import buffer_bytes, device_bytes

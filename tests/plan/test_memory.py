@@ -14,9 +14,9 @@ from click.testing import CliRunner, Result
 
 import clsco
 from clsco.cli.main import main
-from clsco.constants import TAP_LANES
+from clsco.constants import BAND, TAP_LANES
 from clsco.errors import SceneError
-from clsco.frame.strips import BAND, Strip
+from clsco.frame.strips import Strip
 from clsco.plan import memory
 from clsco.plan.buffers import ThisMachine, margin
 from clsco.plan.memory import Limit, free_bytes, limit_of, parse_size, rows_that_fit

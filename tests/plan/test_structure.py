@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from clsco.constants import BAND
 from clsco.frame.frame import TRUTH_NAMES
-from clsco.frame.strips import BAND
 from clsco.optics.lens import Lens
 from clsco.optics.point_spread import point_spread
 from clsco.plan.buffers import ThisMachine

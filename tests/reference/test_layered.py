@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from clsco.constants import DISCONTINUITY, LAYER_BIN, NO_SEED
 from clsco.reference.blur.blur import prepare_sources, scatter
 from clsco.reference.layered.layered import (
-    BIN,
-    DISCONTINUITY,
     MOST_LAYERS,
-    NO_SEED,
     bins_of,
     column_seeds,
     composite,
@@ -66,7 +64,7 @@ def test_jumps_lie_between_neighbors_of_a_line() -> None:
 
     assert found([0.0, 0.0, DISCONTINUITY, DISCONTINUITY]).size == 0  # as much as allowed
     ((kind, far_bin),) = found([0.1, 0.1, 1.2, 1.2])
-    assert (kind, far_bin) == (0, (1.2 - low) // BIN)
+    assert (kind, far_bin) == (0, (1.2 - low) // LAYER_BIN)
     assert found([3.0, 3.0, -3.0, -3.0])[0, 0] == 2  # beyond 4 DISCONTINUITY
     assert len(found([-6.0, 0.0, 7.0, 7.0])) == 2
     gap = np.array([[True, False, True, False]])
@@ -82,8 +80,8 @@ def test_jumps_of_a_class_are_remembered_by_the_latest_near_side() -> None:
     coc = np.array([[0.0, 3.0], [0.9, 3.0]])
     latest, _ = find_discontinuities(coc, np.ones((2, 2), dtype=bool), low, bins, 9)
     ((_, far_bin),) = np.argwhere(latest)
-    assert latest.max() - 1 == (0.9 - low) // BIN
-    assert far_bin == (3.0 - low) // BIN
+    assert latest.max() - 1 == (0.9 - low) // LAYER_BIN
+    assert far_bin == (3.0 - low) // LAYER_BIN
 
 
 def test_bounds_split_every_jump_and_are_few() -> None:

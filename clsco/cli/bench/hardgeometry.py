@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from clsco.cli.bench import oracle
 from clsco.cli.bench.doubledouble import Wide, rounded, wide
 from clsco.cli.bench.rays import (
-    BAND,
+    DOUBTFUL,
     FEATURES,
     REALS,
     Caster,
@@ -90,11 +90,11 @@ class Rays:
         self.casters = {SINGLE_OR_DOUBLE[real]: Caster(session, real) for real in self.reals}
 
     def measure(self, target: Target) -> Measured:
-        """Errors of depth in ULP of float32 outside of BAND, and how many rays there are of another class."""
+        """Errors of depth in ULP of float32 outside of DOUBTFUL, and how many rays there are of another class."""
         of = oracle.surface(target.item, target.motion)
         x, y = target.window.slopes()
         exact = oracle.solve(of, x, y)
-        sure = certain(target, of, exact, BAND)
+        sure = certain(target, of, exact, DOUBTFUL)
         forms = {"naive": textbook(target.item, x.high.astype(np.float32), y.high.astype(np.float32))}
         for form, cast in self.casters.items():
             hit, w = cast(target)

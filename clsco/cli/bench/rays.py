@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from clsco.cli.bench import oracle
 from clsco.cli.bench.doubledouble import Wide, wide
-from clsco.frame.strips import grid_struct
 from clsco.opencl.buffers import download, empty, upload
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Session
@@ -23,14 +22,14 @@ from clsco.optics.psf_tables import psf_features
 from clsco.optics.quadrics import PlacedSurface, place
 from clsco.optics.visibility import OcclusionGroup
 from clsco.passes.blur import PIXELS
-from clsco.passes.pack import group_struct, lens_struct, surface_structs
+from clsco.passes.pack import grid_struct, group_struct, lens_struct, surface_structs
 from clsco.records import REAL, Real, Struct, structs
 from clsco.scene.model import Camera, Cone, Cylinder, Ellipsoid, Object, ObjectMotion, Plane, Psf, Quadric, Sphere
 from clsco.scene.quantities import Vector
 
 Array = NDArray[np.float64]
 SIDE = 64  # rays a side of a window
-BAND = 2.0**-20  # of the terms of discriminant and leading coefficient, within which hit or miss may differ
+DOUBTFUL = 2.0**-20  # of the terms of discriminant and leading coefficient, within which hit or miss may differ
 FARTHEST_RATIO = 1e6  # of distance and size
 REALS: tuple[Real, Real] = ("double", "float")
 ROUNDING = 2.0**-24  # of an operation in single precision

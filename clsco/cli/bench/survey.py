@@ -11,7 +11,7 @@ import numpy as np
 from clsco.cli.bench import oracle
 from clsco.cli.bench.doubledouble import Wide
 from clsco.cli.bench.rays import (
-    BAND,
+    DOUBTFUL,
     FAMILIES,
     MOST_ZOOMS,
     REALS,
@@ -86,7 +86,7 @@ def _window(
     of = oracle.surface(target.item, target.motion)
     x, y = target.window.slopes()
     exact = oracle.solve(of, x, y)
-    sure = certain(target, of, exact, BAND)
+    sure = certain(target, of, exact, DOUBTFUL)
     bits = min(_bits(of, x, y, exact.w, at) for at in rng.integers(SIDE, size=(CHECKED_RAYS, 2)).tolist())
     counted = []
     for row, cast in zip(rows, casters, strict=True):

@@ -13,7 +13,7 @@ from math import ceil, log2
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.constants import DISCONTINUITY_CLASSES
+from clsco.constants import DISCONTINUITY, DISCONTINUITY_CLASSES, LAYER_BIN, NO_SEED
 from clsco.optics.point_spread import PointSpread
 from clsco.plan.methods import BlurSpec
 from clsco.reference.blur.blur import prepare_sources, scatter
@@ -24,10 +24,7 @@ Mask = NDArray[np.bool_]
 Labels = NDArray[np.uint8]
 Integers = NDArray[np.int64]
 
-DISCONTINUITY = 1.0  # px: over the lens two points shift by |R1 - R2| against each other; less hides no pixel
-BIN = 0.25  # px: depth layers end at multiples of it
 MOST_LAYERS = 8
-NO_SEED = 1 << 14  # px: farther than any blur reaches
 NEVER = 1 << 24  # beyond the last pixel of any frame
 TENT = (0.125, 0.375, 0.375, 0.125)  # of a coarse pixel, over 4 fine ones per axis
 GROWTH = 4.0  # a coarse pixel is known whole once a quarter of its tent is
@@ -35,13 +32,13 @@ GROWTH = 4.0  # a coarse pixel is known whole once a quarter of its tent is
 
 def _bin(coc: Array, low: float, bins: int) -> Integers:
     """Number of the bin of a radius."""
-    return np.clip(np.floor((coc - low) / BIN), 0, bins - 1).astype(np.int64)
+    return np.clip(np.floor((coc - low) / LAYER_BIN), 0, bins - 1).astype(np.int64)
 
 
 def bins_of(largest: float) -> tuple[float, int]:
     """Lower end in px of the first bin, and the number of bins, for radii in [-largest, largest] px."""
-    half = int(np.ceil(largest / BIN)) + 1
-    return -half * BIN, 2 * half
+    half = int(np.ceil(largest / LAYER_BIN)) + 1
+    return -half * LAYER_BIN, 2 * half
 
 
 def find_discontinuities(coc: Array, valid: Mask, low: float, bins: int, far: int) -> tuple[Integers, int]:

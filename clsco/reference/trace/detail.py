@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from clsco.constants import MAP_TRIPLANAR
+from clsco.constants import MAP_TRIPLANAR, NEAR_FOCUS
 from clsco.optics.quadrics import PlacedSurface
 from clsco.reference.common.geometry import Array
-from clsco.reference.trace.footprint import NEAR_FOCUS, footprint_of, mean_texture, sharpening
+from clsco.reference.trace.footprint import footprint_of, mean_texture, sharpening
 from clsco.reference.trace.mapping import (
     Mapped,
     MappedTexture,
@@ -51,7 +51,7 @@ def detailed_texture(
         footprint = footprint_of(texture, changes, bent)
         exchange = []
         for nodes in (1, 3):  # along x, and along y
-            middle = (size[here] >= NEAR_FOCUS) & (footprint.kinds[:, nodes] <= 2)
+            middle = (size[here] >= np.float32(NEAR_FOCUS)) & (footprint.kinds[:, nodes] <= 2)
             footprint.kinds[middle, nodes] = 1
             exchange.append((exchanged[here] - np.where(middle, MIDDLE_ALONE, 0.0))[:, None, None, None])
         places = np.arange(parts + 2) - 0.5 * (parts + 1)

@@ -10,9 +10,28 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.constants import CUBE_BORDER, MAP_CUBE, MAP_TRIPLANAR, WRAP_CLAMP, WRAP_MIRROR, WRAP_REPEAT
+from clsco.constants import (
+    APART,
+    CELL_TEXELS,
+    CUBE_BORDER,
+    DETAILED_LEAST,
+    DETAILED_MOST,
+    DETAILED_TEXELS,
+    FINE_MOST,
+    FINE_TEXELS,
+    FOOTPRINT_CELLS,
+    LEAST_TEXELS,
+    MAP_CUBE,
+    MAP_TRIPLANAR,
+    MOST_BENT_TEXELS,
+    MOST_TEXELS,
+    NEAR_FOCUS,
+    WRAP_CLAMP,
+    WRAP_MIRROR,
+    WRAP_REPEAT,
+)
 from clsco.optics.quadrics import PlacedSurface
-from clsco.optics.texture_mapping import DETAILED_LEAST, DETAILED_MOST, FINE_MOST, TextureMap
+from clsco.optics.texture_mapping import TextureMap
 from clsco.reference.common.geometry import Array, Filter, mirror_index
 from clsco.reference.trace.mapping import (
     Indices,
@@ -29,11 +48,6 @@ from clsco.reference.trace.mapping import (
     wrapped_position,
 )
 from clsco.scene.model import Camera
-
-MOST_CELLS, CELL_TEXELS, LEAST_TEXELS = 8, 3, 2
-MOST_TEXELS, MOST_BENT_TEXELS = MOST_CELLS * CELL_TEXELS, 64
-DETAILED_TEXELS, FINE_TEXELS, NEAR_FOCUS = np.float32(0.54), np.float32(1.17), np.float32(0.3)
-APART = 1.17
 
 
 def wrapped_index(i: Indices, count: int, wrap: int) -> Indices:
@@ -92,7 +106,7 @@ def nodes_of(square: Array) -> tuple[Indices, Indices]:
     square = square / APART
     nodes = 1 + (square > 1.0 / 64.0).astype(np.intp) + (square > 1.0) + (square > 4.0)
     cells = np.ones(square.shape, np.intp)
-    for count in range(1, MOST_CELLS):
+    for count in range(1, FOOTPRINT_CELLS):
         cells += square > CELL_TEXELS**2 * count**2
     return nodes, cells
 
@@ -189,10 +203,10 @@ def parts_of(texture: MappedTexture, texels: Array, radius: Array, samples: int)
     enough; samples: sub-pixel sources per axis."""
     r = (texture.spread * np.abs(radius)).astype(np.float32)
     texels = texels.astype(np.float32)
-    finer = texels > FINE_TEXELS**2
+    finer = texels > np.float32(FINE_TEXELS) ** 2
     most = np.where(finer, np.float32(FINE_MOST), np.float32(DETAILED_MOST))
-    detailed = (texels > DETAILED_TEXELS**2) & (r > np.float32(DETAILED_LEAST)) & (r < most)
-    fine = finer | (r < NEAR_FOCUS)
+    detailed = (texels > np.float32(DETAILED_TEXELS) ** 2) & (r > np.float32(DETAILED_LEAST)) & (r < most)
+    fine = finer | (r < np.float32(NEAR_FOCUS))
     many = 4 if samples % 4 == 0 else 3 if samples % 3 == 0 else samples
     return np.where(detailed, np.where(fine, many, 2 if samples % 2 == 0 else many), 0)
 
