@@ -177,8 +177,8 @@ def _renderer(session: Session, scene: Scene, psf: Psf) -> Call:
     renderer = Renderer(session, prepared.plan, prepared, limit_of(None, session.device))
 
     def frame(_: int) -> Array:
-        expose([renderer], 0)
-        return renderer.finish(0).color
+        (film,) = expose([renderer], 0)
+        return renderer.finish(film).color
 
     frame(0)
     return frame

@@ -111,11 +111,11 @@ def noted() -> list[Any]:
     latest: list[Any] = []
     finish = Renderer.finish
 
-    def noting(self: Any, index: int) -> Any:
+    def noting(self: Any, *frame: Any) -> Any:
         latest[:] = [self]
-        return finish(self, index)
+        return finish(self, *frame)
 
-    Renderer.finish = noting  # type: ignore[method-assign]
+    Renderer.finish = noting  # type: ignore[assignment, method-assign]
     return latest
 
 

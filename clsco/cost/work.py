@@ -21,7 +21,7 @@ from clsco.optics.lens import Lens
 from clsco.optics.psf_grid import row_lanes
 from clsco.optics.quadrics import cutting_bounds
 from clsco.optics.texture_mapping import texture_map, texture_spread
-from clsco.optics.visibility import OcclusionGroup
+from clsco.optics.visibility import NO_GROUP, OcclusionGroup
 from clsco.plan.passes import Pass
 from clsco.plan.plan import Plan
 from clsco.plan.predict import Maps
@@ -111,7 +111,7 @@ def frame_work(plan: Plan, maps: Maps) -> list[tuple[Pass, Work]]:
     """
     lattice = lattice_of(plan)
     of_kind: dict[str, Work] = {}
-    groups: dict[OcclusionGroup | None, dict[str, Work]] = {None: of_kind}
+    groups: dict[OcclusionGroup, dict[str, Work]] = {NO_GROUP: of_kind}
     if any(each.kind == "trace" for each in plan.passes):
         groups |= {group: _of_group(plan, group, lattice) for group in plan.groups}
     else:
@@ -268,7 +268,7 @@ def _of_image(plan: Plan, lattice: Lattice, maps: Maps) -> dict[str, Work]:
     lit, radius = w > 0.0, np.where(w > 0.0, blur_radius(Lens.of(plan.scene.camera), w), 0.0)
     pixels = lattice.total(np.ones(w.shape))
     blur = _of_blur(plan, lattice, radius, lit, np.zeros(w.shape))
-    layers: Work = {"layer pixel": DEPTH_LAYERS * pixels * (plan.channels + 1)}
+    layers: Work = {}
     for name, count in blur.items():
         layers[name] = count * (DEPTH_LAYERS if name == "walked" else (plan.channels + 1) / plan.channels)
     everything = OcclusionGroup((1 << len(plan.scene.objects)) - 1, 0)
@@ -279,6 +279,7 @@ def _of_image(plan: Plan, lattice: Lattice, maps: Maps) -> dict[str, Work]:
         "fill": {"filled": pixels},
         "count missing": {"filled": pixels},
         "sources": {"sent": pixels},
+        "cluster": {"layer pixel": DEPTH_LAYERS * pixels * (plan.channels + 1)},
         "depth layers": layers,
         "blur": blur,
     }

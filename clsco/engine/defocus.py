@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal, TypedDict, Unpack, get_args, overload
 
@@ -13,27 +13,25 @@ from numpy.typing import NDArray
 
 from clsco.constants import TAP_LANES
 from clsco.engine.shrinking import Shrinking
+from clsco.engine.workspace import Workspace, blur_runs, shared_buffers
 from clsco.errors import ImageError, SceneError
 from clsco.files.transfer import decode, encode
-from clsco.frame.strips import Grid, Strip, around
+from clsco.frame.strips import Strip
 from clsco.inputs.pupils import load_point_spread
 from clsco.inputs.soft_edges import assign_soft_edges
 from clsco.opencl.arrays import check_image, on_host, without_mask
-from clsco.opencl.buffers import allocate, lent
 from clsco.opencl.session import DeviceLike, Session
-from clsco.optics.depth_layers import LayerBounds
 from clsco.optics.lens import LARGEST_BLUR
 from clsco.optics.point_spread import PointSpread
-from clsco.passes.blur import Sources, blur_target, prepare_sources
-from clsco.passes.frame_blur import make_blur
-from clsco.passes.layered import DepthLayers
+from clsco.passes.blur import Area, Image, Maps, Sources
 from clsco.passes.pack import grid_struct
+from clsco.passes.static_image import GivenImage
 from clsco.passes.tables import forget_others
-from clsco.plan.buffers import image_buffers
-from clsco.plan.memory import Limit, defocus_bytes, defocus_strips, limit_of, rows_that_fit
+from clsco.plan.image import ImagePlan
+from clsco.plan.memory import Limit, device_bytes, fitted, limit_of
 from clsco.plan.methods import BlurSpec, can_convolve, check_shape, choose_blur
 from clsco.plan.predict import guard_band
-from clsco.records import REAL, Real, Struct, flat
+from clsco.records import REAL, Real
 from clsco.scene.file import ApertureLike, PsfLike, aperture_of, psf_of
 from clsco.scene.model import Psf
 
@@ -261,123 +259,56 @@ def _guard(given: _Given, spec: BlurSpec) -> int:
     return spec.psf.reach(given.largest) + lanes if lanes else 0
 
 
-def _strips(given: _Given, spec: BlurSpec, tallest: int) -> tuple[Strip, ...]:
-    """Strips of up to `tallest` rows."""
-    return defocus_strips(spec, len(given.coc), _guard(given, spec), tallest)
-
-
-def _grid(given: _Given, spec: BlurSpec, strips: Sequence[Strip]) -> Grid:
-    return Grid.of(strips, given.coc.shape[1], _guard(given, spec), given.channels)
-
-
 def _blurred(session: Session, given: _Given, spec: BlurSpec, limit: Limit) -> NDArray[np.float32]:
     """The image, in as few strips as fit the limit."""
     if spec.method == "none":
         return given.image.astype(np.float32)
-    shape, rows = given.image.shape, len(given.coc)
-
-    def sizes(tall: int) -> dict[str, int]:
-        return defocus_bytes(spec, _grid(given, spec, _strips(given, spec, tall)), session.device)
-
-    def in_strips(tall: int) -> NDArray[np.float32]:
-        strips = _strips(given, spec, tall)
-        engine = _Engine(session, given, spec, strips)
-        out = np.empty(shape, np.float32)
-        for strip in strips:
-            rows_of = (strip.inside, ..., 0) if shape[2:] == (1,) else strip.inside
-            engine.defocus(strip, out[rows_of])
-        return out
-
-    memory = Shrinking(
-        session,
-        limit,
-        lambda known: rows_that_fit(rows, known, sizes),
-        lambda tall: sum(sizes(tall).values()),
-    )
-    return memory.run(in_strips)
+    rows, columns = given.coc.shape
+    plan = ImagePlan(spec, session.device, rows, columns, given.channels, _guard(given, spec))
+    memory = Shrinking(session, limit, lambda known: fitted(plan, known), device_bytes)
+    return memory.run(lambda fitting: _in_strips(session, given, fitting))
 
 
-class _Engine:
-    """Owns the buffers and the program for the strips of one image."""
+def _in_strips(session: Session, given: _Given, plan: ImagePlan) -> NDArray[np.float32]:
+    """The image, in the strips of a plan."""
+    spec, shape = plan.spec, given.image.shape if plan.channels > 1 else given.coc.shape
+    real: Real = "double" if session.device.has_fp64 else "float"
+    # Of an image that is blurred as a whole kernels read the caller's arrays, where they write to none.
+    lends = len(plan.strips) == 1 and not plan.guard_px and spec.border == "lose"
+    floats = lends and not spec.layered and np.can_cast(given.coc.dtype, np.float32)
+    buffers = shared_buffers(session, plan, ("value", "coc", "valid") if floats else ("value", "coc") if lends else ())
+    grids = (grid_struct(plan.rows, plan.columns, plan.guard_px, real, strip) for strip in plan.strips)
+    areas = [Area(strip=s, grid=grid, events=[]) for s, grid in zip(plan.strips, grids, strict=True)]
+    maps: Maps = "float" if floats else "wide"
+    blurs, clusters = blur_runs(session, spec, plan.grid, areas[0].grid, buffers, real, maps)
+    image = _Source(session, given, plan, None if floats else real, buffers)
+    space = Workspace(session, {**blurs, "static image": image.run}, buffers, clusters)
+    bounds, out = space.find_layers(plan.passes, areas), np.empty(shape, np.float32)
+    for at in areas:
+        found = space.run(plan.passes, replace(at, bounds=bounds))  # with arrays that are lent until the end
+        found["plane"].read(session, out[at.strip.inside])
+    return out.reshape(given.image.shape)
 
-    def __init__(self, session: Session, given: _Given, spec: BlurSpec, strips: Sequence[Strip]) -> None:
-        self.given, self.guard = given, _guard(given, spec)
-        real: Real = "double" if session.device.has_fp64 else "float"
-        layered = spec.layered  # which has a plane of its own
-        # Of an image that is blurred as a whole kernels read the caller's arrays, where they write to none.
-        self.lends = len(strips) == 1 and not self.guard and spec.border == "lose"
-        self.floats = self.lends and not layered and np.can_cast(given.coc.dtype, np.float32)
-        self.target = blur_target(session, spec, given.channels, real, "float" if self.floats else "wide")
-        grid = _grid(given, spec, strips)
-        self.blur = make_blur(self.target, spec, grid, self._struct(strips[0]))
-        sizes = image_buffers(spec, grid, layered)
-        absent = ("value", "coc", "valid") if self.floats else ("value", "coc") if self.lends else ()
-        buffers = allocate(session, {name: size for name, size in sizes.items() if name not in absent})
-        self.value, self.source = buffers.get("value"), buffers.get("source")
-        self.layers: DepthLayers | None = None
-        if spec.method == "convolve":
-            return
-        self.coc, self.valid = buffers.get("coc"), buffers.get("valid")
-        if self.valid is not None:
-            cl.enqueue_fill_buffer(session.queue, self.valid, np.ones(1, np.uint8), 0, self.valid.size)
-        if layered:
-            self.layers = DepthLayers(self.blur, self.target, grid)
-            self.bounds = self._bounds(self.layers, strips) if len(strips) > 1 else None
 
-    def _struct(self, strip: Strip) -> Struct:
-        rows, columns = self.given.coc.shape
-        return grid_struct(rows, columns, self.guard, self.target.real, strip)
+class _Source(GivenImage):
+    """The image with its radii as real of a precision, or as floats."""
 
-    def _bounds(self, layers: DepthLayers, strips: Sequence[Strip]) -> LayerBounds:
-        """Depth layers of the image, from all strips."""
-        for strip in strips:
-            self.blur.grid = self._struct(strip)
-            self._send_radii(strip)
-            layers.find(*self._maps, [])
-        return layers.labels.found()
+    def __init__(
+        self, session: Session, given: _Given, plan: ImagePlan, real: Real | None, buffers: Mapping[str, cl.Buffer]
+    ) -> None:
+        super().__init__(session, given.image, plan.guard_px, "symmetric" if given.mirrored else "constant")
+        self.given, self.real, self.buffers, self.alike = given, real, buffers, plan.spec.method == "convolve"
+        if "valid" in buffers:
+            cl.enqueue_fill_buffer(session.queue, buffers["valid"], np.ones(1, np.uint8), 0, buffers["valid"].size)
 
-    def defocus(self, strip: Strip, out: NDArray[np.float32]) -> None:
-        """Blur one strip into out, (rows, columns[, channels])."""
-        blur, grid = self.blur, self._struct(strip)
-        blur.grid = grid
-        self._send(strip)
-        blur.clear()
-        assert self.value is not None
-        if self.layers is not None:
-            self.layers.add((self.value, *self._maps), [], self.bounds)
-        else:
-            if self.source is not None:
-                assert self.coc is not None
-                maps = (self.coc,) if self.valid is None else (self.coc, self.valid)
-                prepare_sources(self.target, grid, blur.struct, maps, self.source, [])
-            blur.add(Sources(self.source, self.value, radius=self.given.largest), [])
-        blur.plane([]).read(self.target.session, out)
+    def radii(self, strip: Strip) -> dict[str, NDArray[Any]]:
+        if self.alike:
+            return {}
+        kind = np.float32 if self.real is None else np.float64
+        radii = self._around(self.given.coc, strip).astype(kind, "C", copy=False)
+        return {"coc": radii if self.real is None else radii.astype(REAL[self.real], copy=False)}
 
-    def _send(self, strip: Strip) -> None:
-        """Send what of image and radii lights a strip to the device."""
-        planes = flat(self._around(self.given.image, strip), np.float32)
-        self.value = self._sent(self.value, planes)
-        if self.source is not None or self.layers is not None:
-            self._send_radii(strip)
-
-    def _send_radii(self, strip: Strip) -> None:
-        """The radii around a strip to the device."""
-        radii = self._around(self.given.coc, strip).astype(np.float32 if self.floats else np.float64, "C", copy=False)
-        self.coc = self._sent(self.coc, radii if self.floats else radii.astype(REAL[self.target.real]))
-
-    def _around(self, plane: NDArray[Any], strip: Strip) -> NDArray[Any]:
-        return around(plane, strip, self.guard, "symmetric" if self.given.mirrored else "constant")
-
-    @property
-    def _maps(self) -> tuple[cl.Buffer, cl.Buffer]:
-        """Radii, and where there are some."""
-        assert self.coc is not None
-        assert self.valid is not None
-        return self.coc, self.valid
-
-    def _sent(self, buffer: cl.Buffer | None, array: NDArray[Any]) -> cl.Buffer:
-        """A buffer with the contents of an array: the given one, or where there is none one that is lent."""
-        if buffer is None:
-            return lent(self.target.session, np.ascontiguousarray(array))
-        cl.enqueue_copy(self.target.session.queue, buffer, array)
-        return buffer
+    def run(self, at: Area) -> tuple[Image | Sources]:
+        """Run the pass "static image"."""
+        image = self.image(at, self.buffers)
+        return (Sources(None, image.value, radius=self.given.largest) if self.alike else image,)

@@ -353,5 +353,5 @@ def casts_for_lenses(plan: Plan) -> bool:
 
 def _together(renderers: Sequence[Renderer], index: int) -> list[Frame]:
     """One frame of each renderer, time sample by time sample."""
-    expose(renderers, index)
-    return [renderer.finish(index) for renderer in renderers]
+    films = expose(renderers, index)
+    return [renderer.finish(film) for renderer, film in zip(renderers, films, strict=True)]

@@ -52,8 +52,8 @@ def run_near(session: Session, prepared: Prepared) -> int:
         tiny = replace(plan, scene=small.scene, rows=rows, columns=columns, strip_rows=0, least_slots=plan.slots)
         for hits in (None, KeptHits(session)) if casts_for_lenses(plan) else (None,):
             renderer = Renderer(session, tiny, small, limit_of(None, session.device), hits)
-            expose([renderer], 0)
-            renderer.finish(0)
+            (film,) = expose([renderer], 0)
+            renderer.finish(film)
         count += 1
     return count
 

@@ -1,230 +1,237 @@
-"""Workspace of a plan's passes on a device, and the table of the function that runs each of them."""
+"""Workspace of a plan on a device: its buffers, and the function that runs each of its passes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import takewhile
+from typing import Any
 
 import pyopencl as cl
 
+from clsco.frame.strips import Grid
 from clsco.opencl.buffers import allocate
+from clsco.opencl.session import Session
+from clsco.optics.depth_layers import LayerBounds
 from clsco.optics.lens import blur_radius
 from clsco.passes.accumulate import FrameSum
-from clsco.passes.blur import BlurredPlane, Plane, Sources, Target, blur_target, padded_plane, prepare_sources
+from clsco.passes.blur import Area, Image, Maps, Plane, Sources, blur_target, padded_plane, prepare_sources
+from clsco.passes.clusters import Clusters, Layers
+from clsco.passes.fill import FillPlanes
 from clsco.passes.frame_blur import make_blur
 from clsco.passes.layered import DepthLayers
 from clsco.passes.pack import psf_struct
-from clsco.passes.placed import PlacedScene, TimeSample
+from clsco.passes.placed import Moment, PlacedScene
 from clsco.passes.static_image import StaticMap
 from clsco.passes.tables import tables_of
-from clsco.passes.trace import Hits, Tracer, Work
+from clsco.passes.trace import Hits, Tracer
 from clsco.passes.warp import ForwardWarp
 from clsco.plan.buffers import sum_buffers
-from clsco.plan.passes import Kind, Pass
+from clsco.plan.image import ImagePlan
+from clsco.plan.methods import BlurSpec
+from clsco.plan.passes import Kind, Pass, run_passes
 from clsco.plan.plan import Plan
-from clsco.records import Struct
+from clsco.records import Real, Struct
+
+Run = Callable[..., tuple[Any, ...]]
+"""Runs a pass: gets the part of the frame, and what the pass takes; returns what it gives."""
+Pixels = ForwardWarp | StaticMap | None
+"""Pixels of the reference pose that are moved, or taken as they are."""
 
 # Buffers that passes share; the others are owned by what works with them.
 SHARED = (
-    "statistics",
-    "value",
-    "coc",
-    "valid",
-    "source",
-    "depth",
-    "label",
-    "pixels",
-    "sub_label",
-    "sub_source",
-    "sub_value",
-    "sub_depth",
-    "share",
-    "sharper",
-)
+    "statistics", "value", "coc", "valid", "source", "depth", "label", "pixels", "sub_label", "sub_source", "sub_value",
+    "sub_depth", "share", "sharper",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Workspace:
-    """Programs and buffers of a plan on a device.
+    """Functions that run the passes of a plan on a device, and what they share.
 
     Attributes
     ----------
-    plan : Plan
-    scene : PlacedScene
-    making : (Target, BlurredPlane), optional
-        Makes the blurred image of a time sample, where one is wanted, and anything is blurred.
+    session : Session
+    runs : mapping
+        Function that runs each kind of pass.
     buffers : mapping
         Buffers of `SHARED` that the plan has.
-    tracer : Tracer
-    layers : DepthLayers, optional
-    frame : FrameSum, optional
-        Sum of time samples, where a frame has several.
-    pixels : ForwardWarp or StaticMap, optional
-        Moves the pixels of the reference pose, or has them as they are.
+    clusters : tuple of Clusters
+        The one that finds depth layers, where there is one.
     """
 
-    plan: Plan
-    scene: PlacedScene
-    making: tuple[Target, BlurredPlane] | None
+    session: Session
+    runs: Mapping[Kind, Run]
     buffers: Mapping[str, cl.Buffer]
-    tracer: Tracer
-    layers: DepthLayers | None
-    frame: FrameSum | None
-    pixels: ForwardWarp | StaticMap | None
+    clusters: tuple[Clusters, ...] = ()
 
-    @property
-    def target(self) -> Target:
-        """Programs of the blur."""
-        assert self.making is not None
-        return self.making[0]
+    def run(self, passes: Iterable[Pass], at: Area) -> Mapping[str, Any]:
+        """Run passes on a part of a frame; what they hand on, by the names of `Pass`. Raises CanceledError."""
 
-    @property
-    def blur(self) -> BlurredPlane:
-        """Blurred plane of a time sample."""
-        assert self.making is not None
-        return self.making[1]
+        def run(step: Pass, *given: Any) -> tuple[Any, ...]:
+            self.session.go_on()
+            self.session.doing(step.kind)
+            return self.runs[step.kind](replace(at, group=step.group), *given)
 
-    def run(self, step: Pass, work: Work) -> None:
-        """Enqueue a pass of a time sample."""
-        work.group = step.group
-        RUN[step.kind](self, work)
+        return run_passes(passes, run)
 
-    def plane(self, work: Work) -> Plane:
-        """Blurred plane of the time sample, after its passes."""
-        if work.plane is None and self.making is None:
-            work.plane = padded_plane(work.grid, _lit(work).value, self.plan.channels)
-        elif work.plane is None:
-            work.plane = self.blur.plane(work.events)
-        return work.plane
-
-    def radii(self, work: Work) -> None:
-        """Only what `layers` needs to find depth layers: the radii of the image of a pinhole, or of a depth map."""
-        if isinstance(self.pixels, StaticMap):
-            _send_radii(self, self.pixels, work)
-        else:
-            self.tracer.pinhole(work)
+    def find_layers(self, passes: Iterable[Pass], strips: Sequence[Area]) -> LayerBounds | None:
+        """Bounds of depth layers from all of several strips; None where each strip can find them itself."""
+        bounds = None
+        for clusters in self.clusters if len(strips) > 1 else ():
+            before = tuple(takewhile(lambda step: step.kind != "cluster", passes))
+            for at in strips:
+                clusters.find(at, self.run(before, at)["image"])
+            bounds = clusters.found()
+        return bounds
 
 
-def make_workspace(
-    plan: Plan, scene: PlacedScene, pixels: ForwardWarp | StaticMap | None, hits: Hits | None, grid: Struct
-) -> Workspace:  # fmt: skip
-    """A workspace for a plan, whose first strip has this grid_t. Raises DeviceError, KernelError."""
-    session, real = scene.session, scene.real
+def shared_buffers(session: Session, plan: Plan | ImagePlan, absent: Iterable[str] = ()) -> Mapping[str, cl.Buffer]:
+    """Buffers of `SHARED` that a plan has, but for `absent` ones. Raises DeviceError."""
     sizes = {name: size for each in plan.passes for name, size in each.buffers.items()}
-    buffers = allocate(session, {name: sizes[name] for name in SHARED if name in sizes})
+    return allocate(session, {name: sizes[name] for name in SHARED if name in sizes and name not in absent})
+
+
+def scene_workspace(plan: Plan, scene: PlacedScene, pixels: Pixels, hits: Hits | None, grid: Struct) -> Workspace:
+    """Workspace of a scene, whose first strip has this grid_t; hits: shared with other lenses. Raises DeviceError,
+    KernelError."""
+    session, real, buffers = scene.session, scene.real, shared_buffers(scene.session, plan)
+    runs = _pixel_runs(plan, pixels, buffers)
     if not plan.color:
-        return Workspace(plan, scene, None, buffers, Tracer(plan, scene, buffers, None, hits), None, None, pixels)
+        return Workspace(session, runs, buffers)
     spec = replace(plan.spec, brightest=scene.brightest)
-    from_radii = plan.forward or plan.static_map or plan.occlusion == "layered"
-    making, layers = None, None
-    if plan.blur != "none":
-        target = blur_target(session, spec, plan.channels, real, "wide" if from_radii else "none")
-        making = target, make_blur(target, spec, plan.grid, grid)
-        layers = DepthLayers(making[1], target, plan.grid) if plan.occlusion == "layered" else None
+    lit = plan.forward or plan.static_map or plan.occlusion == "layered"
     tracer = Tracer(plan, scene, buffers, psf_struct(spec.psf, *tables_of(spec, session), real), hits)
-    frame = FrameSum(session, sum_buffers(plan.grid)) if plan.averages else None
-    return Workspace(plan, scene, making, buffers, tracer, layers, frame, pixels)
+    blurs, clusters = blur_runs(session, spec, plan.grid, grid, buffers, real, "wide" if lit else "none")
+    runs |= _ray_runs(tracer, _handed_on(plan)) | blurs
+    if plan.averages:
+        runs |= _exposure_runs(FrameSum(session, sum_buffers(plan.grid)))
+    return Workspace(session, runs, buffers, clusters)
 
 
-def _trace(space: Workspace, work: Work) -> None:
-    space.tracer.trace(work)
+def _handed_on(plan: Plan) -> Callable[[Moment, Any], Any]:
+    """Turn the light that a pass makes into what it hands on, which `clsco.plan.image.light_of` names."""
+
+    def plane(at: Moment, light: Image | Sources) -> Plane:
+        return padded_plane(at.grid, light.value, plan.channels)
+
+    def sources(at: Moment, light: Image | Sources) -> Sources:
+        return Sources(None, light.value, radius=_central_radius(plan, at))
+
+    def itself(_: Moment, light: Image | Sources) -> Image | Sources:
+        return light
+
+    return {"none": plane, "convolve": sources}.get(plan.blur, itself)
 
 
-def _silhouettes(space: Workspace, work: Work) -> None:
-    space.tracer.silhouettes(work)
-
-
-def _pinhole(space: Workspace, work: Work) -> None:
-    space.tracer.pinhole(work)
-
-
-def _static_image(space: Workspace, work: Work) -> None:
-    static = space.pixels
-    assert isinstance(static, StaticMap)
-    missing = int(static.missing.sum())
-    work.report |= {"missing_pixels": missing, "unfilled_pixels": missing}
-    static.send(space.scene.session, work.strip, space.buffers["value"])
-    _send_radii(space, static, work)
-
-
-def _send_radii(space: Workspace, static: StaticMap, work: Work) -> None:
-    value, coc, valid = (space.buffers[name] for name in ("value", "coc", "valid"))
-    static.send_radii(space.scene.session, work.strip, coc, valid)
-    work.planes = value, coc, valid
-
-
-def _reproject(space: Workspace, work: Work) -> None:
-    warp = space.pixels
-    assert isinstance(warp, ForwardWarp)
-    warp.nearest(work.sample, work.events)
-    warp.gather(work.events)
-
-
-def _fill(space: Workspace, work: Work) -> None:
-    warp = space.pixels
-    assert isinstance(warp, ForwardWarp)
-    warped = warp.fill(work.sample, work.events)
-    warp.note_radii(space.buffers["statistics"], work.events)
-    work.report |= warped.counters
-    if "missing" in space.plan.truth:
-        work.missing = warp.missing(warped)
-    work.planes = warped.value, warped.coc, warped.valid
-
-
-def _sources(space: Workspace, work: Work) -> None:
-    assert work.planes is not None
-    value, coc, valid = work.planes
-    source = space.buffers["source"]
-    prepare_sources(space.target, work.grid, space.blur.struct, (coc, valid), source, work.events)
-    work.sources = Sources(source, value)
-
-
-def _depth_layers(space: Workspace, work: Work) -> None:
-    assert space.layers is not None
-    assert work.planes is not None
-    work.report["depth_layers"] = space.layers.add(work.planes, work.events, work.depth_layers.get(work.sample.time))
-
-
-def _lit(work: Work) -> Sources:
-    """Sources of a time sample: those of an image whose pixels all have one radius, or none, are the image itself."""
-    if work.sources is not None:
-        return work.sources
-    assert work.planes is not None
-    return Sources(None, work.planes[0])
-
-
-def _blur(space: Workspace, work: Work) -> None:
-    sources = _lit(work)
-    if space.plan.blur == "convolve":
-        sources = replace(sources, radius=_central_radius(space, work.sample))
-    space.blur.add(sources, work.events)
-
-
-def _accumulate(space: Workspace, work: Work) -> None:
-    assert space.frame is not None
-    assert work.weights is not None
-    work.image = space.frame.add(space.plane(work), work.weights, work.events)
-
-
-def _central_radius(space: Workspace, sample: TimeSample) -> float:
+def _central_radius(plan: Plan, at: Moment) -> float:
     """|R| on the axis in px, which is that of every pixel where the blur is a convolution."""
-    surface = sample.placed[0]
-    assert surface is not None
+    surface = next(each for each in at.sample.placed if each is not None)
     inverse_depth = -2.0 * float(surface.canonical.l @ surface.turn[:, 2]) / surface.constant
-    return abs(float(blur_radius(space.plan.scene.camera, inverse_depth)))
+    return abs(float(blur_radius(plan.scene.camera, inverse_depth)))
 
 
-# What runs for a pass of each time sample; ground truth is made once for a frame (`clsco.passes.truth`).
-RUN: dict[Kind, Callable[[Workspace, Work], None]] = {
-    "static image": _static_image,
-    "trace": _trace,
-    "silhouettes": _silhouettes,
-    "pinhole": _pinhole,
-    "reproject": _reproject,
-    "fill": _fill,
-    "count missing": _fill,
-    "sources": _sources,
-    "depth layers": _depth_layers,
-    "blur": _blur,
-    "accumulate": _accumulate,
-}
+def _ray_runs(tracer: Tracer, handed_on: Callable[[Moment, Any], Any]) -> dict[Kind, Run]:
+    def trace(at: Moment) -> tuple[Any, ...]:
+        return (handed_on(at, tracer.trace(at)),)
+
+    def silhouettes(at: Moment, sources: Sources) -> tuple[Any, ...]:
+        return (tracer.silhouettes(at, sources),)
+
+    def pinhole(at: Moment) -> tuple[Any, ...]:
+        return (handed_on(at, tracer.pinhole(at)),)
+
+    return {"trace": trace, "silhouettes": silhouettes, "pinhole": pinhole}
+
+
+def _pixel_runs(plan: Plan, pixels: Pixels, buffers: Mapping[str, cl.Buffer]) -> dict[Kind, Run]:
+    """Functions that run the passes of pixels of the reference pose."""
+    handed_on = _handed_on(plan)
+    if isinstance(pixels, StaticMap):
+        static, missing = pixels, int(pixels.missing.sum())
+        counts = {"missing_pixels": missing, "unfilled_pixels": missing}
+        return {"static image": lambda at: (handed_on(at, static.image(at, buffers)), counts)}
+    if pixels is None:
+        return {}
+    warp = pixels
+
+    def reproject(at: Moment) -> tuple[Any, ...]:
+        warp.nearest(at.sample, at.events)
+        warp.gather(at.events)
+        return (warp.filler.planes,)
+
+    def fill(at: Moment, moved: FillPlanes) -> tuple[Any, ...]:
+        warped = warp.fill(at.sample, at.events)
+        warp.note_radii(buffers["statistics"], at.events)
+        light = handed_on(at, Image(moved.value, (moved.coc, moved.valid)))
+        return light, warped.counters, *((warp.missing(warped),) if "missing" in plan.truth else ())
+
+    return {"reproject": reproject, "fill": fill, "count missing": fill}
+
+
+def blur_runs(
+    session: Session,
+    spec: BlurSpec,
+    tallest: Grid,
+    grid: Struct,
+    buffers: Mapping[str, cl.Buffer],
+    real: Real,
+    maps: Maps,
+) -> tuple[dict[Kind, Run], tuple[Clusters, ...]]:
+    """Functions that run the passes from an image or sources to the blurred plane, and the finder of depth layers.
+
+    Parameters
+    ----------
+    session : Session
+    spec : BlurSpec
+    tallest : Grid
+        Grid of the frame, or the tallest of its strips.
+    grid : numpy.void
+        grid_t of the first strip.
+    buffers : mapping
+        "source", where images become sources.
+    real : {"double", "float"}
+    maps : Maps
+        Radii of images.
+    """
+    if spec.method == "none":
+        return {}, ()
+    target = blur_target(session, spec, tallest.channels, real, maps)
+    blur = make_blur(target, spec, tallest, grid)
+
+    def sources(at: Area, image: Image) -> tuple[Any, ...]:
+        prepare_sources(target, at.grid, blur.struct, image.maps, buffers["source"], at.events)
+        return (Sources(buffers["source"], image.value),)
+
+    def spread(at: Area, lit: Sources, begun: Plane | None = None) -> tuple[Any, ...]:
+        if begun is None:
+            blur.begin(at.grid)
+        blur.add(lit, at.events)
+        return (blur.plane(at.events),)
+
+    if not spec.layered:
+        return {"sources": sources, "blur": spread}, ()
+    clusters, composite = Clusters(session, spec, tallest, real), DepthLayers(blur, target, tallest)
+
+    def cluster(at: Area, image: Image) -> tuple[Any, ...]:
+        bounds = at.bounds
+        if bounds is None:
+            clusters.find(at, image)
+            bounds = clusters.found()
+        return (clusters.divide(at, image, bounds),)
+
+    def layers(at: Area, found: Layers) -> tuple[Any, ...]:
+        blur.begin(at.grid)
+        composite.add(at, found)
+        return blur.plane(at.events), found.count
+
+    return {"cluster": cluster, "depth layers": layers}, (clusters,)
+
+
+def _exposure_runs(frame: FrameSum) -> dict[Kind, Run]:
+    def accumulate(at: Moment, plane: Plane) -> tuple[Any, ...]:
+        if at.first:
+            frame.clear()
+        return (frame.add(plane, at.weights, at.events),)
+
+    return {"accumulate": accumulate}

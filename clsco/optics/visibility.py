@@ -38,6 +38,9 @@ class OcclusionGroup:
     root: int = 0
 
 
+NO_GROUP = OcclusionGroup(0, 0)  # where objects are not told apart
+
+
 def lens_floats(psf: PointSpread) -> Array:
     """Lens as kernels read it: its cells; of a `signed` one mirrored cells and its straight edges after them."""
     cells = psf.lens_cells()

@@ -12,12 +12,13 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clsco.constants import GROUP_COLUMNS, GROUP_ROWS, TAP_LANES
-from clsco.frame.strips import Grid
+from clsco.frame.strips import Grid, Strip
 from clsco.opencl.buffers import empty, mapped, upload, upload_cached
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Program, Session
+from clsco.optics.depth_layers import LayerBounds
 from clsco.optics.psf_tables import psf_features
-from clsco.optics.visibility import lens_floats
+from clsco.optics.visibility import NO_GROUP, OcclusionGroup, lens_floats
 from clsco.passes.pack import psf_struct
 from clsco.passes.tables import tables_of
 from clsco.plan.buffers import Sizes, band_scratch, margin
@@ -110,6 +111,47 @@ def blur_target(session: Session, spec: BlurSpec, channels: int, real: Real, map
     files = FILES_OF[spec.method]
     features = blur_features(spec, channels, session.device.has_fp64, maps)
     return Target(session, build(session, files, features, structs(real), real) if files else {}, real)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Area:
+    """Part of a frame that a pass works on.
+
+    Attributes
+    ----------
+    strip : Strip
+    grid : numpy.void
+        grid_t of the strip.
+    events : list
+        Gets the launches that are enqueued.
+    bounds : LayerBounds, optional
+        Bounds between depth layers, where they come from all strips.
+    group : OcclusionGroup
+        Objects that are traced and blurred.
+    """
+
+    strip: Strip
+    grid: Struct
+    events: Events
+    bounds: LayerBounds | None = None
+    group: OcclusionGroup = NO_GROUP
+
+
+@dataclass(frozen=True)
+class Image:
+    """An image on the padded grid, with its radii.
+
+    Attributes
+    ----------
+    value : Buffer
+        float (channels, height, width), radiance.
+    maps : tuple of Buffer
+        Signed R in px, real (height, width), and where it is known, uchar (height, width); R alone, float; or none,
+        of an image with one radius.
+    """
+
+    value: cl.Buffer
+    maps: tuple[cl.Buffer, ...]
 
 
 @dataclass(frozen=True)
@@ -221,7 +263,7 @@ class BlurredPlane:
     tallest : Grid
         Grid of the frame, or the tallest of its strips.
     grid : numpy.void
-        grid_t of the strip that it begins with; `grid` can be set to that of another one.
+        grid_t of the strip that it begins with; `begin` sets that of another one.
     sizes : dict
         Sizes of the buffers, by `clsco.plan.buffers.blur_buffers`.
     """
@@ -248,8 +290,13 @@ class BlurredPlane:
         """Columns and rows of the strip."""
         return int(self.grid["columns"]), int(self.grid["rows"])
 
+    def begin(self, grid: Struct) -> None:
+        """Begin a time sample of a frame, or a strip of it, by its grid_t."""
+        self.grid = grid
+        self.clear()
+
     def clear(self) -> None:
-        """Begin a time sample of a frame, or a strip of it."""
+        """Take all radiance away."""
         cl.enqueue_fill_buffer(self.target.session.queue, self.total, np.zeros(1, np.uint32), 0, self.total.size)
 
     def add(self, sources: Sources, events: Events) -> None:

@@ -55,8 +55,7 @@ def grid_struct(
 
 def camera_grid(camera: Camera, guard: int, real: Real, strip: Strip | None = None) -> Struct:
     """grid_t of a camera with a resolution, for a guard band of `guard` px; strip as for `grid_struct`."""
-    assert camera.resolution is not None  # known once the textures are loaded
-    columns, rows = camera.resolution
+    columns, rows = camera.resolution or (0, 0)  # known once the textures are loaded
     return grid_struct(rows, columns, guard, real, strip, ray_step(camera))
 
 

@@ -20,6 +20,7 @@ from clsco.optics.motion import Eye, Pose, poses_at, rest_center, rest_poses
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import PlacedSurface, place
 from clsco.optics.texture_mapping import texture_map
+from clsco.passes.blur import Area
 from clsco.passes.pack import light_struct, pose_structs, surface_structs, texture_map_structs, texture_planes
 from clsco.records import Real, Struct, structs
 from clsco.scene.model import Scene
@@ -55,6 +56,24 @@ class TimeSample:
     packed: NDArray[np.void]
     surfaces: cl.Buffer
     light: tuple[Struct, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Moment(Area):
+    """A strip of a frame at a time sample.
+
+    Attributes
+    ----------
+    sample : TimeSample
+    weights : ndarray of float64, (rows,)
+        Weights of the time sample in the strip.
+    first : bool
+        It is the first time sample of the frame.
+    """
+
+    sample: TimeSample
+    weights: NDArray[np.float64]
+    first: bool
 
 
 class PlacedScene:

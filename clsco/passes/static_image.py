@@ -1,48 +1,104 @@
-"""A static depth map as the only surface: its own pixels are what the pinhole sees, strip by strip from the host."""
+"""Images that are given with their radii, and static depth maps: the host sends them, strip by strip."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
 from clsco.frame.strips import Strip, around
+from clsco.opencl.buffers import lent
 from clsco.opencl.session import Session
 from clsco.optics.lens import blur_radius
+from clsco.passes.blur import Area, Image
 from clsco.records import REAL, Real, flat
 from clsco.scene.model import Camera
 
 Array = NDArray[np.float64]
 
 
-class StaticMap:
-    """Image and depth map of a scene where nothing moves, and which is seen from where they were made.
+class GivenImage(ABC):
+    """An image with its signed radii on the host.
 
-    camera: of the scene; radiance: float32 (rows, columns[, channels]); inverse_depth: (rows, columns) in 1/mm, 0 where
-    nothing is; guard: px of the apron around the frame, where both go on as their mirror images, as textures do.
+    Parameters
+    ----------
+    session : Session
+    radiance : ndarray (rows, columns[, channels])
+    guard : int
+        Width of the apron around the frame, px.
+    outside : {"symmetric", "constant"}
+        In the apron both go on as their mirror images, as textures do, or are 0.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        radiance: NDArray[Any],
+        guard: int,
+        outside: Literal["symmetric", "constant"] = "symmetric",
+    ) -> None:
+        self.session, self.radiance, self.guard, self.outside = session, radiance, guard, outside
+
+    @abstractmethod
+    def radii(self, strip: Strip) -> dict[str, NDArray[Any]]:
+        """Signed radii around a strip, "coc", and where there are some, "valid", as `Image` has them."""
+
+    def image(self, at: Area, buffers: Mapping[str, cl.Buffer]) -> Image:
+        """The image of a strip, in buffers "value", "coc" and "valid"; kernels read the host's array for one that is
+        not there, and "valid" stays as it is where `radii` has none."""
+        maps = self.radii(at.strip)
+        value = self._sent(buffers.get("value"), flat(self._around(self.radiance, at.strip), np.float32))
+        sent = {name: self._sent(buffers.get(name), array) for name, array in maps.items()}
+        found = {name: buffers[name] for name in ("coc", "valid") if name in buffers} | sent
+        return Image(value, tuple(found[name] for name in ("coc", "valid") if name in found))
+
+    def _sent(self, buffer: cl.Buffer | None, array: NDArray[Any]) -> cl.Buffer:
+        if buffer is None:
+            return lent(self.session, np.ascontiguousarray(array))
+        cl.enqueue_copy(self.session.queue, buffer, array)
+        return buffer
+
+    def _around(self, plane: NDArray[Any], strip: Strip) -> NDArray[Any]:
+        return around(plane, strip, self.guard, self.outside)
+
+
+class StaticMap(GivenImage):
+    """Image and depth map of a scene where nothing moves, and which is seen from where they were made: its own pixels
+    are what the pinhole sees.
+
+    Parameters
+    ----------
+    session : Session
+    camera : Camera
+    radiance : ndarray of float32 (rows, columns[, channels])
+    inverse_depth : ndarray of float64 (rows, columns)
+        1/mm, 0 where nothing is.
+    guard : int
+        px, of the apron.
+    real : {"double", "float"}
+
+    Notes
+    -----
     Validated against `clsco.reference.render`, which moves every pixel to its own place.
     """
 
     def __init__(
-        self, camera: Camera, radiance: NDArray[np.float32], inverse_depth: Array, guard: int, real: Real
-    ) -> None:
-        self.camera, self.radiance, self.inverse_depth = camera, radiance, inverse_depth
-        self.guard, self.real = guard, real
+        self, session: Session, camera: Camera, radiance: NDArray[np.float32], inverse_depth: Array, guard: int,
+        real: Real,
+    ) -> None:  # fmt: skip
+        super().__init__(session, radiance, guard)
+        self.camera, self.inverse_depth, self.real = camera, inverse_depth, real
 
-    def send(self, session: Session, strip: Strip, value: cl.Buffer) -> None:
-        """Write the radiance of a strip on its padded grid, as `clsco.passes.layered.DepthLayers.add` takes it."""
-        cl.enqueue_copy(session.queue, value, flat(self._around(self.radiance, strip), np.float32))
-
-    def send_radii(self, session: Session, strip: Strip, coc: cl.Buffer, valid: cl.Buffer) -> None:
-        """Write where its surface is and how it is blurred, in the same way."""
+    def radii(self, strip: Strip) -> dict[str, NDArray[Any]]:
         w = self._around(self.inverse_depth, strip)
         there, radii = w > 0, blur_radius(self.camera, w)
         radii *= there
-        cl.enqueue_copy(session.queue, coc, radii.astype(REAL[self.real]))
-        cl.enqueue_copy(session.queue, valid, there.view(np.uint8))
+        return {"coc": radii.astype(REAL[self.real], copy=False), "valid": there.view(np.uint8)}
 
     @cached_property
     def missing(self) -> NDArray[np.bool_]:
@@ -66,6 +122,3 @@ class StaticMap:
             "mask": there,
             "object_id": np.where(there, 0, -1).astype(np.int32),
         }
-
-    def _around(self, plane: NDArray[Any], strip: Strip) -> NDArray[Any]:
-        return around(plane, strip, self.guard)

@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import pyopencl as cl
-from numpy.typing import NDArray
 
 from clsco.constants import STATISTIC_SLOTS, STATISTIC_SMALLEST
-from clsco.frame.strips import Strip
 from clsco.opencl.buffers import allocate
 from clsco.opencl.program import build
 from clsco.opencl.session import Session
-from clsco.optics.depth_layers import LayerBounds
 from clsco.optics.lens import Lens
 from clsco.optics.visibility import OcclusionGroup
-from clsco.passes.blur import PIXELS, Events, Plane, Sources, Target
+from clsco.passes.blur import PIXELS, Image, Sources, Target
 from clsco.passes.pack import group_struct, lens_struct
-from clsco.passes.placed import PlacedScene, TimeSample
+from clsco.passes.placed import Moment, PlacedScene
 from clsco.plan.buffers import STATISTICS, Sizes, hit_buffers
 from clsco.plan.plan import Plan
 from clsco.records import Struct, structs
@@ -30,9 +27,6 @@ TRACE_FILES = ("trace/trace.cl", "trace/truth.cl")  # the kernels that cast rays
 # What of the statistics a frame must begin with: no radius met, no slot taken (trace.cl).
 EMPTY_STATISTICS = np.zeros(STATISTICS, np.int32)
 EMPTY_STATISTICS[STATISTIC_SMALLEST] = np.iinfo(np.int32).max
-
-Planes = tuple[cl.Buffer, cl.Buffer, cl.Buffer]  # value, coc and valid on the padded grid, as in layered.cl
-
 
 HitPlanes = tuple[cl.Buffer, ...]  # value, depth and hit, as in trace.cl
 Cast = Callable[[HitPlanes], None]
@@ -98,51 +92,6 @@ class KeptHits:
         return self.session.cache.get(("hits", key), made, lambda _: sum(sizes.values()))
 
 
-@dataclass
-class Work:
-    """A strip of a frame while its passes run, and what they hand on.
-
-    Attributes
-    ----------
-    strip : Strip
-    grid : numpy.void
-        grid_t of the strip.
-    events : list
-        Launches that were enqueued.
-    sample : TimeSample
-    group : OcclusionGroup, optional
-        The occlusion group that is traced and blurred.
-    planes : (Buffer, Buffer, Buffer)
-        An image with its radii, where there is one.
-    sources : Sources
-        Sources that the blur adds.
-    weights : ndarray (rows,), optional
-        Weights of the time sample in the strip.
-    plane, image : Plane, optional
-        The blurred image of the time sample, and the weighted sum of all so far, where there are several.
-    depth_layers : dict
-        Depth layers of whole time samples by their times, where the frame is made in strips.
-    report : dict
-        Report on a time sample.
-    missing : ndarray of bool (rows, columns), optional
-        Pixels of the frame that were missing, filled or not, where that is wanted.
-    """
-
-    strip: Strip
-    grid: Struct
-    events: Events
-    sample: TimeSample
-    group: OcclusionGroup | None = None
-    planes: Planes | None = None
-    sources: Sources | None = None
-    weights: NDArray[np.float64] | None = None
-    plane: Plane | None = None
-    image: Plane | None = None
-    depth_layers: Mapping[float, LayerBounds] = field(default_factory=dict)
-    report: dict[str, Any] = field(default_factory=dict)
-    missing: NDArray[np.bool_] | None = None
-
-
 @dataclass(frozen=True)
 class Tracer:
     """Casts the rays of a plan.
@@ -153,8 +102,8 @@ class Tracer:
     scene : PlacedScene
     buffers : mapping
         By the names of `clsco.plan.buffers.trace_buffers`, `silhouette_buffers` and `map_buffers`.
-    psf : numpy.void, optional
-        psf_t of the blur that the sources are for; None where there are none.
+    psf : numpy.void
+        psf_t of the blur that the sources are for.
     hits : Hits, optional
         Shared with other lenses.
     """
@@ -162,103 +111,104 @@ class Tracer:
     plan: Plan
     scene: PlacedScene
     buffers: Mapping[str, cl.Buffer]
-    psf: Struct | None
+    psf: Struct
     hits: Hits | None = None
 
     @cached_property
     def target(self) -> Target:
-        """With the kernels that cast rays, which are built where the first ray is cast."""
-        session, real = self.scene.session, self.scene.real
-        return Target(session, build(session, TRACE_FILES, self.plan.features(), structs(real), real), real)
+        """With the kernels that cast rays."""
+        return ray_target(self.plan, self.scene)
 
     @cached_property
     def lens(self) -> Struct:
         """lens_t of the plan."""
         return lens_struct(Lens.of(self.plan.scene.camera), self.scene.real)
 
-    def trace(self, work: Work) -> None:
+    def trace(self, at: Moment) -> Sources:
         """Sources of one occlusion group; its buffers are those of the group before, which the queue is done with."""
         buffers, occluded = self.buffers, self.plan.spec.occluders > 0
-        sample, head = work.sample, self._head(work)
+        sample, head = at.sample, self._head(at)
         source, label, statistics = (buffers.get(name) for name in ("source", "label", "statistics"))
         exchanged = (buffers["share"],) if "share" in buffers else ()
-        assert work.group is not None
         if self.hits is None:
             value, depth = buffers["value"], buffers.get("depth")
-            args = (*head, *self._appearance(work), source, value, label, statistics)
-            self._per_pixel("trace", work, *args, *((depth,) if occluded else ()), *exchanged)
+            args = (*head, *self._appearance(at), source, value, label, statistics)
+            self._per_pixel("trace", at, *args, *((depth,) if occluded else ()), *exchanged)
         else:
-            args = (work.grid, *head[2:4], *self._appearance(work))
+            args = (at.grid, *head[2:4], *self._appearance(at))
 
             def cast(planes: HitPlanes) -> None:
-                self._per_pixel("cast", work, *args, *planes)
+                self._per_pixel("cast", at, *args, *planes)
 
             sizes = hit_buffers(self.plan.grid, self.plan.mapped > 0)
-            value, depth, hit = self.hits.planes(sizes, self._key(work), cast)
+            value, depth, hit = self.hits.planes(sizes, self._key(at), cast)
             beside = (value, *self.scene.texture_maps, *exchanged) if exchanged else ()
-            self._per_pixel("aim", work, *head, depth, hit, source, label, statistics, *beside)
+            self._per_pixel("aim", at, *head, depth, hit, source, label, statistics, *beside)
         hidden: dict[str, Any] = {}
         if occluded:
             hidden = {"lens": self.lens, "surfaces": sample.surfaces, "group": head[3], "depth": depth}
-        work.sources = Sources(source, value, **hidden)
+        return Sources(source, value, **hidden)
 
-    def silhouettes(self, work: Work) -> None:
-        """Sub-pixel sources of an occlusion group after `trace`."""
-        assert work.sources is not None
+    def silhouettes(self, at: Moment, sources: Sources) -> Sources:
+        """The sources of an occlusion group with those of sub-pixels."""
         plan, buffers, statistics = self.plan, self.buffers, self.buffers["statistics"]
         slots, source = np.int32(plan.slots), buffers["source"]
         cl.enqueue_fill_buffer(self.target.session.queue, statistics, np.zeros(1, np.int32), 4 * STATISTIC_SLOTS, 4)
-        marks = (work.grid, buffers["label"], slots, source, buffers["pixels"], statistics)
-        self._per_pixel("mark_silhouettes", work, *marks)
+        marks = (at.grid, buffers["label"], slots, source, buffers["pixels"], statistics)
+        self._per_pixel("mark_silhouettes", at, *marks)
         subs, labels = (buffers["sub_source"], buffers["sub_value"]), buffers["sub_label"]
         sub_depth = buffers.get("sub_depth")
         occluded = (sub_depth,) if sub_depth is not None else ()
-        head = (*self._head(work), *self._appearance(work))
+        head = (*self._head(at), *self._appearance(at))
         size, slotted = (plan.slots * plan.silhouettes**2,), (*head, buffers["pixels"], slots)
         traced = (*slotted, *subs, labels, statistics, *occluded)
-        self.target.run("trace_subpixels", size, PIXELS[:1], work.events, *traced)
+        self.target.run("trace_subpixels", size, PIXELS[:1], at.events, *traced)
         covered = (*slotted, source, labels, *subs, statistics, *occluded)
-        self.target.run("cover_outlines", (plan.slots,), PIXELS[:1], work.events, *covered)
-        value = work.sources.value
+        self.target.run("cover_outlines", (plan.slots,), PIXELS[:1], at.events, *covered)
+        value = sources.value
         if "sharper" in buffers:
             detailed = (*slotted, *subs, statistics, *occluded)
-            self.target.run("trace_detail", (plan.slots,), PIXELS[:1], work.events, *detailed)
+            self.target.run("trace_detail", (plan.slots,), PIXELS[:1], at.events, *detailed)
             value = buffers["sharper"]
-            self._per_pixel("sharpen", work, work.grid, work.sources.value, buffers["share"], source, value)
-        work.sources = replace(
-            work.sources, value=value, sub_source=subs[0], sub_value=subs[1], capacity=plan.slots, sub_depth=sub_depth
+            self._per_pixel("sharpen", at, at.grid, sources.value, buffers["share"], source, value)
+        return replace(
+            sources, value=value, sub_source=subs[0], sub_value=subs[1], capacity=plan.slots, sub_depth=sub_depth
         )
 
-    def pinhole(self, work: Work) -> None:
+    def pinhole(self, at: Moment) -> Image:
         """The image of a pinhole, with its radii."""
         value, coc, valid = (self.buffers[name] for name in ("value", "coc", "valid"))
-        head = (work.grid, self.lens, work.sample.surfaces, everything(self.plan), *self._appearance(work))
-        self._per_pixel("pinhole", work, *head, value, coc, valid, self.buffers["statistics"])
-        work.planes = value, coc, valid
+        head = (at.grid, self.lens, at.sample.surfaces, everything(self.plan), *self._appearance(at))
+        self._per_pixel("pinhole", at, *head, value, coc, valid, self.buffers["statistics"])
+        return Image(value, (coc, valid))
 
-    def _key(self, work: Work) -> HitKey:
+    def _key(self, at: Moment) -> HitKey:
         """All that what rays hit depends on: where they are, and what they may meet."""
-        sample, features = work.sample, self.plan.features()
-        assert work.group is not None
-        members = [k for k in range(len(sample.placed)) if work.group.members >> k & 1]
+        sample, features = at.sample, self.plan.features()
+        members = [k for k in range(len(sample.placed)) if at.group.members >> k & 1]
         built = tuple(features[name] for name in ("CHANNELS", "MOVED", "FILTER", "TEXTURED", "LIT")), self.scene.real
         light = tuple(each.tobytes() for each in sample.light)
-        cast = (work.grid.tobytes(), sample.packed[members].tobytes(), light, tuple(members), built)
+        cast = (at.grid.tobytes(), sample.packed[members].tobytes(), light, tuple(members), built)
         maps = self.scene.packed_maps.tobytes() if self.plan.mapped else b""
-        return HitKey(work.group, (cast, maps), self.scene.content)
+        return HitKey(at.group, (cast, maps), self.scene.content)
 
-    def _appearance(self, work: Work) -> tuple[Any, ...]:
+    def _appearance(self, at: Moment) -> tuple[Any, ...]:
         """The textures, how they lie on surfaces where they do, and the light where there is one."""
-        return (self.scene.texture, *self.scene.texture_maps, *work.sample.light)
+        return (self.scene.texture, *self.scene.texture_maps, *at.sample.light)
 
-    def _head(self, work: Work) -> tuple[Any, ...]:
-        assert work.group is not None
-        placed = work.sample
-        return work.grid, self.lens, placed.surfaces, group_struct(work.group, len(placed.placed)), self.psf
+    def _head(self, at: Moment) -> tuple[Any, ...]:
+        group = group_struct(at.group, len(at.sample.placed))
+        return at.grid, self.lens, at.sample.surfaces, group, self.psf
 
-    def _per_pixel(self, name: str, work: Work, *args: Any) -> None:
-        size = (int(work.grid["width"]), int(work.grid["height"]))
-        self.target.run(name, size, PIXELS, work.events, *args)
+    def _per_pixel(self, name: str, at: Moment, *args: Any) -> None:
+        size = (int(at.grid["width"]), int(at.grid["height"]))
+        self.target.run(name, size, PIXELS, at.events, *args)
+
+
+def ray_target(plan: Plan, scene: PlacedScene) -> Target:
+    """Target with the kernels that cast rays."""
+    session, real = scene.session, scene.real
+    return Target(session, build(session, TRACE_FILES, plan.features(), structs(real), real), real)
 
 
 def everything(plan: Plan) -> Struct:

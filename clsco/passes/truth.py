@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,12 +15,13 @@ from clsco.frame.strips import Strip
 from clsco.opencl.buffers import allocate, download_into
 from clsco.optics.depth_truth import map_flow, map_normal, map_occluded, map_stereo
 from clsco.optics.exposure import middle_time
+from clsco.optics.lens import Lens
 from clsco.optics.motion import Eye
-from clsco.passes.blur import PIXELS, Events
-from clsco.passes.pack import camera_grid, pose_structs
+from clsco.passes.blur import PIXELS, Events, Target
+from clsco.passes.pack import camera_grid, lens_struct, pose_structs
 from clsco.passes.placed import PlacedScene
 from clsco.passes.static_image import StaticMap
-from clsco.passes.trace import Tracer, everything
+from clsco.passes.trace import everything, ray_target
 from clsco.passes.warp import ForwardWarp
 from clsco.plan.buffers import TRUTH_BUFFERS, truth_buffers
 from clsco.plan.plan import Plan
@@ -33,7 +35,7 @@ NOTHING: dict[str, float] = {
 Arrays = dict[str, NDArray[Any]]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class GroundTruth:
     """Makes the outputs of a plan besides color.
 
@@ -41,15 +43,18 @@ class GroundTruth:
     ----------
     plan : Plan
     scene : PlacedScene
-    tracer : Tracer
     pixels : ForwardWarp or StaticMap, optional
         Moves the pixels of the reference pose, or has them as they are.
     """
 
     plan: Plan
     scene: PlacedScene
-    tracer: Tracer
     pixels: ForwardWarp | StaticMap | None
+
+    @cached_property
+    def target(self) -> Target:
+        """With the kernels that cast rays, which are built where the first ray is cast."""
+        return ray_target(self.plan, self.scene)
 
     def of_frame(self, index: int, events: Events) -> Arrays:
         """The outputs of the frame of this number that are wanted: (rows, columns[, 3]), as `Frame` has them."""
@@ -79,7 +84,8 @@ class GroundTruth:
         after = scene.at(later)
         poses = scene.poses(after)
         shown = (scene.texture, *scene.texture_maps, *sample.light)
-        head = (self.tracer.lens, sample.surfaces, reference.surfaces, poses, everything(plan), *shown)
+        lens = lens_struct(Lens.of(plan.scene.camera), scene.real)
+        head = (lens, sample.surfaces, reference.surfaces, poses, everything(plan), *shown)
         view: tuple[Any, ...] = (sample.surfaces, poses, np.int32(0))  # read for a stereo pair alone
         if set(STEREO_NAMES) & set(names):
             there = scene.at(time, eye=self._opposite)
@@ -90,7 +96,7 @@ class GroundTruth:
         out = self._arrays(names)
         for strip in plan.strips:
             grid = camera_grid(plan.scene.camera, plan.guard_px, scene.real, strip)
-            self.tracer.target.run("ground_truth", (plan.columns, strip.rows), PIXELS, events, grid, *head, *args)
+            self.target.run("ground_truth", (plan.columns, strip.rows), PIXELS, events, grid, *head, *args)
             self._download(strip, buffers, out)
         self._take_out_background(out)
         if isinstance(self.pixels, ForwardWarp):
@@ -124,10 +130,10 @@ class GroundTruth:
         """Ground truth of a scene with depth maps, which no ray can be cast at: from the pixels in their new places."""
         scene, plan, camera, pixels = self.scene, self.plan, self.plan.scene.camera, self.pixels
         now, then = scene.at(time), scene.at(later)
+        out: Arrays = {}
         if isinstance(pixels, StaticMap):
             out = pixels.truth()
-        else:
-            assert pixels is not None
+        elif isinstance(pixels, ForwardWarp):
             out = pixels.truth(now, {"depth", "object_id", "filled", *plan.truth}, events)  # three for the others
         beyond = self._take_out_background(out)
         where = (camera, plan.scene.objects, out["depth"], out["object_id"])

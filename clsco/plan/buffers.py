@@ -234,6 +234,24 @@ def pyramid_bytes(psf: PointSpread, channels: int, width: int, height: int, larg
     return 4 * (start + planes * rows * columns)
 
 
+def cluster_buffers(spec: BlurSpec, grid: Grid) -> Sizes:
+    """Buffers of depth layers that an image is divided into (`clsco.passes.clusters.Clusters`); arguments as for
+    `layered_buffers`: planes of where each pixel is, and of a layer with its pyramid."""
+    pixels = grid.sources
+    return {
+        "latest": 4 * (DISCONTINUITY_CLASSES * bins_of(spec.largest)[1] + 1),
+        "offset": 4 * pixels,
+        "layer": pixels,
+        "seed": pixels,
+        "hidden": pixels,
+        "edge": pixels,
+        "pyramid": pyramid_bytes(spec.psf, grid.channels, grid.width, grid.height, spec.largest),
+        "value": 4 * (grid.channels + 1) * pixels,  # with coverage
+        "coc": REAL_BYTES * pixels,
+        "valid": pixels,
+    }
+
+
 def layered_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
     """Buffers of layered occlusion (`clsco.passes.layered.DepthLayers`) besides those of the frame's blur.
 
@@ -247,25 +265,11 @@ def layered_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
     Returns
     -------
     dict
-        Planes of a depth layer and of where it is, its pyramid, and "blur ..." of its own.
+        Sources, where layers are, and "blur ..." of a layer's blur.
     """
-    pixels, values = grid.sources, grid.channels + 1  # with coverage
-    sizes = {
-        "latest": 4 * (DISCONTINUITY_CLASSES * bins_of(spec.largest)[1] + 1),
-        "source": source_bytes(pixels, spec.tilt),
-        "offset": 4 * pixels,
-        "layer": pixels,
-        "seed": pixels,
-        "hidden": pixels,
-        "edge": pixels,
-        "pyramid": pyramid_bytes(spec.psf, grid.channels, grid.width, grid.height, spec.largest),
-        "value": 4 * values * pixels,
-        "coc": REAL_BYTES * pixels,
-        "valid": pixels,
-        "covered": 4 * grid.rows * grid.columns,
-    }
+    sizes = {"source": source_bytes(grid.sources, spec.tilt), "covered": 4 * grid.rows * grid.columns}
     layer = depth_layer_spec(spec)
-    inner = blur_buffers(layer, replace(grid, channels=values), device)
+    inner = blur_buffers(layer, replace(grid, channels=grid.channels + 1), device)
     if _span(spec) == _span(layer):  # one table serves both
         inner = {name: size for name, size in inner.items() if name not in TABLES}
     return sizes | {f"blur {name}": size for name, size in inner.items()}
@@ -387,25 +391,6 @@ def hit_buffers(grid: Grid, mapped: bool) -> Sizes:
 def map_buffers(grid: Grid) -> Sizes:
     """An image with its map of signed radii."""
     return {"value": 4 * grid.channels * grid.sources, "coc": REAL_BYTES * grid.sources, "valid": grid.sources}
-
-
-def image_buffers(spec: BlurSpec, grid: Grid, layered: bool) -> Sizes:
-    """An image with its map of signed radii, and their sources, for a blur by itself.
-
-    Parameters
-    ----------
-    spec : BlurSpec
-    grid : Grid
-    layered : bool
-        Sources are those of `layered_buffers`.
-
-    Returns
-    -------
-    dict
-    """
-    if spec.method not in MANY_RADII:
-        return {"value": map_buffers(grid)["value"]}
-    return map_buffers(grid) | ({} if layered else source_buffers(spec, grid))
 
 
 def truth_buffers(names: Collection[str], grid: Grid) -> Sizes:

@@ -7,25 +7,15 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from math import ceil
+from typing import TypeVar
 
 from clsco.constants import BAND
 from clsco.errors import SceneError
-from clsco.frame.strips import Grid, Strip, cut
-from clsco.optics.depth_layers import margin_of_layers
-from clsco.optics.psf_grid import table_reach
-from clsco.plan.buffers import (
-    UNKNOWN,
-    DeviceFacts,
-    Sizes,
-    ThisMachine,
-    blur_buffers,
-    hit_buffers,
-    image_buffers,
-    layered_buffers,
-)
-from clsco.plan.methods import BlurSpec
+from clsco.plan.buffers import UNKNOWN, DeviceFacts, Sizes, ThisMachine, hit_buffers
+from clsco.plan.image import ImagePlan
 from clsco.plan.plan import Plan
 
+P = TypeVar("P", Plan, ImagePlan)
 _UNITS = {"": 1, "b": 1} | {f"{p}b": 1000**n for n, p in enumerate("kmgt", 1)}
 _UNITS |= {f"{p}ib": 1024**n for n, p in enumerate("kmgt", 1)}
 
@@ -81,7 +71,7 @@ def limit_of(memory: str | int | None, device: DeviceFacts | None = None) -> Lim
     return Limit(total, known.max_alloc, memory is not None)
 
 
-def buffer_bytes(plan: Plan) -> Sizes:
+def buffer_bytes(plan: Plan | ImagePlan) -> Sizes:
     """Buffers on the device while a frame of a plan is made, in the strips that the plan has.
 
     Those of ground truth, "truth ...", are there only while it is made.
@@ -92,28 +82,12 @@ def buffer_bytes(plan: Plan) -> Sizes:
     return sizes
 
 
-def defocus_strips(spec: BlurSpec, rows: int, guard: int, tallest: int) -> tuple[Strip, ...]:
-    """Strips of `clsco.defocus` of an image of so many rows."""
-    psf, largest = spec.psf, spec.largest
-    reach, step = margin_of_layers(psf, largest) if spec.layered else (table_reach(psf, largest) + 2, 1)
-    return cut(rows, tallest, guard, reach, step)
-
-
-def defocus_bytes(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> dict[str, int]:
-    """Buffers of `clsco.defocus`; arguments as for `clsco.plan.buffers.blur_buffers`."""
-    sizes = image_buffers(spec, grid, spec.layered)
-    sizes |= {f"blur {name}": size for name, size in blur_buffers(spec, grid, device).items()}
-    if spec.layered:
-        sizes |= {f"depth layer {name}": size for name, size in layered_buffers(spec, grid, device).items()}
-    return sizes
-
-
 def hit_bytes(plan: Plan) -> int:
     """Planes of `clsco.passes.trace.Hits`, which lenses share."""
     return len(plan.groups) * sum(hit_buffers(plan.grid, plan.mapped > 0).values())
 
 
-def device_bytes(plan: Plan, views: int = 1) -> int:
+def device_bytes(plan: Plan | ImagePlan, views: int = 1) -> int:
     """All of `buffer_bytes` for one view, or several that are on the device together."""
     return _sum(buffer_bytes(plan), views)
 
@@ -128,11 +102,11 @@ def fits(sizes: Mapping[str, int], limit: Limit) -> bool:
     return _sum(sizes, limit.views) <= limit.total and max(sizes.values(), default=0) <= limit.buffer
 
 
-def fitted(plan: Plan, limit: Limit) -> Plan:
+def fitted(plan: P, limit: Limit) -> P:
     """The plan with as few strips as fit the limit: the whole frame where it does. Raises as `rows_that_fit`."""
     known = {plan.strip_rows: plan}  # a plan knows its passes, which take a while to lay out
 
-    def in_strips(rows: int) -> Plan:
+    def in_strips(rows: int) -> P:
         if rows not in known:
             known[rows] = replace(plan, strip_rows=rows)
         return known[rows]

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
-from clsco.optics.visibility import OcclusionGroup
+from clsco.optics.visibility import NO_GROUP, OcclusionGroup
 from clsco.plan.buffers import Sizes
 
 Parameters = tuple[tuple[str, str], ...]
 Kind = Literal[
-    "static image", "trace", "silhouettes", "pinhole", "reproject", "fill", "count missing", "sources", "depth layers",
-    "blur", "accumulate", "ground truth",
+    "static image", "trace", "silhouettes", "pinhole", "reproject", "fill", "count missing", "sources", "cluster",
+    "depth layers", "blur", "accumulate", "ground truth",
 ]  # fmt: skip
 
 
@@ -26,11 +27,44 @@ class Pass:
         Parameters of the pass, for reports.
     buffers : dict
         Bytes of its buffers on the device by their names; one name is one buffer in all passes.
-    group : OcclusionGroup, optional
+    takes, gives : tuple of str
+        Names of what it is handed by earlier passes, and of what it hands on: "moved" pixels, an "image" with its
+        radii, "sources", "layers", the blurred "plane" of a time sample, the "frame" so far; "counts" and "missing" of
+        a filling, the number of "depth_layers".
+    group : OcclusionGroup
         The occlusion group that it is for.
     """
 
     kind: Kind
     parameters: Parameters
     buffers: Sizes
-    group: OcclusionGroup | None = None
+    takes: tuple[str, ...] = ()
+    gives: tuple[str, ...] = ()
+    group: OcclusionGroup = NO_GROUP
+
+
+def run_passes(passes: Iterable[Pass], run: Callable[..., Iterable[Any]]) -> Mapping[str, Any]:
+    """Run passes in their order.
+
+    Parameters
+    ----------
+    passes : iterable of Pass
+    run : callable
+        Runs a pass: gets it, and what it takes; returns what it gives.
+
+    Returns
+    -------
+    dict
+        All that passes have handed on, by the names; of a name, the latest.
+
+    Examples
+    --------
+    >>> from clsco.plan.passes import Pass, run_passes
+    >>> passes = Pass("pinhole", (), {}, gives=("image",)), Pass("blur", (), {}, ("image",), ("plane",))
+    >>> run_passes(passes, lambda step, *given: [f"{step.kind} of {given}"])["plane"]
+    "blur of (\'pinhole of ()\',)"
+    """
+    found: dict[str, Any] = {}
+    for step in passes:
+        found |= zip(step.gives, run(step, *(found[name] for name in step.takes)), strict=True)
+    return found

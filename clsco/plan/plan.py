@@ -15,12 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.constants import TAP_LANES
-from clsco.errors import SceneError
-from clsco.frame.strips import Grid, Strip, cut
+from clsco.frame.strips import Grid, Strip
 from clsco.inputs.pupils import scene_point_spread
-from clsco.optics.depth_layers import margin_of_layers
 from clsco.optics.exposure import frame_exposure
-from clsco.optics.lens import LARGEST_BLUR, blur_radius
+from clsco.optics.lens import blur_radius
 from clsco.optics.motion import Eye
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_grid import table_reach
@@ -34,10 +32,8 @@ from clsco.plan.buffers import (
     ThisMachine,
     blur_buffers,
     fill_sizes,
-    layered_buffers,
     map_buffers,
     silhouette_buffers,
-    source_buffers,
     sum_buffers,
     texture_buffers,
     trace_buffers,
@@ -46,6 +42,7 @@ from clsco.plan.buffers import (
 )
 from clsco.plan.decisions import Choices, choose
 from clsco.plan.features import shape_features
+from clsco.plan.image import blur_passes, light_of, named, strips_of
 from clsco.plan.methods import (
     MANY_RADII,
     Blur,
@@ -57,7 +54,6 @@ from clsco.plan.passes import Kind, Parameters, Pass
 from clsco.plan.predict import (
     Maps,
     displaced,
-    guard_band,
     is_static_map,
     predict,
 )
@@ -196,9 +192,7 @@ class Plan:
     @cached_property
     def strips(self) -> tuple[Strip, ...]:
         """The strips that the frame is made in, one after the other; the first one is the tallest."""
-        layered = self.occlusion == "layered"
-        reach, step = margin_of_layers(self.psf, self.largest_blur) if layered else (self.reach_px, 1)
-        return cut(self.rows, self.strip_rows or self.rows, self.guard_px, reach, step)
+        return strips_of(self.spec, self.rows, self.strip_rows, self.guard_px, self.reach_px)
 
     @property
     def grid(self) -> Grid:
@@ -281,14 +275,6 @@ class Plan:
         return shape_features(self.scene.objects)
 
 
-def widened(plan: Plan, smallest: float, largest: float) -> Plan:
-    """The plan for a wider range of |R| in px than it predicted. Raises SceneError beyond LARGEST_BLUR."""
-    if largest > LARGEST_BLUR:
-        raise SceneError(f"camera: the blur radius must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px")
-    guard = max(plan.guard_px, guard_band(plan.psf, plan.scene.psf.border, largest))
-    return replace(plan, smallest_blur=smallest, largest_blur=largest, guard_px=guard)
-
-
 def make_plan(
     scene: Scene,
     channels: int,
@@ -369,76 +355,59 @@ def _moving_passes(plan: Plan) -> Iterator[Pass]:
     if not plan.forward:
         return
     moved = f"every pixel of the {_shapes(scene)} to its nearest pixel, with a depth test"
-    sizes = _named("warp", warp_buffers(scene, grid, plan.device))
-    yield Pass("reproject", (("pixels", moved), *_of_frame(plan)), sizes | _of_scene(plan))
+    sizes = named("warp", warp_buffers(scene, grid, plan.device))
+    yield Pass("reproject", (("pixels", moved), *_of_frame(plan)), sizes | _of_scene(plan), gives=("moved",))
     kind: Kind = "fill" if plan.choices.fill.value else "count missing"
     rule = f"{scene.fill.method}, domain {scene.fill.domain}" if kind == "fill" else "pixels are counted"
-    yield Pass(kind, (("missing", rule),), _named("fill", fill_sizes(scene, grid)))
+    gives = (light_of(plan.spec), "counts", *(("missing",) if "missing" in plan.truth else ()))
+    yield Pass(kind, (("missing", rule),), named("fill", fill_sizes(scene, grid)), ("moved",), gives)
 
 
 def _image_passes(plan: Plan) -> Iterator[Pass]:
     """The passes of the image of a time sample, after those of a forward warp."""
-    spec, grid = plan.spec, plan.grid
-    layered, rays = plan.occlusion == "layered", not (plan.forward or plan.static_map)
+    spec, grid, light = plan.spec, plan.grid, light_of(plan.spec)
     if plan.static_map:
         what = ("pixels", "as the depth map and its image have them")
-        yield Pass("static image", (what, *_of_frame(plan)), map_buffers(grid))
-    if rays and layered:
-        yield Pass("pinhole", _of_rays(plan), map_buffers(grid) | _of_scene(plan))
-    if rays and not layered:
-        for group in plan.groups:
-            yield from _group_passes(plan, group)
-    elif layered:
-        sizes = _named("depth layer", layered_buffers(spec, grid, plan.device))
-        yield Pass("depth layers", _of_blur(plan), sizes | _blur_sizes(plan))
+        yield Pass("static image", (what, *_of_frame(plan)), map_buffers(grid), gives=(light, "counts"))
+    elif not plan.forward and spec.layered:
+        yield Pass("pinhole", _of_rays(plan), map_buffers(grid) | _of_scene(plan), gives=(light,))
+    if plan.forward or plan.static_map or spec.layered:
+        yield from blur_passes(spec, grid, plan.device, _of_blur(plan))
     else:
-        if plan.blur in MANY_RADII:
-            slope = (("gradient", "from differences of R"),) if plan.tilt else ()
-            source = source_buffers(spec, grid)
-            yield Pass("sources", (("R", "from the inverse depth of every pixel"), *slope), source)
-        yield from _blur_pass(plan)
+        for number, group in enumerate(plan.groups):
+            yield from _group_passes(plan, group, number == 0)
     if plan.averages:
-        yield Pass("accumulate", (("time samples", "with a weight for each row"),), _named("frame", sum_buffers(grid)))
+        time_samples = (("time samples", "with a weight for each row"),)
+        yield Pass("accumulate", time_samples, named("frame", sum_buffers(grid)), ("plane",), ("frame",))
 
 
 def _truth_pass(plan: Plan) -> Pass:
     sizes: Sizes = {}
     if plan.scene.is_analytic:
-        sizes = _named("truth", truth_buffers(plan.device_truth, plan.grid)) | _of_scene(plan)
+        sizes = named("truth", truth_buffers(plan.device_truth, plan.grid)) | _of_scene(plan)
     if plan.forward:
-        sizes |= _named("warp", warp_buffers(plan.scene, plan.grid, plan.device))
-        sizes |= _named("fill", fill_sizes(plan.scene, plan.grid))
+        sizes |= named("warp", warp_buffers(plan.scene, plan.grid, plan.device))
+        sizes |= named("fill", fill_sizes(plan.scene, plan.grid))
     return Pass("ground truth", (("outputs", ", ".join(plan.truth)),), sizes)
 
 
-def _group_passes(plan: Plan, group: OcclusionGroup) -> Iterator[Pass]:
-    """The passes of one occlusion group."""
-    spec, grid = plan.spec, plan.grid
-    yield Pass("trace", _of_rays(plan), trace_buffers(spec, grid) | _of_scene(plan), group)
+def _group_passes(plan: Plan, group: OcclusionGroup, first: bool) -> Iterator[Pass]:
+    """The passes of one occlusion group; first: of the plane, which those of the others add to."""
+    spec, grid, rays = plan.spec, plan.grid, _of_rays(plan)
+    light = ("plane",) if plan.blur == "none" else ("sources",)
+    yield Pass("trace", rays, trace_buffers(spec, grid) | _of_scene(plan), gives=light, group=group)
     if plan.silhouettes:
         what = f"{plan.silhouettes} x {plan.silhouettes} per pixel within 2 px of a silhouette"
         what += ", and where textures are finer than the blur" if plan.mapped else ""
         sizes = silhouette_buffers(spec, grid, plan.slots, plan.mapped > 0)
-        yield Pass("silhouettes", (("sub-pixel sources", what),), sizes, group)
-    yield from _blur_pass(plan, group)
-
-
-def _blur_pass(plan: Plan, group: OcclusionGroup | None = None) -> Iterator[Pass]:
-    """The pass of a blur, where anything is blurred."""
+        yield Pass("silhouettes", (("sub-pixel sources", what),), sizes, light, light, group)
     if plan.blur != "none":
-        yield Pass("blur", _of_blur(plan), _blur_sizes(plan), group)
-
-
-def _named(owner: str, sizes: Sizes) -> Sizes:
-    return {f"{owner} {name}": size for name, size in sizes.items()}
+        sizes = named("blur", blur_buffers(spec, grid, plan.device))
+        yield Pass("blur", _of_blur(plan), sizes, light if first else (*light, "plane"), ("plane",), group)
 
 
 def _of_scene(plan: Plan) -> Sizes:
     return texture_buffers(plan.scene, plan.channels, plan.alpha) | {"statistics": 4 * STATISTICS}
-
-
-def _blur_sizes(plan: Plan) -> Sizes:
-    return _named("blur", blur_buffers(plan.spec, plan.grid, plan.device))
 
 
 def _shapes(scene: Scene) -> str:

@@ -80,8 +80,8 @@ def test_the_plan_is_what_is_allocated(session: Session, allocated: list[weakref
     gc.collect()
     allocated.clear()
     renderer = Renderer(session, fitted(plan, limit), prepared, limit)
-    expose([renderer], 0)
-    renderer.finish(0)
+    (film,) = expose([renderer], 0)
+    renderer.finish(film)
     gc.collect()
     alive = [buffer.size for buffer in (reference() for reference in allocated) if buffer is not None]
     found, wanted = Counter(alive), Counter(size for size in expected.values() if size)

@@ -12,6 +12,7 @@ import pyopencl as cl
 import pytest
 
 import clsco
+from clsco.engine.film import Film
 from clsco.engine.live import Live
 from clsco.engine.renderer import Renderer
 from clsco.frame.frame import ALL_TRUTH, Frame
@@ -140,11 +141,11 @@ def test_a_render_ends_when_it_is_canceled(live: Live, monkeypatch: pytest.Monke
 def test_the_host_runs_ahead_by_a_time_sample_at_most(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     add, unfinished, latest = Renderer.add, list[int](), list[int]()
 
-    def noted(self: Renderer, *of_sample: Any) -> None:
-        earlier = self.events[: latest[-1]] if latest else []
+    def noted(self: Renderer, film: Film, *of_sample: Any) -> None:
+        earlier = film.events[: latest[-1]] if latest else []
         unfinished.append(sum(event.command_execution_status != COMPLETE for _, event in earlier))
-        latest.append(len(self.events))
-        add(self, *of_sample)
+        latest.append(len(film.events))
+        add(self, film, *of_sample)
 
     monkeypatch.setattr(Renderer, "add", noted)
     live.render(SCENES["moving"].replace("sequence.samples", 40), truth=())

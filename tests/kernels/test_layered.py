@@ -10,13 +10,14 @@ import pytest
 from numpy.typing import NDArray
 
 from clsco.constants import NO_SEED
-from clsco.frame.strips import Grid
+from clsco.frame.strips import Grid, Strip
 from clsco.opencl.buffers import download, empty, upload
 from clsco.opencl.session import Session
 from clsco.optics import depth_layers
 from clsco.optics.point_spread import point_spread
-from clsco.passes.blur import Events, blur_target
+from clsco.passes.blur import Area, Image, blur_target
 from clsco.passes.blur import Sources as Light
+from clsco.passes.clusters import Clusters
 from clsco.passes.frame_blur import make_blur
 from clsco.passes.layered import DepthLayers
 from clsco.passes.pack import grid_struct
@@ -81,29 +82,29 @@ class Device:
         psf, channels = view.psf, view.radiance.shape[2]
         spec = spec_of(psf, view.largest, method)
         target = blur_target(session, spec, channels, real)
-        strip = grid_struct(*view.shape, view.guard, real)
-        self.session, self.view = session, view
-        grid = Grid.whole(*view.shape, view.guard, channels)
-        self.blur = make_blur(target, spec, grid, strip)
-        self.layers = DepthLayers(self.blur, target, grid)
-        self.coc = upload(session, view.coc.astype(REAL[real]))
-        self.valid = upload(session, view.valid.astype(np.uint8))
+        grid = grid_struct(*view.shape, view.guard, real)
+        self.session, self.view, guard = session, view, view.guard
+        tallest = Grid.whole(*view.shape, guard, channels)
+        self.blur = make_blur(target, spec, tallest, grid)
+        self.clusters, self.layers = Clusters(session, spec, tallest, real), DepthLayers(self.blur, target, tallest)
+        self.at = Area(strip=Strip(0, view.shape[0], guard, guard), grid=grid, events=[])
+        self.maps = upload(session, view.coc.astype(REAL[real])), upload(session, view.valid.astype(np.uint8))
 
     def image(self, moments: int = 1) -> tuple[Array, int]:
         """The frame (rows, columns, channels) of equal moments, and the number of layers of each."""
         light = flat(self.view.radiance / moments, np.float32)
-        value = empty(self.session, light.nbytes)
-        events: Events = []
+        image = Image(empty(self.session, light.nbytes), self.maps)
         self.blur.clear()
         for _ in range(moments):
-            cl.enqueue_copy(self.session.queue, value, light)  # "renormalize" writes to it
-            count = self.layers.add((value, self.coc, self.valid), events)
-        image = self.blur.plane(events).read(self.session)
-        return image.reshape(*self.view.shape, -1), count
+            cl.enqueue_copy(self.session.queue, image.value, light)  # "renormalize" writes to it
+            self.clusters.find(self.at, image)
+            layers = self.clusters.divide(self.at, image, self.clusters.found())
+            self.layers.add(self.at, layers)
+        plane = self.blur.plane(self.at.events).read(self.session)
+        return plane.reshape(*self.view.shape, -1), layers.count
 
     def read(self, name: str, dtype: Any) -> Array:
-        owner = self.layers if name in ("coc", "valid") else self.layers.labels
-        return download(self.session, getattr(owner, name), self.view.coc.shape, dtype)
+        return download(self.session, self.clusters.buffers[name], self.view.coc.shape, dtype)
 
 
 def assert_close(found: Array, expected: Array, limit: float = FIGURE) -> None:
@@ -143,12 +144,12 @@ def test_labels_are_those_of_the_twin(session: Session) -> None:
     device = Device(session, view)
     _, count = device.image()
     low, bins = twin.bins_of(view.largest)
-    assert (device.layers.labels.low, device.layers.labels.bins) == (low, bins)
+    assert (device.clusters.low, device.clusters.bins) == (low, bins)
     latest, largest_sum = twin.find_discontinuities(
         view.coc, view.valid, low, bins, 2 * point_spread(view.psf).reach(view.largest) + 1
     )
-    device.layers.find(device.coc, device.valid, [])
-    found = download(session, device.layers.labels.latest, (latest.size + 1,), np.int32)
+    device.clusters.find(device.at, Image(empty(session, 1), device.maps))
+    found = download(session, device.clusters.buffers["latest"], (latest.size + 1,), np.int32)
     np.testing.assert_array_equal(found, [*latest.ravel(), largest_sum])
     layer = twin.label_depth_layers(view.coc, view.valid, low, bins, twin.layer_bounds(latest))
     seed = twin.seed_hidden(view.coc, layer)
@@ -199,7 +200,7 @@ def test_the_last_layer_is_extended_as_by_the_twin(session: Session) -> None:
     value, radius, there = twin.extend_depth_layer(view.radiance, view.coc, layer, hidden, int(layer.max()), deep)
     assert [twin.level_count(n) for n in range(1, 99)] == [depth_layers.level_count(n) for n in range(1, 99)]
     size = view.coc.shape
-    found = np.moveaxis(download(session, device.layers.value, (4, *size), np.float32), 0, -1)
+    found = np.moveaxis(download(session, device.clusters.buffers["value"], (4, *size), np.float32), 0, -1)
     # A mean of means, each of 16 terms: a few roundings of 2^-24 of values up to 4.
     np.testing.assert_allclose(found, value, rtol=0, atol=1e-6)
     np.testing.assert_allclose(device.read("coc", np.float64), radius, rtol=0, atol=2e-6)

@@ -16,10 +16,10 @@ import clsco
 from clsco.cli.main import main
 from clsco.constants import BAND, TAP_LANES
 from clsco.errors import SceneError
-from clsco.frame.strips import Strip
 from clsco.plan import memory
 from clsco.plan.buffers import ThisMachine, margin
-from clsco.plan.memory import Limit, free_bytes, limit_of, parse_size, rows_that_fit
+from clsco.plan.image import ImagePlan
+from clsco.plan.memory import Limit, device_bytes, fitted, free_bytes, limit_of, parse_size, rows_that_fit
 from tests.scenes import scene_file
 
 
@@ -149,18 +149,13 @@ def assert_strips(
     needed: dict[int, int] = {}
     used: list[int] = []
 
-    def sizes(*args: Any) -> dict[str, int]:
-        found = memory.defocus_bytes(*args)
-        needed[args[1].rows] = sum(found.values())
+    def noted(plan: ImagePlan, limit: Limit) -> ImagePlan:
+        needed[BAND] = device_bytes(replace(plan, strip_rows=BAND))
+        found = fitted(plan, limit)
+        used.append(len(found.strips))
         return found
 
-    def strips(*args: Any) -> tuple[Strip, ...]:
-        found = memory.defocus_strips(*args)
-        used.append(len(found))
-        return found
-
-    monkeypatch.setattr(import_module("clsco.engine.defocus"), "defocus_bytes", sizes)
-    monkeypatch.setattr(import_module("clsco.engine.defocus"), "defocus_strips", strips)
+    monkeypatch.setattr(import_module("clsco.engine.defocus"), "fitted", noted)
     whole = clsco.defocus(image, coc, psf, method=method)
     assert used[-1] == 1
     with pytest.raises(SceneError, match=r"^memory: must be at least \d+ MiB for this frame, in strips of 64 rows"):

@@ -15,9 +15,10 @@ from clsco.frame.frame import TRUTH_NAMES
 from clsco.optics.lens import LARGEST_BLUR, blur_radius, ray_step
 from clsco.optics.point_spread import point_spread
 from clsco.plan.buffers import ThisMachine
+from clsco.plan.larger import widened
 from clsco.plan.memory import device_bytes
 from clsco.plan.methods import MANY_RADII
-from clsco.plan.plan import Plan, make_plan, widened
+from clsco.plan.plan import Plan, make_plan
 from clsco.plan.predict import guard_band, image_displacement
 from clsco.plan.request import Request
 from clsco.scene.model import (

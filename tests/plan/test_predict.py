@@ -11,7 +11,8 @@ import pytest
 from clsco.errors import SceneError
 from clsco.optics.lens import LARGEST_BLUR, blur_radius
 from clsco.optics.motion import poses_at
-from clsco.plan.plan import make_plan, widened
+from clsco.plan.larger import widened
+from clsco.plan.plan import make_plan
 from clsco.plan.predict import _moved_map, image_displacement
 from clsco.scene.model import DepthMap, ObjectMotion, Plane, Psf, Scene, Sequence, Sphere
 from tests.scenes import plan_of, scene_of

@@ -17,7 +17,8 @@ from clsco.passes.blur import Events, Sources, blur_target, prepare_sources
 from clsco.passes.frame_blur import make_blur
 from clsco.passes.pack import grid_struct
 from clsco.plan.buffers import source_bytes
-from clsco.plan.memory import defocus_bytes
+from clsco.plan.image import ImagePlan
+from clsco.plan.memory import buffer_bytes
 from clsco.plan.methods import Blur, BlurSpec
 from clsco.records import REAL, Real, flat
 from clsco.scene.model import Psf
@@ -48,7 +49,7 @@ class Pass:
         self.grid, self.target = grid_struct(rows, columns, guard, real), blur_target(session, spec, channels, real)
         grid = Grid.whole(rows, columns, guard, channels)
         self.blur = make_blur(self.target, spec, grid, self.grid)
-        self.sizes = defocus_bytes(spec, grid, session.device)
+        self.sizes = buffer_bytes(ImagePlan(spec, session.device, rows, columns, channels, guard))
         padded = np.pad(flat(image, np.float32), ((0, 0), (guard, guard), (guard, guard)))
         source = None if constant else empty(session, source_bytes(rows * columns, psf.tilt))
         self.sources = Sources(source, upload(session, padded), radius=self.largest)

@@ -251,11 +251,17 @@ def layered(
     is `blur.scatter`. Validated: a cut through a slanted plane leaves no seam, an edge before a plane is its closed
     form, one brightness stays so, and against the ray tracer.
     """
-    largest = spec.largest
-    low, bins = bins_of(largest)
-    latest, largest_sum = find_discontinuities(coc, valid, low, bins, 2 * spec.psf.reach(largest) + 1)
-    layer = label_depth_layers(coc, valid, low, bins, layer_bounds(latest))
-    return spread_depth_layers(spec, radiance, coc, layer, shape, guard, depth_of_hidden(spec.psf, largest_sum))
+    labels, deep = cluster(spec, coc, valid)
+    return spread_depth_layers(spec, radiance, coc, labels, shape, guard, deep)
+
+
+def cluster(spec: BlurSpec, coc: Array, valid: Mask) -> tuple[Labels, int]:
+    """Depth layers (H, W) of an image by its radii, and px behind an edge up to which surface may be seen; arguments as
+    for `layered`."""
+    low, bins = bins_of(spec.largest)
+    latest, largest_sum = find_discontinuities(coc, valid, low, bins, 2 * spec.psf.reach(spec.largest) + 1)
+    labels = label_depth_layers(coc, valid, low, bins, layer_bounds(latest))
+    return labels, depth_of_hidden(spec.psf, largest_sum)
 
 
 def spread_depth_layers(

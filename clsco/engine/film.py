@@ -1,0 +1,87 @@
+"""A frame while strips and time samples are added to it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.frame.strips import Strip
+from clsco.opencl.pace import spent
+from clsco.opencl.session import Session
+from clsco.optics.depth_layers import LayerBounds
+from clsco.optics.exposure import frame_exposure
+from clsco.passes.blur import Events, Plane
+from clsco.plan.plan import Plan
+
+NOTHING_MISSING = {"missing_pixels": 0, "filled_pixels": 0, "unfilled_pixels": 0, "sweeps": 0}
+
+
+class Film:
+    """The arrays of one frame, and what is known of how it was made.
+
+    Parameters
+    ----------
+    plan : Plan
+    index : int
+        Number of the frame.
+
+    Attributes
+    ----------
+    times : list of float
+        Its time samples, s.
+    weights : ndarray of float64 (samples, rows)
+    color : ndarray of float32 (rows, columns[, channels])
+    subframes : ndarray of float32 (samples or 0, rows, columns[, channels])
+    missing : ndarray of bool (rows, columns)
+        Pixels that were missing at any time sample, filled or not.
+    bounds : dict
+        Bounds of the depth layers of time samples by their numbers, where they come from all strips.
+    events : list
+        Launches.
+    reports : dict
+        Reports on time samples by their numbers.
+    """
+
+    def __init__(self, plan: Plan, index: int) -> None:
+        exposure = frame_exposure(plan.scene, index, plan.samples)
+        shape = (plan.rows, plan.columns)
+        image = shape if plan.channels == 1 else (*shape, plan.channels)
+        self.index, self.times, self.weights = index, exposure.times.tolist(), exposure.of_rows(plan.rows)
+        self.shares = [float(weights.mean()) for weights in exposure.weights]
+        self.color = np.empty(image, np.float32)
+        self.subframes = np.empty((len(self.times) if "subframes" in plan.truth else 0, *image), np.float32)
+        self.missing = np.zeros(shape, np.bool_)
+        self.bounds: dict[int, LayerBounds | None] = {}
+        self.events: Events = []
+        self.reports: dict[int, dict[str, Any]] = {}
+        self.began = perf_counter()
+        self._planes: list[tuple[Plane, NDArray[np.float32]]] = []
+
+    def add(self, session: Session, strip: Strip, number: int, found: Mapping[str, Any]) -> None:
+        """Add what the passes of a time sample, by its number, have handed on for a strip."""
+        report = {"time": self.times[number], "weight": self.shares[number]} | NOTHING_MISSING | found.get("counts", {})
+        self.reports[number] = report | {name: found[name] for name in ("depth_layers",) if name in found}
+        self.missing |= found.get("missing", False)
+        if "plane" not in found:
+            return
+        if len(self.subframes):
+            found["plane"].read(session, self.subframes[number][strip.inside])
+        if number == len(self.times) - 1:
+            self._planes.append((found.get("frame", found["plane"]), self.color[strip.inside]))
+
+    def read(self, session: Session) -> None:
+        """Read back strips to which all time samples have been added; waits for the device."""
+        for plane, out in self._planes:
+            plane.read(session, out)
+        self._planes.clear()
+
+    def seconds(self) -> dict[str, float]:
+        """Seconds of the device by the names of kernels, and what the host has taken besides."""
+        found: dict[str, float] = {}
+        for name, event in self.events:
+            found[name] = found.get(name, 0.0) + spent(event)
+        return found | {"host": perf_counter() - self.began - sum(found.values())}

@@ -1,0 +1,105 @@
+"""The passes from an image with its radii to its blurred plane, and the plan of an image that is given with them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+from clsco.frame.strips import Grid, Strip, cut
+from clsco.optics.depth_layers import margin_of_layers
+from clsco.optics.psf_grid import table_reach
+from clsco.plan.buffers import (
+    DeviceFacts,
+    Sizes,
+    blur_buffers,
+    cluster_buffers,
+    layered_buffers,
+    map_buffers,
+    source_buffers,
+)
+from clsco.plan.methods import MANY_RADII, BlurSpec
+from clsco.plan.passes import Parameters, Pass
+
+CLUSTERED = (("layers", "of the image's pixels by R, each extended behind nearer ones"),)
+FROM_R = ("R", "from the inverse depth of every pixel")
+SLOPE = ("gradient", "from differences of R")
+
+
+def named(owner: str, sizes: Sizes) -> Sizes:
+    """Buffers of an owner by names of the whole plan."""
+    return {f"{owner} {name}": size for name, size in sizes.items()}
+
+
+def light_of(spec: BlurSpec) -> str:
+    """Name of what a pass that makes an image hands on: the image with its radii; of one radius for all pixels its
+    sources, which are the pixels; in focus it is the plane already."""
+    if spec.method == "none":
+        return "plane"
+    return "image" if spec.method in MANY_RADII else "sources"
+
+
+def blur_passes(spec: BlurSpec, grid: Grid, device: DeviceFacts, parameters: Parameters = ()) -> Iterator[Pass]:
+    """The passes from what `light_of` names to the plane; parameters: of the blur, for reports."""
+    blur = named("blur", blur_buffers(spec, grid, device))
+    if spec.layered:
+        sizes = named("depth layer", layered_buffers(spec, grid, device)) | blur
+        yield Pass("cluster", CLUSTERED, named("depth layer", cluster_buffers(spec, grid)), ("image",), ("layers",))
+        yield Pass("depth layers", parameters, sizes, ("layers",), ("plane", "depth_layers"))
+        return
+    if spec.method in MANY_RADII:
+        slope = (SLOPE,) if spec.tilt else ()
+        yield Pass("sources", (FROM_R, *slope), source_buffers(spec, grid), ("image",), ("sources",))
+    if spec.method != "none":
+        yield Pass("blur", parameters, blur, ("sources",), ("plane",))
+
+
+@dataclass(frozen=True)
+class ImagePlan:
+    """Plan of the blur of an image that is given with its map of radii, as `clsco.defocus` has it.
+
+    Attributes
+    ----------
+    spec : BlurSpec
+    device : DeviceFacts
+    rows, columns, channels : int
+        Size of the image, px.
+    guard_px : int
+        Width of the apron around the image that lights it.
+    strip_rows : int
+        Rows that are worked on at a time, 0 for all.
+    """
+
+    spec: BlurSpec
+    device: DeviceFacts
+    rows: int
+    columns: int
+    channels: int
+    guard_px: int
+    strip_rows: int = 0
+    forward = False  # strips will do
+
+    @cached_property
+    def strips(self) -> tuple[Strip, ...]:
+        """The strips that the image is blurred in, one after the other; the first one is the tallest."""
+        reach = table_reach(self.spec.psf, self.spec.largest) + 2
+        return strips_of(self.spec, self.rows, self.strip_rows, self.guard_px, reach)
+
+    @property
+    def grid(self) -> Grid:
+        """Sizes of the image, or of the tallest of its strips."""
+        return Grid.of(self.strips, self.columns, self.guard_px, self.channels)
+
+    @cached_property
+    def passes(self) -> tuple[Pass, ...]:
+        """Passes of a strip, in this order."""
+        sizes, light = map_buffers(self.grid), light_of(self.spec)
+        if light == "sources":
+            sizes = {"value": sizes["value"]}
+        return Pass("static image", (), sizes, (), (light,)), *blur_passes(self.spec, self.grid, self.device)
+
+
+def strips_of(spec: BlurSpec, rows: int, tallest: int, guard: int, reach: int) -> tuple[Strip, ...]:
+    """Strips of a frame of so many rows; tallest: 0 for all; reach: px at which a source may matter to a pixel."""
+    far, step = margin_of_layers(spec.psf, spec.largest) if spec.layered else (reach, 1)
+    return cut(rows, tallest or rows, guard, far, step)

@@ -1,0 +1,80 @@
+"""A larger plan for a frame that met more than its plan had room for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.constants import STATISTIC_LARGEST, STATISTIC_MOST_SLOTS, STATISTIC_SMALLEST
+from clsco.errors import SceneError
+from clsco.optics.lens import LARGEST_BLUR
+from clsco.plan.memory import Limit, fitted
+from clsco.plan.plan import Plan
+from clsco.plan.predict import guard_band
+
+SLACK = 1.0 + 1e-6  # the host's float64 and the device's float round differently
+
+
+@dataclass(frozen=True)
+class Met:
+    """Range of sources that a frame has met on the device.
+
+    Attributes
+    ----------
+    smallest, largest : float
+        Range of |R| of its sources in px; largest 0 where there are none.
+    slots : int
+        Most pixels near silhouettes at a time sample.
+    """
+
+    smallest: float
+    largest: float
+    slots: int
+
+    @classmethod
+    def of(cls, statistics: NDArray[np.int32]) -> Self:
+        """Read the statistics of a frame, as kernels write them."""
+        radii = statistics.view(np.float32)
+        return cls(
+            float(radii[STATISTIC_SMALLEST]), float(radii[STATISTIC_LARGEST]), int(statistics[STATISTIC_MOST_SLOTS])
+        )
+
+
+def larger_plan(plan: Plan, met: Met, limit: Limit) -> Plan | None:
+    """The plan with room for what a frame has met; None where it has.
+
+    Parameters
+    ----------
+    plan : Plan
+    met : Met
+    limit : Limit
+        Limit that the larger plan is fitted to.
+
+    Returns
+    -------
+    Plan or None
+
+    Raises
+    ------
+    SceneError
+        The blur radius passes LARGEST_BLUR, or the memory that was given does not suffice.
+    """
+    fits = met.largest <= plan.largest_blur * SLACK + 1e-6 and met.smallest >= plan.smallest_blur / SLACK - 1e-6
+    if met.largest == 0.0 or (fits and met.slots <= plan.slots):
+        return None
+    wider = replace(plan, least_slots=max(met.slots, plan.slots) if plan.silhouettes else 0)
+    if fits:
+        return wider
+    smallest, largest = min(met.smallest / SLACK, plan.smallest_blur), max(met.largest * SLACK, plan.largest_blur)
+    return fitted(widened(wider, smallest, largest), limit)
+
+
+def widened(plan: Plan, smallest: float, largest: float) -> Plan:
+    """The plan for a wider range of |R| in px than it predicted. Raises SceneError beyond LARGEST_BLUR."""
+    if largest > LARGEST_BLUR:
+        raise SceneError(f"camera: the blur radius must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px")
+    guard = max(plan.guard_px, guard_band(plan.psf, plan.scene.psf.border, largest))
+    return replace(plan, smallest_blur=smallest, largest_blur=largest, guard_px=guard)

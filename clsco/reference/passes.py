@@ -1,0 +1,231 @@
+"""The passes of a plan in NumPy float64: what `clsco.engine` runs on a device, by the same names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.inputs.textures import radiance_span
+from clsco.optics.lens import Lens
+from clsco.optics.motion import Eye, Pose, poses_at, rest_poses
+from clsco.optics.quadrics import PlacedSurface, place
+from clsco.plan.passes import Kind, Pass, run_passes
+from clsco.plan.plan import Plan
+from clsco.plan.predict import Maps
+from clsco.reference.blur.accumulate import accumulate
+from clsco.reference.blur.blur import prepare_sources, scatter
+from clsco.reference.common.geometry import Array, blur_radius
+from clsco.reference.inpainting.fill import FILLED, UNFILLED, FillReport, fill_objects
+from clsco.reference.layered.layered import Labels, cluster, spread_depth_layers
+from clsco.reference.trace.mapping import MappedTexture
+from clsco.reference.trace.trace import (
+    Sources,
+    SubpixelSources,
+    Texture,
+    View,
+    everything,
+    mark_silhouettes,
+    sharpen,
+    spread_sources,
+    trace,
+    trace_subpixels,
+    view_at,
+)
+from clsco.reference.warp.warp import Reprojected, extend_border, fill_entered, reproject
+from clsco.scene.model import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """A pass of a frame at a time sample, s: its weights (rows,), and the weighted sum (m, n, C) of those before."""
+
+    plan: Plan
+    textures: tuple[Texture, ...]
+    maps: Maps
+    time: float
+    weights: Array
+    frame: Array
+    view: Callable[[], View]
+    step: Pass
+
+
+@dataclass(frozen=True, eq=False)
+class Light:
+    """An image with its radii, or sources; finer: at sub-pixels; cast: as rays gave them, before any was spread."""
+
+    sources: Sources
+    finer: SubpixelSources | None = None
+    cast: Sources | None = None
+
+
+def run(
+    plan: Plan, textures: tuple[Texture, ...], maps: Maps, time: float, weights: Array, frame: Array
+) -> Mapping[str, Any]:
+    """Run the passes of a plan at a time sample; what they hand on, by the names of `clsco.plan.passes.Pass`."""
+    moved = plan.moves or plan.eye_moved
+    view = cache(lambda: view_at(plan.scene, textures, time, plan.eye, moved, plan.psf))
+
+    def run_pass(step: Pass, *given: Any) -> tuple[Any, ...]:
+        return RUN[step.kind](Moment(plan, textures, maps, time, weights, frame, view, step), *given)
+
+    return run_passes((step for step in plan.passes if step.kind != "ground truth"), run_pass)
+
+
+def _lit(at: Moment, light: Light) -> Light | Array:
+    """Turn the light that a pass makes into what it hands on: in focus it is the plane already."""
+    return _spread(at, light) if "plane" in at.step.gives else light
+
+
+def _spread(at: Moment, light: Light) -> Array:
+    plan = at.plan
+    return scatter(plan.spec, light.sources, light.finer, (plan.rows, plan.columns), plan.guard_px)
+
+
+def _trace(at: Moment) -> tuple[Light | Array]:
+    """Sources of one occlusion group from rays cast at its objects: the inverse warp, and every static scene."""
+    cast = trace(at.view(), at.step.group, at.plan.guard_px)
+    spread = spread_sources(cast) if at.plan.scene.psf.tilt else cast
+    return (_lit(at, Light(spread, None, cast)),)
+
+
+def _silhouettes(at: Moment, light: Light) -> tuple[Light]:
+    cast = light.sources if light.cast is None else light.cast
+    marked = mark_silhouettes(cast.label)
+    several = marked if cast.parts is None else marked | (cast.parts > 0)
+    finer = trace_subpixels(at.view(), at.step.group, at.plan.guard_px, marked, cast) if several.any() else None
+    return (Light(sharpen(light.sources, several), finer),)
+
+
+def _pinhole(at: Moment) -> tuple[Light | Array]:
+    return (_lit(at, Light(trace(at.view(), everything(at.plan.scene), at.plan.guard_px))),)
+
+
+def _static_image(at: Moment) -> tuple[Light | Array, dict[str, int]]:
+    """Every pixel of a depth map at its own place."""
+    plan = at.plan
+    warped = warped_image(plan.scene, at.textures, at.maps, plan.guard_px, at.time, plan.eye)
+    return _lit(at, Light(warped.sources)), asdict(warped.report)
+
+
+def _reproject(at: Moment) -> tuple[Reprojected]:
+    plan = at.plan
+    return (reprojected(plan.scene, at.textures, at.maps, plan.guard_px, at.time, plan.eye),)
+
+
+def _fill(at: Moment, moved: Reprojected) -> tuple[Any, ...]:
+    plan = at.plan
+    warped = filled(plan.scene, at.textures, moved, plan.guard_px, at.time, plan.eye)
+    missing = (crop(warped.status, plan.guard_px) > 0,) if "missing" in at.step.gives else ()
+    return _lit(at, Light(warped.sources)), asdict(warped.report), *missing
+
+
+def _sources(_: Moment, image: Light) -> tuple[Light]:
+    """The gradient of the radius from its differences."""
+    known = image.sources
+    return (Light(replace(known, gradient=prepare_sources(known.radius, known.lit))),)
+
+
+def _cluster(at: Moment, image: Light) -> tuple[tuple[Sources, Labels, int]]:
+    sources = image.sources
+    return ((sources, *cluster(at.plan.spec, sources.radius, sources.lit)),)
+
+
+def _depth_layers(at: Moment, layers: tuple[Sources, Labels, int]) -> tuple[Array, int]:
+    plan, (image, labels, deep) = at.plan, layers
+    shape = plan.rows, plan.columns
+    return spread_depth_layers(plan.spec, image.radiance, image.radius, labels, shape, plan.guard_px, deep)
+
+
+def _blur(at: Moment, light: Light, plane: Array | float = 0.0) -> tuple[Array]:
+    return (plane + _spread(at, light),)
+
+
+def _accumulate(at: Moment, plane: Array) -> tuple[Array]:
+    return (accumulate(at.frame, plane, at.weights),)
+
+
+RUN: dict[Kind, Callable[..., tuple[Any, ...]]] = {
+    "static image": _static_image,
+    "trace": _trace,
+    "silhouettes": _silhouettes,
+    "pinhole": _pinhole,
+    "reproject": _reproject,
+    "fill": _fill,
+    "count missing": _fill,
+    "sources": _sources,
+    "cluster": _cluster,
+    "depth layers": _depth_layers,
+    "blur": _blur,
+    "accumulate": _accumulate,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Warped:
+    """Result of a forward warp: sources, the object of each (H, W), status of the filling (H, W), its report."""
+
+    sources: Sources
+    objects: NDArray[np.uint8]
+    status: NDArray[np.uint8]
+    report: FillReport
+
+
+def warped_image(
+    scene: Scene, textures: tuple[Texture, ...], maps: Maps, guard: int, time: float, eye: Eye
+) -> Warped:  # fmt: skip
+    """The pixels of the reference pose at a time: the forward warp, with its holes filled."""
+    return filled(scene, textures, reprojected(scene, textures, maps, guard, time, eye), guard, time, eye)
+
+
+def _images(textures: tuple[Texture, ...]) -> tuple[Array, ...]:
+    return tuple(texture for texture in textures if not isinstance(texture, MappedTexture))  # all of them
+
+
+def reprojected(
+    scene: Scene, textures: tuple[Texture, ...], maps: Maps, guard: int, time: float, eye: Eye
+) -> Reprojected:  # fmt: skip
+    """The pixels of the reference pose at their places at a time."""
+    reference_pose = _placed(scene, rest_poses(scene))
+    return reproject(scene, _images(textures), reference_pose, maps, poses_at(scene, time, eye), guard)
+
+
+def filled(
+    scene: Scene, textures: tuple[Texture, ...], new: Reprojected, guard: int, time: float, eye: Eye
+) -> Warped:  # fmt: skip
+    """The image of moved pixels, with what is missing filled."""
+    mapped, allowed = not scene.is_analytic, None
+    if scene.fill.domain == "surface" and not mapped:
+        view = view_at(scene, textures, time, eye, True)
+        allowed = trace(view, everything(scene), guard).label > 0
+    values = np.concatenate([new.radiance, new.inverse_depth[..., None]], axis=-1)
+    far = mapped or len(scene.objects) > 1
+    brightest = max(map(radiance_span, _images(textures)))
+    values, objects, status, report = fill_objects(
+        values, new.object, new.known, allowed, scene.fill.method, guard, far, brightest
+    )
+    valid = new.known | (status == 1)
+    if new.entered.any() and scene.fill.method != "none":
+        values, objects, valid = fill_entered(values, objects, valid, new.entered, guard)
+    status = np.where(new.entered & ~new.known, np.where(valid, FILLED, UNFILLED), status)
+    if mapped:
+        values, valid = extend_border(values, valid, guard)
+    radius = np.where(valid, blur_radius(Lens.of(scene.camera), values[..., -1]), 0.0)
+    flat = np.zeros((*radius.shape, 2))  # until its differences are taken
+    sources = Sources(values[..., :-1], values[..., -1], valid.astype(np.uint8), radius, flat, valid)
+    return Warped(sources, objects, status, report)
+
+
+def _placed(scene: Scene, poses: Sequence[Pose]) -> tuple[PlacedSurface | None, ...]:
+    """The objects in their poses, None for depth maps."""
+    pairs = zip(scene.objects, poses, strict=True)
+    return tuple(place(item, pose) if item.is_analytic else None for item, pose in pairs)
+
+
+def crop(array: NDArray[Any], guard: int) -> NDArray[Any]:
+    """The frame's part of the padded grid."""
+    return array[guard : array.shape[0] - guard, guard : array.shape[1] - guard]
