@@ -1,0 +1,45 @@
+"""Passes and the engine have all that they work with from the start: nothing is asserted, or comes later."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+TREES = {
+    path.relative_to(ROOT).as_posix(): ast.parse(path.read_text("utf-8"))
+    for folder in ("passes", "engine")
+    for path in sorted((ROOT / "clsco" / folder).glob("*.py"))
+}
+
+
+def late(tree: ast.AST) -> Iterator[str]:
+    """Attributes that methods of a class set, and neither its body nor `__init__`."""
+    for owner in (node for node in ast.walk(tree) if isinstance(node, ast.ClassDef)):
+        methods = {node.name: stored(node) for node in owner.body if isinstance(node, ast.FunctionDef)}
+        fields = [node.target for node in owner.body if isinstance(node, ast.AnnAssign)]
+        body = {target.id for target in fields if isinstance(target, ast.Name)}
+        known = body | methods.pop("__init__", set())
+        yield from (f"{owner.name}.{name}" for names in methods.values() for name in names - known)
+
+
+def stored(method: ast.AST) -> set[str]:
+    return {
+        node.attr
+        for node in ast.walk(method)
+        if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store)
+        if isinstance(node.value, ast.Name) and node.value.id == "self"
+    }
+
+
+def test_nothing_is_asserted() -> None:
+    nodes = [(name, node) for name, tree in TREES.items() for node in ast.walk(tree)]
+    assert {f"{name}:{node.lineno}" for name, node in nodes if isinstance(node, ast.Assert)} == set()
+
+
+def test_attributes_are_born_with_their_object() -> None:
+    assert len(TREES) > 20
+    assert {name: found for name, tree in TREES.items() if (found := sorted(late(tree)))} == {}
+    told = "class A:\n    def __init__(self): self.a = 1\n    def run(self): self.a = self.b = 2"
+    assert [*late(ast.parse(told))] == ["A.b"]
