@@ -28,7 +28,7 @@ WHOLE_PIXELS = "the forward warp moves whole pixels"
 MOTION_KEYS = ("sequence.samples", "sequence.sampling", "sequence.shutter", "motion.rotation")
 FILL_KEYS = tuple(f"fill.{key}" for key in Fill.model_fields)
 SPREAD_KEYS = ("psf.tilt", "psf.occlusion", "psf.border")  # of light that leaves its pixel
-APERTURE_KEYS = tuple(f"aperture.{key}" for key in Aperture.model_fields)
+OPENING_KEYS = tuple(f"aperture.{key}" for key in Aperture.model_fields)
 POSSIBLE = (
     (STEREO_NAMES, lambda scene: scene.stereo is not None, "there is one view"),
     (MOTION_NAMES, lambda scene: scene.moves, "nothing moves"),
@@ -118,7 +118,7 @@ def choose(
     alike = constant and silhouettes.left_out and can_convolve(psf, scene.psf.border)
     blur = choose_blur(request.method, sharp, alike, gpu, occlusion.value == "visibility")
     if blur.left_out:
-        aperture = APERTURE_KEYS if seen.largest <= 0.5 else ()  # where any keeps all light in its pixel
+        aperture = OPENING_KEYS if seen.largest <= 0.5 else ()  # where any keeps all light in its pixel
         why = f"in focus: R up to {seen.largest:.3g} px stays within its pixel"
         blur = replace(blur, reason=why, unused=(*SPREAD_KEYS, *aperture))
     renormalize, guard_band = choose_border(scene)
