@@ -17,7 +17,7 @@ from clsco.opencl.session import DeviceLike, Session, session_for
 from clsco.passes.tables import forget_others
 from clsco.passes.trace import KeptHits, LatestHits
 from clsco.plan.approximation import checked_tolerance
-from clsco.plan.memory import Limit, device_bytes, fitted, hit_bytes, limit_of, parse_size
+from clsco.plan.memory import Limit, device_bytes, fitted, lens_bytes, limit_of, parse_size
 from clsco.plan.methods import check_method
 from clsco.plan.plan import Plan
 from clsco.plan.prepare import Prepared, lens_groups, prepare_sweep
@@ -329,8 +329,9 @@ def _in_lockstep(plans: Sequence[tuple[Plan, ...]], limit: Limit) -> list[list[P
     for of_lenses in zip(*plans, strict=True):
         guard = max(plan.guard_px for plan in of_lenses)
         alike = [replace(plan, guard_px=guard) for plan in of_lenses]
-        needed = sum(device_bytes(plan) for plan in alike) + hit_bytes(alike[0])
-        if needed * limit.views > limit.total or any(fitted(plan, limit).strip_rows < plan.rows for plan in alike):
+        if lens_bytes(alike) * limit.views > limit.total or any(
+            fitted(plan, limit).strip_rows < plan.rows for plan in alike
+        ):
             return []
         found.append(alike)
     return found

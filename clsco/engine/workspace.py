@@ -26,7 +26,7 @@ from clsco.passes.static_image import StaticMap
 from clsco.passes.tables import tables_of
 from clsco.passes.trace import Hits, Tracer
 from clsco.passes.warp import ForwardWarp
-from clsco.plan.buffers import sum_buffers
+from clsco.plan.buffers import hit_buffers, sum_buffers
 from clsco.plan.image import ImagePlan
 from clsco.plan.methods import BlurSpec
 from clsco.plan.passes import Kind, Pass, run_passes
@@ -95,7 +95,8 @@ def shared_buffers(session: Session, plan: Plan | ImagePlan, absent: Iterable[st
 def scene_workspace(plan: Plan, scene: PlacedScene, pixels: Pixels, hits: Hits | None, grid: Struct) -> Workspace:
     """Workspace of a scene, whose first strip has this grid_t; hits: shared with other lenses. Raises DeviceError,
     KernelError."""
-    session, real, buffers = scene.session, scene.real, shared_buffers(scene.session, plan)
+    session, real = scene.session, scene.real
+    buffers = shared_buffers(session, plan, () if hits is None else hit_buffers(plan.grid, plan.mapped > 0))
     runs = _pixel_runs(plan, pixels, buffers)
     if not plan.color:
         return Workspace(session, runs, buffers)

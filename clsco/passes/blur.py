@@ -170,6 +170,8 @@ class Sources:
         The lens, occluders before it, and the depth of sources; None where nothing is in their way.
     radius : float
         |R| of all sources in px, for "convolve" only.
+    label : Buffer, optional
+        Labels of the hits, where rays were cast.
     """
 
     source: cl.Buffer | None
@@ -183,6 +185,7 @@ class Sources:
     depth: cl.Buffer | None = None
     sub_depth: cl.Buffer | None = None
     radius: float = 0.0
+    label: cl.Buffer | None = None
 
 
 def prepare_sources(

@@ -28,7 +28,7 @@ TRACE_FILES = ("trace/trace.cl", "trace/truth.cl")  # the kernels that cast rays
 EMPTY_STATISTICS = np.zeros(STATISTICS, np.int32)
 EMPTY_STATISTICS[STATISTIC_SMALLEST] = np.iinfo(np.int32).max
 
-HitPlanes = tuple[cl.Buffer, ...]  # value, depth and hit, as in trace.cl
+HitPlanes = tuple[cl.Buffer, ...]  # value, depth and label, as in trace.cl
 Cast = Callable[[HitPlanes], None]
 
 
@@ -126,35 +126,32 @@ class Tracer:
 
     def trace(self, at: Moment) -> Sources:
         """Sources of one occlusion group; its buffers are those of the group before, which the queue is done with."""
-        buffers, occluded = self.buffers, self.plan.spec.occluders > 0
-        sample, head = at.sample, self._head(at)
-        source, label, statistics = (buffers.get(name) for name in ("source", "label", "statistics"))
-        exchanged = (buffers["share"],) if "share" in buffers else ()
+        buffers, sizes, head = self.buffers, hit_buffers(self.plan.grid, self.plan.mapped > 0), self._head(at)
         if self.hits is None:
-            value, depth = buffers["value"], buffers.get("depth")
-            args = (*head, *self._appearance(at), source, value, label, statistics)
-            self._per_pixel("trace", at, *args, *((depth,) if occluded else ()), *exchanged)
+            planes = tuple(buffers[name] for name in sizes)
+            self._cast(at, planes)
         else:
-            args = (at.grid, *head[2:4], *self._appearance(at))
-
-            def cast(planes: HitPlanes) -> None:
-                self._per_pixel("cast", at, *args, *planes)
-
-            sizes = hit_buffers(self.plan.grid, self.plan.mapped > 0)
-            value, depth, hit = self.hits.planes(sizes, self._key(at), cast)
-            beside = (value, *self.scene.texture_maps, *exchanged) if exchanged else ()
-            self._per_pixel("aim", at, *head, depth, hit, source, label, statistics, *beside)
+            planes = self.hits.planes(sizes, self._key(at), lambda found: self._cast(at, found))
+        value, depth, label = planes
+        source = buffers.get("source")
+        beside = (value, *self.scene.texture_maps, buffers["share"]) if "share" in buffers else ()
+        self._per_pixel("aim", at, *head, depth, label, source, buffers["statistics"], *beside)
         hidden: dict[str, Any] = {}
-        if occluded:
-            hidden = {"lens": self.lens, "surfaces": sample.surfaces, "group": head[3], "depth": depth}
-        return Sources(source, value, **hidden)
+        if self.plan.spec.occluders:
+            hidden = {"lens": self.lens, "surfaces": at.sample.surfaces, "group": head[3], "depth": depth}
+        return Sources(source, value, label=label, **hidden)
+
+    def _cast(self, at: Moment, planes: HitPlanes) -> None:
+        """Enqueue the rays of one occlusion group, which are the same for all lenses."""
+        grid, _, surfaces, group, _ = self._head(at)
+        self._per_pixel("cast", at, grid, surfaces, group, *self._appearance(at), *planes)
 
     def silhouettes(self, at: Moment, sources: Sources) -> Sources:
         """The sources of an occlusion group with those of sub-pixels."""
         plan, buffers, statistics = self.plan, self.buffers, self.buffers["statistics"]
         slots, source = np.int32(plan.slots), buffers["source"]
         cl.enqueue_fill_buffer(self.target.session.queue, statistics, np.zeros(1, np.int32), 4 * STATISTIC_SLOTS, 4)
-        marks = (at.grid, buffers["label"], slots, source, buffers["pixels"], statistics)
+        marks = (at.grid, sources.label, slots, source, buffers["pixels"], statistics)
         self._per_pixel("mark_silhouettes", at, *marks)
         subs, labels = (buffers["sub_source"], buffers["sub_value"]), buffers["sub_label"]
         sub_depth = buffers.get("sub_depth")

@@ -349,17 +349,18 @@ def fill_sizes(scene: Scene, grid: Grid) -> Sizes:
     return fill_buffers(grid, several, several or not scene.is_analytic, scene.fill.method == "mean_median")
 
 
-def trace_buffers(spec: BlurSpec, grid: Grid) -> Sizes:
-    """Sources of one time sample of an occlusion group, as trace.cl writes them; and statistics of a frame."""
-    sizes = source_buffers(spec, grid) | {"value": 4 * grid.channels * grid.sources, "statistics": 4 * STATISTICS}
-    return sizes | ({"depth": REAL_BYTES * grid.sources} if spec.occluders else {})
+def trace_buffers(spec: BlurSpec, grid: Grid, mapped: bool) -> Sizes:
+    """Hits and sources of one time sample of an occlusion group, as trace.cl writes them; and statistics of a frame.
+    mapped: as for `hit_buffers`."""
+    sources = source_buffers(spec, grid) if spec.method in MANY_RADII else {}
+    return hit_buffers(grid, mapped) | sources | {"statistics": 4 * STATISTICS}
 
 
 def silhouette_buffers(spec: BlurSpec, grid: Grid, slots: int, mapped: bool) -> Sizes:
     """Sub-pixel sources, in `slots` pixels near silhouettes; mapped: and, of textures on surfaces, what neighbors
     exchange."""
     subs = slots * spec.subpixels**2
-    sizes = {"label": grid.sources, "pixels": 4 * slots, "sub_label": subs}
+    sizes = {"pixels": 4 * slots, "sub_label": subs}
     sizes |= {"sub_source": 16 * subs, "sub_value": 4 * grid.channels * subs}
     sizes |= {"share": 4 * grid.sources, "sharper": 4 * grid.channels * grid.sources} if mapped else {}
     return sizes | ({"sub_depth": REAL_BYTES * subs} if spec.occluders else {})
@@ -385,7 +386,7 @@ def hit_buffers(grid: Grid, mapped: bool) -> Sizes:
     """Sizes of the planes of what rays of an occlusion group hit, for all lenses (`clsco.passes.trace.Hits`); mapped:
     textures lie on surfaces, and a plane has their texels per pixel."""
     pixels, planes = grid.sources, grid.channels + mapped
-    return {"value": 4 * planes * pixels, "depth": REAL_BYTES * pixels, "hit": pixels}
+    return {"value": 4 * planes * pixels, "depth": REAL_BYTES * pixels, "label": pixels}
 
 
 def map_buffers(grid: Grid) -> Sizes:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import ceil
 from typing import TypeVar
@@ -82,9 +82,10 @@ def buffer_bytes(plan: Plan | ImagePlan) -> Sizes:
     return sizes
 
 
-def hit_bytes(plan: Plan) -> int:
-    """Planes of `clsco.passes.trace.Hits`, which lenses share."""
-    return len(plan.groups) * sum(hit_buffers(plan.grid, plan.mapped > 0).values())
+def lens_bytes(plans: Sequence[Plan]) -> int:
+    """All of `buffer_bytes` for lenses that are on the device together: hits of each occlusion group once for all."""
+    hits = sum(hit_buffers(plans[0].grid, plans[0].mapped > 0).values())
+    return sum(device_bytes(plan) - hits for plan in plans) + len(plans[0].groups) * hits
 
 
 def device_bytes(plan: Plan | ImagePlan, views: int = 1) -> int:

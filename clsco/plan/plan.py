@@ -395,7 +395,7 @@ def _group_passes(plan: Plan, group: OcclusionGroup, first: bool) -> Iterator[Pa
     """The passes of one occlusion group; first: of the plane, which those of the others add to."""
     spec, grid, rays = plan.spec, plan.grid, _of_rays(plan)
     light = ("plane",) if plan.blur == "none" else ("sources",)
-    yield Pass("trace", rays, trace_buffers(spec, grid) | _of_scene(plan), gives=light, group=group)
+    yield Pass("trace", rays, trace_buffers(spec, grid, plan.mapped > 0) | _of_scene(plan), gives=light, group=group)
     if plan.silhouettes:
         what = f"{plan.silhouettes} x {plan.silhouettes} per pixel within 2 px of a silhouette"
         what += ", and where textures are finer than the blur" if plan.mapped else ""

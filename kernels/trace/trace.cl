@@ -7,13 +7,15 @@
 //   source  planes, see common/sources.clh
 //   value   float (CHANNELS, height, width): radiance
 //   label   uchar (height, width): 0 no surface, else which root of which object was hit, and on which side of others
-//   depth   real (height, width): inverse depth, with OCCLUDED
+//   depth   real (height, width): inverse depth
 //   texture float (textures, CHANNELS, frame_rows, columns); surface_t names its object's. Then mipmaps, float (sides,
 //           rows, columns, CHANNELS) per level, of textures that lie on surfaces: texture_map_t of an object has where
 // Features besides geometry.clh's: MOVED (not all is in its reference pose), TILT, SUBPIXELS (sources per axis in a
 // pixel at a silhouette, 0 none), SAMPLED, OCCLUDED.
 // Square roots and floors as instructions took a plane from 36 to 12 ns per pixel, one cast for all lenses of a sweep
 // the prepass from 31 to 6 and 20 per lens (benchmarks/optimisation_log.md).
+
+#define EDGE 128  // of a label: on the other side of an odd number of surfaces than the lens
 
 // Record of a hit, as the lens takes it; below 0 where none of its radiance reaches the lens. subpixel: the source
 // is one of SUBPIXELS^2. In and out: label, statistics.
@@ -35,7 +37,7 @@ static float4 source_record(const grid_t grid, const lens_t lens, __constant sur
     bool edge;
     const division_t division = division_of(radius, psf.lens_extent, subpixel ? (real)1 / SUBPIXELS : 1, tilt);
     const int seen = check_visibility(lens, surfaces, group, ray, w, division, 0, &edge);
-    *label |= edge << 7;
+    *label |= edge ? EDGE : 0;
     if (seen == HIDDEN)
         return record;
     record.w = as_float(seen == PARTLY ? PARTLY_OCCLUDED : WHOLE);
@@ -89,18 +91,12 @@ static float4 with_detail(const lens_t lens, __constant texture_map_t *maps, flo
 }
 #endif
 
-// One source per pixel of frame and apron, on the nearest object of occlusion group `group`. Out: source, value,
-// label, statistics, depth.
-__kernel void trace(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
-                    const psf_t psf, __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
-                    __global float *source, __global float *value, __global uchar *label, __global int *statistics
-#if OCCLUDED
-                    , __global real *depth
-#endif
-#if TEXTURED && SUBPIXELS
-                    , __global float *share
-#endif
-)
+// Hits of the rays through all pixels of frame and apron with the nearest object of occlusion group `group`, for all
+// lenses. Out: value, depth, label. With textures on surfaces value has a plane more, of texels per pixel as
+// `surface_texture` gives them.
+__kernel void cast(const grid_t grid, __constant surface_t *surfaces, const group_t group,
+                   __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global float *value,
+                   __global real *depth, __global uchar *label)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)
@@ -110,51 +106,21 @@ __kernel void trace(const grid_t grid, const lens_t lens, __constant surface_t *
     uchar root;
     int object;
     const real w = nearest_surface(surfaces, group, ray, &root, &object);
-    const float texels = take_radiance(grid, surfaces, ray, w, root, row, column, 1, 1,
-                                       texture TEXTURE_MAPS LIGHT, value + at, grid.height * grid.width);
-    const uchar hit = root;
-    float4 record = source_record(grid, lens, surfaces, group, psf, ray, w, 0, &root, statistics);
-#if TEXTURED && SUBPIXELS
-    record = with_detail(lens, maps, record, w, hit, texels, share + at);
-#endif
-    put_source(source, grid.height * grid.width, at, record);
-#if OCCLUDED
     depth[at] = w;
-#endif
-#if SUBPIXELS
     label[at] = root;
-#endif
-}
-
-// The part of trace that all lenses have in common. Out: value, depth, and hit uchar (height, width), the label before
-// any visibility test. With textures on surfaces value has a plane more, of texels per pixel as `surface_texture` gives
-// them.
-__kernel void cast(const grid_t grid, __constant surface_t *surfaces, const group_t group,
-                   __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global float *value,
-                   __global real *depth, __global uchar *hit)
-{
-    const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= grid.width || y >= grid.height)
-        return;
-    const int row = FRAME_ROW(grid, y), column = x - grid.guard, at = y * grid.width + x;
-    const real3 ray = pixel_ray(grid, row, column);
-    uchar root;
-    int object;
-    depth[at] = nearest_surface(surfaces, group, ray, &root, &object);
-    hit[at] = root;
     const int plane = grid.height * grid.width;
-    const float texels = take_radiance(grid, surfaces, ray, depth[at], root, row, column, 1, 1,
+    const float texels = take_radiance(grid, surfaces, ray, w, root, row, column, 1, 1,
                                        texture TEXTURE_MAPS LIGHT, value + at, plane);
 #if TEXTURED
     value[CHANNELS * plane + at] = texels;
 #endif
 }
 
-// The rest of it, for one lens. In: depth, hit, and with textures on surfaces value, as `cast` leaves them. Out:
-// source, label, statistics, and with these textures share.
+// Sources of the hits for one lens. In: depth, label, and with textures on surfaces value, as `cast` leaves them. Out:
+// source, which is 0 where the blur needs none, statistics, with these textures share, and of labels the EDGE.
 __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
-                  const psf_t psf, __global const real *depth, __global const uchar *hit, __global float *source,
-                  __global uchar *label, __global int *statistics
+                  const psf_t psf, __global const real *depth, __global uchar *label, __global float *source,
+                  __global int *statistics
 #if TEXTURED && SUBPIXELS
                   , __global const float *value, __constant texture_map_t *maps, __global float *share
 #endif
@@ -165,14 +131,16 @@ __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *su
         return;
     const int at = y * grid.width + x;
     const real3 ray = pixel_ray(grid, FRAME_ROW(grid, y), x - grid.guard);
-    uchar root = hit[at];
+    const uchar hit = label[at] & ~EDGE;
+    uchar root = hit;
     float4 record = source_record(grid, lens, surfaces, group, psf, ray, depth[at], 0, &root, statistics);
 #if TEXTURED && SUBPIXELS
     const float texels = value[CHANNELS * grid.height * grid.width + at];
-    record = with_detail(lens, maps, record, depth[at], hit[at], texels, share + at);
+    record = with_detail(lens, maps, record, depth[at], hit, texels, share + at);
 #endif
-    put_source(source, grid.height * grid.width, at, record);
-#if SUBPIXELS
+    if (source)
+        put_source(source, grid.height * grid.width, at, record);
+#if SUBPIXELS && OCCLUDED
     label[at] = root;
 #endif
 }

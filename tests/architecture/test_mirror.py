@@ -23,7 +23,7 @@ HEADERS = sorted(
 # What has no twin of its own, and why.
 WITHOUT_TWIN = {
     "trace": {
-        "aim": "the rest of trace, for one of several lenses",
+        "aim": "part of trace, which casts for one lens",
         "cover_outlines": "part of trace_subpixels",
         "pinhole": "trace of all objects, with nothing in their way",
         "trace_detail": "part of trace_subpixels",

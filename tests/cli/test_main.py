@@ -117,7 +117,7 @@ def test_the_json_tells_every_parameter_and_what_became_of_it(ball: Path, tmp_pa
     counters = {"missing_pixels", "filled_pixels", "unfilled_pixels", "sweeps"}
     assert all(counters <= set(moment) for moment in recorded["intermediate"])
     assert recorded["device"]
-    assert set(recorded["seconds"]) >= {"trace", "gather", "host"}
+    assert set(recorded["seconds"]) >= {"cast", "aim", "gather", "host"}
     assert 0 < sum(recorded["seconds"].values()) < time.perf_counter() - began  # of three frames, and all else
     assert "ground_truth" not in recorded["seconds"]  # nobody asked for it
     assert list(recorded["files"]) == ["frame_0002.png"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import weakref
 from collections import Counter
+from dataclasses import replace
 from typing import Any
 
 import pyopencl as cl
@@ -14,7 +15,8 @@ import clsco
 from clsco.engine.renderer import Renderer, expose
 from clsco.opencl.session import Session
 from clsco.passes.tables import shared_tables
-from clsco.plan.memory import buffer_bytes, fitted, limit_of
+from clsco.passes.trace import LatestHits
+from clsco.plan.memory import buffer_bytes, device_bytes, fitted, lens_bytes, limit_of
 from clsco.plan.prepare import prepare
 from clsco.plan.request import Request
 from clsco.scene.model import Scene
@@ -88,3 +90,25 @@ def test_the_plan_is_what_is_allocated(session: Session, allocated: list[weakref
     tables = Counter(size for name, size in expected.items() if name.split()[-1] in TABLES)
     # Nothing beyond the plan; less where two blurs have one table of weights.
     assert (found - wanted, wanted - found - tables) == (Counter(), Counter()), expected
+
+
+def test_lenses_have_one_set_of_hits_for_each_group(session: Session, allocated: list[weakref.ref[Any]]) -> None:
+    scene = scene_of(SCENES["ball before a plane"][0])
+    prepared = [
+        prepare(scene.replace("camera.focus_distance", focus), Request((), "auto"), session.device)
+        for focus in (250.0, 300.0)
+    ]
+    limit, guard = limit_of(None, session.device), max(each.plan.guard_px for each in prepared)
+    plans, hits = [replace(each.plan, guard_px=guard) for each in prepared], LatestHits(session)
+    assert plans[0].groups == plans[1].groups
+    session.cache.clear()
+    shared_tables().clear()
+    gc.collect()
+    allocated.clear()
+    renderers = [Renderer(session, plan, each, limit, hits) for plan, each in zip(plans, prepared, strict=True)]
+    expose(renderers, 0)
+    gc.collect()
+    alive = [buffer.size for buffer in (reference() for reference in allocated) if buffer is not None]
+    depth = buffer_bytes(plans[0])["depth"]
+    assert alive.count(depth) == len(plans[0].groups) > 1
+    assert sum(alive) <= lens_bytes(plans) < sum(device_bytes(plan) for plan in plans) + len(plans[0].groups) * depth

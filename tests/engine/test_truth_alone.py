@@ -69,7 +69,7 @@ def test_passes_are_those_of_the_truth(content: dict[str, Any], truth: tuple[str
     assert [each.kind for each in plan.passes] == kinds
     assert plan.taps == 0.0
     frame = clsco.render_frame(scene, truth=truth, color=False)
-    assert not {"gather", "trace", "pinhole", "trace_subpixels"} & frame.metadata["seconds"].keys()
+    assert not {"gather", "cast", "pinhole", "trace_subpixels"} & frame.metadata["seconds"].keys()
 
 
 def test_time_falls() -> None:

@@ -203,9 +203,9 @@ def traced(
     sizes = {
         "source": source_bytes(area, plan.tilt, marked), "value": 4 * plan.channels * area, "label": area,
         "pixels": 4 * capacity, "sub_source": 16 * capacity * each, "sub_value": 4 * capacity * each * plan.channels,
-        "sub_label": capacity * each,
+        "sub_label": capacity * each, "depth": 8 * area,
     }  # fmt: skip
-    sizes |= {"depth": 8 * area, "sub_depth": 8 * capacity * each} if occluded else {}
+    sizes |= {"sub_depth": 8 * capacity * each} if occluded else {}
     given: dict[str, Any] = {name: empty(session, size) for name, size in sizes.items()}
     given |= {
         "grid": camera_grid(wanted.camera, plan.guard_px, real),
@@ -218,7 +218,8 @@ def traced(
         "statistics": copied(session, EMPTY_STATISTICS),
     }
     program, grid = built(session, plan, real), (plan.width, plan.height)
-    run(session, program, "trace", grid, local, **given)
+    run(session, program, "cast", grid, local, **given)
+    run(session, program, "aim", grid, local, **{name: each for name, each in given.items() if name != "value"})
     if each:
         run(session, program, "mark_silhouettes", grid, local, **given)
         run(session, program, "trace_subpixels", (capacity * each,), (local[0] * local[1],), **given)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
+from typing import Any, Literal
 
 import numpy as np
 import pyopencl as cl
@@ -85,31 +86,37 @@ def pixel_arguments(session: Session, plan: Plan, group: OcclusionGroup) -> dict
     }
 
 
-def test_cast_and_aim_together_write_what_trace_does(session: Session, plan: Plan) -> None:
+@pytest.mark.parametrize("occlusion", ["none", "visibility"])
+def test_what_is_cast_once_is_aimed_for_one_lens_after_the_other(
+    session: Session, plan: Plan, occlusion: Literal["none", "visibility"]
+) -> None:
+    plan = planned(plan.scene.model_copy(update={"psf": plan.scene.psf.model_copy(update={"occlusion": occlusion})}), 3)
     program, grid = everything_built(session, plan), (plan.width, plan.height)
-    area = plan.width * plan.height
-    sizes = {
-        "value": 4 * plan.channels * area, "depth": 8 * area, "source": source_bytes(area, plan.tilt, True),
-        "label": area, "hit": area,
-    }  # fmt: skip
-    (group,) = plan.groups
-    given = pixel_arguments(session, plan, group)
-    one, two = buffers(session, **sizes), buffers(session, **sizes)
-    noted = [copied(session, EMPTY_STATISTICS) for _ in range(2)]
-    traced = {name: one[name] for name in ("source", "value", "label")}
-    run(session, program, "trace", grid, LOCAL, **given, **traced, statistics=noted[0])
-    run(session, program, "cast", grid, LOCAL, **given, **two)
-    planes = {name: two[name] for name in ("depth", "hit", "source", "label")}
-    run(session, program, "aim", grid, LOCAL, **given, **planes, statistics=noted[1])
-    for name in ("value", "source", "label"):
-        expected, found = (written(session, each[name], (sizes[name],), np.uint8) for each in (one, two))
-        np.testing.assert_array_equal(found, expected, name)
-    statistics = [download(session, each, (4,), np.int32).tolist() for each in noted]
-    assert statistics[0] == statistics[1] != EMPTY_STATISTICS.tolist()
+    area, group = plan.width * plan.height, plan.groups[-1]
+    hits = {"value": 4 * plan.channels * area, "depth": 8 * area, "label": area}
+    given, planes = pixel_arguments(session, plan, group), buffers(session, **hits)
+    run(session, program, "cast", grid, LOCAL, **given, **planes)
     shape, exact = (plan.height, plan.width), twin.trace(view(plan, TIME), group, GUARD)
-    np.testing.assert_array_equal(written(session, two["hit"], shape, np.uint8), exact.label)
-    depth = written(session, two["depth"], shape, np.float64)
+    labels = written(session, planes["label"], shape, np.uint8)
+    np.testing.assert_array_equal(labels, exact.label & 127)
+    depth = written(session, planes["depth"], shape, np.float64)
     np.testing.assert_allclose(depth, exact.inverse_depth, rtol=1e-7, atol=0)  # at a limb half of the digits are left
+    wide, aimed = Lens.of(plan.scene.camera), {name: planes[name] for name in ("depth", "label")}
+    found = []
+    for lens in (wide, replace(wide, blur_scale=0.5 * wide.blur_scale, radius=0.5 * wide.radius), wide):
+        size, statistics = source_bytes(area, plan.tilt, True), copied(session, EMPTY_STATISTICS)
+        out = buffers(session, source=size)
+        given["lens"] = lens_struct(lens, "double")
+        run(session, program, "aim", grid, LOCAL, **given, **aimed, **out, statistics=statistics)
+        label = written(session, planes["label"], shape, np.uint8)
+        np.testing.assert_array_equal(label & 127, labels)
+        source = written(session, out["source"], (size,), np.uint8)
+        found.append((label, source, download(session, statistics, (4,), np.int32)))
+    for first, again in zip(found[0], found[2], strict=True):
+        np.testing.assert_array_equal(first, again)
+    assert (found[0][1] != found[1][1]).any()
+    assert (found[0][2] != found[1][2]).any()
+    np.testing.assert_array_equal(found[0][0], exact.label)
 
 
 def test_pinhole(session: Session, plan: Plan) -> None:

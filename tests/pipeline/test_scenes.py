@@ -256,12 +256,13 @@ def test_passes_that_a_scene_has_no_use_for_are_not_run() -> None:
 
     in_focus = {"focus_distance": 250.0}
     sharp = scene({"shape": "plane"}, camera=in_focus, psf={"edge": "area"})
-    assert passes(sharp) == {"trace"}
-    assert passes(scene({"shape": "plane", "distance": 260.0})) == {"trace", "convolve"}
-    assert passes(scene({"shape": "plane", "slope_x": 1.0})) == {"trace", "gather"}
-    assert passes(scene(BALL)) == {"trace", "mark_silhouettes", "trace_subpixels", "cover_outlines", "gather"}
+    assert passes(sharp) == {"cast", "aim"}
+    assert passes(scene({"shape": "plane", "distance": 260.0})) == {"cast", "aim", "convolve"}
+    assert passes(scene({"shape": "plane", "slope_x": 1.0})) == {"cast", "aim", "gather"}
+    finer = {"mark_silhouettes", "trace_subpixels", "cover_outlines"}
+    assert passes(scene(BALL)) == {"cast", "aim", "gather"} | finer
     forward = passes(scene({**BALL, "motion": GOING}, motion={"warp": "forward"}))
-    assert not any(name.startswith("trace") and name != "trace_labels" for name in forward)
+    assert not forward & ({"cast", "aim"} | finer)
     assert any(name.startswith("reproject") for name in forward)
 
 

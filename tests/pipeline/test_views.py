@@ -194,7 +194,6 @@ def test_sweeps_over_the_lens_have_the_bits_of_single_scenes(waves: str, key: st
     casts = [frame.metadata["seconds"].keys() for frame in together]
     assert "cast" in casts[0]
     assert "cast" not in casts[1]
-    assert "trace" not in casts[0]
     for one, other in zip(together, alone, strict=True):
         np.testing.assert_array_equal(one.color, other.color)
         np.testing.assert_array_equal(one.blur_radius, other.blur_radius)

@@ -176,7 +176,7 @@ def clsco_(*words: object) -> Result:
 def test_commands_take_a_limit(tmp_path: Path) -> None:
     scene, out = scene_file(tmp_path / "plane.toml", FLOOR), tmp_path / "out"
     assert "1, the whole frame" in clsco_("plan", scene).stdout
-    recorded = clsco_("plan", scene, "--memory", "2MiB")
+    recorded = clsco_("plan", scene, "--memory", "2300kB")
     assert "3 of up to 192 rows, with up to 16 more on either side" in recorded.stdout
     for command in (("plan", scene), ("render", scene, "-o", out)):
         refused = clsco_(*command, "--memory", "300kB")
@@ -188,7 +188,7 @@ def test_commands_take_a_limit(tmp_path: Path) -> None:
         assert wrong.exit_code == 2
         assert "'--memory': must be a size greater than 0, like 1.5GiB or 800MB; got lots" in wrong.stderr
     assert not out.exists()
-    done = clsco_("render", scene, "-o", out, "--memory", "2MiB")
+    done = clsco_("render", scene, "-o", out, "--memory", "2300kB")
     assert done.exit_code == 0, done.output
     assert json.loads((out / "frame_0000.json").read_text())["strips"] == 3
 
