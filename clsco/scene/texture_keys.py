@@ -200,9 +200,12 @@ def _misplaced(item: Textured) -> Iterator[tuple[str, str, Any]]:
         known = " or ".join(f'"{name}"' for name in ("projected", *item.MAPPINGS))
         yield "texture_mapping", f"on a {shape} must be {known}", mapping
         return
-    kind = item.MAPPINGS[mapping]
     yield from sides
-    takes, where = RULES[kind], f'"{mapping}" on a {shape}'
+    yield from _unfit(item, RULES[item.MAPPINGS[mapping]], f'"{mapping}" on a {shape}')
+
+
+def _unfit(item: Textured, takes: _Rule, where: str) -> Iterator[tuple[str, str, Any]]:
+    """Keys of a mapping that it does not take, or needs: key, rule and value."""
     if takes.size == "must" and item.texture_size is None:
         yield "texture_size", f"must be given with texture_mapping = {where}", None
     if not takes.size and item.texture_size is not None:

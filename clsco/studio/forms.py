@@ -272,44 +272,14 @@ def _field(
 ) -> Field:
     """The field of one key."""
     shape = kinds[0]
-    kind = "number"
-    choices: tuple[tuple[Any, str], ...] = ()
-    components: tuple[str, ...] = ()
-    if key == "shape" and path.startswith("object."):
-        order = [*SHAPE_LABELS, *(name for name in SHAPES if name not in SHAPE_LABELS)]
-        kind, choices = "choice", tuple((name, SHAPE_LABELS.get(name, words(name))) for name in order)
-    elif "enum" in shape:
-        kind, choices = "choice", tuple((value, words(value)) for value in shape["enum"])
-    elif shape["type"] == "boolean":
-        kind = "flag"
-    elif shape["type"] == "string":
-        kind = "image" if key in FILE_KEYS else "text"
-        choices = tuple((name, words(name)) for name in BUILT_IN_TEXTURES) if kind == "image" and key != "depth" else ()
-    elif shape["type"] == "array":
-        kind = "vector"
-        count = len(shape.get("prefixItems", ())) or shape["maxItems"]
-        components = COMPONENTS.get(key, ("x", "y", "z"))
-        components = components if key == "bounds" else components[:count]
+    kind, choices, components = _kind(path, key, shape)
     instead = [(form["const"], words(form["const"])) for form in kinds[1:] if "const" in form]
-    is_integer = shape.get("type") == "integer" or any(
-        part.get("type") == "integer" for part in shape.get("prefixItems", ())
-    )
-    slider = _slider(key, limits) if kind in ("number", "vector") else None
-    if key in BY_FOCAL_LENGTH:
-        f = session.known("camera.focal_length")
-        low, high = BY_FOCAL_LENGTH[key]
-        slider = (low * f, high * f) if isinstance(f, int | float) else slider
-    where = path.split(".")
-    if where[0] == "object" and len(where) > 2:
-        symbol = SYMBOLS.get(f"{session.known('.'.join(where[:2]) + '.shape')}.{key}", "") or (
-            SYMBOLS.get(".".join(where[2:]), "") if where[2] == "motion" else ""
-        )
-    else:
-        symbol = SYMBOLS.get(path, "")
+    is_integer = any(part.get("type") == "integer" for part in (shape, *shape.get("prefixItems", ())))
+    slider = _slider(session, key, limits) if kind in ("number", "vector") else None
     return Field(
         path=path,
         label=LABELS_AT.get(path) or pose_label(path) or LABELS.get(key) or words(key),
-        symbol=symbol,
+        symbol=_symbol(session, path, key),
         unit=limits.unit if limits is not None else "",
         kind=kind,
         default=_default(session, model, path, key),
@@ -325,8 +295,38 @@ def _field(
     )
 
 
-def _slider(key: str, limits: Within | None) -> tuple[float, float] | None:
+def _kind(path: str, key: str, shape: Mapping[str, Any]) -> tuple[str, tuple[tuple[Any, str], ...], tuple[str, ...]]:
+    """Kind of a field, what it chooses from, and names of its components, by the schema of its key."""
+    if key == "shape" and path.startswith("object."):
+        order = [*SHAPE_LABELS, *(name for name in SHAPES if name not in SHAPE_LABELS)]
+        return "choice", tuple((name, SHAPE_LABELS.get(name, words(name))) for name in order), ()
+    if "enum" in shape:
+        return "choice", tuple((value, words(value)) for value in shape["enum"]), ()
+    if shape["type"] == "boolean":
+        return "flag", (), ()
+    if shape["type"] == "string" and key in FILE_KEYS:
+        return "image", () if key == "depth" else tuple((name, words(name)) for name in BUILT_IN_TEXTURES), ()
+    if shape["type"] == "string":
+        return "text", (), ()
+    if shape["type"] == "array":
+        components, count = COMPONENTS.get(key, ("x", "y", "z")), len(shape.get("prefixItems", ())) or shape["maxItems"]
+        return "vector", (), components if key == "bounds" else components[:count]
+    return "number", (), ()
+
+
+def _symbol(session: Session, path: str, key: str) -> str:
+    """Symbol of a key in formulas; of an object by its shape."""
+    where = path.split(".")
+    if where[0] != "object" or len(where) < 3:
+        return SYMBOLS.get(path, "")
+    motion = SYMBOLS.get(".".join(where[2:]), "") if where[2] == "motion" else ""
+    return SYMBOLS.get(f"{session.known('.'.join(where[:2]) + '.shape')}.{key}", "") or motion
+
+
+def _slider(session: Session, key: str, limits: Within | None) -> tuple[float, float] | None:
     """Ends of a slider: where useful values are, within what is valid."""
+    if key in BY_FOCAL_LENGTH and isinstance(f := session.known("camera.focal_length"), int | float):
+        return BY_FOCAL_LENGTH[key][0] * f, BY_FOCAL_LENGTH[key][1] * f
     if limits is None or key in ("coefficients", "bounds", "quaternion"):
         return None
     low, high = SLIDERS.get(key) or BY_UNIT.get(limits.unit) or (limits.low, limits.high)
