@@ -101,7 +101,7 @@ COUNTER_FILLED_INSIDE = 3
 COUNTER_DONE = 4
 
 # Sum of time samples (kernels/blur/accumulate.cl).
-SUMMED_PIXELS = 64  # pixels of a row that a work-item adds to the frame
+SUMMED_PIXELS = 128  # pixels of a row that a work-item adds to the frame
 
 # Scores of mean and median (kernels/inpainting/score.cl).
 SCORED_COLUMNS = 128  # columns of a row that a work-item scores: no more may be summed up in 31 bits

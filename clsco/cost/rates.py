@@ -18,7 +18,7 @@ RATES: dict[str, float] = {
     "sent": 5.8e-10,
     "reprojected": 5.6e-09,
     "filled": 2.7e-09,
-    "accumulated": 1.3e-09,
+    "accumulated": 5e-10,
     "walked": 3.2e-09,
     "disc row": 9.6e-10,
     "disc taps": 1.8e-10,

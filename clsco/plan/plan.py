@@ -377,7 +377,7 @@ def _image_passes(plan: Plan) -> Iterator[Pass]:
         for number, group in enumerate(plan.groups):
             yield from _group_passes(plan, group, number == 0)
     if plan.averages:
-        time_samples = (("time samples", "with a weight for each row"),)
+        time_samples = (("time samples", "blurred planes, added up with a weight for each row"),)
         yield Pass("accumulate", time_samples, named("frame", sum_buffers(grid)), ("plane",), ("frame",))
 
 
