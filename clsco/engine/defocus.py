@@ -283,7 +283,8 @@ def _in_strips(session: Session, given: _Given, plan: ImagePlan) -> NDArray[np.f
     blurs, clusters = blur_runs(session, spec, plan.grid, areas[0].grid, buffers, real, maps)
     image = _Source(session, given, plan, None if floats else real, buffers)
     space = Workspace(session, {**blurs, "static image": image.run}, buffers, clusters)
-    bounds, out = space.find_layers(plan.passes, areas), np.empty(shape, np.float32)
+    bounds = space.find_layers(plan.passes, areas) if len(areas) > 1 else None
+    out = np.empty(shape, np.float32)
     for at in areas:
         found = space.run(plan.passes, replace(at, bounds=bounds))  # with arrays that are lent until the end
         found["plane"].read(session, out[at.strip.inside])

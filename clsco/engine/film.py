@@ -65,7 +65,8 @@ class Film:
         """Add what the passes of a time sample, by its number, have handed on for a strip."""
         report = {"time": self.times[number], "weight": self.shares[number]} | NOTHING_MISSING | found.get("counts", {})
         self.reports[number] = report | {name: found[name] for name in ("depth_layers",) if name in found}
-        self.missing |= found.get("missing", False)
+        if "missing" in found:
+            self.missing |= found["missing"]
         if "plane" not in found:
             return
         if len(self.subframes):

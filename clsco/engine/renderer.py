@@ -85,8 +85,8 @@ class Renderer:
             film.missing |= self.pixels.missing
         if statistics is not None:
             cl.enqueue_copy(self.session.queue, statistics, EMPTY_STATISTICS)
-        for number in range(len(film.times)):
-            strips = [self._moment(film, strip, number) for strip in self.plan.strips]
+        for number in range(len(film.times)) if len(self.plan.strips) > 1 else ():
+            strips = (self._moment(film, strip, number) for strip in self.plan.strips)
             film.bounds[number] = self.space.find_layers(self.plan.passes, strips)
         return film
 

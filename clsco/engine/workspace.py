@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import takewhile
 from typing import Any
@@ -75,10 +75,10 @@ class Workspace:
 
         return run_passes(passes, run)
 
-    def find_layers(self, passes: Iterable[Pass], strips: Sequence[Area]) -> LayerBounds | None:
-        """Bounds of depth layers from all of several strips; None where each strip can find them itself."""
+    def find_layers(self, passes: Iterable[Pass], strips: Iterable[Area]) -> LayerBounds | None:
+        """Bounds of depth layers from all of several strips, which by itself a strip cannot find; None of no layers."""
         bounds = None
-        for clusters in self.clusters if len(strips) > 1 else ():
+        for clusters in self.clusters:
             before = tuple(takewhile(lambda step: step.kind != "cluster", passes))
             for at in strips:
                 clusters.find(at, self.run(before, at)["image"])

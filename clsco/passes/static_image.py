@@ -51,9 +51,8 @@ class GivenImage(ABC):
     def image(self, at: Area, buffers: Mapping[str, cl.Buffer]) -> Image:
         """The image of a strip, in buffers "value", "coc" and "valid"; kernels read the host's array for one that is
         not there, and "valid" stays as it is where `radii` has none."""
-        maps = self.radii(at.strip)
         value = self._sent(buffers.get("value"), flat(self._around(self.radiance, at.strip), np.float32))
-        sent = {name: self._sent(buffers.get(name), array) for name, array in maps.items()}
+        sent = {name: self._sent(buffers.get(name), array) for name, array in self.radii(at.strip).items()}
         found = {name: buffers[name] for name in ("coc", "valid") if name in buffers} | sent
         return Image(value, tuple(found[name] for name in ("coc", "valid") if name in found))
 
