@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,12 @@ from click.testing import CliRunner
 
 import clsco
 from clsco.cli.main import main
+from clsco.optics.exposure import Exposure, frame_exposure
+from clsco.plan import approximation
 from clsco.plan.approximation import ApproximationReport
 from clsco.plan.prepare import Prepared, prepare, prepare_sweep
 from clsco.plan.request import Request
+from clsco.scene.model import Scene
 from clsco.scene.sweep import Sweep
 from tests.scenes import scene_file
 from tests.slow import mostly_slow
@@ -68,6 +72,25 @@ def test_stripes_that_move_by_their_own_width_are_not_taken_for_still_ones() -> 
     moved_px = report.of_samples - 1
     assert report.samples > moved_px / 8
     assert report.samples < report.of_samples
+
+
+@pytest.mark.parametrize(("bent", "alike"), [(0.0, True), (0.9, False)])
+def test_errors_of_rows_with_weights_of_their_own_are_averaged(
+    bent: float, alike: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain = prepared(SCENES["turning"], 0.05).approximation
+
+    def bend(scene: Scene, frame: int, samples: int) -> Exposure:
+        """Later samples weigh more further down."""
+        exposure, later = frame_exposure(scene, frame, samples), np.linspace(-bent, bent, samples)[:, None]
+        return replace(exposure, weights=(1.0 + later * np.linspace(-1.0, 1.0, 72)) / samples)
+
+    monkeypatch.setattr(approximation, "frame_exposure", bend)
+    found = prepared(SCENES["turning"], 0.05).approximation
+    assert plain is not None
+    assert found is not None
+    assert plain.samples < plain.of_samples
+    assert (found.rms_error == pytest.approx(plain.rms_error)) == alike
 
 
 @pytest.mark.parametrize("name", list(SCENES))
