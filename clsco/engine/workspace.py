@@ -16,7 +16,7 @@ from clsco.optics.depth_layers import LayerBounds
 from clsco.optics.lens import blur_radius
 from clsco.passes.accumulate import FrameSum
 from clsco.passes.blur import Area, Image, Maps, Plane, Sources, blur_target, padded_plane, prepare_sources
-from clsco.passes.clusters import Clusters, Layers
+from clsco.passes.clusters import Clusters, Layers, layered_program
 from clsco.passes.fill import FillPlanes
 from clsco.passes.frame_blur import make_blur
 from clsco.passes.layered import DepthLayers
@@ -71,7 +71,7 @@ class Workspace:
         def run(step: Pass, *given: Any) -> tuple[Any, ...]:
             self.session.go_on()
             self.session.doing(step.kind)
-            return self.runs[step.kind](replace(at, group=step.group), *given)
+            return self.runs[step.kind](at if step.group is at.group else replace(at, group=step.group), *given)
 
         return run_passes(passes, run)
 
@@ -212,7 +212,8 @@ def blur_runs(
 
     if not spec.layered:
         return {"sources": sources, "blur": spread}, ()
-    clusters, composite = Clusters(session, spec, tallest, real), DepthLayers(blur, target, tallest)
+    kernels = layered_program(session, spec, tallest.channels, real)
+    clusters, composite = Clusters(kernels, spec, tallest), DepthLayers(blur, kernels, tallest)
 
     def cluster(at: Area, image: Image) -> tuple[Any, ...]:
         bounds = at.bounds

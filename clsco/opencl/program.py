@@ -6,7 +6,7 @@ import os
 import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from functools import lru_cache
+from functools import cache, lru_cache
 from importlib.resources.abc import Traversable
 from math import prod
 from pathlib import Path
@@ -66,6 +66,12 @@ _C_TYPES = {
 }  # fmt: skip
 
 
+@cache
+def _constants() -> tuple[str, ...]:
+    """Options that define the numbers of `clsco.constants`."""
+    return tuple(f"-D{name}={value}" for name, value in definitions().items())
+
+
 def build(
     session: Session,
     sources: Sequence[str],
@@ -96,7 +102,7 @@ def build(
     if device.kind == "cpu":
         headers = [*[POCL_DECLARATIONS] * device.is_pocl, *(CPU_FORMS.get(header, header) for header in headers)]
     text = program_text([*headers, *sources], structs, real, device.has_fp64, device.has_int64_atomics)
-    options = [f"-D{name}={value}" for name, value in definitions().items()]
+    options = [*_constants()]
     options += [f"-D{name}={int(value)}" for name, value in sorted(features.items())]
     options.append("-cl-std=CL1.2")
     if real == "float":  # else 0.5 is a double, and so is the arithmetic around it

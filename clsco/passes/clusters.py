@@ -60,12 +60,12 @@ class Clusters:
 
     Parameters
     ----------
-    session : Session
+    target : Target
+        Target of `layered_program`.
     spec : BlurSpec
         Blur of the frame.
     tallest : Grid
         Grid of the frame, or the tallest of its strips.
-    real : {"double", "float"}
 
     Attributes
     ----------
@@ -87,12 +87,11 @@ class Clusters:
     Validated against `clsco.reference.layered.layered`.
     """
 
-    def __init__(self, session: Session, spec: BlurSpec, tallest: Grid, real: Real) -> None:
-        self.psf, self.channels = spec.psf, tallest.channels
-        self.target = layered_program(session, spec, tallest.channels, real)
+    def __init__(self, target: Target, spec: BlurSpec, tallest: Grid) -> None:
+        self.target, self.psf, self.channels = target, spec.psf, tallest.channels
         self.low, self.bins = bins_of(spec.largest)
         self.reach = spec.psf.reach(spec.largest)
-        self.buffers = allocate(session, cluster_buffers(spec, tallest))
+        self.buffers = allocate(target.session, cluster_buffers(spec, tallest))
         self._forget()
 
     def find(self, at: Area, image: Image) -> None:

@@ -10,7 +10,7 @@ import pyopencl as cl
 from clsco.frame.strips import Grid
 from clsco.opencl.buffers import empty
 from clsco.passes.blur import PIXELS, Area, BlurredPlane, Image, Sources, Target, blur_target, prepare_sources
-from clsco.passes.clusters import ZERO, Layers, layered_program
+from clsco.passes.clusters import ZERO, Layers
 from clsco.passes.frame_blur import make_blur
 from clsco.plan.buffers import depth_layer_spec, layered_buffers
 
@@ -25,7 +25,7 @@ class DepthLayers:
     blur : BlurredPlane
         Blur of the frame, or a strip of it, by one of MANY_RADII and without sub-pixel sources.
     target : Target
-        Target of the frame's blur.
+        Target of `layered_program`.
     tallest : Grid
         Grid of the frame, or the tallest of its strips.
 
@@ -46,8 +46,7 @@ class DepthLayers:
         session, real, spec, planes = target.session, target.real, depth_layer_spec(blur.spec), tallest.channels + 1
         own = blur_target(session, spec, planes, real)
         self.outer, self.inner = blur, make_blur(own, spec, replace(tallest, channels=planes), blur.grid)
-        kernels = own.program | layered_program(session, spec, tallest.channels, real).program
-        self.target = Target(session, kernels, real)
+        self.target = Target(session, own.program | target.program, real)
         sizes = layered_buffers(blur.spec, tallest, session.device)
         self.source, self.covered = (empty(session, sizes[name]) for name in ("source", "covered"))
 

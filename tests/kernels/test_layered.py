@@ -17,7 +17,7 @@ from clsco.optics import depth_layers
 from clsco.optics.point_spread import point_spread
 from clsco.passes.blur import Area, Image, blur_target
 from clsco.passes.blur import Sources as Light
-from clsco.passes.clusters import Clusters
+from clsco.passes.clusters import Clusters, layered_program
 from clsco.passes.frame_blur import make_blur
 from clsco.passes.layered import DepthLayers
 from clsco.passes.pack import grid_struct
@@ -86,7 +86,8 @@ class Device:
         self.session, self.view, guard = session, view, view.guard
         tallest = Grid.whole(*view.shape, guard, channels)
         self.blur = make_blur(target, spec, tallest, grid)
-        self.clusters, self.layers = Clusters(session, spec, tallest, real), DepthLayers(self.blur, target, tallest)
+        kernels = layered_program(session, spec, channels, real)
+        self.clusters, self.layers = Clusters(kernels, spec, tallest), DepthLayers(self.blur, kernels, tallest)
         self.at = Area(strip=Strip(0, view.shape[0], guard, guard), grid=grid, events=[])
         self.maps = upload(session, view.coc.astype(REAL[real])), upload(session, view.valid.astype(np.uint8))
 
