@@ -74,7 +74,8 @@ def test_device_against_reference(name: str) -> None:
     assert_agree(rendered(SCENES[name], precision="double"), reference_frames(SCENES[name]))
 
 
-@pytest.mark.parametrize("name", mostly_slow(SCENES, ("moving",)))
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SCENES)
 def test_single_precision_against_reference(name: str) -> None:
     assert_agree(rendered(SCENES[name], precision="single"), reference_frames(SCENES[name]))
 
