@@ -36,7 +36,7 @@ FIGURES: dict[str, tuple[str, float]] = {
     "disparity": ("px", 1e-4),
     "occluded": ("", 0.0),
 }
-LEAST_AGREEING = 1000
+LEAST_AGREEING = 500
 
 
 @dataclass(frozen=True)

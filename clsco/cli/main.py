@@ -165,7 +165,7 @@ def check(scene: Path, overrides: tuple[str, ...], device: str | None, precision
     """Compare the device with the NumPy reference, output by output.
 
     Fails where color differs by more than 1e-5 of white; in single precision, by more than 1e-4 in more than 1 of
-    1000 pixels.
+    500 pixels.
     """
     first = _first(scene, overrides, request_for((), precision=precision))
     require_device(device)
