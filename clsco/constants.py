@@ -12,6 +12,7 @@ STATISTIC_LARGEST = 0
 STATISTIC_SMALLEST = 1
 STATISTIC_SLOTS = 2
 STATISTIC_MOST_SLOTS = 3
+STATISTIC_BEYOND = 4  # 1 where a hit is not where its object was predicted
 
 # Coordinates of a surface that a texture lies on (clsco/optics/texture_mapping.py, kernels/trace/mapping.clh), and what
 # is beyond an image.

@@ -14,6 +14,7 @@ from clsco.opencl.buffers import allocate
 from clsco.opencl.session import Session
 from clsco.optics.depth_layers import LayerBounds
 from clsco.optics.lens import blur_radius
+from clsco.optics.quadrics import axial_inverse_depth
 from clsco.passes.accumulate import FrameSum
 from clsco.passes.blur import Area, Image, Maps, Plane, Sources, blur_target, padded_plane, prepare_sources
 from clsco.passes.clusters import Clusters, Layers, layered_program
@@ -128,8 +129,7 @@ def _handed_on(plan: Plan) -> Callable[[Moment, Any], Any]:
 def _central_radius(plan: Plan, at: Moment) -> float:
     """|R| on the axis in px, which is that of every pixel where the blur is a convolution."""
     surface = next(each for each in at.sample.placed if each is not None)
-    inverse_depth = -2.0 * float(surface.canonical.l @ surface.turn[:, 2]) / surface.constant
-    return abs(float(blur_radius(plan.scene.camera, inverse_depth)))
+    return abs(float(blur_radius(plan.scene.camera, axial_inverse_depth(surface))))
 
 
 def _ray_runs(tracer: Tracer, handed_on: Callable[[Moment, Any], Any]) -> dict[Kind, Run]:

@@ -258,6 +258,11 @@ def _seen(item: Object, pose: Pose) -> Extent:
     return Extent(interval(x), interval(y), (1.0 / (z + radius), 1.0 / (z - radius)))
 
 
+def axial_inverse_depth(surface: PlacedSurface) -> float:
+    """Inverse depth in 1/mm at which the axis of the camera meets a plane."""
+    return -2.0 * float(surface.canonical.l @ surface.turn[:, 2]) / surface.constant
+
+
 def predict_inverse_depth(
     item: Object, surface: PlacedSurface, x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> NDArray[np.float64]:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from clsco.optics.lens import Lens
 from clsco.optics.motion import Pose
 from clsco.optics.point_spread import PointSpread
-from clsco.optics.quadrics import Extent, cutting_bounds, place
+from clsco.optics.quadrics import EVERYWHERE, Extent, cutting_bounds, place
 from clsco.scene.model import Camera, Object, Plane, Rectangle
 
 Array = NDArray[np.float64]
@@ -54,6 +54,8 @@ def extent(item: Object, poses: Sequence[Pose], seen: Array) -> Extent:
     for none."""
     hit = seen[seen > 0]
     depths = (0.9 * float(hit.min()), 1.1 * float(hit.max())) if hit.size else (0.0, inf)
+    if isinstance(item, Plane) and hit.size < seen.size:
+        depths = 0.0, depths[1]  # its horizon may be in sight, between rays
     found = []
     for pose in poses:
         one = place(item, pose).seen
@@ -83,6 +85,11 @@ def may_hide(near: Extent, far: Extent, camera: Camera, reach: float) -> bool:
 def is_hollow(item: Object) -> bool:
     """True if the inside of a surface may be visible past its own edge: it is curved, and cut by bounds."""
     return not isinstance(item, Plane | Rectangle) and cutting_bounds(item) is not None
+
+
+def apart(items: Sequence[Object], camera: Camera, psf: PointSpread) -> tuple[OcclusionGroup, ...]:
+    """Occlusion groups of objects that may be anywhere: each by itself, behind all others."""
+    return occlusion_groups(items, [EVERYWHERE] * len(items), camera, psf)
 
 
 def occlusion_groups(

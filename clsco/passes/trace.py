@@ -11,18 +11,20 @@ import numpy as np
 import pyopencl as cl
 
 from clsco.constants import STATISTIC_SLOTS, STATISTIC_SMALLEST
-from clsco.opencl.buffers import allocate
+from clsco.opencl.buffers import allocate, upload
 from clsco.opencl.program import build
 from clsco.opencl.session import Session
 from clsco.optics.lens import Lens
+from clsco.optics.quadrics import EVERYWHERE
 from clsco.optics.visibility import OcclusionGroup
 from clsco.passes.blur import PIXELS, Image, Sources, Target
 from clsco.passes.pack import group_struct, lens_struct
 from clsco.passes.placed import Moment, PlacedScene
 from clsco.plan.buffers import STATISTICS, Sizes, hit_buffers
 from clsco.plan.plan import Plan
-from clsco.records import Struct, structs
+from clsco.records import REAL, Struct, structs
 
+ROUNDED = 1e-5  # relative: far more than rays and depths in single precision differ from those of the host
 TRACE_FILES = ("trace/trace.cl", "trace/truth.cl")  # the kernels that cast rays
 # What of the statistics a frame must begin with: no radius met, no slot taken (trace.cl).
 EMPTY_STATISTICS = np.zeros(STATISTICS, np.int32)
@@ -124,6 +126,17 @@ class Tracer:
         """lens_t of the plan."""
         return lens_struct(Lens.of(self.plan.scene.camera), self.scene.real)
 
+    @cached_property
+    def extents(self) -> tuple[cl.Buffer, ...]:
+        """Extents that the plan predicts for several objects, on the device."""
+        count = len(self.plan.scene.objects)
+        if count == 1:
+            return ()
+        found = [(*each.x, *each.y, *each.w) for each in self.plan.extents or [EVERYWHERE] * count]
+        ends = np.array(found)
+        ends += np.array([-1.0, 1.0] * 3) * (ROUNDED * np.abs(ends))
+        return (upload(self.scene.session, ends.astype(REAL[self.scene.real])),)
+
     def trace(self, at: Moment) -> Sources:
         """Sources of one occlusion group; its buffers are those of the group before, which the queue is done with."""
         buffers, sizes, head = self.buffers, hit_buffers(self.plan.grid, self.plan.mapped > 0), self._head(at)
@@ -135,7 +148,8 @@ class Tracer:
         value, depth, label = planes
         source = buffers.get("source")
         beside = (value, *self.scene.texture_maps, buffers["share"]) if "share" in buffers else ()
-        self._per_pixel("aim", at, *head, depth, label, source, buffers["statistics"], *beside)
+        out = (source, buffers["statistics"], *self.extents)
+        self._per_pixel("aim", at, *head, depth, label, *out, *beside)
         hidden: dict[str, Any] = {}
         if self.plan.spec.occluders:
             hidden = {"lens": self.lens, "surfaces": at.sample.surfaces, "group": head[3], "depth": depth}

@@ -23,7 +23,7 @@ from clsco.constants import (
     ROW_TILE,
     SCORE_SUMS,
     SCORED_COLUMNS,
-    STATISTIC_MOST_SLOTS,
+    STATISTIC_BEYOND,
     TAP_LANES,
     WIDE_LANES,
 )
@@ -50,7 +50,7 @@ MOST_IN_ONE_SUM = 256  # taps of `gather` that a float adds up before it goes in
 MAP_BYTES = structs("double")["texture_map_t"].itemsize
 UNKNOWN = 2**62  # bytes, of a limit that is not known
 COUNTERS = COUNTER_DONE + 1  # ints, of a filling
-STATISTICS = STATISTIC_MOST_SLOTS + 1  # ints, of a frame
+STATISTICS = STATISTIC_BEYOND + 1  # ints, of a frame
 # Outputs that ground_truth writes, with what one pixel of each takes: dtype and components (0: the channels).
 TRUTH_BUFFERS: dict[str, tuple[type[np.generic], int]] = {
     "object_id": (np.int32, 1),
@@ -349,11 +349,12 @@ def fill_sizes(scene: Scene, grid: Grid) -> Sizes:
     return fill_buffers(grid, several, several or not scene.is_analytic, scene.fill.method == "mean_median")
 
 
-def trace_buffers(spec: BlurSpec, grid: Grid, mapped: bool) -> Sizes:
-    """Hits and sources of one time sample of an occlusion group, as trace.cl writes them; and statistics of a frame.
-    mapped: as for `hit_buffers`."""
+def trace_buffers(spec: BlurSpec, grid: Grid, mapped: bool, objects: int) -> Sizes:
+    """Hits and sources of one time sample of an occlusion group, as trace.cl writes them; predicted extents of several
+    objects, and statistics of a frame. mapped: as for `hit_buffers`."""
     sources = source_buffers(spec, grid) if spec.method in MANY_RADII else {}
-    return hit_buffers(grid, mapped) | sources | {"statistics": 4 * STATISTICS}
+    extents = {"extents": 6 * REAL_BYTES * objects} if objects > 1 else {}
+    return hit_buffers(grid, mapped) | sources | extents | {"statistics": 4 * STATISTICS}
 
 
 def silhouette_buffers(spec: BlurSpec, grid: Grid, slots: int, mapped: bool) -> Sizes:

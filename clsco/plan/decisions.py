@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, replace
 from clsco.frame.frame import ALL_TRUTH, MAPPING_NAMES, MOTION_NAMES, STEREO_NAMES
 from clsco.optics.motion import Eye
 from clsco.optics.point_spread import PointSpread
+from clsco.optics.quadrics import Extent
 from clsco.optics.texture_mapping import needs_detail
 from clsco.optics.visibility import OcclusionGroup, extent, is_hollow, occlusion_groups
 from clsco.plan.choice import Choice
@@ -108,13 +109,14 @@ class Choices:
 
 def choose(
     scene: Scene, psf: PointSpread, request: Request, eye: Eye, maps: Maps, channels: int, gpu: bool, seen: Prediction
-) -> tuple[Choices, tuple[OcclusionGroup, ...]]:  # fmt: skip
-    """All decisions for a view of a scene, and its occlusion groups. Raises SceneError where the method cannot be."""
+) -> tuple[Choices, tuple[OcclusionGroup, ...], tuple[Extent, ...]]:  # fmt: skip
+    """All decisions for a view of a scene, its occlusion groups, and the extents of objects that these are for. Raises
+    SceneError where the method cannot be."""
     warp = choose_warp(scene, eye)
     rays = choose_rays(scene, warp.value)
     silhouettes = choose_silhouettes(scene, psf, rays.value, seen)
     sharp, constant = psf.is_sharp(seen.largest) and silhouettes.left_out, constant_blur(scene)
-    occlusion, groups = choose_occlusion(scene, psf, rays.value, seen)
+    occlusion, groups, extents = choose_occlusion(scene, psf, rays.value, seen)
     alike = constant and silhouettes.left_out and can_convolve(psf, scene.psf.border)
     blur = choose_blur(request.method, sharp, alike, gpu, occlusion.value == "visibility")
     if blur.left_out:
@@ -123,7 +125,7 @@ def choose(
         blur = replace(blur, reason=why, unused=(*SPREAD_KEYS, *aperture))
     renormalize, guard_band = choose_border(scene)
     truth, others = choose_truth(scene, request.truth)
-    return Choices(
+    choices = Choices(
         image=choose_image(request.color),
         motion=choose_samples(scene, maps),
         trace=rays,
@@ -139,7 +141,8 @@ def choose(
         occlusion=occlusion,
         ground_truth=truth,
         other_outputs=others,
-    ), groups
+    )
+    return choices, groups, extents
 
 
 def choose_image(color: bool) -> Choice[bool]:
@@ -210,21 +213,23 @@ def choose_silhouettes(scene: Scene, psf: PointSpread, rays: bool, seen: Predict
 
 def choose_occlusion(
     scene: Scene, psf: PointSpread, rays: bool, seen: Prediction
-) -> tuple[Choice[Occlusion], tuple[OcclusionGroup, ...]]:  # fmt: skip
-    """Method by which nearer surfaces hide farther ones, and the occlusion groups that follow."""
+) -> tuple[Choice[Occlusion], tuple[OcclusionGroup, ...], tuple[Extent, ...]]:  # fmt: skip
+    """Method by which nearer surfaces hide farther ones, the occlusion groups that follow, and the extents of objects
+    by which they were found, where they were."""
     together, key = (OcclusionGroup((1 << len(scene.objects)) - 1, 0),), ("psf.occlusion",)
     wanted = scene.psf.occlusion
     if wanted == "none":
-        return Choice("none", 'occlusion = "none"'), together
+        return Choice("none", 'occlusion = "none"'), together, ()
     if _hides_nothing(scene):
-        return Choice("none", "one object", key), together
+        return Choice("none", "one object", key), together, ()
     if wanted == "layered" or not rays:
-        return Choice("layered"), together
-    extents = [extent(item, [poses[k] for poses in seen.poses], seen.w[k]) for k, item in enumerate(scene.objects)]
+        return Choice("layered"), together, ()
+    each = zip(scene.objects, zip(*seen.poses, strict=True), seen.w, strict=True)
+    extents = tuple(extent(item, poses, w) for item, poses, w in each)
     found = occlusion_groups(scene.objects, extents, scene.camera, psf)
     if any(group.occluders for group in found):
-        return Choice("visibility"), found
-    return Choice("none", "no object hides another within its blur", key), found
+        return Choice("visibility"), found, extents
+    return Choice("none", "no object hides another within its blur", key), found, extents
 
 
 def _hides_nothing(scene: Scene) -> bool:

@@ -8,9 +8,11 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.constants import STATISTIC_LARGEST, STATISTIC_MOST_SLOTS, STATISTIC_SMALLEST
+from clsco.constants import STATISTIC_BEYOND, STATISTIC_LARGEST, STATISTIC_MOST_SLOTS, STATISTIC_SMALLEST
 from clsco.errors import SceneError
 from clsco.optics.lens import LARGEST_BLUR
+from clsco.optics.visibility import apart
+from clsco.plan.choice import Choice
 from clsco.plan.memory import Limit, fitted
 from clsco.plan.plan import Plan
 from clsco.plan.predict import guard_band
@@ -28,18 +30,24 @@ class Met:
         Range of |R| of its sources in px; largest 0 where there are none.
     slots : int
         Most pixels near silhouettes at a time sample.
+    beyond : bool
+        A hit was outside of the predicted extent of its object, so that it may be hidden by others than its group has.
     """
 
     smallest: float
     largest: float
     slots: int
+    beyond: bool
 
     @classmethod
     def of(cls, statistics: NDArray[np.int32]) -> Self:
         """Read the statistics of a frame, as kernels write them."""
         radii = statistics.view(np.float32)
         return cls(
-            float(radii[STATISTIC_SMALLEST]), float(radii[STATISTIC_LARGEST]), int(statistics[STATISTIC_MOST_SLOTS])
+            float(radii[STATISTIC_SMALLEST]),
+            float(radii[STATISTIC_LARGEST]),
+            int(statistics[STATISTIC_MOST_SLOTS]),
+            bool(statistics[STATISTIC_BEYOND]),
         )
 
 
@@ -63,13 +71,21 @@ def larger_plan(plan: Plan, met: Met, limit: Limit) -> Plan | None:
         The blur radius passes LARGEST_BLUR, or the memory that was given does not suffice.
     """
     fits = met.largest <= plan.largest_blur * SLACK + 1e-6 and met.smallest >= plan.smallest_blur / SLACK - 1e-6
-    if met.largest == 0.0 or (fits and met.slots <= plan.slots):
+    if met.largest == 0.0 or (fits and met.slots <= plan.slots and not met.beyond):
         return None
-    wider = replace(plan, least_slots=max(met.slots, plan.slots) if plan.silhouettes else 0)
+    wider = replace(
+        _for_any_place(plan) if met.beyond else plan, least_slots=max(met.slots, plan.slots) if plan.silhouettes else 0
+    )
     if fits:
-        return wider
+        return fitted(wider, limit) if met.beyond else wider
     smallest, largest = min(met.smallest / SLACK, plan.smallest_blur), max(met.largest * SLACK, plan.largest_blur)
     return fitted(widened(wider, smallest, largest), limit)
+
+
+def _for_any_place(plan: Plan) -> Plan:
+    """The plan with occlusion groups that are right wherever the objects are."""
+    scene, choices = plan.scene, replace(plan.choices, occlusion=Choice("visibility"))
+    return replace(plan, groups=apart(scene.objects, scene.camera, plan.psf), extents=(), choices=choices)
 
 
 def widened(plan: Plan, smallest: float, largest: float) -> Plan:

@@ -23,6 +23,7 @@ from clsco.optics.motion import Eye
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_grid import table_reach
 from clsco.optics.psf_tables import check_tables, psf_features
+from clsco.optics.quadrics import Extent
 from clsco.optics.visibility import OcclusionGroup
 from clsco.plan.buffers import (
     STATISTICS,
@@ -98,6 +99,8 @@ class Plan:
         Rows of the frame that are worked on at a time, 0 for all.
     least_slots : int
         Pixels near silhouettes that there must be room for.
+    extents : tuple of Extent
+        Predicted extents of the objects that `groups` are for; empty where they are for any.
     """
 
     scene: Scene
@@ -116,6 +119,7 @@ class Plan:
     alpha: bool = False
     strip_rows: int = 0
     least_slots: int = 0
+    extents: tuple[Extent, ...] = ()
 
     @property
     def color(self) -> bool:
@@ -318,7 +322,7 @@ def make_plan(
     maps = maps or (None,) * len(scene.objects)
     check_shape(psf, wanted.method)
     seen = predict(scene, psf, eye, maps)
-    choices, groups = choose(scene, psf, wanted, eye, maps, channels, device.kind == "gpu", seen)
+    choices, groups, extents = choose(scene, psf, wanted, eye, maps, channels, device.kind == "gpu", seen)
     blur, guard, alpha = choices.blur.value, seen.guard, "alpha" in wanted.truth
     if blur == "convolve":
         guard += 2 * TAP_LANES
@@ -326,7 +330,7 @@ def make_plan(
         check_tables(psf, seen.smallest, seen.largest, choices.silhouettes.value)
     plan = Plan(
         scene, psf, device, eye, channels + alpha, rows, columns, guard, seen.smallest, seen.largest, choices, groups,
-        taps=0.0, alpha=alpha,
+        taps=0.0, alpha=alpha, extents=extents,
     )  # fmt: skip
     return replace(plan, taps=_predicted_taps(plan, seen.nearest)) if blur != "none" and plan.color else plan
 
@@ -395,7 +399,8 @@ def _group_passes(plan: Plan, group: OcclusionGroup, first: bool) -> Iterator[Pa
     """The passes of one occlusion group; first: of the plane, which those of the others add to."""
     spec, grid, rays = plan.spec, plan.grid, _of_rays(plan)
     light = ("plane",) if plan.blur == "none" else ("sources",)
-    yield Pass("trace", rays, trace_buffers(spec, grid, plan.mapped > 0) | _of_scene(plan), gives=light, group=group)
+    sizes = trace_buffers(spec, grid, plan.mapped > 0, len(plan.scene.objects)) | _of_scene(plan)
+    yield Pass("trace", rays, sizes, gives=light, group=group)
     if plan.silhouettes:
         what = f"{plan.silhouettes} x {plan.silhouettes} per pixel within 2 px of a silhouette"
         what += ", and where textures are finer than the blur" if plan.mapped else ""

@@ -116,11 +116,24 @@ __kernel void cast(const grid_t grid, __constant surface_t *surfaces, const grou
 #endif
 }
 
-// Sources of the hits for one lens. In: depth, label, and with textures on surfaces value, as `cast` leaves them. Out:
+#if SEVERAL
+// True if a hit is outside of the extent of an object, low and high x, y of rays and inverse depth.
+static bool is_beyond(__constant real *extent, real3 ray, real w)
+{
+    return !(ray.x >= extent[0] && ray.x <= extent[1] && ray.y >= extent[2] && ray.y <= extent[3] &&
+             w >= extent[4] && w <= extent[5]);
+}
+#endif
+
+// Sources of the hits for one lens. In: depth, label, and with textures on surfaces value, as `cast` leaves them; and
+// extents of objects as they were predicted. Out:
 // source, which is 0 where the blur needs none, statistics, with these textures share, and of labels the EDGE.
 __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
                   const psf_t psf, __global const real *depth, __global uchar *label, __global float *source,
                   __global int *statistics
+#if SEVERAL
+                  , __constant real *extents
+#endif
 #if TEXTURED && SUBPIXELS
                   , __global const float *value, __constant texture_map_t *maps, __global float *share
 #endif
@@ -140,6 +153,10 @@ __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *su
 #endif
     if (source)
         put_source(source, grid.height * grid.width, at, record);
+#if SEVERAL
+    if (hit && is_beyond(extents + 6 * ((hit - 1) / 2), ray, depth[at]))
+        atomic_max(statistics + STATISTIC_BEYOND, 1);
+#endif
 #if SUBPIXELS && OCCLUDED
     label[at] = root;
 #endif

@@ -8,9 +8,11 @@ import pytest
 
 import clsco
 from clsco import reference
+from clsco.optics.quadrics import Extent
+from clsco.optics.visibility import extent
 from clsco.plan.plan import make_plan
 from clsco.scene.file import parse_scene
-from clsco.scene.model import Scene
+from clsco.scene.model import Object, Scene
 
 BOUNDS = [[-100.0, 100.0], [-50.0, 50.0], [-1.0, 1.0]]
 
@@ -38,6 +40,34 @@ def test_a_card_that_turns_between_the_moments_looked_at(warp: str) -> None:
     known, missed = make_plan(short, 1), make_plan(scene, 1)
     assert known.largest_blur > 1.5 * missed.largest_blur
     np.testing.assert_allclose(frame.color, next(iter(clsco.render(short))).color, rtol=0, atol=1e-6)
+
+
+CROSSING: dict[str, Any] = {
+    "camera": {"resolution": [36, 24], "pixel_pitch": 0.13, "aperture_diameter": 30.0},
+    "object": [
+        {"shape": "sphere", "center": [0.0, 0.0, 230.0], "radius": 8.0, "texture": "checkerboard"},
+        {"shape": "plane", "distance": 290.0, "texture": "#ffffff"},
+    ],
+}
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_objects_that_are_not_where_they_were_predicted(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
+    """A plan that takes the ball for far, or the wall for near, has no occluders of the wall: it is made again."""
+    scene = parse_scene(CROSSING)
+    (exact,), planned = clsco.render(scene, truth=()), make_plan(scene, 1)
+    elsewhere = Extent((3.0, 3.1), (3.0, 3.1), ((1e-3, 1.1e-3), (0.1, 0.11))[number])
+
+    def wrong(item: Object, *others: Any) -> Extent:
+        return elsewhere if item == scene.objects[number] else extent(item, *others)
+
+    monkeypatch.setattr("clsco.plan.decisions.extent", wrong)
+    assert make_plan(scene, 1).groups != planned.groups
+    (frame,) = clsco.render(scene, truth=())
+    np.testing.assert_allclose(frame.color, exact.color, rtol=0, atol=2e-6)
+    monkeypatch.setattr("clsco.engine.renderer.larger_plan", lambda *_: None)
+    (unchecked,) = clsco.render(scene, truth=())
+    assert np.abs(unchecked.color - exact.color).max() > 0.01
 
 
 @pytest.mark.slow

@@ -8,9 +8,9 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 
-from clsco.constants import STATISTIC_LARGEST, STATISTIC_MOST_SLOTS, STATISTIC_SMALLEST
+from clsco.constants import STATISTIC_BEYOND, STATISTIC_LARGEST, STATISTIC_MOST_SLOTS, STATISTIC_SMALLEST
 from clsco.optics.point_spread import point_spread
-from clsco.plan.buffers import ThisMachine
+from clsco.plan.buffers import STATISTICS, ThisMachine
 from clsco.plan.image import ImagePlan
 from clsco.plan.larger import Met, larger_plan
 from clsco.plan.memory import limit_of
@@ -76,14 +76,14 @@ def test_the_reference_runs_all_kinds() -> None:
 
 def met(plan: Plan, **changes: Any) -> Met:
     """Met sources that a plan has just room for, with some changes."""
-    return replace(Met(plan.smallest_blur, plan.largest_blur, plan.slots), **changes)
+    return replace(Met(plan.smallest_blur, plan.largest_blur, plan.slots, False), **changes)
 
 
 def test_a_plan_grows_where_a_frame_has_met_more() -> None:
     plan, limit = plan_of(BALL, WALL), limit_of(None)
     assert plan.silhouettes > 0
     assert larger_plan(plan, met(plan), limit) is None
-    assert larger_plan(plan, Met(0.0, 0.0, 10**6), limit) is None  # no source at all
+    assert larger_plan(plan, Met(0.0, 0.0, 10**6, False), limit) is None  # no source at all
     more = larger_plan(plan, met(plan, slots=plan.slots + 7), limit)
     assert more is not None
     assert (more.slots, more.guard_px) == (plan.slots + 7, plan.guard_px)
@@ -95,10 +95,16 @@ def test_a_plan_grows_where_a_frame_has_met_more() -> None:
     assert sharper is not None
     assert sharper.smallest_blur <= plan.smallest_blur / 2.0
     assert sharper.guard_px == plan.guard_px
+    anywhere = larger_plan(plan, met(plan, beyond=True), limit)
+    assert anywhere is not None
+    assert [group.occluders for group in anywhere.groups] == [2, 1]
+    assert (anywhere.occlusion, anywhere.extents) == ("visibility", ())
 
 
 def test_what_a_frame_has_met_is_read_from_its_statistics() -> None:
-    found = np.zeros(STATISTIC_MOST_SLOTS + 1, np.int32)
+    found = np.zeros(STATISTICS, np.int32)
     found.view(np.float32)[[STATISTIC_SMALLEST, STATISTIC_LARGEST]] = 0.5, 7.25
     found[STATISTIC_MOST_SLOTS] = 31
-    assert Met.of(found) == Met(0.5, 7.25, 31)
+    assert Met.of(found) == Met(0.5, 7.25, 31, False)
+    found[STATISTIC_BEYOND] = 1
+    assert Met.of(found).beyond
