@@ -81,8 +81,8 @@ WITH_TRUTH = {"cart", "lit", "stereo"}
 # Kinds of passes by their kernels: the others are of the kind that their plan has besides.
 KERNELS = {
     "cast": "trace", "aim": "trace", "pinhole": "pinhole",
-    "mark_silhouettes": "silhouettes", "trace_subpixels": "silhouettes", "trace_detail": "silhouettes",
-    "sharpen": "silhouettes", "ground_truth": "ground truth", "host": "host",
+    "mark_silhouettes": "silhouettes", "label_subpixels": "silhouettes", "trace_subpixels": "silhouettes",
+    "trace_detail": "silhouettes", "sharpen": "silhouettes", "ground_truth": "ground truth", "host": "host",
     "reproject_targets": "reproject", "reproject_nearest": "reproject", "reproject_gather": "reproject",
     "accumulate": "accumulate", "find_discontinuities": "cluster", "label_depth_layers": "cluster",
     "seed_hidden": "cluster", "column_seeds": "cluster", "reach_hidden": "cluster", "open_depth_layer": "cluster",

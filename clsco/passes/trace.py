@@ -167,23 +167,25 @@ class Tracer:
         cl.enqueue_fill_buffer(self.target.session.queue, statistics, np.zeros(1, np.int32), 4 * STATISTIC_SLOTS, 4)
         marks = (at.grid, sources.label, slots, source, buffers["pixels"], statistics)
         self._per_pixel("mark_silhouettes", at, *marks)
-        subs, labels = (buffers["sub_source"], buffers["sub_value"]), buffers["sub_label"]
-        sub_depth = buffers.get("sub_depth")
-        occluded = (sub_depth,) if sub_depth is not None else ()
-        head = (*self._head(at), *self._appearance(at))
-        size, slotted = (plan.slots * plan.silhouettes**2,), (*head, buffers["pixels"], slots)
-        traced = (*slotted, *subs, labels, statistics, *occluded)
-        self.target.run("trace_subpixels", size, PIXELS[:1], at.events, *traced)
-        covered = (*slotted, source, labels, *subs, statistics, *occluded)
-        self.target.run("cover_outlines", (plan.slots,), PIXELS[:1], at.events, *covered)
+        subs = buffers["sub_source"], buffers["sub_value"]
+        labels, depth = buffers["sub_label"], buffers["sub_depth"]
+        head, size, run = self._head(at), (plan.slots * plan.silhouettes**2,), self.target.run
+        grid, _, surfaces, group, _ = head
+        slotted = (*head, *self._appearance(at), buffers["pixels"], slots)
+        labeled = (grid, surfaces, group, buffers["pixels"], slots, labels, depth, statistics)
+        run("label_subpixels", size, PIXELS[:1], at.events, *labeled)
+        covered = (grid, surfaces, buffers["pixels"], slots, source, labels, subs[0], statistics)
+        run("cover_outlines", (plan.slots,), PIXELS[:1], at.events, *covered)
+        traced = (*slotted, *subs, labels, depth, statistics)
+        run("trace_subpixels", size, PIXELS[:1], at.events, *traced)
         value = sources.value
         if "sharper" in buffers:
-            detailed = (*slotted, *subs, statistics, *occluded)
-            self.target.run("trace_detail", (plan.slots,), PIXELS[:1], at.events, *detailed)
+            detailed = (*slotted, *subs, depth, statistics)
+            run("trace_detail", (plan.slots,), PIXELS[:1], at.events, *detailed)
             value = buffers["sharper"]
             self._per_pixel("sharpen", at, at.grid, sources.value, buffers["share"], source, value)
         return replace(
-            sources, value=value, sub_source=subs[0], sub_value=subs[1], capacity=plan.slots, sub_depth=sub_depth
+            sources, value=value, sub_source=subs[0], sub_value=subs[1], capacity=plan.slots, sub_depth=depth
         )
 
     def pinhole(self, at: Moment) -> Image:

@@ -361,10 +361,9 @@ def silhouette_buffers(spec: BlurSpec, grid: Grid, slots: int, mapped: bool) -> 
     """Sub-pixel sources, in `slots` pixels near silhouettes; mapped: and, of textures on surfaces, what neighbors
     exchange."""
     subs = slots * spec.subpixels**2
-    sizes = {"pixels": 4 * slots, "sub_label": subs}
+    sizes = {"pixels": 4 * slots, "sub_label": subs, "sub_depth": REAL_BYTES * subs}
     sizes |= {"sub_source": 16 * subs, "sub_value": 4 * grid.channels * subs}
-    sizes |= {"share": 4 * grid.sources, "sharper": 4 * grid.channels * grid.sources} if mapped else {}
-    return sizes | ({"sub_depth": REAL_BYTES * subs} if spec.occluders else {})
+    return sizes | ({"share": 4 * grid.sources, "sharper": 4 * grid.channels * grid.sources} if mapped else {})
 
 
 def texture_buffers(scene: Scene, channels: int, alpha: bool = False) -> Sizes:

@@ -17,10 +17,11 @@
 
 #define EDGE 128  // of a label: on the other side of an odd number of surfaces than the lens
 
-// Record of a hit, as the lens takes it; below 0 where none of its radiance reaches the lens. subpixel: the source
-// is one of SUBPIXELS^2. In and out: label, statistics.
+// Record of a hit, as the lens takes it; below 0 where none of its radiance reaches the lens, which is tested from the
+// hit `seen` of inverse depth seen_w. subpixel: the source is one of SUBPIXELS^2. In and out: label, statistics.
 static float4 source_record(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
-                            const psf_t psf, real3 ray, real w, int subpixel, uchar *label, __global int *statistics)
+                            const psf_t psf, real3 ray, real w, real3 seen_ray, real seen_w, int subpixel, uchar *label,
+                            __global int *statistics)
 {
     float4 record = (float4)(-1, 0, 0, as_float(WHOLE));
     if (*label == 0)
@@ -35,8 +36,9 @@ static float4 source_record(const grid_t grid, const lens_t lens, __constant sur
 #endif
 #if OCCLUDED
     bool edge;
-    const division_t division = division_of(radius, psf.lens_extent, subpixel ? (real)1 / SUBPIXELS : 1, tilt);
-    const int seen = check_visibility(lens, surfaces, group, ray, w, division, 0, &edge);
+    const real size = blur_radius(lens, seen_w);
+    const division_t division = division_of(size, psf.lens_extent, subpixel ? (real)1 / SUBPIXELS : 1, tilt);
+    const int seen = check_visibility(lens, surfaces, group, seen_ray, seen_w, division, 0, &edge);
     *label |= edge ? EDGE : 0;
     if (seen == HIDDEN)
         return record;
@@ -146,7 +148,8 @@ __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *su
     const real3 ray = pixel_ray(grid, FRAME_ROW(grid, y), x - grid.guard);
     const uchar hit = label[at] & ~EDGE;
     uchar root = hit;
-    float4 record = source_record(grid, lens, surfaces, group, psf, ray, depth[at], 0, &root, statistics);
+    float4 record = source_record(grid, lens, surfaces, group, psf, ray, depth[at], ray, depth[at], 0, &root,
+                                  statistics);
 #if TEXTURED && SUBPIXELS
     const float texels = value[CHANNELS * grid.height * grid.width + at];
     record = with_detail(lens, maps, record, depth[at], hit, texels, share + at);
@@ -202,18 +205,66 @@ __kernel void mark_silhouettes(const grid_t grid, __global const uchar *label, c
     MARKS(source, grid.height * grid.width)[at] = as_float(slot);
 }
 
-// SUBPIXELS x SUBPIXELS point sources of every marked pixel. Out, per slot and sub-pixel in row-major order: sub_source
-// float4 (coordinate, tilt right, tilt down, WHOLE or PARTLY_OCCLUDED), sub_value float (CHANNELS, slots, SUBPIXELS^2),
-// sub_label uchar, the label before any visibility test, sub_depth real.
+// The ray through a cell of a pixel of the padded grid, and right and down of its middle by cells.
+static real3 cell_ray(const grid_t grid, int pixel, int sub, real right, real down)
+{
+    const int row = FRAME_ROW(grid, pixel / grid.width), column = pixel % grid.width - grid.guard;
+    const real below = (sub / SUBPIXELS + (real)0.5 + down) / SUBPIXELS - (real)0.5;
+    const real aside = (sub % SUBPIXELS + (real)0.5 + right) / SUBPIXELS - (real)0.5;
+    return pixel_ray(grid, row + below, column + aside);
+}
+
+// Hits of the rays through the middles of SUBPIXELS x SUBPIXELS cells of every marked pixel. Out, per slot and cell in
+// row-major order: sub_label uchar, before any visibility test, sub_depth real.
+__kernel void label_subpixels(const grid_t grid, __constant surface_t *surfaces, const group_t group,
+                              __global const int *pixels, const int capacity, __global uchar *sub_label,
+                              __global real *sub_depth, __global const int *statistics)
+{
+    const int id = get_global_id(0), each = SUBPIXELS * SUBPIXELS;
+    const int slot = id / each;
+    if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] < 0)
+        return;
+    uchar root;
+    int object;
+    const real3 ray = cell_ray(grid, pixels[slot], id % each, 0, 0);
+    sub_depth[id] = nearest_surface(surfaces, group, ray, &root, &object);
+    sub_label[id] = root;
+}
+
+// Coverage of these cells where an outline is beside them, see outline.clh. In: marks of source, sub_label. Out:
+// sub_source (cells covered, and right and down of the middle by cells, where the source is taken).
+__kernel void cover_outlines(const grid_t grid, __constant surface_t *surfaces, __global const int *pixels,
+                             const int capacity, __global float *source, __global const uchar *sub_label,
+                             __global float4 *sub_source, __global const int *statistics)
+{
+    const int slot = get_global_id(0), each = SUBPIXELS * SUBPIXELS;
+    if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] < 0)
+        return;
+    for (int sub = 0; sub < each; ++sub)
+        sub_source[slot * each + sub] = (float4)(1, 0, 0, 0);
+    uchar labels[CELLS_AROUND * CELLS_AROUND];
+    __global const float *marks = MARKS(source, grid.height * grid.width);
+    if (!labels_around(grid, marks, pixels, sub_label, slot, labels))
+        return;
+    coverage_t found;
+    const int row = FRAME_ROW(grid, pixels[slot] / grid.width), column = pixels[slot] % grid.width - grid.guard;
+    cell_coverage(grid, surfaces, row, column, labels, &found);
+    for (int sub = 0; sub < each; ++sub) {
+        const int cell = (sub / SUBPIXELS + 1) * CELLS_AROUND + sub % SUBPIXELS + 1;
+        if (labels[cell] != 0)
+            sub_source[slot * each + sub] =
+                (float4)(found.covered[cell], (float)found.right[cell], (float)found.down[cell], 0);
+    }
+}
+
+// Point sources of these cells. In: sub_label, sub_depth. In and out: sub_source, the coverage, and then float4
+// (coordinate, tilt right, tilt down, WHOLE or PARTLY_OCCLUDED). Out: sub_value float (CHANNELS, slots, SUBPIXELS^2).
 __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
                               const psf_t psf,
                               __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
                               __global const int *pixels, const int capacity, __global float4 *sub_source,
-                              __global float *sub_value, __global uchar *sub_label, __global int *statistics
-#if OCCLUDED
-                              , __global real *sub_depth
-#endif
-)
+                              __global float *sub_value, __global const uchar *sub_label,
+                              __global const real *sub_depth, __global int *statistics)
 {
     const int id = get_global_id(0), each = SUBPIXELS * SUBPIXELS;
     const int slot = id / each, sub = id % each;
@@ -221,86 +272,26 @@ __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant s
         atomic_max(statistics + STATISTIC_MOST_SLOTS, statistics[STATISTIC_SLOTS]);
     if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] < 0)
         return;
-    const int row = FRAME_ROW(grid, pixels[slot] / grid.width), column = pixels[slot] % grid.width - grid.guard;
-    const real down = (sub / SUBPIXELS + (real)0.5) / SUBPIXELS - (real)0.5;
-    const real right = (sub % SUBPIXELS + (real)0.5) / SUBPIXELS - (real)0.5;
-    const real3 ray = pixel_ray(grid, row + down, column + right);
-    uchar root;
-    int object;
-    const real w = nearest_surface(surfaces, group, ray, &root, &object);
-    sub_label[id] = root;
-    take_radiance(grid, surfaces, ray, w, root, row, column, SUBPIXELS, 1.0f / each, texture TEXTURE_MAPS LIGHT,
-                  sub_value + id, capacity * each);
-    sub_source[id] = source_record(grid, lens, surfaces, group, psf, ray, w, 1, &root, statistics);
-#if OCCLUDED
-    sub_depth[id] = w;
-#endif
-}
-
-// Coverage of these sources where an outline is beside them, see outline.clh. In: marks of source, sub_label. In and
-// out: sub_source, sub_value.
-__kernel void cover_outlines(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
-                             const psf_t psf,
-                             __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
-                             __global const int *pixels, const int capacity, __global float *source,
-                             __global const uchar *sub_label, __global float4 *sub_source, __global float *sub_value,
-                             __global int *statistics
-#if OCCLUDED
-                             , __global const real *sub_depth
-#endif
-)
-{
-    const int slot = get_global_id(0), each = SUBPIXELS * SUBPIXELS;
-    if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] < 0)
-        return;
-    uchar labels[CELLS_AROUND * CELLS_AROUND];
-    __global const float *marks = MARKS(source, grid.height * grid.width);
-    if (!labels_around(grid, marks, pixels, sub_label, slot, labels))
-        return;
-    const int row = FRAME_ROW(grid, pixels[slot] / grid.width), column = pixels[slot] % grid.width - grid.guard;
-    coverage_t found;
-    cell_coverage(grid, surfaces, row, column, labels, &found);
-    for (int sub = 0; sub < each; ++sub) {
-        const int i = sub / SUBPIXELS, j = sub % SUBPIXELS, cell = (i + 1) * CELLS_AROUND + j + 1;
-        const int id = slot * each + sub;
-        const real covered = found.covered[cell], right = found.right[cell], down = found.down[cell];
-        uchar own = labels[cell], there;
-        if (own == 0 || (covered == 1 && right == 0 && down == 0))
-            continue;
-        const real below = (i + (real)0.5 + down) / SUBPIXELS - (real)0.5;
-        const real aside = (j + (real)0.5 + right) / SUBPIXELS - (real)0.5;
-        const real3 ray = pixel_ray(grid, row + below, column + aside);
+    const float4 cover = sub_source[id];
+    const real3 middle = cell_ray(grid, pixels[slot], sub, 0, 0);
+    const real depth = sub_depth[id];
+    uchar root = sub_label[id];
+    real3 ray = middle;
+    real w = depth;
+    if (cover.y != 0 || cover.z != 0) {
+        const real3 moved = cell_ray(grid, pixels[slot], sub, cover.y, cover.z);
+        uchar there;
         int object;
-        const real w = nearest_surface(surfaces, group, ray, &there, &object);
-        if (there != own) {
-            // Beside a corner.
-            for (int c = 0; c < CHANNELS; ++c)
-                sub_value[c * capacity * each + id] *= (float)covered;
-            continue;
-        }
-        take_radiance(grid, surfaces, ray, w, own, row, column, SUBPIXELS, (float)covered / each,
-                      texture TEXTURE_MAPS LIGHT, sub_value + id, capacity * each);
-        const real radius = blur_radius(lens, w);
-        float4 record = (float4)(table_coordinate(psf, radius, 1), 0, 0, as_float(WHOLE));
-#if TILT
-        record.yz = tilt_slope(blur_gradient(grid, lens, surface_slope(surfaces + object, ray, w)), radius);
-#endif
-#if OCCLUDED
-        // The lens is tested from the middle of the cell, as by the blur.
-        const real middle_down = (i + (real)0.5) / SUBPIXELS - (real)0.5;
-        const real middle_right = (j + (real)0.5) / SUBPIXELS - (real)0.5;
-        const real3 middle = pixel_ray(grid, row + middle_down, column + middle_right);
-        const real size = blur_radius(lens, sub_depth[id]);
-        const division_t division = division_of(size, psf.lens_extent, (real)1 / SUBPIXELS, record.yz);
-        bool edge;
-        const int seen = check_visibility(lens, surfaces, group, middle, sub_depth[id], division, 0, &edge);
-        record = seen == HIDDEN ? (float4)(-1, 0, 0, record.w) : record;
-        record.w = as_float(seen == PARTLY ? PARTLY_OCCLUDED : WHOLE);
-#endif
-        if (record.x >= 0)
-            note_radius(statistics, radius);
-        sub_source[id] = record;
+        const real found = nearest_surface(surfaces, group, moved, &there, &object);
+        // Beside a corner it may be another surface.
+        ray = there == root ? moved : ray;
+        w = there == root ? found : w;
     }
+    const int row = FRAME_ROW(grid, pixels[slot] / grid.width), column = pixels[slot] % grid.width - grid.guard;
+    take_radiance(grid, surfaces, ray, w, root, row, column, SUBPIXELS, cover.x / each, texture TEXTURE_MAPS LIGHT,
+                  sub_value + id, capacity * each);
+    // The lens is tested from the middle of the cell, as by the blur.
+    sub_source[id] = source_record(grid, lens, surfaces, group, psf, ray, w, middle, depth, 1, &root, statistics);
 }
 
 #if TEXTURED
@@ -308,11 +299,7 @@ __kernel void cover_outlines(const grid_t grid, const lens_t lens, __constant su
 __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
                            const psf_t psf, __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
                            __global const int *pixels, const int capacity, __global float4 *sub_source,
-                           __global float *sub_value, __global int *statistics
-#if OCCLUDED
-                           , __global real *sub_depth
-#endif
-)
+                           __global float *sub_value, __global real *sub_depth, __global int *statistics)
 {
     const int slot = get_global_id(0), each = SUBPIXELS * SUBPIXELS;
     if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] >= 0)

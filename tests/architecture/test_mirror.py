@@ -25,6 +25,7 @@ WITHOUT_TWIN = {
     "trace": {
         "aim": "part of trace, which casts for one lens",
         "cover_outlines": "part of trace_subpixels",
+        "label_subpixels": "part of trace_subpixels",
         "pinhole": "trace of all objects, with nothing in their way",
         "trace_detail": "part of trace_subpixels",
     },

@@ -203,9 +203,8 @@ def traced(
     sizes = {
         "source": source_bytes(area, plan.tilt, marked), "value": 4 * plan.channels * area, "label": area,
         "pixels": 4 * capacity, "sub_source": 16 * capacity * each, "sub_value": 4 * capacity * each * plan.channels,
-        "sub_label": capacity * each, "depth": 8 * area,
+        "sub_label": capacity * each, "sub_depth": 8 * capacity * each, "depth": 8 * area,
     }  # fmt: skip
-    sizes |= {"sub_depth": 8 * capacity * each} if occluded else {}
     given: dict[str, Any] = {name: empty(session, size) for name, size in sizes.items()}
     given |= {
         "grid": camera_grid(wanted.camera, plan.guard_px, real),
@@ -222,14 +221,14 @@ def traced(
     run(session, program, "aim", grid, local, **{name: each for name, each in given.items() if name != "value"})
     if each:
         run(session, program, "mark_silhouettes", grid, local, **given)
-        run(session, program, "trace_subpixels", (capacity * each,), (local[0] * local[1],), **given)
-        run(session, program, "cover_outlines", (capacity,), (local[0] * local[1],), **given)
+        for name, count in (("label_subpixels", each), ("cover_outlines", 1), ("trace_subpixels", each)):
+            run(session, program, name, (capacity * count,), (local[0] * local[1],), **given)
     found = Traced(
         plan,
         download(session, given["label"], shape, np.uint8) if each else np.zeros(shape, np.uint8),
         download_sources(session, given["source"], shape, plan.tilt, marked),
         download(session, given["value"], (plan.channels, *shape), np.float32),
-        download(session, given["statistics"], (4,), np.int32),
+        download(session, given["statistics"], EMPTY_STATISTICS.shape, np.int32),
     )
     if each:
         found.pixels = download(session, given["pixels"], (capacity,), np.int32)
@@ -321,7 +320,7 @@ def test_silhouettes_get_slots(session: Session, name: str) -> None:
     assert sorted(found.slot[marked].tolist()) == list(range(count))
     where = found.pixels[found.slot[marked]]
     assert where.tolist() == np.flatnonzero(marked).tolist()
-    assert found.statistics[2:].tolist() == [count, count]
+    assert found.statistics[2:4].tolist() == [count, count]
     if name == "sphere moved, 2 x 2":
         assert 100 < count < marked.size / 2
 
@@ -332,7 +331,7 @@ def test_more_silhouettes_than_slots(session: Session) -> None:
     marked = int(twin.mark_silhouettes(traced(session, plan, 0.55).label).sum())
     found = traced(session, plan, 0.55, capacity=50)
     assert marked > 50
-    assert found.statistics[2:].tolist() == [marked, marked]
+    assert found.statistics[2:4].tolist() == [marked, marked]
     assert sorted(found.slot[found.slot >= 0].tolist()) == list(range(50))
     assert (found.source[found.slot >= 0][:, 0] >= -1).all()
 

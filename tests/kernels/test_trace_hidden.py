@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from clsco.opencl.buffers import download, empty
 from clsco.opencl.session import Session
-from clsco.optics.point_spread import subpixel_offsets
 from clsco.passes.trace import EMPTY_STATISTICS
 from clsco.records import REAL, Real
 from clsco.reference.trace import trace as twin
@@ -94,10 +93,7 @@ def test_range_of_radii_is_noted(session: Session) -> None:
     plan = planned(*SCENES["sphere moved, 2 x 2"])
     sources = twin.trace(view(plan, 0.55), plan.groups[0], GUARD)
     sub = twin.trace_subpixels(view(plan, 0.55), plan.groups[0], GUARD, twin.mark_silhouettes(sources.label))
-    # A source beside an outline is met in the middle of its cell, and of what it covers.
-    own, offsets = (sub.row[:, None, None] - GUARD, sub.column[:, None, None] - GUARD), subpixel_offsets(2)
-    middle = twin.cast(view(plan, 0.55), plan.groups[0], own[0] + offsets[:, None], own[1] + offsets, own, 2)
-    radii = np.abs(np.concatenate([sources.radius[sources.label > 0], sub.radius[sub.hit], middle.radius[sub.hit]]))
+    radii = np.abs(np.concatenate([sources.radius[sources.label > 0], sub.radius[sub.hit]]))
     noted = traced(session, plan, 0.55).statistics[:2].view(np.float32)
     # Rounded to float32; the largest is at the limb, good to the root of 1e-15 of some 60 px.
     np.testing.assert_allclose(noted, [radii.max(), radii.min()], rtol=1e-6)
