@@ -36,7 +36,7 @@ def test_a_change_of_label_anywhere(session: Session, shape: tuple[int, int]) ->
         statistics = copied(session, EMPTY_STATISTICS)
         given = {"grid": grid, "label": label, "source": source, "pixels": pixels, "statistics": statistics}
         run(session, program, "mark_silhouettes", shape[::-1], (64, 1), capacity=area, **given)
-        count = download(session, statistics, (4,), np.int32)[2]
+        count = download(session, statistics, EMPTY_STATISTICS.shape, np.int32)[2]
         marked = twin.mark_silhouettes(label)
         assert sorted(download(session, pixels, (area,), np.int32)[:count]) == np.flatnonzero(marked).tolist()
 
@@ -52,5 +52,5 @@ def test_no_pixel_beyond_the_grid(session: Session) -> None:
     source = copied(session, np.full(4 * (area + spare), -1.0, np.float32))
     given = {"grid": grid, "label": label, "source": source, "pixels": pixels, "statistics": statistics}
     run(session, marks_program(session), "mark_silhouettes", (columns, rows), (7, 5), capacity=area + spare, **given)
-    assert download(session, statistics, (4,), np.int32).tolist() == EMPTY_STATISTICS.tolist()
+    assert download(session, statistics, EMPTY_STATISTICS.shape, np.int32).tolist() == EMPTY_STATISTICS.tolist()
     assert (download(session, pixels, (area + spare,), np.int32) == -1).all()

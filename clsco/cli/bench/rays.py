@@ -23,6 +23,7 @@ from clsco.optics.quadrics import PlacedSurface, place
 from clsco.optics.visibility import OcclusionGroup
 from clsco.passes.blur import PIXELS
 from clsco.passes.pack import grid_struct, group_struct, lens_struct, surface_structs
+from clsco.plan.buffers import STATISTICS
 from clsco.records import REAL, Real, Struct, structs
 from clsco.scene.model import Camera, Cone, Cylinder, Ellipsoid, Object, ObjectMotion, Plane, Psf, Quadric, Sphere
 from clsco.scene.quantities import Vector
@@ -80,7 +81,7 @@ class Caster:
         self.program = build(session, ["trace/trace.cl"], features, structs(real), real)
         self.texture, area = upload(session, np.ones((1, 1), np.float32)), side * side
         self.value, self.wide, self.class_ = (empty(session, size * area) for size in (4, REAL[real].itemsize, 1))
-        self.statistics = empty(session, 16)
+        self.statistics = empty(session, 4 * STATISTICS)
 
     def __call__(self, target: Target) -> tuple[NDArray[np.bool_], Array]:
         """Cast the rays of a target: mask of hits (side, side), and inverse depth in 1/mm with all its digits."""
@@ -101,7 +102,7 @@ class Caster:
         grid["above"], grid["width"], grid["height"] = 0, window.side, window.side
         surfaces = upload(self.session, surface_structs([target.item], [target.placed()], self.real))
         values: tuple[Any, ...] = self.texture, self.value, self.wide
-        args = (grid, *lens, surfaces, group_struct(OcclusionGroup(1, 0), 1), np.float32(1.0), *values)
+        args = (grid, *lens, surfaces, group_struct(OcclusionGroup(1, 0), 1), *values)
         last = (self.class_, *((self.statistics,) if name == "pinhole" else ()))
         launch(self.session, kernel(self.program, name), (window.side,) * 2, PIXELS, *args, *last)
         self.session.queue.finish()

@@ -295,8 +295,8 @@ def meet_occluder(
     rays, w = points.rays, points.w
     far = out_of_the_way(lens, surface, rays, w, division.extent)
     e = equation_of(lens, surface, rays, w, division.cells, own)
-    # The same for every point of the ray, and without the cancellation of B^2 - C F.
-    d = quarter_discriminant(surface, turned(surface.turn, rays))
+    # The same for every point of the ray, and without the cancellation of B^2 - C F; a point on it is itself a root.
+    d = e.B * e.B if own else quarter_discriminant(surface, turned(surface.turn, rays))
     limits = _limits(surface, bounds, w, rays, e)
     with np.errstate(all="ignore"):  # where there is one crossing, what belongs to two is not used, and vice versa
         place = crossing_place(lens, e, d)
