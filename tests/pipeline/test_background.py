@@ -13,6 +13,7 @@ from clsco.files.transfer import decode
 from clsco.scene.model import Background, Plane, Scene
 from tests.pipeline.test_scenes import BALL, GOING, PLAIN, assert_agrees, scene
 from tests.scenes import assert_agree, reference_frames, rendered
+from tests.slow import mostly_slow
 
 SKY = {"shape": "background", "texture": "checkerboard"}
 TURNING = {"velocity": [5.0, 0.0, 0.0], "angular_velocity": [0.0, 4.0, 3.0]}
@@ -30,7 +31,10 @@ CASES: dict[str, Any] = {
 }
 
 
-@pytest.mark.parametrize(("items", "sections"), CASES.values(), ids=CASES)
+SOME = [CASES[name] for name in ("first", "moving", "forward", "layered")]
+
+
+@pytest.mark.parametrize(("items", "sections"), mostly_slow(CASES.values(), SOME), ids=CASES)
 def test_agrees_with_the_reference(items: Any, sections: Any) -> None:
     wanted = scene(*items, camera=SMALL, **sections)
     frames, exact = rendered(wanted), reference_frames(wanted)

@@ -80,7 +80,7 @@ LONG |= {
     f"fig_{number}" for number in ("3_04_left", "3_05_left", "3_08_left", "3_12_left", "3_15_left", "4_02", "4_14")
 }
 LONG |= {f"fig_{number}" for number in ("3_03", "4_08", "4_09", "4_10", "4_11", "4_12", "4_18")} | {"section_4_3_3"}
-LONG |= {f"fig_{number}" for number in ("3_09_a", "3_09_b", "3_13_a", "3_13_b", "4_13", "4_15", "3_17_left")}
+LONG |= {f"fig_{number}" for number in ("3_09_a", "3_09_b", "3_09_c", "3_13_a", "3_13_b", "4_13", "4_15", "3_17_left")}
 SINGLE = ("quadric", "thesis_pipeline")
 SEVERAL = ("cone_turning", "cylinder_turning", "plane_gaussian", "quadric", "road", "fig_3_12_right")
 

@@ -311,7 +311,7 @@ def test_a_plane_hides_the_same_however_it_is_written() -> None:
     assert np.ptp(one.color) > 0.1
 
 
-@pytest.mark.parametrize("shape", ["cylinder", "cone"])
+@pytest.mark.parametrize("shape", mostly_slow(["cylinder", "cone"], ["cylinder"]))
 def test_what_is_cut_off_hides_nothing(shape: str) -> None:
     """Nothing of a body is in view: not where its outline would go on, nor that of the other nappe."""
     items: dict[str, dict[str, Any]] = {

@@ -407,7 +407,7 @@ scenes = st.builds(
 )
 
 
-@settings(max_examples=250, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(scenes)
 def test_any_mapping_is_a_scene_or_a_scene_error(mapping: dict[str, Any]) -> None:
     messages: tuple[str, ...] = ()
