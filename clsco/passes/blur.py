@@ -256,7 +256,7 @@ def padded_plane(grid: Struct, buffer: cl.Buffer, channels: int) -> Plane:
     return Plane(buffer, (channels, height, width), rows, columns, above, guard)
 
 
-class BlurredPlane:
+class BlurredPlane(ABC):
     """The blurred image of a time sample, and what all methods share.
 
     Parameters
@@ -302,11 +302,11 @@ class BlurredPlane:
         """Take all radiance away."""
         cl.enqueue_fill_buffer(self.target.session.queue, self.total, np.zeros(1, np.uint32), 0, self.total.size)
 
+    @abstractmethod
     def add(self, sources: Sources, events: Events) -> None:
         """Add the blurred radiance of sources."""
-        raise NotImplementedError
 
-    def resolve(self, events: Events) -> None:
+    def resolve(self, events: Events) -> None:  # noqa: B027  most methods add to that buffer itself
         """Enqueue what leaves the image in the buffer of `layout`."""
 
     def plane(self, events: Events) -> Plane:
@@ -316,7 +316,7 @@ class BlurredPlane:
         return Plane(self.total, (self.channels, rows, self.pitch), rows, columns, left=self.pad)
 
 
-class TableBlur(BlurredPlane, ABC):
+class TableBlur(BlurredPlane):
     """A blur of sources of any radius each, with weights from tables; arguments as for `BlurredPlane`."""
 
     def __init__(self, target: Target, spec: BlurSpec, tallest: Grid, grid: Struct, sizes: Sizes) -> None:

@@ -25,7 +25,7 @@ BITS = 56  # of a sum over a disc
 # what is beside it.
 BRIGHTEST = 4.0
 
-Plane = tuple[cl.Buffer | None, int, int, int]  # buffer, where a plane begins in it, pixel (0, 0) there, pitch
+Layout = tuple[cl.Buffer | None, int, int, int]  # buffer, where a plane begins in it, pixel (0, 0) there, pitch
 
 
 class Convolve(BlurredPlane):
@@ -62,7 +62,7 @@ class Convolve(BlurredPlane):
         tables = [self._tables(number, stencil) for number, stencil in enumerate(found)]
         *first, last = zip(found, tables, strict=True)
         for k in range(self.channels):
-            source: Plane = (sources.value, k * width * height, above * width + guard, width)
+            source: Layout = (sources.value, k * width * height, above * width + guard, width)
             for across in first:
                 line = -(-columns // CONVOLVED_COLUMNS) * CONVOLVED_COLUMNS
                 rows_of = (sources.value, k * width * height, guard, width)
@@ -77,7 +77,7 @@ class Convolve(BlurredPlane):
         arrays = {"runs": stencil.runs, "weights": stencil.weights, "pairs": stencil.pairs}
         return [self.stencils[f"{k} {number}"].fill(a) if a.size else None for k, a in arrays.items()]
 
-    def _sum(self, stencil: Stencil, size: tuple[int, int], source: Plane, events: Events) -> float:
+    def _sum(self, stencil: Stencil, size: tuple[int, int], source: Layout, events: Events) -> float:
         """Make the sums of a plane; the radiance of a unit of them."""
         scale = 2.0 ** floor(BITS - log2(stencil.area * max(self.spec.brightest, 1e-20)))
         shape, (value, start, *_) = tuple(map(np.int32, size)), source
@@ -87,7 +87,7 @@ class Convolve(BlurredPlane):
         return (1.0 if self.wide else 2.0**DROPPED_BITS) / scale
 
     def _convolve(
-        self, stencil: tuple[Stencil, list[cl.Buffer | None]], size: tuple[int, int], source: Plane, share: float,
+        self, stencil: tuple[Stencil, list[cl.Buffer | None]], size: tuple[int, int], source: Layout, share: float,
         target: tuple[cl.Buffer | None, int, int], events: Events,
     ) -> None:  # fmt: skip
         """One launch; target: buffer, pixel (0, 0), pitch."""

@@ -128,8 +128,8 @@ static bool is_beyond(__constant real *extent, real3 ray, real w)
 #endif
 
 // Sources of the hits for one lens. In: depth, label, and with textures on surfaces value, as `cast` leaves them; and
-// extents of objects as they were predicted. Out:
-// source, which is 0 where the blur needs none, statistics, with these textures share, and of labels the EDGE.
+// extents of objects as they were predicted. Out: source, which is 0 where the blur needs none, statistics, with these
+// textures share, and of labels the EDGE.
 __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
                   const psf_t psf, __global const real *depth, __global uchar *label, __global float *source,
                   __global int *statistics
