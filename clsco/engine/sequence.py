@@ -218,11 +218,16 @@ def render_prepared(
 ) -> Iterator[tuple[int, Frame]]:
     """`render_sweep` for scenes that are prepared, in the session, with one request for all of them.
 
-    keeps_rays: what rays hit stays with the session, for later renderings of the same objects.
+    keeps_rays: what rays hit stays with the session, for later renderings of the same objects. Plans that were made
+    before a device was opened, for a processor, are made again where it is none.
     """
+    known = prepared
+    if any(each.plan.device.kind != session.device.kind for each in prepared):
+        sweep = Sweep(("",) * len(prepared), tuple(each.scene for each in prepared))
+        known = prepare_sweep(sweep, prepared[0].request, session.device, prepared[0].files)
     with session.reporting():
-        for group in lens_groups([each.scene for each in prepared]):
-            for k, frame in _render_group(session, [prepared[k] for k in group], frames, keeps_rays):
+        for group in lens_groups([each.scene for each in known]):
+            for k, frame in _render_group(session, [known[k] for k in group], frames, keeps_rays):
                 yield group[k], frame
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from clsco.errors import DeviceError
 from clsco.opencl.device import Device
+from clsco.opencl.program import without_output
 from clsco.opencl.session import Session
 
 
@@ -87,7 +88,8 @@ def _ran(device: Device, body: str) -> NDArray[np.int64]:
     flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
     with Session(device) as session, session.compiling():
         buffers = [cl.Buffer(session.context, flags, hostbuf=array) for array in (given, got)]
-        kernel = cl.Kernel(cl.Program(session.context, "\n".join(lines)).build(), "probe")
+        with without_output():
+            kernel = cl.Kernel(cl.Program(session.context, "\n".join(lines)).build(), "probe")
         kernel(session.queue, (64,), (64,), *buffers)
         cl.enqueue_copy(session.queue, got, buffers[1], is_blocking=True)
     return got

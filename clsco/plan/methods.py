@@ -129,6 +129,8 @@ def choose_blur(method: str, sharp: bool, constant: bool, gpu: bool, occluded: b
         There is no such method, or it cannot do this blur.
     """
     check_method(method)
+    if method == "gather" and gpu:
+        raise SceneError("method: gather needs a processor, as its kernels are made for one; got a graphics card")
     if method == "convolve" and not constant:
         raise SceneError('method: convolve needs one blur radius for all pixels and border = "lose"; got many radii')
     if method == "tiles" and occluded:

@@ -53,6 +53,8 @@ def test_programs_of_gpus_are_plain(
     assert len(texts) == 4
     for text in texts:
         assert {found[0] for found in EXTENSIONS.finditer(text)} == set()
+        # Of warnings that its compiler does not know, a GPU's driver counts one for each program on the terminal.
+        assert "#pragma clang" not in re.sub(r"#ifdef __x86_64__\n.*\n#endif", "", text)
     assert capfd.readouterr() == ("", "")
 
 

@@ -12,8 +12,10 @@ import pytest
 import clsco
 from clsco import reference
 from clsco.cli.check import compare
-from clsco.opencl.session import Session
+from clsco.engine.sequence import render_prepared
+from clsco.opencl.session import Session, session_for
 from clsco.passes.blur import GROUP
+from clsco.plan.prepare import prepare
 from clsco.reference.layered.layered import layered
 from clsco.scene.file import parse_scene
 from clsco.scene.model import Psf
@@ -140,6 +142,15 @@ def test_a_scene_agrees_with_the_reference(on_a_gpu: list[str]) -> None:
     assert "tiles" in on_a_gpu
     assert not {"gather", "scatter"} & set(on_a_gpu)
     assert chosen.color.tobytes() == frame.color.tobytes()
+
+
+def test_a_plan_for_a_processor_is_made_again(on_a_gpu: list[str]) -> None:
+    """As commands plan before they open a device."""
+    planned = prepare(parse_scene(BALL))
+    assert planned.plan.blur == "gather"
+    ((_, frame),) = render_prepared(session_for(None), [planned])
+    assert frame.metadata["blur_method"] == "tiles"
+    assert "tiles" in on_a_gpu
 
 
 @pytest.mark.parametrize("occlusion", mostly_slow(["none", "layered"], ["none"]))

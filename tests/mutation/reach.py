@@ -59,7 +59,7 @@ class Reach:
                 text = text.replace(plain, marked)
                 everywhere |= self.always[plain]
         defined = [option for option in options if option.startswith("-D")]
-        command = ["cpp", "-P", "-w", "-D__clang__", *defined, "-"]
+        command = ["cpp", "-P", "-w", *defined, "-"]
         done = subprocess.run(command, input=text, capture_output=True, text=True, check=True)
         bodies, kernels = dict[str, str](), set[str]()
         for item in _items(ATTRIBUTE.sub(" ", done.stdout)):

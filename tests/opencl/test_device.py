@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -133,6 +134,18 @@ def test_self_test_passes_on_pocl(session: Session) -> None:
     assert {"float32 addition", "int32 atomics", "exact fma", "no contraction"} <= names
     assert ("fp64" in names) == session.device.has_fp64
     assert ("int64 atomics" in names) == session.device.has_int64_atomics
+
+
+def test_what_a_compiler_says_is_no_warning_of_the_self_test(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of NVIDIA's, which has something to say of any program; warnings are errors here."""
+    build = cl.Program.build
+
+    def talkative(*given: Any) -> cl.Program:
+        warnings.warn("Non-empty compiler output encountered.", cl.CompilerWarning, stacklevel=2)
+        return build(*given)
+
+    monkeypatch.setattr(cl.Program, "build", talkative)
+    assert all(check.passed for check in self_test(session.device))
 
 
 def test_self_test_reports_a_wrong_answer_and_a_failing_compiler(

@@ -395,6 +395,8 @@ def test_what_is_in_the_way_is_tested_by_scatter_on_a_gpu() -> None:
     assert method_of(cards("none")).endswith("tiles: many radii, a work-item per pixel")
     with pytest.raises(SceneError, match=r"^method: tiles needs sources with nothing in their way; got objects that"):
         cards("visibility", "tiles")
+    with pytest.raises(SceneError, match=r"^method: gather needs a processor, .*; got a graphics card$"):
+        cards("visibility", "gather")
 
 
 @pytest.mark.parametrize("method", ["fast", "", "none", "Gather"])

@@ -141,7 +141,7 @@ def run(grid: Grid, device: Device, peers: Sequence[Peer], advance: Callable[[],
     paces = Paces(grid)
     with Session(device) as session:
         roof = measure_roof(session)
-        for case in grid_cases(grid, device.has_fp64, peers):
+        for case in _cases(grid, device, peers):
             ready = paces.objection(case) or _ready(case, session, grid.longest_s, paces, peers)
             advance()
             if isinstance(ready, str):
@@ -160,7 +160,13 @@ def run(grid: Grid, device: Device, peers: Sequence[Peer], advance: Callable[[],
 
 def steps(grid: Grid, device: Device, peers: Sequence[Peer]) -> int:
     """Number of times that `run` calls `advance`."""
-    return len(grid_cases(grid, device.has_fp64, peers)) * (1 + grid.rounds)
+    return len(_cases(grid, device, peers)) * (1 + grid.rounds)
+
+
+def _cases(grid: Grid, device: Device, peers: Sequence[Peer]) -> list[Case]:
+    """Cases of a grid that the device can do: `gather` is made for processors."""
+    found = grid_cases(grid, device.has_fp64, peers)
+    return [case for case in found if device.kind != "gpu" or case.method != "gather"]
 
 
 def front(costs: Sequence[float], errors: Sequence[float]) -> list[bool]:
