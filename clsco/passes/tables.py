@@ -23,7 +23,7 @@ from clsco.optics.psf_tables import PsfTable, narrowed, rounded_span, span_sizes
 from clsco.plan.methods import BlurSpec
 from clsco.resources import code_digest
 
-CACHE_BYTES = 2**27  # of tables in this process
+CACHE_BYTES = 2**27  # of tables in this process, beyond the two of the latest rendering
 BLOCK_BYTES = 2**25  # of blocks in this process
 JOINED_BYTES = 2**24  # up to which a table grows by the radii of other renderings
 R = TypeVar("R", PsfTable, WeightBlock)
@@ -37,7 +37,7 @@ class TableStore:
     disk : ArrayCache
         For blocks of weights.
     limit : int
-        Most bytes of tables; those used longest ago go.
+        Most bytes of tables; those used longest ago go, but for the latest two.
     """
 
     def __init__(self, disk: ArrayCache, limit: int = CACHE_BYTES) -> None:
@@ -72,7 +72,8 @@ class TableStore:
                 table = self._tables[key] = _in_pages(replace(table_of(psf, span, subpixel, block), place=place))
                 trim()  # what its making took
             self._tables.move_to_end(key)
-            while sum(map(_bytes, self._tables.values())) > self.limit and len(self._tables) > 1:
+            # A rendering has two, of pixels and of sub-pixel sources: one must not push out the other.
+            while sum(map(_bytes, self._tables.values())) > self.limit and len(self._tables) > 2:
                 self._tables.popitem(last=False)
         return narrowed(table, psf, smallest, largest, subpixel > 0)
 

@@ -14,6 +14,7 @@ from clsco.optics.lens import LARGEST_BLUR
 from clsco.optics.visibility import apart
 from clsco.plan.choice import Choice
 from clsco.plan.memory import Limit, fitted
+from clsco.plan.methods import choose_blur
 from clsco.plan.plan import Plan
 from clsco.plan.predict import guard_band
 
@@ -83,8 +84,11 @@ def larger_plan(plan: Plan, met: Met, limit: Limit) -> Plan | None:
 
 
 def _for_any_place(plan: Plan) -> Plan:
-    """The plan with occlusion groups that are right wherever the objects are."""
+    """The plan with occlusion groups that are right wherever the objects are, and a blur that tests what is in the
+    way."""
     scene, choices = plan.scene, replace(plan.choices, occlusion=Choice("visibility"))
+    if plan.blur == "tiles":
+        choices = replace(choices, blur=choose_blur("auto", False, False, gpu=True, occluded=True))
     return replace(plan, groups=apart(scene.objects, scene.camera, plan.psf), extents=(), choices=choices)
 
 

@@ -137,7 +137,7 @@ def test_self_test_passes_on_pocl(session: Session) -> None:
 
 
 def test_what_a_compiler_says_is_no_warning_of_the_self_test(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of NVIDIA's, which has something to say of any program; warnings are errors here."""
+    """NVIDIA's has something to say of any program; warnings are errors here."""
     build = cl.Program.build
 
     def talkative(*given: Any) -> cl.Program:

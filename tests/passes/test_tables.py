@@ -96,3 +96,10 @@ def test_tables_are_as_large_as_predicted_and_never_more_than_a_limit(tmp_path: 
         assert sizes == table_sizes(psf, 0.0, 3.0)
     assert sum(tables._bytes(table) for table in store._tables.values()) <= 2**21
     assert np.isfinite(table.coefficients).all()
+
+
+def test_the_two_tables_of_a_rendering_stay_whatever_they_take() -> None:
+    store = TableStore(ArrayCache(None), limit=1)
+    pixels, subpixels = ([store.table(DISC, 0.0, 3.0, samples) for samples in (0, 4)] for _ in range(2))
+    for first, again in zip(pixels, subpixels, strict=True):
+        assert np.shares_memory(first.coefficients, again.coefficients)

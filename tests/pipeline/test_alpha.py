@@ -11,6 +11,7 @@ import pytest
 import clsco
 from clsco.frame.channels import exr_channels
 from clsco.frame.frame import Frame
+from clsco.opencl.device import choose
 from clsco.plan.memory import device_bytes
 from clsco.plan.prepare import prepare
 from clsco.plan.request import Request
@@ -100,7 +101,7 @@ def test_in_strips() -> None:
     high = SMALL | {"resolution": [56, 200]}
     wanted = scene_of(BALL, NEAR, camera=high, psf=PLAIN)
     (whole,) = frames_of(wanted, "alpha")
-    (tight,) = frames_of(wanted, "alpha", memory=device_bytes(prepare(wanted, Request(("alpha",))).plan) - 1)
+    (tight,) = frames_of(wanted, "alpha", memory=device_bytes(prepare(wanted, Request(("alpha",)), choose()).plan) - 1)
     assert whole.alpha is not None
     assert tight.metadata["strips"] > whole.metadata["strips"] == 1
     np.testing.assert_array_equal(tight.alpha, whole.alpha)

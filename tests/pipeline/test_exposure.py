@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 import clsco
 from clsco import reference
+from clsco.opencl.device import choose
 from clsco.optics.exposure import Exposure, frame_exposure
 from clsco.plan.memory import device_bytes
 from clsco.plan.prepare import prepare
@@ -94,7 +95,7 @@ def test_weights_of_a_row_are_those_of_the_frame_in_strips(
     wanted = scene({}, MOVING, CARD)
     exposed(ramp)
     (whole,), (exact,) = clsco.render(wanted, truth=("subframes",)), reference.render(wanted)
-    memory = device_bytes(prepare(wanted, Request(("subframes",))).plan) - 1
+    memory = device_bytes(prepare(wanted, Request(("subframes",)), choose()).plan) - 1
     (tight,) = clsco.render(wanted, truth=("subframes",), memory=memory)
     assert tight.metadata["strips"] > whole.metadata["strips"] == 1
     assert whole.subframes is not None

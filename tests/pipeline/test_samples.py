@@ -12,6 +12,7 @@ from clsco import reference
 from clsco.engine.renderer import Renderer
 from clsco.frame.channels import exr_channels
 from clsco.frame.frame import Frame
+from clsco.opencl.device import choose
 from clsco.passes.warp import ForwardWarp
 from clsco.plan.memory import device_bytes
 from clsco.plan.prepare import prepare
@@ -146,7 +147,7 @@ def test_in_strips(truth: tuple[str, ...]) -> None:
     high = CAMERA | {"resolution": [56, 200]}
     wanted = scene({"camera": high, "sequence": TIMES | {"frames": 1}}, MOVING, NEAR)
     (whole,) = rendered(wanted, *truth)
-    (tight,) = rendered(wanted, *truth, memory=device_bytes(prepare(wanted, Request(truth)).plan) - 1)
+    (tight,) = rendered(wanted, *truth, memory=device_bytes(prepare(wanted, Request(truth), choose()).plan) - 1)
     assert tight.metadata["strips"] > whole.metadata["strips"] == 1
     assert whole.subframes is not None
     assert whole.subframes.shape == (3, 200, 56, 3)
@@ -160,7 +161,9 @@ def test_layered_occlusion_in_strips() -> None:
     layered = {"psf": PLAIN | {"occlusion": "layered"}, "sequence": TIMES | {"frames": 1}}
     wanted = scene({"camera": high} | layered, MOVING, NEAR)
     (whole,) = rendered(wanted, "subframes")
-    (tight,) = rendered(wanted, "subframes", memory=device_bytes(prepare(wanted, Request(("subframes",))).plan) - 1)
+    (tight,) = rendered(
+        wanted, "subframes", memory=device_bytes(prepare(wanted, Request(("subframes",)), choose()).plan) - 1
+    )
     assert tight.metadata["strips"] > 1
     np.testing.assert_array_equal(tight.subframes, whole.subframes)
 

@@ -70,7 +70,7 @@ def memory_for(scene: Scene, rows: int, truth: tuple[str, ...] = ALL_TRUTH, meth
 
 
 def plan_of(scene: Scene, truth: tuple[str, ...], method: str, eye: Any) -> Plan:
-    known = prepare(scene, Request(truth, method))
+    known = prepare(scene, Request(truth, method), choose())
     return known.plans[eye == "right"]
 
 

@@ -11,6 +11,7 @@ import pytest
 from clsco.constants import STATISTIC_BEYOND, STATISTIC_LARGEST, STATISTIC_MOST_SLOTS, STATISTIC_SMALLEST
 from clsco.optics.point_spread import point_spread
 from clsco.plan.buffers import STATISTICS, ThisMachine
+from clsco.plan.choice import Choice
 from clsco.plan.image import ImagePlan
 from clsco.plan.larger import Met, larger_plan
 from clsco.plan.memory import limit_of
@@ -99,6 +100,15 @@ def test_a_plan_grows_where_a_frame_has_met_more() -> None:
     assert anywhere is not None
     assert [group.occluders for group in anywhere.groups] == [2, 1]
     assert (anywhere.occlusion, anywhere.extents) == ("visibility", ())
+
+
+def test_a_plan_of_a_graphics_card_tests_what_is_in_the_way_where_a_frame_has_met_more() -> None:
+    scattered = plan_of(BALL, WALL, device=ThisMachine(kind="gpu"))
+    assert scattered.blur == "scatter"
+    apart = replace(scattered, choices=replace(scattered.choices, blur=Choice("tiles")))
+    anywhere = larger_plan(apart, met(apart, beyond=True), limit_of(None))
+    assert anywhere is not None
+    assert anywhere.blur == "scatter"
 
 
 def test_what_a_frame_has_met_is_read_from_its_statistics() -> None:
