@@ -51,7 +51,7 @@ class Film:
         shape = (plan.rows, plan.columns)
         image = shape if plan.channels == 1 else (*shape, plan.channels)
         self.index, self.times, self.weights = index, exposure.times.tolist(), exposure.of_rows(plan.rows)
-        self.shares = [float(weights.mean()) for weights in exposure.weights]
+        self.shares = exposure.weights.reshape(len(self.times), -1).mean(axis=1).tolist()
         self.color = np.empty(image, np.float32)
         self.subframes = np.empty((len(self.times) if "subframes" in plan.truth else 0, *image), np.float32)
         self.missing = np.zeros(shape, np.bool_)

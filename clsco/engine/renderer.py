@@ -29,7 +29,7 @@ from clsco.plan.larger import Met, larger_plan
 from clsco.plan.memory import Limit, device_bytes
 from clsco.plan.plan import Plan
 from clsco.plan.prepare import Prepared
-from clsco.records import Real
+from clsco.records import Real, Struct
 
 
 class Renderer:
@@ -62,7 +62,7 @@ class Renderer:
         real: Real = "double" if wants_double else "float"
         self.session, self.plan, self.limit, self.prepared, self.hits = session, plan, limit, prepared, hits
         self.scene = PlacedScene(session, plan.scene, plan.psf, prepared.textures, real, plan.eye, plan.alpha)
-        self.pixels = self._pixels()
+        self.pixels, self.grids = self._pixels(), self._grids()
         self.space = self._workspace()
         self.truth = GroundTruth(plan, self.scene, self.pixels)
 
@@ -73,10 +73,13 @@ class Renderer:
             return StaticMap(self.session, plan.scene.camera, radiance, depth, plan.guard_px, self.scene.real)
         return ForwardWarp(plan, self.scene, maps) if plan.forward else None
 
+    def _grids(self) -> dict[Strip, Struct]:
+        """grid_t of each strip."""
+        plan, real = self.plan, self.scene.real
+        return {strip: camera_grid(plan.scene.camera, plan.guard_px, real, strip) for strip in plan.strips}
+
     def _workspace(self) -> Workspace:
-        plan = self.plan
-        grid = camera_grid(plan.scene.camera, plan.guard_px, self.scene.real, plan.strips[0])
-        return scene_workspace(plan, self.scene, self.pixels, self.hits, grid)
+        return scene_workspace(self.plan, self.scene, self.pixels, self.hits, self.grids[self.plan.strips[0]])
 
     def begin(self, index: int) -> Film:
         """Begin the frame of this number: no radiance yet."""
@@ -91,10 +94,9 @@ class Renderer:
         return film
 
     def _moment(self, film: Film, strip: Strip, number: int) -> Moment:
-        grid = camera_grid(self.plan.scene.camera, self.plan.guard_px, self.scene.real, strip)
         sample, weights = self.scene.at(film.times[number]), film.weights[number, strip.inside]
         return Moment(
-            strip=strip, grid=grid, events=film.events, bounds=film.bounds.get(number), sample=sample,
+            strip=strip, grid=self.grids[strip], events=film.events, bounds=film.bounds.get(number), sample=sample,
             weights=weights, first=number == 0,
         )  # fmt: skip
 
@@ -137,6 +139,7 @@ class Renderer:
         if plan.guard_px != before.guard_px:
             self.pixels = None
             self.pixels = self._pixels()
+        self.grids = self._grids()
         self.space = self._workspace()
         self.truth = GroundTruth(plan, self.scene, self.pixels)
 

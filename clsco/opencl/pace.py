@@ -14,6 +14,7 @@ import pyopencl as cl
 
 PIECE = 0.1  # s that a piece takes, and that the host is ahead of the device before it waits
 AT_ONCE = 16  # launches that the host is ahead at least, and not much more, as they may take longer than those before
+TIMED = 8  # of so many launches of a kernel that takes a moment, one is timed
 GROWTH = 4  # a piece is at most so many times as large as the one before
 UNIT = 25e-9  # s of a unit of work before any was measured: what kernels take for a pixel
 
@@ -26,6 +27,7 @@ class Pace:
     def __init__(self) -> None:
         self._rates: dict[Hashable, float] = {}  # s per unit of work
         self._pending: dict[Hashable, tuple[list[cl.Event], float]] = {}
+        self._untimed: dict[Hashable, int] = {}  # launches until one is timed
         self._ahead = 0.0
         self._mark: cl.Event | None = None
 
@@ -41,7 +43,10 @@ class Pace:
 
     def launched(self, key: Hashable, work: float, events: list[cl.Event], seconds: float) -> None:
         """Note a launch of so much work, expected to take so long, and wait where the host is too far ahead."""
-        self._pending.setdefault(key, (events, work))
+        if left := self._untimed.get(key, 0):
+            self._untimed[key] = left - 1
+        elif key not in self._pending:
+            self._pending[key] = events, work
         self._ahead += max(seconds, PIECE / AT_ONCE)
         if self._ahead > PIECE:
             if self._mark is not None:
@@ -51,11 +56,13 @@ class Pace:
     def measured(self, key: Hashable, work: float, seconds: float) -> None:
         """Note what so much work took."""
         self._rates[key] = seconds / work
+        self._untimed[key] = TIMED - 1 if seconds < PIECE / AT_ONCE else 0
 
     def clear(self) -> None:
         """Forget everything."""
         self._rates.clear()
         self._pending.clear()
+        self._untimed.clear()
         self._mark, self._ahead = None, 0.0
 
 

@@ -13,9 +13,14 @@ FIRST = 8  # a launch begins with at most this part of it, as its pieces may dif
 
 
 def in_pieces(
-    session: Session, key: Hashable, units: int, work: float, enqueue: Callable[[int, int], cl.Event]
+    session: Session,
+    key: Hashable,
+    units: int,
+    work: float,
+    expected: float,
+    enqueue: Callable[[int, int], cl.Event],
 ) -> list[cl.Event]:
-    """Enqueue units 0 to `units` - 1 of a launch, at once where they take a moment, else piece by piece.
+    """Enqueue units 0 to `units` - 1 of a launch, piece by piece.
 
     Parameters
     ----------
@@ -25,6 +30,8 @@ def in_pieces(
     units : int
     work : float
         Work of all units, in what takes UNIT s before any was measured.
+    expected : float
+        Seconds that all units will take.
     enqueue : callable
         Enqueues from the first unit to the end; returns the event.
 
@@ -38,13 +45,9 @@ def in_pieces(
     CanceledError
         Between two pieces.
     """
-    known, progress = session.pace, session.progress
-    expected = known.expected(key, work)
-    if units <= 1 or expected <= pace.PIECE:
-        events = [enqueue(0, units)]
-        known.launched(key, work, events, expected)
-        return events
-    events, begin, end = [], 0, 0
+    progress = session.progress
+    events: list[cl.Event] = []
+    begin, end = 0, 0
     size = max(1, min(units // FIRST, int(units * pace.PIECE / expected)))
     while end < units:
         session.go_on()
@@ -55,5 +58,5 @@ def in_pieces(
             size = pace.resized(before, pace.spent(events[-2]))
         if progress is not None:
             progress.share = end / units
-    known.launched(key, work, events, pace.PIECE)
+    session.pace.launched(key, work, events, pace.PIECE)
     return events

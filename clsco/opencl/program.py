@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from clsco.constants import definitions
 from clsco.errors import DeviceError, KernelError
+from clsco.opencl import pace
 from clsco.opencl.device import failure
 from clsco.opencl.pieces import in_pieces
 from clsco.opencl.session import Program, Session
@@ -142,16 +143,22 @@ def launch(
     scalars, scalars of a structured dtype, in the kernel's order. work: of a work-item, 1 where it does about as much
     as others do for a pixel. Raises DeviceError when the device cannot run it, CanceledError between two pieces.
     """
-    groups = tuple(-(-size // group) for size, group in zip(global_size, local_size, strict=True))
-    axis = groups.index(max(groups))
-    padded = tuple(count * group for count, group in zip(groups, local_size, strict=True))
+    groups = tuple([-(-size // group) for size, group in zip(global_size, local_size, strict=True)])
+    padded = tuple([count * group for count, group in zip(groups, local_size, strict=True)])
+    work, most = work * prod(padded), max(groups)
+    expected = session.pace.expected(kernel, work)
+    if expected <= pace.PIECE or most <= 1:
+        event = launch_whole(session, kernel, padded, local_size, *args)
+        session.pace.launched(kernel, work, [event], expected)
+        return [event]
+    axis = groups.index(most)
 
     def enqueue(begin: int, end: int) -> cl.Event:
         size, offset = list(padded), [0] * len(padded)
         size[axis], offset[axis] = (end - begin) * local_size[axis], begin * local_size[axis]
         return launch_whole(session, kernel, tuple(size), local_size, *args, offset=tuple(offset) if begin else None)
 
-    return in_pieces(session, kernel, groups[axis], work * prod(padded), enqueue)
+    return in_pieces(session, kernel, most, work, expected, enqueue)
 
 
 def launch_whole(

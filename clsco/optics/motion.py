@@ -16,6 +16,7 @@ from clsco.scene.shapes import origin
 Eye = Literal["left", "right"]
 # The thesis turns an object in a frame whose z axis points towards the camera (2.13).
 TOWARDS_CAMERA = np.diag([1.0, 1.0, -1.0])
+EPSILON = float(np.finfo(np.float64).eps)
 
 
 @dataclass(frozen=True)
@@ -73,8 +74,7 @@ def rotation_matrix(angles: NDArray[np.float64], rotation: str) -> NDArray[np.fl
 def _sine_cosine(angles: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Sines and cosines, exact for quarter turns: pi/2 in float64 is slightly off and would tilt a plane."""
     sines, cosines = np.sin(angles), np.cos(angles)
-    least = np.finfo(np.float64).eps
-    return np.where(np.abs(sines) < least, 0.0, sines), np.where(np.abs(cosines) < least, 0.0, cosines)
+    return sines * (np.abs(sines) >= EPSILON) + 0.0, cosines * (np.abs(cosines) >= EPSILON) + 0.0  # no -0.0
 
 
 def pose_at(motion: ObjectMotion, time: float, rotation: str) -> Pose:

@@ -284,28 +284,30 @@ def predict_inverse_depth(
     -----
     The textbook formula in float64; images are made by `solve_quadric`.
     """
-    rays = np.stack([x, y, np.ones_like(x)])
+    rays, shape, bounds = np.stack([x, y, np.ones_like(x)]), surface.canonical, cutting_bounds(item)
     d = np.tensordot(surface.turn, rays, axes=1)
-    o = surface.offset.reshape(3, *([1] * x.ndim))
-    q, half_linear = (v.reshape(o.shape) for v in (surface.canonical.q, surface.canonical.l))
+    own = d if bounds is None else np.tensordot(surface.own_turn, rays, axes=1)
+    o, q, half_linear = (v.reshape(3, *([1] * x.ndim)) for v in (surface.offset, shape.q, shape.l))
     a = (q * d * d).sum(axis=0)
     b = ((q * o + half_linear) * d).sum(axis=0)
     c = surface.constant
-    root = np.sqrt(np.maximum(b * b - a * c, 0.0))
-    own = np.tensordot(surface.own_turn, rays, axes=1)
-    best, bounds = np.zeros_like(a), cutting_bounds(item)
-    for sign in (1.0, -1.0):
+    discriminant = b * b - a * c
+    root, met = np.sqrt(np.maximum(discriminant, 0.0)), discriminant >= 0
+    best = np.zeros_like(a)
+    # Of a surface that nothing cuts, one sign gives the nearer point.
+    is_whole = bounds is None and not shape.nappe and shape.radius == inf
+    for sign in (np.copysign(1.0, c),) if is_whole else (1.0, -1.0):
         with np.errstate(all="ignore"):  # NaN is not kept
             w = (-b + sign * root) / c if c != 0 else -a / (2 * b)
-            keep = np.isfinite(w) & (w > 0) & (b * b >= a * c)
-            if surface.canonical.nappe:
-                keep &= surface.canonical.nappe * (surface.offset[2] * w + d[2]) >= 0
-            if surface.canonical.radius < inf:
+            keep = met & (w > best) & (w < inf)
+            if shape.nappe:
+                keep &= shape.nappe * (surface.offset[2] * w + d[2]) >= 0
+            if shape.radius < inf:
                 across = (surface.offset[axis] * w + d[axis] for axis in (0, 1))
-                keep &= np.hypot(*across) <= surface.canonical.radius * w
+                keep &= np.hypot(*across) <= shape.radius * w
             if bounds is not None:
-                for axis, (low, high) in enumerate(bounds):
-                    along = surface.own_offset[axis] * w + own[axis]
+                for axis in (axis for axis, ends in enumerate(bounds) if ends != (-inf, inf)):
+                    along, (low, high) = surface.own_offset[axis] * w + own[axis], bounds[axis]
                     keep &= (along >= low * w) & (along <= high * w)
-        best = np.where(keep & (w > best), w, best)
+        best[keep] = w[keep]
     return best

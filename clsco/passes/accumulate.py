@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import pyopencl as cl
 from numpy.typing import NDArray
 
 from clsco.constants import SUMMED_PIXELS
-from clsco.opencl.buffers import Refilled, empty
+from clsco.opencl.buffers import copied, empty
 from clsco.opencl.program import build
 from clsco.opencl.session import Session
 from clsco.passes.blur import BLOCKS, PLAIN, Events, Plane, Target
@@ -36,18 +35,18 @@ class FrameSum:
         self.target = Target(session, program, "float")
         self.local = (1, 1) if session.device.kind == "cpu" else BLOCKS  # there PoCL compiles it in a third of the time
         self.sum, self.lost = (empty(session, sizes[name]) for name in ("sum", "lost"))
-        self.weights = Refilled(session, sizes["weights"])
+        self.begins = True
 
     def clear(self) -> None:
         """Begin a frame, or a strip of it."""
-        for buffer in (self.sum, self.lost):
-            cl.enqueue_fill_buffer(self.target.session.queue, buffer, np.zeros(1, np.uint32), 0, buffer.size)
+        self.begins = True
 
     def add(self, plane: Plane, weights: NDArray[np.floating], events: Events) -> Plane:
         """Add a plane with weights (rows,); the sum so far."""
         rows, columns, channels = plane.rows, plane.columns, plane.shape[0]
-        size = (np.int32(n) for n in (rows, columns, channels))
-        given = self.weights.fill(weights.astype(np.float32))
-        args = (*size, *plane.layout, given, self.sum, self.lost)
+        head = (np.int32(n) for n in (self.begins, rows, columns, channels))
+        given = copied(self.target.session, weights.astype(np.float32))  # sooner than by a command in the queue
+        args = (*head, *plane.layout, given, self.sum, self.lost)
+        self.begins = False
         self.target.run("accumulate", (-(-columns // SUMMED_PIXELS), rows), self.local, events, *args)
         return Plane(self.sum, (channels, rows, columns), rows, columns)

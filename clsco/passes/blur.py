@@ -102,8 +102,8 @@ class Target:
         self, name: str, size: tuple[int, ...], local: tuple[int, ...], events: Events, *args: Any, work: float = 1.0
     ) -> None:
         """Enqueue a kernel as `clsco.opencl.program.launch` does; events gets its name and its events."""
-        pieces = launch(self.session, kernel(self.program, name), size, local, *args, work=work)
-        events.extend((name, event) for event in pieces)
+        for event in launch(self.session, kernel(self.program, name), size, local, *args, work=work):
+            events.append((name, event))
 
 
 def blur_target(session: Session, spec: BlurSpec, channels: int, real: Real, maps: Maps = "wide") -> Target:

@@ -22,6 +22,7 @@ LONGEST = 2.0  # s that a launch may take if all taps were such: a frame may hav
 VECTOR = 1.5e-9  # s of the work of a vector of taps, before any was measured
 BRIEF = 2  # times shorter than others is a first piece
 MOST_VECTORS, OTHERS, DONE = 2**30, 2**30, 2**31 - 1  # the last two as in gather.cl
+INT2 = cl.cltypes.int2
 
 
 class Gather(TableBlur):
@@ -68,7 +69,7 @@ class Gather(TableBlur):
             events.extend(("gather", event) for event in pieces)
 
     def _launch(self, before: tuple[Any, ...], steps: int, vectors: int, after: tuple[Any, ...]) -> cl.Event:
-        budget = cl.cltypes.make_int2(steps, vectors)  # type: ignore[attr-defined]
+        budget = np.array((steps, vectors), INT2)[()]
         run = kernel(self.target.program, "gather")
         return launch_whole(self.target.session, run, (self.bands,), (1,), *before, budget, *after)
 

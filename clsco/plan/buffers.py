@@ -201,7 +201,7 @@ def blur_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
 def sum_buffers(grid: Grid) -> Sizes:
     """Buffers of the sum of time samples (`clsco.passes.accumulate.FrameSum`)."""
     pixels = grid.rows * grid.columns
-    return {"sum": 4 * grid.channels * pixels, "lost": 4 * grid.channels * pixels, "weights": 4 * grid.rows}
+    return {"sum": 4 * grid.channels * pixels, "lost": 4 * grid.channels * pixels}
 
 
 def _table_buffers(spec: BlurSpec) -> Sizes:

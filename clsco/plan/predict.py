@@ -70,13 +70,14 @@ def is_forward(scene: Scene, eye: Eye) -> bool:
 
 def _inverse_depths(scene: Scene, samples: list[tuple[Pose, ...]], maps: Maps, guard: int) -> Array:
     """Predicted inverse depths (objects, times, GRID, GRID) in 1/mm, 0 where nothing is hit."""
-    grid, found = _grid(scene, guard), []
+    grid, found = _grid(scene, guard), np.empty((len(scene.objects), len(samples), GRID, GRID))
     for k, (item, depth) in enumerate(zip(scene.objects, maps, strict=True)):
-        if depth is None:
-            found.append([predict_inverse_depth(item, place(item, poses[k]), *grid) for poses in samples])
-        else:
-            found.append([_moved_map(scene, item, depth, poses[k]) for poses in samples])
-    return np.array(found)
+        for time, poses in enumerate(samples):
+            if depth is None:
+                found[k, time] = predict_inverse_depth(item, place(item, poses[k]), *grid)
+            else:
+                found[k, time] = _moved_map(scene, item, depth, poses[k])
+    return found
 
 
 @lru_cache(maxsize=8)

@@ -6,10 +6,12 @@
 // from 1.6 to 0.4 ns per pixel (benchmarks/optimisation_log.md).
 
 // Adds the plane of a time sample, whose channels are `apart` apart, its first pixel at `start`, and its rows `pitch`.
-// In: weights float (rows). In and out: sum and lost, float (channels, rows, columns).
-__kernel void accumulate(const int rows, const int columns, const int channels, __global const float *restrict plane,
-                         const int apart, const int start, const int pitch, __global const float *restrict weights,
-                         __global float *restrict sum, __global float *restrict lost)
+// In: begins, 1 for the first plane of a frame, which nothing is read of yet; weights float (rows). In and out: sum and
+// lost, float (channels, rows, columns).
+__kernel void accumulate(const int begins, const int rows, const int columns, const int channels,
+                         __global const float *restrict plane, const int apart, const int start, const int pitch,
+                         __global const float *restrict weights, __global float *restrict sum,
+                         __global float *restrict lost)
 {
     const int first = get_global_id(0) * SUMMED_PIXELS, row = get_global_id(1);
     if (first >= columns || row >= rows)
@@ -19,8 +21,9 @@ __kernel void accumulate(const int rows, const int columns, const int channels, 
         __global const float *restrict own = plane + k * apart + start + row * pitch;
         __global float *restrict total = sum + (k * rows + row) * columns, *restrict low = lost + (total - sum);
         for (int x = first; x < MIN(first + SUMMED_PIXELS, columns); ++x) {
-            const float part = weight * own[x] - low[x], after = total[x] + part;
-            low[x] = (after - total[x]) - part;
+            const float before = begins ? 0.0f : total[x];
+            const float part = weight * own[x] - (begins ? 0.0f : low[x]), after = before + part;
+            low[x] = (after - before) - part;
             total[x] = after;
         }
     }

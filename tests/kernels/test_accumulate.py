@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -17,15 +19,18 @@ from tests.kernels.launches import Amid, run
 RNG = np.random.default_rng
 
 
-@pytest.mark.parametrize("local", [(8, 1), (3, 5)])
-def test_the_frame_without_what_is_around_it_is_added(session: Session, local: tuple[int, int]) -> None:
-    """Work-groups that reach beyond it add nothing of the next channel's."""
+@pytest.mark.parametrize(("local", "begins"), [((8, 1), 0), ((3, 5), 0), ((8, 1), 1)])
+def test_the_frame_without_what_is_around_it_is_added(session: Session, local: tuple[int, int], begins: int) -> None:
+    """Work-groups that reach beyond it add nothing of the next channel's; the first plane is added to nothing."""
     plane = RNG(6).random((3, 15, 23), np.float32)
     weights, total = RNG(7).random(8, np.float32), RNG(8).random((3, 8, 17), np.float32)
-    sums, lost = Amid(session, total, 5.0), Amid(session, np.zeros_like(total), 7.0)
-    given = {"rows": 8, "columns": 17, "channels": 3, "apart": 15 * 23, "start": 2 * 23 + 3, "pitch": 23}
+    sums, lost = Amid(session, total, 5.0), Amid(session, np.full_like(total, begins), 7.0)
+    total *= 1 - begins
+    given: dict[str, Any] = {"rows": 8, "columns": 17, "channels": 3}
+    given |= {"begins": begins, "apart": 15 * 23, "start": 2 * 23 + 3, "pitch": 23}
     program = FrameSum(session, sum_buffers(Grid.whole(8, 17, 0, 3))).target.program
-    run(session, program, "accumulate", (17, 8), local, **given, plane=plane, weights=weights, sum=sums, lost=lost)
+    given |= {"plane": plane, "weights": weights, "sum": sums, "lost": lost}
+    run(session, program, "accumulate", (17, 8), local, **given)
     part = weights[:, None] * plane[:, 2:10, 3:20]
     np.testing.assert_array_equal(sums.now(), total + part)
     np.testing.assert_array_equal(lost.now(), ((total + part) - total) - part)
