@@ -1,39 +1,58 @@
-"""Frames of the kind that a lens is opened for: time of each way of occlusion, of two versions by turns.
+"""Frames of the kind that a lens is opened for: time of each way of occlusion, of two versions by turns, and of path
+tracers at equal error.
 
     python -m benchmarks.speed.photographic [--only NAME] [--motion moving one still] [--modes none layered visibility]
-        [--width 640] [--repeats 3] [--base CHECKOUT] [-o FILE]
+        [--width 640] [--repeats 3] [--base CHECKOUT] [--blender-python PATH] [-o FILE]
 
 The scenes are benchmarks/speed/scenes/*.toml, in color, 640 x 480 px: wide blur behind and before what is in focus.
 `moving` takes the time samples of `auto`, `one` takes one of the same motion, and `still` has none. Figures are medians
 of processor time of `clsco.render_frame` in s, without ground truth; the first frame, which compiles, counts only where
 it is the only one. `--base` names a checkout of another version with its .venv, which makes the frames by turns.
+
+`tolerance` among the modes is `visibility` with `--tolerance 0.003`. `--blender-python` names a Python with `bpy`, and
+has Cycles make pictures of `moving` and `still`, and Mitsuba of `still` (the extra `bench`), with two numbers of rays
+per pixel (`--rays`), from which follows their time at an error. Errors are RMS of white, against pictures of
+`--converged` rays per pixel; see `benchmarks.speed.photographic_peers`.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import sys
-from dataclasses import dataclass
+import tempfile
+from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
 
+import numpy as np
+
 from benchmarks.speed.photographic_frames import Taken, Wanted, ask, worker
+from benchmarks.speed.photographic_peers import Traced, peers_of
 from benchmarks.tables import Figures, write_table
 
 SCENES = ("portrait", "street", "fence", "macro", "cart")
 FOLDER = Path(__file__).parent / "scenes"
 MOTIONS = ("still", "one", "moving")
-MODES = ("none", "layered", "visibility")
+MODES = ("none", "layered", "visibility", "tolerance")
 BASE = "base "
+TOLERANCE = 0.003
+ERRORS = (3e-3, 1e-3)
+KEPT = Path(__file__).resolve().parents[2] / "build" / "photographic"
 
 
 @dataclass(frozen=True)
 class Row:
-    """Frames of one scene with one motion, by modes of occlusion; those of the base have BASE before the mode."""
+    """Frames of one scene with one motion, by modes of occlusion; those of the base have BASE before the mode.
+
+    errors: RMS error by modes; traced: pictures by path tracers.
+    """
 
     scene: str
     motion: str
     taken: dict[str, list[Taken]]
+    errors: dict[str, float]
+    traced: list[Traced]
 
     def seconds(self, mode: str) -> float:
         """Median of processor time, s."""
@@ -48,13 +67,47 @@ class Row:
         for mode in MODES:
             if BASE + mode in self.taken:
                 found[f"{BASE}/ {mode}"] = self.seconds(BASE + mode) / self.seconds(mode)
+        found |= {f"error of {mode}": error for mode, error in self.errors.items()}
+        for error in ERRORS if self.traced else ():
+            least = min(self.traced, key=lambda traced: traced.at(error))
+            enough = [mode for mode, own in self.errors.items() if own <= error]
+            found[f"tracer at {error:g}, s"] = f"{least.name} {least.at(error):.4g}"
+            fastest = min(map(self.seconds, enough), default=math.inf)
+            found[f"tracer / clsco at {error:g}"] = least.at(error) / fastest if enough else "not reached"
         return found
 
 
 def wanted(scene: str, motion: str, mode: str, width: int) -> Wanted:
     """A frame of a scene."""
-    settings = [f"psf.occlusion={mode}", *(["sequence.samples=1"] if motion == "one" else [])]
-    return Wanted(str(FOLDER / f"{scene}.toml"), tuple(settings), motion == "still", width)
+    occlusion = "visibility" if mode == "tolerance" else mode
+    settings = [f"psf.occlusion={occlusion}", *(["sequence.samples=1"] if motion == "one" else [])]
+    tolerance = TOLERANCE if mode == "tolerance" else 0.0
+    return Wanted(str(FOLDER / f"{scene}.toml"), tuple(settings), motion == "still", width, tolerance)
+
+
+def frames(options: argparse.Namespace, scene: str, motion: str, save: Path) -> dict[str, list[Taken]]:
+    """Frames of a scene, by turns; those of this version leave their latest picture in a folder."""
+    found: dict[str, list[Taken]] = {}
+    for _ in range(options.repeats):
+        for mode in options.modes:
+            for version, process in options.workers.items():
+                frame = wanted(scene, motion, mode, options.width)
+                frame = frame if version else replace(frame, save=str(save / f"{mode}.npy"))
+                found.setdefault(version + mode, []).append(ask(process, frame))
+    return found
+
+
+def measured(options: argparse.Namespace, scene: str, motion: str) -> Row:
+    """A row of the table."""
+    with tempfile.TemporaryDirectory() as folder:
+        taken = frames(options, scene, motion, Path(folder))
+        if options.blender_python is None or motion == "one":
+            return Row(scene, motion, taken, {}, [])
+        with peers_of(wanted(scene, motion, "visibility", options.width), options.blender_python) as peers:
+            judge = peers.judge(options.converged, options.kept)
+            errors = {mode: judge.error(np.load(f"{folder}/{mode}.npy")) for mode in options.modes}
+            traced = [peers.traced(name, options.rays, judge) for name in peers.names]
+        return Row(scene, motion, taken, errors, traced)
 
 
 def main() -> None:
@@ -67,25 +120,25 @@ def main() -> None:
     parser.add_argument("--width", type=int, default=640, metavar="PX", help="columns; R grows with them")
     parser.add_argument("--repeats", type=int, default=3, metavar="N")
     parser.add_argument("--base", type=Path, metavar="CHECKOUT", help="another version")
+    parser.add_argument("--blender-python", type=Path, metavar="PATH", help="compare with path tracers")
+    parser.add_argument("--rays", type=int, nargs=2, default=(16, 64), metavar="N", help="per pixel, of those timed")
+    parser.add_argument("--converged", type=int, default=256, metavar="N", help="rays per pixel of those to judge by")
+    parser.add_argument("--kept", type=Path, default=KEPT, metavar="DIR", help="where the latter are kept")
     parser.add_argument("-o", type=Path, dest="file", help="also write the table as Markdown")
     options = parser.parse_args()
-    workers = {"": worker(Path(sys.executable))}
+    options.workers = {"": worker(Path(sys.executable))}
     if options.base:
-        workers[BASE] = worker(options.base / ".venv" / "bin" / "python")
+        options.workers[BASE] = worker(options.base / ".venv" / "bin" / "python")
     rows = []
     for scene in (name for name in SCENES if options.only in name):
         for motion in options.motion:
-            taken: dict[str, list[Taken]] = {}
-            for _ in range(options.repeats):
-                for mode in options.modes:
-                    for version, process in workers.items():
-                        found = ask(process, wanted(scene, motion, mode, options.width))
-                        taken.setdefault(version + mode, []).append(found)
-            rows.append(Row(scene, motion, taken))
+            rows.append(measured(options, scene, motion))
             print(rows[-1].figures(), flush=True)
-            for mode, all_taken in taken.items():
+            for mode, all_taken in rows[-1].taken.items():
                 passes = {name: round(spent, 3) for name, spent in all_taken[-1].passes.items()}
                 print(f"    {mode:16} {passes}")
+            for traced in rows[-1].traced:
+                print(f"    {traced}")
     if options.file:
         write_table(options.file, f"# Photographic scenes, {options.width} columns", [row.figures() for row in rows])
 

@@ -33,6 +33,8 @@ class Wanted:
         Nothing moves.
     width : int
         Columns of the frame; the field of view stays, and blur radii in px grow with it.
+    tolerance : float
+        Largest RMS error that `clsco.render_frame` may make; 0 for what is exact.
     save : str
         File for the linear radiance (rows, columns, channels), float32; "" for none.
     """
@@ -41,6 +43,7 @@ class Wanted:
     settings: tuple[str, ...] = ()
     still: bool = False
     width: int = 640
+    tolerance: float = 0.0
     save: str = ""
 
 
@@ -96,7 +99,7 @@ def serve() -> None:
         wanted = Wanted(**json.loads(line))
         scene = scene_of(wanted)
         before = time.process_time()
-        frame = clsco.render_frame(scene, truth=())
+        frame = clsco.render_frame(scene, truth=(), tolerance=wanted.tolerance or None)
         seconds = time.process_time() - before
         if wanted.save:
             np.save(wanted.save, frame.color)
