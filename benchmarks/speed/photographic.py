@@ -11,8 +11,8 @@ it is the only one. `--base` names a checkout of another version with its .venv,
 
 `tolerance` among the modes is `visibility` with `--tolerance 0.003`. `--blender-python` names a Python with `bpy`, and
 has Cycles make pictures of `moving` and `still`, and Mitsuba of `still` (the extra `bench`), with two numbers of rays
-per pixel (`--rays`), from which follows their time at an error. Errors are RMS of white, against pictures of
-`--converged` rays per pixel; see `benchmarks.speed.photographic_peers`.
+per pixel (`--rays`), which are kept, and with fewer by turns with clsco, from which follows their time at an error.
+Errors are RMS of white, against the former; see `benchmarks.speed.photographic_peers`.
 """
 
 from __future__ import annotations
@@ -104,10 +104,10 @@ def measured(options: argparse.Namespace, scene: str, motion: str) -> Row:
         if options.blender_python is None or motion == "one":
             return Row(scene, motion, taken, {}, [])
         with peers_of(wanted(scene, motion, "visibility", options.width), options.blender_python) as peers:
-            judge = peers.judge(options.converged, options.kept)
+            few, many = options.rays
+            judge = peers.judge(few, many, options.kept)
             errors = {mode: judge.error(np.load(f"{folder}/{mode}.npy")) for mode in options.modes}
-            traced = [peers.traced(name, options.rays, judge) for name in peers.names]
-        return Row(scene, motion, taken, errors, traced)
+            return Row(scene, motion, taken, errors, peers.traced(judge))
 
 
 def main() -> None:
@@ -121,9 +121,8 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3, metavar="N")
     parser.add_argument("--base", type=Path, metavar="CHECKOUT", help="another version")
     parser.add_argument("--blender-python", type=Path, metavar="PATH", help="compare with path tracers")
-    parser.add_argument("--rays", type=int, nargs=2, default=(16, 64), metavar="N", help="per pixel, of those timed")
-    parser.add_argument("--converged", type=int, default=256, metavar="N", help="rays per pixel of those to judge by")
-    parser.add_argument("--kept", type=Path, default=KEPT, metavar="DIR", help="where the latter are kept")
+    parser.add_argument("--rays", type=int, nargs=2, default=(36, 144), metavar="N", help="per pixel, to judge by")
+    parser.add_argument("--kept", type=Path, default=KEPT, metavar="DIR", help="where those pictures are kept")
     parser.add_argument("-o", type=Path, dest="file", help="also write the table as Markdown")
     options = parser.parse_args()
     options.workers = {"": worker(Path(sys.executable))}

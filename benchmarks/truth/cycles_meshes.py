@@ -36,7 +36,7 @@ class Cycles:
     camera, meshes
         As `benchmarks.truth.mitsuba_meshes.render`.
     threads : int
-        Of the renderer.
+        Number that the renderer has.
     """
 
     def __init__(self, python: Path, camera: Any, meshes: Sequence[Any], threads: int) -> None:

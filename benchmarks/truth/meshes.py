@@ -35,7 +35,7 @@ class Mesh:
     vertices : ndarray, (n, 3)
         In mm in the object's frame: x right, y up, z away from the camera.
     places : ndarray, (n, 2)
-        Where each vertex is in the image, right and up from its lower left corner, in copies of it.
+        Place of each vertex in the image, right and up from its lower left corner, in copies of it.
     faces : ndarray of int, (m, 3)
         Numbers of vertices, counterclockwise as seen from the side that glows.
     image : ndarray, (rows, columns, 3)

@@ -19,9 +19,9 @@ Array = NDArray[Any]
 MIRRORED = np.array([-1.0, 1.0, 1.0])
 
 
-def render(camera: Any, meshes: Sequence[Mesh], samples: int, seeds: Sequence[int], variant: str) -> list[Any]:
-    """Pictures (rows, columns, 3) float64 of linear radiance, a seed each, with the processor time that each took in s;
-    the first call of a process compiles. samples: rays per pixel."""
+def render(camera: Any, meshes: Sequence[Mesh], samples: int, seed: int, variant: str) -> tuple[Array, float]:
+    """A picture (rows, columns, 3) of linear radiance by so many rays per pixel, best a square number, and its
+    processor time in s; the first call of a process compiles."""
     import mitsuba as mi
 
     mi.set_variant(variant)
@@ -39,12 +39,9 @@ def render(camera: Any, meshes: Sequence[Mesh], samples: int, seeds: Sequence[in
     content = {"type": "scene", "integrator": {"type": "path", "max_depth": 1}, "sensor": lens}
     content |= {f"mesh{number}": _mesh(mi, mesh) for number, mesh in enumerate(meshes)}
     world = mi.load_dict(content)
-    found = []
-    for seed in seeds:
-        began = time.process_time()
-        picture = np.asarray(mi.render(world, spp=samples, seed=seed), np.float64)
-        found.append((picture, time.process_time() - began))
-    return found
+    began = time.process_time()
+    picture = np.asarray(mi.render(world, spp=samples, seed=seed), np.float64)
+    return picture, time.process_time() - began
 
 
 def _mesh(mi: Any, mesh: Mesh) -> Any:
