@@ -32,9 +32,10 @@ BUILTINS, CPU_BUILTINS = "common/builtins.clh", "common/cpu/builtins.clh"
 POCL_DECLARATIONS, WITHOUT_HEADER = "common/cpu/pocl.clh", "-D_OPENCL_H_"
 # With the feature OCCLUDED, after one of two: taps one by one, or in the vectors of `gather`.
 SINGLE_TAPS, GATHERED_TAPS = "common/lanes.clh", "common/cpu/lanes.clh"
+TAP_BLOCKS = "common/cpu/blocks.clh"
 OCCLUSION_HEADERS = ("common/occluder.clh", "common/visibility.clh", "common/visibility_test.clh")
 GATHER_HEADERS = tuple(
-    f"blur/cpu/{name}.clh" for name in ("vectors", "many", "discs", "quadrants", "gaussians", "columns")
+    f"blur/cpu/{name}.clh" for name in ("vectors", "many", "discs", "quadrants", "gaussians", "columns", "spans")
 )
 # With the feature TEXTURED.
 MAPPING_HEADERS = ("common/angles.clh", *(f"trace/{name}.clh" for name in ("mapping", "footprint", "detail")))
@@ -97,7 +98,8 @@ def build(
         raise DeviceError(f"precision: double needs a device with fp64, use single; got {device}")
     headers = [BUILTINS, *HEADERS]
     if features.get("OCCLUDED"):
-        headers += [GATHERED_TAPS if features.get("GATHER") else SINGLE_TAPS, *OCCLUSION_HEADERS]
+        gathers = features.get("GATHER")
+        headers += [GATHERED_TAPS if gathers else SINGLE_TAPS, *OCCLUSION_HEADERS, *[TAP_BLOCKS] * bool(gathers)]
     others = dict.fromkeys(header for source in sources for header in HEADERS_OF.get(source, ()))
     headers += (header for header in others if features.get("TEXTURED") or header not in MAPPING_HEADERS)
     if device.kind == "cpu":

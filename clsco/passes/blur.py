@@ -21,7 +21,7 @@ from clsco.optics.psf_tables import psf_features
 from clsco.optics.visibility import NO_GROUP, OcclusionGroup, lens_floats
 from clsco.passes.pack import psf_struct
 from clsco.passes.tables import tables_of
-from clsco.plan.buffers import Sizes, band_scratch, margin
+from clsco.plan.buffers import Sizes, band_scratch, has_spans, margin
 from clsco.plan.methods import MANY_RADII, Blur, BlurSpec
 from clsco.records import Real, Struct, structs
 
@@ -83,6 +83,7 @@ def blur_features(spec: BlurSpec, channels: int, fp64: bool, maps: Maps) -> dict
             "GATHER": int(method == "gather"),
             "BY_ROWS": int(scratch == "rows"),
             "BY_COLUMNS": int(scratch == "columns"),
+            "SPANS": int(has_spans(spec, fp64)),
             "SCATTER": int(method == "scatter"),
             "RENORMALIZE": int(spec.border == "renormalize" and method != "none"),
             "PREPARE": MAPS.index(maps) if method in MANY_RADII else 0,

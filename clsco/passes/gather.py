@@ -39,6 +39,7 @@ class Gather(TableBlur):
         # Rows of sources after which sums go on to the frame, 0 where they are short.
         self.group = max(MOST_IN_ONE_SUM // (2 * spec.reach + 1), 1) if "part" in sizes else 0
         self.part = filled_with(session, sizes["part"]) if "part" in sizes else self.total
+        self.ends = (filled_with(session, sizes["ends"]),) if "ends" in sizes else ()
         self.scratch, self.bands = tuple[object, ...](), -(-tallest.rows // BAND)
         self.step = tallest.columns  # of sources that fit in, where there are such, which a piece takes at least
         if {"part", "scratch"} & sizes.keys():
@@ -55,7 +56,7 @@ class Gather(TableBlur):
         walked = min(BAND + 2 * self.spec.reach, height)
         taps = self.bands * walked * width * (2 * self.spec.reach + 1) ** 2
         work, most = UNITS_PER_TAP * taps, HIDDEN_TAP * taps / session.device.compute_units
-        parts = np.int32(self.group), self.part
+        parts = np.int32(self.group), self.part, *self.ends
         for start in range(0, -(-rows // BAND), self.bands):
             before = (*head, *self.alike, *self.scratch, np.int32(start))
             after = (self.position, *parts, *self.layout, *tail)

@@ -119,6 +119,21 @@ def band_scratch(psf: PointSpread, fp64: bool) -> Scratch:
     return found.get(psf.layout, "columns")
 
 
+def has_spans(spec: BlurSpec, fp64: bool) -> bool:
+    """True if `gather` keeps ends of runs of wide sources that are hidden in part (kernels/blur/cpu/spans.clh)."""
+    return spec.method == "gather" and bool(spec.occluders) and spec.psf.uniform and fp64 and _in_parts(spec.reach)
+
+
+def _in_parts(reach: int) -> bool:
+    """True if a pixel may get more taps of single sources than one float adds up."""
+    return (2 * reach + 1) ** 2 > MOST_IN_ONE_SUM
+
+
+def ends_bytes(spec: BlurSpec, channels: int, columns: int) -> int:
+    """Ends of runs of a band."""
+    return 8 * BAND * (columns + 1) * (1 + spec.tilt) * channels
+
+
 def source_bytes(sources: int, tilt: bool, marked: bool = False) -> int:
     """Planes of sources.clh for so many sources; marked: with sub-pixel sources, or something in their way."""
     return 4 * (1 + 2 * tilt + marked) * sources
@@ -178,10 +193,12 @@ def blur_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
     if spec.method == "gather":
         bands = bands_at_a_time(rows, device.compute_units)
         scratch = band_scratch(spec.psf, device.has_fp64)
-        in_parts = (2 * reach + 1) ** 2 > MOST_IN_ONE_SUM
+        in_parts = _in_parts(reach)
         sizes["position"] = 4 * (bands if in_parts or scratch != "none" else ceil(rows / BAND))
         if in_parts:
             sizes["part"] = 4 * channels * bands * BAND * pitch
+        if has_spans(spec, device.has_fp64):
+            sizes["ends"] = bands * ends_bytes(spec, channels, columns)
         if scratch == "columns":
             sizes["scratch"] = bands * column_bytes(spec.psf, spec.tilt, channels, reach)
         elif scratch != "none":

@@ -19,6 +19,7 @@ from clsco.opencl.program import (
     OCCLUSION_HEADERS,
     POCL_DECLARATIONS,
     SINGLE_TAPS,
+    TAP_BLOCKS,
     build,
 )
 from clsco.opencl.session import Session
@@ -58,7 +59,7 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     GATHER: dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(BLUR, ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BY_COLUMNS": (0, 0, 1)}
-    | {"GATHER": (1,)}
+    | {"GATHER": (1,), "SPANS": ON_OR_OFF}
     | ROOMS
     | {"PREPARE": (0, 1, 2)}
     | GENERAL,
@@ -97,7 +98,7 @@ def headers(files: tuple[str, ...]) -> tuple[str, ...]:
     """Headers that are built before files; visibility is tested where they do so together."""
     own = [header for name in files for header in HEADERS_OF.get(name, ())]
     own += [CPU_FORMS[header] for header in (BUILTINS, *own) if header in CPU_FORMS]
-    occlusion = (SINGLE_TAPS, GATHERED_TAPS, *OCCLUSION_HEADERS) if files in OCCLUSION else ()
+    occlusion = (SINGLE_TAPS, GATHERED_TAPS, *OCCLUSION_HEADERS, TAP_BLOCKS) if files in OCCLUSION else ()
     return (POCL_DECLARATIONS, BUILTINS, *HEADERS, *occlusion, *own)
 
 
@@ -165,7 +166,7 @@ def test_with_all_features_and_none(
 ) -> None:
     chosen = variants(PROGRAMS[files])[:2]
     if real == "float":  # ROWS are doubles
-        chosen = [one | {"BY_ROWS": 0} for one in chosen]
+        chosen = [one | dict.fromkeys(("BY_ROWS", "SPANS"), 0) for one in chosen]
     kernels = [set(build(session, files, features, structs(real), real)) for features in chosen]
     defined = {
         name for file in files for name in re.findall(r"__kernel void (\w+)\(", (KERNELS / file).read_text("utf-8"))
@@ -188,4 +189,6 @@ def test_a_device_with_less(session: Session) -> None:
     lesser = replace(session.device, has_fp64=False, has_int64_atomics=False, correctly_rounded=False)
     with Session(lesser) as opened:
         for files, features in PROGRAMS.items():
-            assert build(opened, files, variants(features)[1] | {"BY_ROWS": 0}, structs("float"), "float")
+            assert build(
+                opened, files, variants(features)[1] | dict.fromkeys(("BY_ROWS", "SPANS"), 0), structs("float"), "float"
+            )

@@ -39,14 +39,13 @@ WITHOUT_TWIN = {
     "estimate": {"use_neighbors": "counts them, as the reference does where it needs to"},
     "sources": dict.fromkeys(("get_source", "put_source"), "where the planes of a record are"),
     "visibility_test": {
-        "row_visibility": "finds out which vectors of taps need a test at all",
         "shared_cells": "free_share, which the device shortens where no two edges meet",
     },
     "psf": dict.fromkeys(
         ("pixel_spread", "subpixel_spread", "tap", "source_visibility"),
         "reads tables, in whose place the reference has the closed forms",
     ),
-    "vectors": dict.fromkeys(("weights", "sums_of", "bits_of", "any_of"), "lanes of a vector"),
+    "vectors": dict.fromkeys(("weights", "sums_of", "any_of"), "lanes of a vector"),
     "footprint": {
         "square_of": "two products",
         "place_of": "a few lines of mean_texture",
@@ -91,6 +90,16 @@ WITHOUT_TWIN = {
     "gaussians": dict.fromkeys(
         ("axis_column_of", "add_block", "spread_axis_items", "weigh", "put_axis_items"), "one axis after the other"
     ),
+    "spans": dict.fromkeys(
+        ("rims_of", "add_ends", "finish_spans", "bits_between", "tap_at", "add_spans"), "runs of taps instead of taps"
+    ),
+    "blocks": dict.fromkeys(
+        (
+            *("least_of_corners", "most_of_corners", "add_conics", "find_conics", "sign_around"),
+            *("classify_limited", "classify_blocks"),
+        ),
+        "finds out which taps need a test at all",
+    ),
     "columns": dict.fromkeys(["finish_tile", "add_columns"], "the sum of scatter, column by column"),
 }
 
@@ -129,7 +138,8 @@ OTHERWISE = {
 
 # Files whose twin is part of another file.
 PART_OF = {"gather": "blur", "sources": "trace", "texture": "trace", "tiles": "blur"}
-PART_OF |= dict.fromkeys(("psf", "vectors", "many", "discs", "quadrants", "gaussians", "columns"), "blur")
+PART_OF |= dict.fromkeys(("psf", "vectors", "many", "discs", "quadrants", "gaussians", "columns", "spans"), "blur")
+PART_OF |= {"blocks": "visibility_test"}
 
 
 def kernel_names(text: str) -> set[str]:

@@ -31,6 +31,8 @@ TESTS = {
     "kernels/test_visibility pipeline/test_occlusion",
     "blur/convolve.cl": "kernels/test_convolve",
     "blur/tiles.cl": "kernels/test_tiles",
+    "blur/cpu/spans.clh": "pipeline/test_occlusion kernels/test_visibility",
+    "common/cpu/blocks.clh": "kernels/test_visibility_test kernels/test_visibility pipeline/test_occlusion",
     "blur/cpu/columns.clh": "kernels/test_blur_quadrants kernels/test_blur engine/test_defocus kernels/test_layered",
     "blur/cpu/discs.clh": "kernels/test_blur_tiles kernels/test_blur_columns kernels/test_blur engine/test_defocus",
     "blur/cpu/gather.cl": "kernels/test_blur_amid kernels/test_blur engine/test_defocus pipeline/test_occlusion",

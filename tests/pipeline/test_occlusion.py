@@ -87,6 +87,43 @@ def test_blur_of_many_vectors_behind_a_ball() -> None:
     np.testing.assert_allclose(gathered, scattered, rtol=0, atol=1.5e-6)
 
 
+WIDE = CAMERA | {"resolution": [80, 70], "aperture_diameter": 130.0}
+SMALL = BALL | {"center": [-3.0, 4.0, 300.0], "radius": 5.0}
+POST = {"shape": "cylinder", "center": [9.0, 0.0, 290.0], "radius": 3.0, "axis": [0.2, 1.0, 0.0]}
+CAN = POST | {"bounds": [[-30.0, 30.0], [-6.0, 9.0], [-30.0, 30.0]], "texture": "bricks"}
+SIGN = {"shape": "rectangle", "center": [2.0, -6.0, 280.0], "size": [14.0, 8.0], "rotation": [10.0, 30.0, 20.0]}
+SLOPE = WALL | {"slope_x": 0.6, "slope_y": -0.4}
+HOLE = {"shape": "disc", "center": [-4.0, 2.0, 285.0], "radius": 6.0, "rotation": [40.0, 10.0, 0.0]}
+SPANS: dict[str, dict[str, Any]] = {
+    "all": {"object": [SMALL, CAN, SIGN, WALL], "psf": {"silhouette_samples": 2}},
+    "tilted wall": {"object": [SMALL, HOLE, SLOPE]},
+    "wire": {"object": [POST | {"radius": 0.2}, SLOPE]},
+    "nested and touching": {"object": [CAN, SMALL | {"center": [9.0, 0.0, 290.0], "radius": 3.0}, SIGN, WALL]},
+    "hexagon": {"object": [SMALL, CAN, SLOPE], "aperture": {"shape": "polygon", "blades": 6, "rotation": 11.0}},
+    "ring": {"object": [SIGN, WALL], "aperture": {"shape": "ring", "obstruction": 0.4}},
+    "sampled": {"object": [SMALL, SIGN, SLOPE], "psf": {"edge": "sampled", "silhouette_samples": 2}},
+    "area": {"object": [SMALL, CAN, SLOPE], "psf": {"edge": "area", "silhouette_samples": 3}},
+}
+
+
+@pytest.mark.parametrize("name", mostly_slow(list(SPANS), ["all"]))
+def test_runs_of_taps_give_the_sum_of_taps(name: str) -> None:
+    """Wide blur behind several occluders, in two bands of rows: by runs between edges, and tap by tap (scatter)."""
+    wanted = scene({"camera": WIDE} | SPANS[name])
+    assert make_plan(wanted, 1).largest_blur > 24
+    gathered, scattered = (image(wanted, method=method).color for method in ("gather", "scatter"))
+    assert np.ptp(gathered) > 0.03
+    np.testing.assert_allclose(gathered, scattered, rtol=0, atol=3e-6)
+
+
+@pytest.mark.parametrize(("x", "share"), [(0.0, 0.0), (300.0, 1.0)])
+def test_an_occluder_that_covers_everything_or_nothing(x: float, share: float) -> None:
+    """The frame of a wall behind a black card is black, and beside its blur what it is without."""
+    card = {"shape": "rectangle", "center": [x, 0.0, 270.0], "size": [400.0, 400.0], "texture": "#000000"}
+    wanted, alone = (scene({"camera": WIDE, "object": items}) for items in ([card, WALL], [WALL]))
+    np.testing.assert_allclose(image(wanted).color, share * image(alone).color, rtol=0, atol=1e-6)
+
+
 @pytest.mark.slow
 def test_colors_in_several_bands(tmp_path: Path) -> None:
     """Gather and scatter give the same of a wall in focus, and of one so steep that light ends at 0; a ball passes."""

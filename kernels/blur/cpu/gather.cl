@@ -34,37 +34,35 @@ INLINE void add_rows(spread_t s, int up, int down, float v, float4 source, __glo
 }
 
 #if OCCLUDED
-// The same for all channels, `apart` apart in `radiance` and `planes` in `out`, for a source with occluders.
+// The same for all channels, `apart` apart in `radiance` and `planes` in `out`, for a source with occluders that is not
+// wide.
 INLINE void add_occluded_rows(spread_t s, const visibility_t *visibility, int up, int down,
-                              __global const float *radiance,
-                              int apart, float4 source, __global float *out, int planes, int pitch)
+                              __global const float *radiance, int apart, float4 source, __global float *out,
+                              int planes, int pitch)
 {
     const float8 lane = (float8)(0, 1, 2, 3, 4, 5, 6, 7);
-    for (int dy = -up; dy <= down; ++dy) {
-        const float y = dy - s.oy;
-        float states[TAP_LANES];
+    for (int dy = -up; dy <= down; ++dy)
         for (int b = 0; b < s.lanes; b += TAP_LANES) {
-            const int first = b - s.half_width, block = b / TAP_LANES % (TAP_LANES - 1);
-            const float8 x = lane + (first - s.ox);
-            float8 share = 1;
-            if (visibility->wide) {
-                if (block == 0)
-                    *(unaligned_lanes_t *)states = row_visibility(visibility, first - s.ox, y);
-                if (states[block] == 0)
-                    continue;
-                if (states[block] < 1)
-                    share = free_share(visibility, states[block] < 0.5f, x, (float8)y);
-            } else
-                share = *(const unaligned_lanes_t *)(visibility->share[dy + NARROW_MIDDLE] + first + NARROW_MIDDLE);
-            float8 w = weights(s, dy, b) * share;
+            const int first = b - s.half_width;
+            float8 w = weights(s, dy, b) *
+                       *(const unaligned_lanes_t *)(visibility->share[dy + NARROW_MIDDLE] + first + NARROW_MIDDLE);
 #if TILT
-            const float8 factor = x * source.y + (1 + y * source.z);
+            const float8 factor = (lane + (first - s.ox)) * source.y + (1 + (dy - s.oy) * source.z);
             w *= factor > 0 ? factor : (float8)0;
 #endif
             for (int k = 0; k < CHANNELS; ++k)
                 ADD_TAPS(out + k * planes + dy * pitch + b, w * radiance[k * apart]);
         }
-    }
+}
+
+INLINE void add_occluded(spread_t s, const visibility_t *visibility, int up, int down, __global const float *radiance,
+                         int apart, float4 source, __global float *out, int planes, int pitch SPAN_ARGUMENTS)
+{
+    if (visibility->wide)
+        add_spans(s, visibility, up, down, radiance, apart, source, out, planes,
+                  pitch SPANS_TO(ends, column, columns));
+    else
+        add_occluded_rows(s, visibility, up, down, radiance, apart, source, out, planes, pitch);
 }
 #endif
 
@@ -111,7 +109,11 @@ __kernel void gather(const grid_t grid, const psf_t psf, __global const float *s
                      __global scratch_t *scratch, const int scratch_size,  // of a work-item
 #endif
                      const int start, const int2 budget, __global int *position,
-                     const int part_rows, __global float *part, const int pitch, const int pad,
+                     const int part_rows, __global float *part,
+#if SPANS
+                     __global double *ends,
+#endif
+                     const int pitch, const int pad,
                      __global float *total
 #if SUBPIXELS
                      , __global const float4 *sub_source, __global const float *sub_value, const int capacity,
@@ -151,10 +153,16 @@ __kernel void gather(const grid_t grid, const psf_t psf, __global const float *s
     const int steps = 0;
 #endif
     const int blocks = (grid.width + SOURCE_BLOCK - 1) / SOURCE_BLOCK;
+#if SPANS
+    __global double *band_ends = ends + (long)own * BAND * (grid.columns + 1) * END_PLANES;
+#endif
     int left = budget.y, block_first = at_first % blocks;
     bool added = at_first > 0;  // anything to `part` since it was settled
     for (int y = from + at_first / blocks; y < to; ++y, block_first = 0) {
     const int line = (y + grid.above) * grid.width, place = shift + y * pitch - grid.guard + pad;
+#if SPANS
+    __global double *own_ends = band_ends + (long)(y - first) * (grid.columns + 1) * END_PLANES;
+#endif
     for (int block = block_first * SOURCE_BLOCK; block < grid.width; block += SOURCE_BLOCK) {
     if (cut && left <= 0) {
         position[own] = steps + (y - from) * blocks + block / SOURCE_BLOCK;
@@ -193,9 +201,8 @@ __kernel void gather(const grid_t grid, const psf_t psf, __global const float *s
                     source_visibility(grid, lens, surfaces, group, psf, lens_cells, grid.top + y + spread.oy,
                                       x - grid.guard + spread.ox,
                                       sub_depth[id], spread, p, (real)1 / SUBPIXELS, &visibility);
-                    add_occluded_rows(spread, &visibility, up, down, sub_value + id, capacity * SUBPIXELS * SUBPIXELS,
-                                      p,
-                                  out - half_width, apart, pitch);
+                    add_occluded(spread, &visibility, up, down, sub_value + id, capacity * SUBPIXELS * SUBPIXELS, p,
+                                 out - half_width, apart, pitch SPANS_TO(own_ends, x - grid.guard, grid.columns));
                     continue;
                 }
 #endif
@@ -219,8 +226,8 @@ __kernel void gather(const grid_t grid, const psf_t psf, __global const float *s
             visibility_t visibility;
             source_visibility(grid, lens, surfaces, group, psf, lens_cells, grid.top + y, x - grid.guard, depth[at],
                               spread, s, (real)1, &visibility);
-            add_occluded_rows(spread, &visibility, up, down, value + at, plane,
-                          s, out - half_width, apart, pitch);
+            add_occluded(spread, &visibility, up, down, value + at, plane, s, out - half_width, apart,
+                         pitch SPANS_TO(own_ends, x - grid.guard, grid.columns));
             continue;
         }
 #endif
@@ -235,6 +242,9 @@ __kernel void gather(const grid_t grid, const psf_t psf, __global const float *s
         added = false;
     }
     }
+#if SPANS
+    finish_spans(band_ends, end - first, grid.columns, total_plane, pitch, total + first * pitch + pad);
+#endif
     if (cut)
         position[own] = DONE;
 }
