@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from math import prod
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsco.constants import CUBE_BORDER
-from clsco.inputs.resampling import resample_rows
+from clsco.inputs.resampling import AT_A_TIME, resample_rows
 
 Floats = NDArray[np.float32]
 # For the sides of a cube in the order right, left, top, bottom, back, front: axis that points out of it with its sign,
@@ -37,13 +38,15 @@ def mipmap_floats(columns: int, rows: int, channels: int, sides: int) -> int:
     return sides * channels * sum((width + border) * (height + border) for width, height in level_sizes(columns, rows))
 
 
-def mipmap(images: Sequence[Floats]) -> list[Floats]:
+def mipmap(images: Sequence[Floats], out: Floats | None = None) -> list[Floats]:
     """All levels of an image, or of the six of a cube map.
 
     Parameters
     ----------
     images : sequence of ndarray of float32, (rows, columns, channels)
         One, or six of one size in the order of `SIDES`.
+    out : ndarray of float32, (`mipmap_floats`,), optional
+        Gets the levels one after the other.
 
     Returns
     -------
@@ -52,18 +55,79 @@ def mipmap(images: Sequence[Floats]) -> list[Floats]:
         second moment, so that what is interpolated between texels is no wider than the image. Around the sides of a
         cube map are CUBE_BORDER texels of their neighbors.
     """
-    levels = [np.stack(images)]
-    for columns, rows in level_sizes(images[0].shape[1], images[0].shape[0])[1:]:
-        levels.append(_shrunk(_shrunk(levels[-1], rows, 1), columns, 2))
-    return levels if len(images) == 1 else [bordered(level) for level in levels]
+    rows, columns, channels = images[0].shape
+    if out is None:
+        out = np.empty(mipmap_floats(columns, rows, channels, len(images)), np.float32)
+    levels, border, begin = list[Floats](), 2 * CUBE_BORDER * (len(images) > 1), 0
+    whole: Floats = np.empty(0, np.float32)
+    for width, height in level_sizes(columns, rows):
+        shape = (len(images), height + border, width + border, channels)
+        level = out[begin : begin + prod(shape)].reshape(shape)
+        begin += level.size
+        last, whole = whole, np.empty((len(images), height, width, channels), np.float32) if border else level
+        for side, image in enumerate(images):
+            whole[side] = _shrunk(_shrunk(last[side], height, 0), width, 1) if levels else image
+        if border:
+            level[...] = bordered(whole)
+        levels.append(level)
+    return levels
 
 
-def _shrunk(images: Floats, size: int, axis: int) -> Floats:
-    """Images (sides, rows, columns, channels) with `size` rows or columns, of which they have up to twice as many."""
-    if images.shape[axis] == size:
-        return images
-    rows = np.moveaxis(images, axis, 0).astype(np.float64)
-    return np.moveaxis(resample_rows(rows, size, np.arange(size)).astype(np.float32), 0, axis)
+def _shrunk(image: Floats, size: int, axis: int) -> Floats:
+    """An image (rows, columns, channels) with `size` rows or columns, of which it has up to twice as many."""
+    if image.shape[axis] == size:
+        return image
+    if image.shape[axis] == 2 * size:
+        return (_half_as_high if axis == 0 else _half_as_wide)(np.ascontiguousarray(image))
+    rows = np.swapaxes(image, axis, 0).astype(np.float64)
+    return np.swapaxes(resample_rows(rows, size, np.arange(size)).astype(np.float32), 0, axis)
+
+
+# The cubic of `resample_rows` where an image is halved: it is mirrored, and the same everywhere.
+_DISTANCES = np.array([0.25, 0.75, 1.25, 1.75])
+_TAPS = np.where(
+    _DISTANCES < 1,
+    (1.5 * _DISTANCES - 2.5) * _DISTANCES**2 + 1,
+    ((2.5 - 0.5 * _DISTANCES) * _DISTANCES - 4) * _DISTANCES + 2,
+)
+_TAPS /= 2 * _TAPS.sum()
+
+
+def _half_as_high(image: Floats) -> Floats:
+    rows, width = image.shape[0] // 2, image[0].size
+    flat, found = image.reshape(2 * rows, width), np.empty((rows, width), np.float32)
+    for begin, end in _parts(rows, width):
+        taps = flat[np.clip(np.arange(2 * begin - 3, 2 * end + 3), 0, 2 * rows - 1)].astype(np.float64)
+        found[begin:end] = _halved([taps[k : k + 2 * (end - begin) - 1 : 2] for k in range(8)])
+    return found.reshape(rows, *image.shape[1:])
+
+
+def _half_as_wide(image: Floats) -> Floats:
+    rows, columns, channels = image.shape
+    texels = image.reshape(rows, -1).view(f"V{image[0, 0].nbytes}")
+    taken = np.clip(np.arange(-3, columns + 3), 0, columns - 1)
+    found = np.empty((rows, columns // 2 * channels), np.float32)
+    for begin, end in _parts(rows, found.shape[1]):
+        # Every second texel side by side, twice: there, taps are slices.
+        parts = (np.take(texels[begin:end], taken[k::2], axis=1) for k in (0, 1))
+        halves = [part.view(np.float32).astype(np.float64) for part in parts]
+        starts = (channels * (k // 2) for k in range(8))
+        found[begin:end] = _halved([halves[k % 2][:, at : at + found.shape[1]] for k, at in enumerate(starts)])
+    return found.reshape(rows, columns // 2, channels)
+
+
+def _parts(rows: int, width: int) -> Iterator[tuple[int, int]]:
+    """Parts of so many rows of a width, each as large as the cache of the processor holds."""
+    step = max(1, AT_A_TIME // width)
+    return ((begin, min(begin + step, rows)) for begin in range(0, rows, step))
+
+
+def _halved(taps: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Sum of eight taps, which are the caller's."""
+    total = np.zeros_like(taps[0])
+    for k in (3, 2, 1, 0):
+        total += _TAPS[3 - k] * (taps[k] + taps[7 - k])
+    return total
 
 
 def side_point(side: int, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:

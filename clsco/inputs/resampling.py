@@ -6,13 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+AT_A_TIME = 2**16  # values that are worked on at a time, so that they stay in the cache of the processor
 
 
-def resample(linear: Floats, size: tuple[int, ...], first: int = 0, end: int | None = None) -> Floats:
+def resample(
+    linear: Floats, size: tuple[int, ...], first: int = 0, end: int | None = None, part: tuple[int, int] | None = None
+) -> Floats:
     """Resample an image to another size with the same outer borders, without aliasing.
 
     linear: (rows, columns[, channels]), linear. size: (rows, columns). first, end: which rows of it are wanted, by
-    default all. Returns size[, channels], >= 0.
+    default all. part: where `linear` has some rows of an image, which `rows_for` gives, the number of the first and how
+    many there are in all. Returns size[, channels], >= 0.
     Separable Catmull-Rom cubic (Catmull and Rom 1974; a = -1/2 of Keys 1981), as wide as an output pixel
     where the image shrinks. Each output pixel's weights sum to 1; beyond the border the nearest pixel
     repeats; what rings below 0 is 0. Validated on constants, cosines, mirrored images, and by the mean.
@@ -20,25 +24,49 @@ def resample(linear: Floats, size: tuple[int, ...], first: int = 0, end: int | N
     if linear.shape[:2] == size:
         return linear[first:end]
     wanted = np.arange(size[0])[first:end]
-    linear = linear[wanted] if linear.shape[0] == size[0] else resample_rows(linear, size[0], wanted)
+    above, before = part or (0, linear.shape[0])
+    linear = linear[wanted - above] if before == size[0] else resample_rows(linear, size[0], wanted, above, before)
     if linear.shape[1] != size[1]:
         linear = np.swapaxes(resample_rows(np.swapaxes(linear, 0, 1), size[1], np.arange(size[1])), 0, 1)
     return np.ascontiguousarray(np.maximum(linear, 0))
 
 
-def resample_rows(image: Floats, rows: int, wanted: NDArray[np.intp]) -> Floats:
-    """The wanted ones of the rows of an image that has `rows` then; see `resample`. Keeps second moments: the cubic has
-    none of its own. May be below 0."""
-    before = image.shape[0]
+def rows_for(before: int, rows: int, first: int, end: int) -> tuple[int, int]:
+    """First row and end of those of an image with `before` rows that these ones depend on where it has `rows`."""
+    if before == rows:
+        return first, end
+    taps, _ = _taps(before, rows, np.array([first, end - 1]))
+    return max(int(taps.min()), 0), min(int(taps.max()) + 1, before)
+
+
+def _taps(before: int, rows: int, wanted: NDArray[np.intp]) -> tuple[Floats, Floats]:
+    """Rows (wanted, taps) of an image with `before` rows that are summed for each wanted one of `rows`, and how far
+    they are from it, in widths of the cubic."""
     width = max(before / rows, 1.0)
-    center = (wanted + 0.5) * before / rows - 0.5
-    taps = np.floor(center - 2 * width)[:, None] + np.arange(int(np.ceil(4 * width)) + 2)
-    t = np.abs(taps - center[:, None]) / width
+    center: Floats = (wanted + 0.5) * before / rows - 0.5
+    taps: Floats = np.floor(center - 2 * width)[:, None] + np.arange(int(np.ceil(4 * width)) + 2)
+    return taps, np.abs(taps - center[:, None]) / width
+
+
+def resample_rows(
+    image: Floats, rows: int, wanted: NDArray[np.intp], above: int = 0, before: int | None = None
+) -> Floats:
+    """The wanted ones of the rows of an image that has `rows` then; see `resample`, and for the last two its `part`.
+    Keeps second moments: the cubic has none of its own. May be below 0."""
+    before = image.shape[0] if before is None else before
+    taps, t = _taps(before, rows, wanted)
     outer = np.where(t < 2, ((2.5 - 0.5 * t) * t - 4) * t + 2, 0)
     weights = np.where(t < 1, (1.5 * t - 2.5) * t * t + 1, outer)
     weights /= weights.sum(axis=1, keepdims=True)
-    nearest = np.clip(taps, 0, before - 1).astype(np.intp)
-    result = np.zeros((len(wanted), *image.shape[1:]))
-    for weight, source in zip(weights.T, nearest.T, strict=True):
-        result += weight.reshape(-1, *[1] * (image.ndim - 1)) * image[source]
-    return result
+    nearest = np.clip(taps, 0, before - 1).astype(np.intp) - above
+    flat = np.ascontiguousarray(image).reshape(len(image), -1)
+    result = np.zeros((len(wanted), flat.shape[1]))
+    step = max(1, AT_A_TIME // flat.shape[1])
+    for start in range(0, len(wanted), step):
+        total, here = result[start : start + step], slice(start, start + step)
+        term = np.empty_like(total)
+        for weight, source in zip(weights[here].T, nearest[here].T, strict=True):
+            np.take(flat, source, axis=0, out=term, mode="clip")  # all are within; by default a copy is made
+            term *= weight[:, None]
+            total += term
+    return result.reshape(len(wanted), *image.shape[1:])

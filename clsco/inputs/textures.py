@@ -20,13 +20,14 @@ from clsco.files.color import Color
 from clsco.files.images import Picture, image_size, read_image
 from clsco.files.transfer import decode, encode
 from clsco.inputs.mipmaps import mipmap
-from clsco.inputs.resampling import resample
+from clsco.inputs.resampling import resample, rows_for
 from clsco.scene.arrays import ArrayInput, LayerInput
 from clsco.scene.model import Scene
 from clsco.scene.texture_keys import is_drawn, missing_texture
 
 DEFAULT_SIDE = 512
 ROWS_AT_A_TIME = 128
+RESAMPLED = 2**21  # values of an image of which as many rows are resampled at a time as follow from them
 ALIGNMENT = 4096  # bytes: devices that work in the host's memory then use an array as it is
 
 Codes = NDArray[np.uint8]
@@ -60,11 +61,11 @@ class Texture:
         """The radiance, or the six of a cube map."""
         return (self.radiance, *self.others)
 
-    def mipmap(self, channels: int) -> NDArray[np.float32]:
-        """All levels of `clsco.inputs.mipmaps.mipmap` of an image with so many channels, one after the other, (n,)."""
+    def mipmap(self, out: NDArray[np.float32], channels: int) -> None:
+        """Put all levels of `clsco.inputs.mipmaps.mipmap` of an image with so many channels in `out`, one after the
+        other."""
         wide = [image[..., None] if image.ndim == 2 else image for image in self.images]
-        levels = mipmap([np.broadcast_to(image, (*image.shape[:2], channels)) for image in wide])
-        return np.concatenate([level.ravel() for level in levels])
+        mipmap([np.broadcast_to(image, (*image.shape[:2], channels)) for image in wide], out)
 
 
 def radiance_span(image: NDArray[np.floating]) -> float:
@@ -123,8 +124,13 @@ def radiance_of(
 
     if size is None or stored.shape[:2] == size:
         return _by_rows(stored.shape, lambda a, b: converted(decode(stored[a:b], curve)))
-    linear, shape = decode(stored, curve), (*size, *stored.shape[2:])
-    return _by_rows(shape, lambda a, b: converted(resample(linear, size, a, b)))
+
+    def resampled(first: int, end: int) -> Floats:
+        above, below = rows_for(len(stored), size[0], first, end)
+        linear = decode(stored[above:below], curve)
+        return converted(resample(linear, size, first, end, (above, len(stored))))
+
+    return _by_rows((*size, *stored.shape[2:]), resampled, max(1, RESAMPLED * size[0] // stored.size))
 
 
 def color_codes(color: str) -> Codes:
@@ -142,7 +148,7 @@ def with_coverage(texture: Texture, channels: int, covers: bool) -> Texture:
     """A texture of so many channels, and one more: 1 where it covers surfaces behind it, else 0."""
     found = []
     for image in texture.images:
-        wider = _empty((*image.shape[:2], channels + 1))
+        wider = empty_image((*image.shape[:2], channels + 1))
         wider[..., :channels] = image[..., None] if image.ndim == 2 else image
         wider[..., channels] = covers
         wider.flags.writeable = False
@@ -151,11 +157,13 @@ def with_coverage(texture: Texture, channels: int, covers: bool) -> Texture:
     return replace(texture, radiance=found[0], others=tuple(found[1:]), content=content)
 
 
-def _by_rows(shape: tuple[int, ...], rows_of: Callable[[int, int], Floats]) -> NDArray[np.float32]:
-    """An image of this shape in float32, aligned; rows_of: gives its rows from one up to another."""
-    image = _empty(shape)
-    for first in range(0, shape[0], ROWS_AT_A_TIME):
-        end = min(first + ROWS_AT_A_TIME, shape[0])
+def _by_rows(
+    shape: tuple[int, ...], rows_of: Callable[[int, int], Floats], step: int = ROWS_AT_A_TIME
+) -> NDArray[np.float32]:
+    """An image of this shape in float32, aligned; rows_of: gives its rows from one up to another, `step` at a time."""
+    image = empty_image(shape)
+    for first in range(0, shape[0], step):
+        end = min(first + step, shape[0])
         image[first:end] = rows_of(first, end)
     image.flags.writeable = False
     return image
@@ -163,13 +171,14 @@ def _by_rows(shape: tuple[int, ...], rows_of: Callable[[int, int], Floats]) -> N
 
 def aligned(image: NDArray[np.float32]) -> NDArray[np.float32]:
     """A copy of an image that lies where devices in the host's memory can use it; not to be written to."""
-    copy = _empty(image.shape)
+    copy = empty_image(image.shape)
     copy[...] = image
     copy.flags.writeable = False
     return copy
 
 
-def _empty(shape: tuple[int, ...]) -> NDArray[np.float32]:
+def empty_image(shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """An image, not initialized, that lies where devices in the host's memory can use it."""
     image = np.empty(4 * math.prod(shape) + ALIGNMENT, np.uint8)
     start = -image.ctypes.data % ALIGNMENT
     return image[start : start + 4 * math.prod(shape)].view(np.float32).reshape(shape)

@@ -12,7 +12,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clsco.inputs.mipmaps import mipmap_floats
-from clsco.inputs.textures import Texture
+from clsco.inputs.textures import Texture, empty_image
 from clsco.opencl.buffers import upload
 from clsco.opencl.session import Session
 from clsco.optics.light import place_light
@@ -145,11 +145,22 @@ class PlacedScene:
         return self._texture
 
     def _planes(self) -> cl.Buffer:
-        planes = [texture_planes([texture.radiance for texture in self.stack], self.channels)] if self.stack else []
+        radiances, channels = [texture.radiance for texture in self.stack], self.channels
         if not self.mapped:
-            return upload(self.session, planes[0])
-        found = [*(plane.ravel() for plane in planes), *(texture.mipmap(self.channels) for texture in self.mapped)]
-        return upload(self.session, np.concatenate(found))
+            return upload(self.session, texture_planes(radiances, channels))
+        sizes = [self._mipmap_floats(texture) for texture in self.mapped]
+        base = sum(channels * image.shape[0] * image.shape[1] for image in radiances)
+        found = empty_image((base + sum(sizes),))
+        if radiances:
+            found[:base] = texture_planes(radiances, channels).ravel()
+        for texture, size in zip(self.mapped, sizes, strict=True):
+            texture.mipmap(found[base : base + size], channels)
+            base += size
+        return upload(self.session, found)
+
+    def _mipmap_floats(self, texture: Texture) -> int:
+        rows, columns = texture.radiance.shape[:2]
+        return mipmap_floats(columns, rows, self.channels, len(texture.images))
 
     @property
     def texture_maps(self) -> tuple[cl.Buffer, ...]:
@@ -167,8 +178,7 @@ class PlacedScene:
         bases = {}
         for texture in self.mapped:
             bases[texture] = base
-            rows, columns = texture.radiance.shape[:2]
-            base += mipmap_floats(columns, rows, self.channels, len(texture.images))
+            base += self._mipmap_floats(texture)
         maps = [
             None if item.mapped is None else texture_map(item, *reversed(texture.radiance.shape[:2]))
             for item, texture in zip(self.scene.objects, self.textures, strict=True)
