@@ -121,7 +121,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3, metavar="N")
     parser.add_argument("--base", type=Path, metavar="CHECKOUT", help="another version")
     parser.add_argument("--blender-python", type=Path, metavar="PATH", help="compare with path tracers")
-    parser.add_argument("--rays", type=int, nargs=2, default=(36, 144), metavar="N", help="per pixel, to judge by")
+    parser.add_argument("--rays", type=int, nargs=2, default=(16, 64), metavar="N", help="per pixel, to judge by")
     parser.add_argument("--kept", type=Path, default=KEPT, metavar="DIR", help="where those pictures are kept")
     parser.add_argument("-o", type=Path, dest="file", help="also write the table as Markdown")
     options = parser.parse_args()

@@ -29,7 +29,7 @@ from clsco.inputs.textures import load_scene_textures
 Array = NDArray[Any]
 POSES = 5
 THREADS = 2
-TIMED = (4, 16)  # rays per pixel of pictures whose times give that of a ray
+TIMED = (4, 25)  # rays per pixel of pictures whose times give that of a ray
 LEAST_POWER = 0.5  # of the number of rays, by which noise falls in the end
 
 
@@ -54,7 +54,7 @@ class Noise:
         """Rays per pixel that an RMS error takes.
 
         Noise falls as that of so few rays does at first, and as the inverse root in the end: from `many` on by the mean
-        of both powers. Of 160 x 120 px of two of the scenes that is what Cycles does from 256 to 1,024 rays; Mitsuba's
+        of both powers. Of 160 x 120 px of two of the scenes that is what Cycles does from 64 to 1,024 rays; Mitsuba's
         power is 1/2 throughout.
         """
         power = math.log(self.of_few / self.of_many) / math.log(self.many / self.few)
@@ -130,11 +130,10 @@ class Peers:
             return Judge(found["first"].astype(float), found["second"].astype(float), of_names)
 
     def traced(self, judge: Judge) -> list[Traced]:
-        """Times of all programs, after a picture that does not count, by which they compile and set up."""
+        """Times of all programs, each of the latter of two pictures, as the first ones compile and set up."""
         found = []
         for name in self.names:
-            self.picture(name, 1, 7)
-            low, high = (self.picture(name, count, 8)[1] for count in TIMED)
+            low, high = ([self.picture(name, count, seed)[1] for seed in (7, 8)][1] for count in TIMED)
             found.append(Traced(name, judge.noise[name], (high - low) / (TIMED[1] - TIMED[0])))
         return found
 

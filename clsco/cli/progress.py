@@ -19,17 +19,26 @@ def progress(total: int, quiet: bool, what: str = "frames") -> Iterator[Callable
 
 
 @contextmanager
-def frame_progress(total: int, quiet: bool, device: str | None) -> Iterator[Callable[[], object]]:
-    """A bar as of `progress` that shows where in a frame the device is, too, and the time that is left."""
+def frame_progress(
+    total: int, quiet: bool, device: str | None, predict: Callable[[], float | None]
+) -> Iterator[Callable[[], object]]:
+    """A bar as of `progress` that shows where in a frame the device is, too, and the time that is left.
+
+    predict: gives the seconds of all frames, None where they are not known; called where a bar is shown.
+    """
     if not _is_shown(total, quiet):
         yield lambda: None
         return
     from clsco.opencl.session import Progress, session_for
 
-    session = session_for(device)
+    session, predicted = session_for(device), predict()
     session.progress = here = Progress()
+
+    def after_bar(done: float, elapsed: float) -> str:
+        return position(here, done, total, elapsed, predicted)
+
     try:
-        with _bar(total, quiet, "frames", lambda done, elapsed: position(here, done, total, elapsed)) as advance:
+        with _bar(total, quiet, "frames", after_bar) as advance:
 
             def after_frame() -> None:
                 here.done = 0
@@ -40,16 +49,17 @@ def frame_progress(total: int, quiet: bool, device: str | None) -> Iterator[Call
         session.progress = None
 
 
-def position(here: Progress, done: float, total: int, elapsed: float) -> str:
+def position(here: Progress, done: float, total: int, elapsed: float, predicted: float | None) -> str:
     """Say what is done in a frame, how much of it where it takes long, of which time sample, and the time left.
 
-    done: frames of `total`; elapsed: s.
+    done: frames of `total`; elapsed, and predicted for all frames where that is known: s. The latter says what is left
+    until a time sample is there to reckon from.
     """
     share = f" {here.share:.0%}" if 0.0 < here.share < 1.0 else ""
     sample = f", time sample {min(here.done + 1, here.total)} of {here.total}" if here.total > 1 else ""
     part = (done + here.done / max(here.total, 1)) / total
-    left = f", {elapsed * (1.0 - part) / part:.0f} s left" if 0.0 < part < 1.0 else ""
-    return f"{here.doing}{share}{sample}{left}"
+    left = elapsed * (1.0 - part) / part if part > 0.0 else (predicted or 0.0) - elapsed
+    return f"{here.doing}{share}{sample}{f', {left:.0f} s left' if left > 0.0 else ''}"
 
 
 def _is_shown(total: int, quiet: bool) -> bool:
