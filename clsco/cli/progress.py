@@ -56,10 +56,11 @@ def position(here: Progress, done: float, total: int, elapsed: float, predicted:
     until a time sample is there to reckon from.
     """
     share = f" {here.share:.0%}" if 0.0 < here.share < 1.0 else ""
-    sample = f", time sample {min(here.done + 1, here.total)} of {here.total}" if here.total > 1 else ""
-    part = (done + here.done / max(here.total, 1)) / total
-    left = elapsed * (1.0 - part) / part if part > 0.0 else (predicted or 0.0) - elapsed
-    return f"{here.doing}{share}{sample}{f', {left:.0f} s left' if left > 0.0 else ''}"
+    sample = f"time sample {min(here.done + 1, here.total)} of {here.total}" if here.total > 1 else ""
+    finished = (done + here.done / max(here.total, 1)) / total
+    left = elapsed * (1.0 - finished) / finished if finished > 0.0 else (predicted or 0.0) - elapsed
+    parts = f"{here.doing}{share}", sample, f"{left:.0f} s left" if left >= 1.0 else ""
+    return ", ".join(part for part in parts if part)
 
 
 def _is_shown(total: int, quiet: bool) -> bool:
