@@ -11,7 +11,7 @@ import numpy as np
 import pyopencl as cl
 
 from clsco.constants import STATISTIC_SLOTS, STATISTIC_SMALLEST
-from clsco.opencl.buffers import allocate, upload
+from clsco.opencl.buffers import allocate, download, upload
 from clsco.opencl.program import build
 from clsco.opencl.session import Session
 from clsco.optics.lens import Lens
@@ -94,6 +94,14 @@ class KeptHits:
         return self.session.cache.get(("hits", key), made, lambda _: sum(sizes.values()))
 
 
+class TooFewSlotsError(Exception):
+    """More pixels need sub-pixel sources than the plan has room for: so many."""
+
+    def __init__(self, slots: int) -> None:
+        super().__init__(slots)
+        self.slots = slots
+
+
 @dataclass(frozen=True)
 class Tracer:
     """Casts the rays of a plan.
@@ -167,6 +175,8 @@ class Tracer:
         cl.enqueue_fill_buffer(self.target.session.queue, statistics, np.zeros(1, np.int32), 4 * STATISTIC_SLOTS, 4)
         marks = (at.grid, sources.label, slots, source, buffers["pixels"], statistics)
         self._per_pixel("mark_silhouettes", at, *marks)
+        if at.first:
+            self._check_room()
         subs = buffers["sub_source"], buffers["sub_value"]
         labels, depth = buffers["sub_label"], buffers["sub_depth"]
         head, size, run = self._head(at), (plan.slots * plan.silhouettes**2,), self.target.run
@@ -187,6 +197,12 @@ class Tracer:
         return replace(
             sources, value=value, sub_source=subs[0], sub_value=subs[1], capacity=plan.slots, sub_depth=depth
         )
+
+    def _check_room(self) -> None:
+        """Raise TooFewSlotsError where sub-pixel sources have no room: before the blur, which may take seconds."""
+        found = download(self.scene.session, self.buffers["statistics"], (STATISTIC_SLOTS + 1,), np.int32)
+        if found[STATISTIC_SLOTS] > self.plan.slots:
+            raise TooFewSlotsError(int(found[STATISTIC_SLOTS]))
 
     def pinhole(self, at: Moment) -> Image:
         """The image of a pinhole, with its radii."""

@@ -19,6 +19,7 @@ from clsco.frame.frame import ALL_TRUTH, Frame
 from clsco.opencl.device import choose
 from clsco.opencl.session import Session
 from clsco.passes.blur import Target
+from clsco.passes.gather import Gather
 from clsco.plan.prepare import prepare
 from clsco.scene.model import Scene
 from tests.scenes import scene_from
@@ -105,6 +106,25 @@ def test_a_lens_casts_no_rays_again(live: Live, monkeypatch: pytest.MonkeyPatch)
     assert 0 < cast(moved) <= first
     assert groups == 1 or cast(scene.replace("object[0].motion.velocity", (20.0, 0.0, 0.0))) < first
     assert cast(scene.replace("object[0].texture", "slanted_edge")) > 0
+
+
+def test_too_little_room_for_subpixel_sources_is_found_before_the_blur(
+    live: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    launched: list[str] = []
+    run = Gather.spread
+
+    def noted(self: Any, *args: Any) -> None:
+        launched.append("gather")
+        run(self, *args)
+
+    monkeypatch.setattr(Gather, "spread", noted)
+    scene = SCENES["ball"]
+    expected = live.render(scene)
+    blurred = len(launched)
+    monkeypatch.setattr("clsco.plan.plan.SILHOUETTE_SLOTS", 0)
+    same(live.render(scene), expected)
+    assert 0 < blurred == len(launched) - blurred
 
 
 def test_what_is_kept_is_bounded() -> None:
