@@ -130,8 +130,9 @@ __kernel void tiles(const grid_t grid, const psf_t psf, __global const float *so
     const int x = column + grid.guard, y = row + grid.above;
     const int left = x - (int)get_local_id(0), top = y - (int)get_local_id(1);
     const tile_t tile = {left, left + GROUP_COLUMNS - 1, top, top + GROUP_ROWS - 1};
-    const int first_x = MAX(tile.left - psf.reach, 0), across = MIN(tile.right + psf.reach + 1, grid.width) - first_x;
-    const int first_y = MAX(tile.top - psf.reach, 0), down = MIN(tile.bottom + psf.reach + 1, grid.height) - first_y;
+    // Beyond the grid as well, where nothing is: chunks, and so bits, are the same whatever the width of the apron.
+    const int first_x = tile.left - psf.reach, across = GROUP_COLUMNS + 2 * psf.reach;
+    const int first_y = tile.top - psf.reach, down = GROUP_ROWS + 2 * psf.reach;
     float sum[CHANNELS], over[CHANNELS];
     for (int k = 0; k < CHANNELS; ++k)
         sum[k] = over[k] = 0;  // not as {0}, of which PoCL 3.0 makes garbage where there are two channels
@@ -141,10 +142,10 @@ __kernel void tiles(const grid_t grid, const psf_t psf, __global const float *so
         if (item < CHUNK / WORD)
             chunk.reaching[item] = 0;
         barrier(CLK_LOCAL_MEM_FENCE);
-        const int n = start + item;
-        if (n < across * down)
-            note_source(grid, psf, source, value, intervals, coefficients, tile, first_x + n % across,
-                        first_y + n / across, item, &chunk SUBPIXEL_VALUES);
+        const int n = start + item, source_x = first_x + n % across, source_y = first_y + n / across;
+        if (n < across * down && source_x >= 0 && source_x < grid.width && source_y >= 0 && source_y < grid.height)
+            note_source(grid, psf, source, value, intervals, coefficients, tile, source_x, source_y, item,
+                        &chunk SUBPIXEL_VALUES);
         barrier(CLK_LOCAL_MEM_FENCE);
         float part[CHANNELS];
         for (int k = 0; k < CHANNELS; ++k)

@@ -89,6 +89,18 @@ def test_a_wide_blur_leaves_a_uniform_image_as_it_is(session: Session, edge: Any
     assert np.abs(blurred(session, replace(given, sources=uniform), "tiles") - 1.0).max() < 2.0**-19
 
 
+def test_a_wider_apron_changes_no_bit(session: Session) -> None:
+    """Renderings that share their rays have the apron of the one that needs most."""
+    given, more = light(Psf(), shape=(43, 50), guard=5, largest=9.0, samples=3), 37
+    assert given.sub is not None
+    arrays = {name: array for name, array in vars(given.sources).items() if array is not None}
+    around = {name: [(more, more)] * 2 + [(0, 0)] * (array.ndim - 2) for name, array in arrays.items()}
+    sources = replace(given.sources, **{name: np.pad(array, around[name]) for name, array in arrays.items()})
+    sub = replace(given.sub, row=given.sub.row + more, column=given.sub.column + more)
+    wider = replace(given, sources=sources, sub=sub, guard=given.guard + more)
+    assert blurred(session, wider, "tiles").tobytes() == blurred(session, given, "tiles").tobytes()
+
+
 def test_a_sum_of_a_thousand_chunks_is_rounded_once(session: Session) -> None:
     """One or two of 128 sources are lit, so rounding is that of the sum over chunks; added naively 80 units of it."""
     radius, shape, guard = 160.3, (9, 17), 162
