@@ -18,7 +18,7 @@ from clsco.passes.tables import forget_others
 from clsco.passes.trace import KeptHits, LatestHits
 from clsco.plan.approximation import checked_tolerance
 from clsco.plan.memory import Limit, device_bytes, fitted, lens_bytes, limit_of, parse_size
-from clsco.plan.methods import check_method
+from clsco.plan.methods import MANY_RADII, check_method
 from clsco.plan.plan import Plan
 from clsco.plan.prepare import Prepared, lens_groups, prepare_sweep
 from clsco.plan.request import Request
@@ -354,7 +354,7 @@ def _shares_rays(one: tuple[Plan, ...], other: tuple[Plan, ...]) -> bool:
 
 def casts_for_lenses(plan: Plan) -> bool:
     """True if rays are cast, and nothing but sources is made of what they hit."""
-    return plan.blur in ("gather", "tiles") and "trace" in {step.kind for step in plan.passes}
+    return plan.blur in MANY_RADII and "trace" in {step.kind for step in plan.passes}
 
 
 def _together(renderers: Sequence[Renderer], index: int) -> list[Frame]:

@@ -179,16 +179,19 @@ def test_a_depth_map_of_a_scene_gives_its_frame(waves: str, tmp_path: Path) -> N
     assert Lens.of(analytic.camera).focus_power > 0
 
 
-def frames_of(scenes: list[Scene]) -> list[Frame]:
-    return [frame for _, frame in sorted(render_sweep(scenes), key=lambda found: found[0])]
+def frames_of(scenes: list[Scene], method: str = "auto") -> list[Frame]:
+    return [frame for _, frame in sorted(render_sweep(scenes, method=method), key=lambda found: found[0])]
 
 
-@pytest.mark.parametrize("key", ["focus_distance", pytest.param("f_number", marks=pytest.mark.slow)])
-def test_sweeps_over_the_lens_have_the_bits_of_single_scenes(waves: str, key: str) -> None:
+@pytest.mark.parametrize(
+    ("key", "method"),
+    combined(("focus_distance", "f_number"), ("auto", "scatter"), kept=[("focus_distance", "auto")]),
+)
+def test_sweeps_over_the_lens_have_the_bits_of_single_scenes(waves: str, key: str, method: str) -> None:
     values = {"focus_distance": [200.0, 250.0, 400.0], "f_number": [2.0, 4.0, 8.0]}[key]
     moving = BALL | {"motion": {"velocity": [5.0, 0.0, 0.0]}}
     scenes = [scene(waves, moving, WALL, sequence={"samples": 2}, camera={key: value}) for value in values]
-    together, alone = frames_of(scenes), [next(iter(clsco.render(one))) for one in scenes]
+    together, alone = frames_of(scenes, method), [next(iter(clsco.render(one, method=method))) for one in scenes]
     assert len(together) == 3
     assert np.abs(together[0].color - together[2].color).max() > 0.01
     casts = [frame.metadata["seconds"].keys() for frame in together]
