@@ -141,11 +141,9 @@ def measured(call: Call, device: str) -> tuple[Array, dict[str, float | str]]:
         same &= again.tobytes() == image.tobytes()
     figures: dict[str, float | str] = {"first, s": first, "ms": 1e3 * median(walls)}
     most = sorted(kernels.items(), key=lambda item: -item[1])[:3]
-    figures |= {
-        "kernels, ms": sum(kernels.values()) or "",
-        "of these": ", ".join(f"{kernel} {each:.3g}" for kernel, each in most),
-        "same bits": "yes" if same else "NO",
-    }
+    figures["kernels, ms"] = sum(kernels.values()) or ""
+    figures["of these"] = ", ".join(f"{kernel} {each:.3g}" for kernel, each in most)
+    figures["same bits"] = "yes" if same else "NO"
     return image, figures
 
 

@@ -85,9 +85,9 @@ def test_a_lens_casts_no_rays_again(live: Live, monkeypatch: pytest.MonkeyPatch)
     launched: list[str] = []
     run = Target.run
 
-    def noted(self: Any, name: str, *args: Any, **work: float) -> None:
+    def noted(self: Any, name: str, *args: Any, work: float = 1.0) -> None:
         launched.append(name)
-        run(self, name, *args, **work)
+        run(self, name, *args, work=work)
 
     monkeypatch.setattr(Target, "run", noted)
     scene = SCENES["moving"]

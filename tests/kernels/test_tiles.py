@@ -93,9 +93,10 @@ def test_a_wider_apron_changes_no_bit(session: Session) -> None:
     """Renderings that share their rays have the apron of the one that needs most."""
     given, more = light(Psf(), shape=(43, 50), guard=5, largest=9.0, samples=3), 37
     assert given.sub is not None
-    arrays = {name: array for name, array in vars(given.sources).items() if array is not None}
-    around = {name: [(more, more)] * 2 + [(0, 0)] * (array.ndim - 2) for name, array in arrays.items()}
-    sources = replace(given.sources, **{name: np.pad(array, around[name]) for name, array in arrays.items()})
+    arrays: dict[str, Any] = {name: array for name, array in vars(given.sources).items() if array is not None}
+    for name, array in arrays.items():
+        arrays[name] = np.pad(array, [(more, more)] * 2 + [(0, 0)] * (array.ndim - 2))
+    sources = replace(given.sources, **arrays)
     sub = replace(given.sub, row=given.sub.row + more, column=given.sub.column + more)
     wider = replace(given, sources=sources, sub=sub, guard=given.guard + more)
     assert blurred(session, wider, "tiles").tobytes() == blurred(session, given, "tiles").tobytes()
