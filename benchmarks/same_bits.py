@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-import inspect
 import json
 import re
 import sys
@@ -28,8 +27,6 @@ import clsco
 
 SAMPLES = "sequence.samples=5"  # where a scene does not say: the default has changed once
 METHODS = ("auto", "gather", "scatter", "tiles")  # of the blur; "auto" is `convolve` or `gather` on a processor
-# Of an image, which old versions have without asking.
-BLACK: Any = {"outside": "black"} if "outside" in inspect.signature(clsco.defocus).parameters else {}
 STRIPS = "1MiB"  # less than any frame needs: the message says how much the smallest strips take
 
 
@@ -118,20 +115,32 @@ def of_coverage(name: str, k: int, scene: Any) -> Iterator[tuple[str, str]]:
             yield f"{name} {k} double auto whole {frame.eye} alpha", digest(frame.alpha)
 
 
+def as_before() -> dict[str, str]:
+    """Options of `clsco.defocus` that old versions have without being asked."""
+    options: Any
+    options, nothing = {"outside": "black", "soft_edges": "keep"}, np.zeros((2, 2), np.float32)
+    try:
+        clsco.defocus(nothing, nothing, **options)
+    except TypeError:
+        return {}
+    return options
+
+
 def of_images(examples: Path) -> Iterator[tuple[str, str]]:
     """Blur of an image by its map of radii, and filling of one, by each method."""
     import imageio.v3 as iio
 
     image = iio.imread(examples / "depth_map_image.png").astype(np.float32) / 255
     depth = iio.imread(examples / "depth_map_depth.png").astype(np.float64)
+    options: Any = as_before()
     radii = np.where(depth > 0, 12.0 - 250000.0 / np.maximum(depth, 1.0), 0.0).clip(-9.0, 9.0)
     edges, occlusions = ("integrated", "area", "sampled"), ("none", "layered")
     for model, edge, tilt, occlusion in product(("pillbox", "gaussian"), edges, (True, False), occlusions):
         psf = {"model": model, "edge": edge, "tilt": tilt, "occlusion": occlusion}
         for method in ("gather", "scatter", "tiles"):
-            blurred = clsco.defocus(image, radii, psf, method=method, **BLACK)
+            blurred = clsco.defocus(image, radii, psf, method=method, **options)
             yield f"defocus {model} {edge} {tilt} {occlusion} {method}", digest(blurred)
-        same = clsco.defocus(image, np.full(radii.shape, 5.3), psf | {"occlusion": "none"}, **BLACK)
+        same = clsco.defocus(image, np.full(radii.shape, 5.3), psf | {"occlusion": "none"}, **options)
         yield f"defocus {model} {edge} {tilt} {occlusion} convolve", digest(same)
     photo, holes = iio.imread(examples / "damaged.png"), iio.imread(examples / "damaged_mask.png") > 127
     for method, kind in product(("mean-median", "biharmonic", "texture", "auto"), (np.uint8, np.float32)):
