@@ -9,7 +9,7 @@ import sys
 
 from clsco.cli.main import main
 
-_OBJECTS = 50_000
+_OBJECTS = 100_000
 """So many more than there were have Python look for cycles of them: imports make many objects, and no garbage."""
 
 
