@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import mmap
 import os
 import secrets
 from collections.abc import Mapping
@@ -15,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.resources import ExposedFolderError, private_folder, read_regular
+from clsco.resources import ExposedFolderError, open_regular, private_folder
 
 SUFFIX = ".arrays"
 MOST_BYTES = 2**29  # of a folder; then the files that were used longest ago go
@@ -49,11 +50,11 @@ class ArrayCache:
             return None
         path = self._path(key)
         try:
-            content = read_regular(path, 2 * LARGEST)
+            content = _read(path)
             if hashlib.sha256(memoryview(content)[DIGEST:]).digest() != content[:DIGEST]:
                 return None
             os.utime(path)
-            return _unpacked(content[DIGEST:])
+            return _unpacked(content)
         except (OSError, ValueError, AttributeError):  # a file of another version
             return None
 
@@ -93,11 +94,22 @@ def _packed(arrays: Mapping[str, NDArray[Any]]) -> bytes:
     return b"".join([json.dumps(about).encode(), b"\n", *(array.tobytes() for array in arrays.values())])
 
 
-def _unpacked(content: bytes) -> dict[str, NDArray[Any]]:
-    about, found, at = content[: content.index(b"\n")], dict[str, NDArray[Any]](), content.index(b"\n") + 1
-    for name, (kind, shape) in json.loads(about).items():
+def _read(path: Path) -> mmap.mmap:
+    """The content of a file in pages of its own: arrays stay where they were read, and leave no gaps when they go."""
+    with open_regular(path, 2 * LARGEST) as file:
+        content = mmap.mmap(-1, os.fstat(file.fileno()).st_size)  # ValueError for an empty file
+        if file.readinto(content) != len(content):
+            raise ValueError(f"{path}: must have {len(content)} bytes; got fewer")
+        return content
+
+
+def _unpacked(content: mmap.mmap) -> dict[str, NDArray[Any]]:
+    end = content.find(b"\n", DIGEST)
+    found, at = dict[str, NDArray[Any]](), end + 1
+    for name, (kind, shape) in json.loads(content[DIGEST:end]).items():
         count = math.prod(shape)
         array = np.frombuffer(content, kind, count, at) if count else np.empty(0, kind)
+        array.flags.writeable = False
         found[name] = array.reshape(shape)
         at += array.nbytes
     return found

@@ -240,7 +240,8 @@ def _by_imageio(content: bytes, extension: str, mode: str | None = None) -> NDAr
 
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Image size")  # that limit is checked from the header already
-        return imageio.v3.imread(content, plugin="pillow", extension=extension, mode=mode)
+        options: dict[str, Any] = {"mode": mode, "writeable_output": False}  # else another copy is made
+        return imageio.v3.imread(content, plugin="pillow", extension=extension, **options)
 
 
 def _jpeg_size(file: BinaryIO) -> tuple[int, int]:

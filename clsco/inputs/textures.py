@@ -27,7 +27,8 @@ from clsco.scene.texture_keys import is_drawn, missing_texture
 
 DEFAULT_SIDE = 512
 ROWS_AT_A_TIME = 128
-RESAMPLED = 2**21  # values of an image of which as many rows are resampled at a time as follow from them
+# Values of an image that are decoded, or resampled, at a time.
+DECODED, RESAMPLED = 2**16, 2**21
 ALIGNMENT = 4096  # bytes: devices that work in the host's memory then use an array as it is
 
 Codes = NDArray[np.uint8]
@@ -123,14 +124,19 @@ def radiance_of(
         return linear if matrix is None else linear @ matrix.T
 
     if size is None or stored.shape[:2] == size:
-        return _by_rows(stored.shape, lambda a, b: converted(decode(stored[a:b], curve)))
+        return _by_rows(stored.shape, lambda a, b: converted(decode(stored[a:b], curve)), _rows_of(stored, DECODED))
 
     def resampled(first: int, end: int) -> Floats:
         above, below = rows_for(len(stored), size[0], first, end)
         linear = decode(stored[above:below], curve)
         return converted(resample(linear, size, first, end, (above, len(stored))))
 
-    return _by_rows((*size, *stored.shape[2:]), resampled, max(1, RESAMPLED * size[0] // stored.size))
+    return _by_rows((*size, *stored.shape[2:]), resampled, max(1, _rows_of(stored, RESAMPLED) * size[0] // len(stored)))
+
+
+def _rows_of(image: NDArray[np.generic], values: int) -> int:
+    """Rows of an image that have so many values."""
+    return max(1, values * len(image) // image.size)
 
 
 def color_codes(color: str) -> Codes:

@@ -8,6 +8,7 @@ import sys
 import threading
 import weakref
 from collections import OrderedDict, deque
+from collections.abc import Sequence
 from contextlib import suppress
 from functools import cache
 from typing import Any
@@ -52,9 +53,6 @@ class Pages:
             self._bytes -= found
         if block is None:
             block = _cleared(wanted)
-            if wanted >= LARGE:
-                with suppress(OSError):
-                    block.madvise(mmap.MADV_HUGEPAGE)
         array = np.frombuffer(block, np.uint8)
         weakref.finalize(array, self._give, block).atexit = False
         return array[:size]
@@ -96,6 +94,21 @@ def in_pages(array: NDArray[Any]) -> NDArray[Any]:
     return copy
 
 
+def joined_in_pages(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Arrays one after the other along their first axis, as `in_pages`."""
+    shape = (sum(len(array) for array in arrays), *arrays[0].shape[1:])
+    size = sum(array.nbytes for array in arrays)
+    if size == 0:
+        return np.empty(shape, arrays[0].dtype)
+    out: NDArray[Any] = np.frombuffer(_cleared(size), arrays[0].dtype).reshape(shape)
+    return np.concatenate(arrays, out=out)
+
+
+def is_in_pages(array: NDArray[Any]) -> bool:
+    """True of an array of `in_pages` or `joined_in_pages`."""
+    return array.ctypes.data % mmap.PAGESIZE == 0
+
+
 def trim() -> None:
     """Have the C library give the system what is free of its memory, between what is not as well, where it can."""
     with suppress(AttributeError, OSError, TypeError):  # not the GNU C library, or Windows
@@ -103,10 +116,14 @@ def trim() -> None:
 
 
 def _cleared(size: int) -> mmap.mmap:
-    """Memory of so many bytes from the system."""
-    if sys.platform == "linux":
-        return mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
-    return mmap.mmap(-1, size)
+    """Memory of so many bytes from the system, in pages of 2 MiB where it has them and that is LARGE."""
+    if sys.platform != "linux":
+        return mmap.mmap(-1, size)
+    block = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    if size >= LARGE:
+        with suppress(OSError):
+            block.madvise(mmap.MADV_HUGEPAGE)
+    return block
 
 
 def block_size(size: int) -> int:

@@ -27,6 +27,8 @@ LARGEST_TABLES = 2**30  # bytes
 SHARED_BYTES = 2**26  # up to which a table has whole blocks, for other ranges as well
 Blocks = Callable[[PointSpread, int, int], WeightBlock]
 """Gives the block of a PSF that begins with an interval, for so many sub-pixel sources, as `weight_block`."""
+Join = Callable[[list[NDArray[np.float32]]], NDArray[np.float32]]
+"""Puts arrays one after the other."""
 
 
 @dataclass(frozen=True)
@@ -155,8 +157,11 @@ def narrowed(table: PsfTable, psf: PointSpread, smallest: float, largest: float,
     return replace(table, low=span.start, end=span.stop, reach=half_width(psf, span[-1], subpixel))
 
 
-def table_of(psf: PointSpread, span: range, subpixel: int = 0, blocks: Blocks = weight_block) -> PsfTable:
-    """The table of intervals, from the first to the last of some TAP_LANES; see `psf_table`."""
+def table_of(
+    psf: PointSpread, span: range, subpixel: int = 0, blocks: Blocks = weight_block, join: Join = np.concatenate
+) -> PsfTable:  # fmt: skip
+    """The table of intervals, from the first to the last of some TAP_LANES; see `psf_table`. join: of coefficients,
+    which are most of a table."""
     if psf.layout == "disc" and not subpixel:
         return _disc_table(psf, span)
     size = block_intervals(psf, subpixel > 0)
@@ -171,7 +176,7 @@ def table_of(psf: PointSpread, span: range, subpixel: int = 0, blocks: Blocks = 
     taps, outlines = _joined_taps(found), _joined_outlines(found)
     reach = int(widths.max())
     return PsfTable(
-        span.start, span.start, span.stop, intervals, np.concatenate(of_radii), reach, len(span), taps, outlines
+        span.start, span.start, span.stop, intervals, join(of_radii), reach, len(span), taps, outlines
     )  # fmt: skip
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from clsco import constants
 from clsco.cache import Cache
 from clsco.files.array_cache import ArrayCache, user_cache
-from clsco.opencl.pages import SMALLEST, in_pages, trim
+from clsco.opencl.pages import SMALLEST, in_pages, is_in_pages, joined_in_pages, trim
 from clsco.opencl.session import Session
 from clsco.optics import point_spread, psf_blocks, psf_grid, pupils
 from clsco.optics.point_spread import PointSpread
@@ -69,7 +69,8 @@ class TableStore:
                 wider = span if table is None else range(min(span.start, table.first), max(span.stop, _end(table)))
                 if _size(psf, wider, subpixel) <= JOINED_BYTES:
                     span = wider
-                table = self._tables[key] = _in_pages(replace(table_of(psf, span, subpixel, block), place=place))
+                made = table_of(psf, span, subpixel, block, joined_in_pages)
+                table = self._tables[key] = _in_pages(replace(made, place=place))
                 trim()  # what its making took
             self._tables.move_to_end(key)
             # A rendering has two, of pixels and of sub-pixel sources: one must not push out the other.
@@ -85,7 +86,7 @@ class TableStore:
     def _block(self, key: str, psf: PointSpread, first: int, subpixel: int) -> WeightBlock:
         found = self.disk.get(key)
         if found is not None and found.keys() == WeightBlock.__dataclass_fields__.keys():
-            return _in_pages(WeightBlock(**found))
+            return WeightBlock(**found)
         block = weight_block(psf, first, subpixel)
         self.disk.put(key, vars(block))
         return _in_pages(block)
@@ -153,7 +154,8 @@ def _size(psf: PointSpread, span: range, subpixel: int) -> int:
 def _in_pages(record: R) -> R:
     """A table or block with its large arrays in pages of their own, so that they leave no gaps when they go."""
     arrays = {name: value for name, value in vars(record).items() if isinstance(value, np.ndarray)}
-    placed: dict[str, Any] = {name: in_pages(array) for name, array in arrays.items() if array.nbytes >= SMALLEST}
+    large = {name: array for name, array in arrays.items() if array.nbytes >= SMALLEST and not is_in_pages(array)}
+    placed: dict[str, Any] = {name: in_pages(array) for name, array in large.items()}
     return replace(record, **placed)
 
 
