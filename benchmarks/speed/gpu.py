@@ -114,8 +114,6 @@ def cases() -> Iterator[tuple[str, Callable[[], Call]]]:
     yield "moving sphere, 5 samples, 512 x 512", partial(rendered, sized(moving, 512, 512, 5))
     for name in ("512 x 512", "1920 x 1080"):
         yield f"three objects, visibility, {name}", partial(rendered, sized(three, *SIZES[name]))
-    for path in sorted(SCENES.glob("*.toml")):
-        yield f"{path.stem}, one sample", partial(rendered, clsco.load_scene(path).replace("sequence.samples", 1))
     for name in ("512 x 512", "1920 x 1080"):
         scene = sized(sphere, *SIZES[name])
         yield f"{FRAMES} frames of a drag of focus, {name}", partial(dragged, scene, "camera.focus_distance", 240, 310)
@@ -126,6 +124,8 @@ def cases() -> Iterator[tuple[str, Callable[[], Call]]]:
     for radius, channels, method in product((2.0, 6.0, 20.0, 60.0), (1, 3), ("tiles", "scatter")):
         shown = "color" if channels == 3 else "gray"
         yield f"blur by {method}, R to {radius:g} px, {shown}, 2048 x 2048", partial(spread, method, radius, channels)
+    for path in sorted(SCENES.glob("*.toml")):
+        yield f"{path.stem}, one sample", partial(rendered, clsco.load_scene(path).replace("sequence.samples", 1))
 
 
 def measured(call: Call, device: str) -> tuple[Array, dict[str, float | str]]:
