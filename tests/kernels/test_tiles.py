@@ -182,6 +182,7 @@ def test_an_image_on_a_gpu(occlusion: Any, on_a_gpu: list[str]) -> None:
     assert not {"gather", "scatter"} & set(on_a_gpu)
 
 
+@pytest.mark.processor
 @pytest.mark.parametrize(
     ("psf", "method", "constant"),
     [({}, "convolve", True), ({"model": "gaussian"}, "convolve", True), ({"occlusion": "layered"}, "scatter", False)],

@@ -117,6 +117,7 @@ def test_pyopencl_ctx_means_what_it_means_to_pyopencl(monkeypatch: pytest.Monkey
     assert choice.reason.startswith("PYOPENCL_CTX: ")
 
 
+@pytest.mark.processor
 def test_facts_of_pocl(session: Session) -> None:
     device = session.device
     assert device.is_pocl

@@ -160,6 +160,7 @@ def test_a_cancel_ends_a_launch_that_is_under_way() -> None:
         assert (live.render(SMALL, truth=()).color == expected).all()
 
 
+@pytest.mark.processor
 def test_no_piece_of_a_heavy_frame_is_long() -> None:
     """Time by the processor's clock of the device, whatever else the machine does: a few pieces may be slower."""
     heavy = WIDE | {"camera": WIDE["camera"] | {"f_number": 2.0}}

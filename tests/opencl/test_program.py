@@ -189,6 +189,7 @@ def test_real(session: Session, real: str, size: int) -> None:
     np.testing.assert_array_equal(download(session, buffer, (6,), np.int32), expected)
 
 
+@pytest.mark.processor
 def test_a_build_error_names_file_and_line(session: Session, kernels: Path) -> None:
     (kernels / "work.cl").write_text(
         WORK.replace("out[2] = sqrt", "out[2] = sqroot").replace("scene.last", "scene.lost")
@@ -199,6 +200,7 @@ def test_a_build_error_names_file_and_line(session: Session, kernels: Path) -> N
     assert f"work.cl:{line}:" in str(caught.value)
 
 
+@pytest.mark.processor
 def test_a_header_error_names_the_header(session: Session, kernels: Path) -> None:
     (kernels / "common/geometry.clh").write_text(HEADER.replace("2 * x;", "2 * y;"))
     with pytest.raises(KernelError, match=r"geometry\.clh:3:"):
@@ -283,6 +285,7 @@ def test_arrays_go_and_come_back(session: Session) -> None:
         assert got.flags.writeable
 
 
+@pytest.mark.processor
 def test_an_aligned_array_is_used_in_place_and_kept_alive(session: Session) -> None:
     values = np.arange(1000, dtype=np.float32)
     given = aligned(values, 0, session.device.alignment)

@@ -72,6 +72,9 @@ OTHERS = [
 Known = dict[tuple[str, str, str], str]
 
 
+pytestmark = pytest.mark.processor  # of which there are more or fewer threads
+
+
 @pytest.fixture(scope="module", params=[CASES, pytest.param(OTHERS, marks=pytest.mark.slow)], ids=["some", "others"])
 def known(request: pytest.FixtureRequest) -> Known:
     found = {case: outcome(*case) for case in request.param}

@@ -249,6 +249,7 @@ def test_outputs_that_nobody_asked_for_are_not_computed(wanted: str, warp: str) 
     assert "ground_truth" in whole.metadata["seconds"]
 
 
+@pytest.mark.processor
 def test_passes_that_a_scene_has_no_use_for_are_not_run() -> None:
     def passes(wanted: Scene) -> set[str]:
         (frame,) = rendered(wanted, truth=())
