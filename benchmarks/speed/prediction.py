@@ -1,11 +1,12 @@
 """Predicted and measured time of frames: what `clsco plan` and `clsco validate` say of a scene.
 
-    python -m benchmarks.speed.prediction [--only WORD] [--write]
+    python -m benchmarks.speed.prediction [--only WORD] [--width PX] [--write]
 
-Scenes of examples, as they are and with other lenses, PSFs and colors, and three of the kind that photographs are put
-into. Measured is the processor time of a warm frame, the less of two, over the number of cores: what it takes where
-nothing else runs. Fails where a prediction is off by more than a factor of 2 and 10 ms; --write first fits the rates in
-clsco/cost/rates.py to what was measured, pass by pass, and takes this machine's core as that which they are of.
+Scenes of examples, as they are and with other lenses, PSFs and colors, and the photographic ones, still and moving
+(`benchmarks.speed.photographic`), with so many columns. Measured is the processor time of a warm frame, the less of
+two, over the number of cores: what it takes where nothing else runs. Fails where a prediction is off by more than a
+factor of 2 and 10 ms; --write first fits the rates in clsco/cost/rates.py to what was measured, pass by pass, and takes
+this machine's core as that which they are of.
 """
 
 from __future__ import annotations
@@ -16,12 +17,15 @@ import sys
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from clsco import Scene, load_sweep, parse_scene
+from benchmarks.speed import photographic
+from benchmarks.speed.photographic_frames import scene_of
+from clsco import Scene, load_sweep
 from clsco.cost import rates
 from clsco.cost.predict import core_seconds, cost_of, host_work
 from clsco.cost.work import Work, frame_work
@@ -37,25 +41,8 @@ ONCE = {"sequence.samples": 1}
 FACTOR, SMALL = 2.0, 0.01  # s, of which a prediction may be off in any case
 LONG = 2.0  # s, of frames that are measured once after the first, which may compile
 STEPS, ROUNDS, TINY = 3000, 12, 1e-300  # of the fit
+WIDTH = 320  # px
 NOTHING = 1e-12  # s, of an operation that the fit has no use for
-PHOTO = str(EXAMPLES / "depth_map_image.png")
-CAMERA = {
-    "focal_length": 35.0, "f_number": 1.8, "focus_distance": 600.0, "pixel_pitch": 0.036, "resolution": [480, 360],
-}  # fmt: skip
-CARD = {"shape": "rectangle", "center": [-60.0, 30.0, 600.0], "size": [160.0, 120.0], "texture": PHOTO}
-CARD |= {"texture_mapping": "surface"}
-POST = {"shape": "cylinder", "center": [70.0, 0.0, 450.0], "radius": 30.0, "texture": "#c86432"}
-TUBE = POST | {"bounds": [[-40.0, 40.0], [-60.0, 60.0], [-40.0, 40.0]]}
-BALL = {"shape": "sphere", "center": [0.0, -40.0, 350.0], "radius": 25.0, "texture": PHOTO}
-BALL |= {"motion": {"velocity": [600.0, 0.0, 0.0]}}
-BEHIND = {"shape": "background", "texture": PHOTO}
-PHOTOGRAPHIC = {
-    "card, cylinder and ball before a photo": {"camera": CAMERA, "object": [CARD, POST, BALL, BEHIND]},
-    "card, tube and ball before a photo": {"camera": CAMERA, "object": [CARD, TUBE, BALL, BEHIND]},
-    "ball before a photo, small": {
-        "camera": CAMERA | {"pixel_pitch": 0.135, "resolution": [128, 96]}, "object": [BALL, BEHIND],
-    },
-}  # fmt: skip
 Keys = Mapping[str, Any]
 OF_EXAMPLES: tuple[tuple[str, Keys], ...] = (
     ("background", {}), ("bowl", {}), ("camera_motion", {"sequence.samples": 3}), ("card", {"sequence.samples": 3}),
@@ -102,15 +89,15 @@ class Case:
     of_kinds: dict[str, float]
 
 
-def scenes() -> Iterable[tuple[str, Scene]]:
-    """All scenes by their names."""
+def scenes(width: int) -> Iterable[tuple[str, Scene]]:
+    """All scenes by their names; width: columns of the photographic ones."""
     for name, keys in OF_EXAMPLES:
         scene = load_sweep(EXAMPLES / f"{name}.toml").scenes[0]
         for key, value in keys.items():
             scene = scene.replace(key, value)
         yield " ".join([name, *(f"{key}={value}" for key, value in keys.items())]), scene
-    for name, content in PHOTOGRAPHIC.items():
-        yield name, parse_scene(content | {"sequence": {"shutter": 0.02, "samples": 1}})
+    for name, motion in product(photographic.SCENES, ("still", "moving")):
+        yield f"photographic {name} {motion}", scene_of(photographic.wanted(name, motion, "visibility", width))
 
 
 def measured(session: Session, name: str, scene: Scene) -> Case:
@@ -190,10 +177,11 @@ def main() -> int:
     formatter = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=formatter)
     parser.add_argument("--only", default="", metavar="WORD", help="in the name of a scene")
+    parser.add_argument("--width", type=int, default=WIDTH, metavar="PX", help="of photographic scenes")
     parser.add_argument("--write", action="store_true")
     options = parser.parse_args()
     session = session_for(None)
-    chosen = [(name, scene) for name, scene in scenes() if options.only in name]
+    chosen = [(name, scene) for name, scene in scenes(options.width) if options.only in name]
     cases = [measured(session, name, scene) for name, scene in chosen]
     if options.write:
         write(fitted(cases))
