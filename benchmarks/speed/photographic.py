@@ -2,7 +2,7 @@
 tracers at equal error.
 
     python -m benchmarks.speed.photographic [--only NAME] [--motion moving one still] [--modes none layered visibility]
-        [--width 640] [--repeats 3] [--base CHECKOUT] [--blender-python PATH] [-o FILE]
+        [--width 640] [--repeats 3] [--base CHECKOUT] [--base-modes visibility] [--blender-python PATH] [-o FILE]
 
 The scenes are benchmarks/speed/scenes/*.toml, in color, 640 x 480 px: wide blur behind and before what is in focus.
 `moving` takes the time samples of `auto`, `one` takes one of the same motion, and `still` has none. Figures are medians
@@ -18,7 +18,7 @@ Errors are RMS of white, against the former; see `benchmarks.speed.photographic_
 from __future__ import annotations
 
 import argparse
-import math
+import json
 import sys
 import tempfile
 from dataclasses import dataclass, replace
@@ -64,16 +64,16 @@ class Row:
         found: dict[str, float | str] = {"scene": self.scene, "motion": self.motion}
         found["time samples"] = str(next(iter(self.taken.values()))[0].samples)
         found |= {f"{mode}, s": self.seconds(mode) for mode in self.taken}
-        for mode in MODES:
+        for mode in self.taken:
             if BASE + mode in self.taken:
                 found[f"{BASE}/ {mode}"] = self.seconds(BASE + mode) / self.seconds(mode)
         found |= {f"error of {mode}": error for mode, error in self.errors.items()}
         for error in ERRORS if self.traced else ():
-            least = min(self.traced, key=lambda traced: traced.at(error))
-            enough = [mode for mode, own in self.errors.items() if own <= error]
-            found[f"tracer at {error:g}, s"] = f"{least.name} {least.at(error):.4g}"
-            fastest = min(map(self.seconds, enough), default=math.inf)
-            found[f"tracer / clsco at {error:g}"] = least.at(error) / fastest if enough else "not reached"
+            for traced in self.traced:
+                found[f"{traced.name} at {error:g}, s"] = traced.at(error)
+            enough = [self.seconds(mode) for mode, own in self.errors.items() if own <= error]
+            least = min(traced.at(error) for traced in self.traced)
+            found[f"better one / clsco at {error:g}"] = least / min(enough) if enough else "not reached"
         return found
 
 
@@ -91,6 +91,8 @@ def frames(options: argparse.Namespace, scene: str, motion: str, save: Path) -> 
     for _ in range(options.repeats):
         for mode in options.modes:
             for version, process in options.workers.items():
+                if version and mode not in options.base_modes:
+                    continue
                 frame = wanted(scene, motion, mode, options.width)
                 frame = frame if version else replace(frame, save=str(save / f"{mode}.npy"))
                 found.setdefault(version + mode, []).append(ask(process, frame))
@@ -110,6 +112,17 @@ def measured(options: argparse.Namespace, scene: str, motion: str) -> Row:
             return Row(scene, motion, taken, errors, peers.traced(judge))
 
 
+def keep(path: Path, width: int, row: Row) -> None:
+    """Put a row in place of an earlier one with its scene and motion, into a file of rows and the table beside it."""
+    rows = json.loads(path.read_text("utf-8")) if path.exists() else {}
+    rows[f"{row.scene} {row.motion}"] = row.figures()
+    order = [f"{scene} {motion}" for scene in SCENES for motion in MOTIONS]
+    rows = {name: rows[name] for name in order if name in rows}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(rows, indent=1) + "\n", "utf-8")
+    write_table(path.with_suffix(".md"), f"# Photographic scenes, {width} columns", list(rows.values()))
+
+
 def main() -> None:
     """Read the command line, measure, print and write."""
     formatter = argparse.RawDescriptionHelpFormatter
@@ -120,26 +133,26 @@ def main() -> None:
     parser.add_argument("--width", type=int, default=640, metavar="PX", help="columns; R grows with them")
     parser.add_argument("--repeats", type=int, default=3, metavar="N")
     parser.add_argument("--base", type=Path, metavar="CHECKOUT", help="another version")
+    parser.add_argument("--base-modes", nargs="+", choices=MODES, default=MODES, help="that it makes, of --modes")
     parser.add_argument("--blender-python", type=Path, metavar="PATH", help="compare with path tracers")
     parser.add_argument("--rays", type=int, nargs=2, default=(16, 64), metavar="N", help="per pixel, to judge by")
     parser.add_argument("--kept", type=Path, default=KEPT, metavar="DIR", help="where those pictures are kept")
-    parser.add_argument("-o", type=Path, dest="file", help="also write the table as Markdown")
+    parser.add_argument("-o", type=Path, dest="file", help="keep rows there, as JSON, and the table beside it")
     options = parser.parse_args()
     options.workers = {"": worker(Path(sys.executable))}
     if options.base:
         options.workers[BASE] = worker(options.base / ".venv" / "bin" / "python")
-    rows = []
     for scene in (name for name in SCENES if options.only in name):
         for motion in options.motion:
-            rows.append(measured(options, scene, motion))
-            print(rows[-1].figures(), flush=True)
-            for mode, all_taken in rows[-1].taken.items():
+            row = measured(options, scene, motion)
+            print(row.figures(), flush=True)
+            if options.file:
+                keep(options.file, options.width, row)
+            for mode, all_taken in row.taken.items():
                 passes = {name: round(spent, 3) for name, spent in all_taken[-1].passes.items()}
                 print(f"    {mode:16} {passes}")
-            for traced in rows[-1].traced:
+            for traced in row.traced:
                 print(f"    {traced}")
-    if options.file:
-        write_table(options.file, f"# Photographic scenes, {options.width} columns", [row.figures() for row in rows])
 
 
 if __name__ == "__main__":

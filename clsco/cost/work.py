@@ -22,6 +22,7 @@ from clsco.optics.psf_grid import row_lanes
 from clsco.optics.quadrics import cutting_bounds
 from clsco.optics.texture_mapping import texture_map, texture_spread
 from clsco.optics.visibility import NO_GROUP, OcclusionGroup
+from clsco.plan.buffers import has_spans
 from clsco.plan.passes import Pass
 from clsco.plan.plan import Plan
 from clsco.plan.predict import Maps
@@ -301,7 +302,7 @@ def _of_blur(
     if plan.blur == "convolve":
         wide = 1.0 + 2.0 * float(psf.reaches(size).max())
         return {"convolved row": plan.rows * plan.columns * channels * wide}
-    (visits, rows, taps), (fine_visits, _, fine_taps) = (_taps(plan, size, fine) for fine in (False, True))
+    (visits, rows, taps), (fine_visits, fine_rows, fine_taps) = (_taps(plan, size, fine) for fine in (False, True))
     kind, subs = psf.layout, plan.silhouettes**2
     partly = np.zeros(lit.shape, np.bool_) if hits is None else hits.state == PARTLY
     whole, sub = lit & ~partly, (lit & ~partly) * finer * subs
@@ -316,11 +317,13 @@ def _of_blur(
     if hits is not None and partly.any():
         one, fine = (lit & partly) * (1.0 - finer), (lit & partly) * finer * subs
         narrow = size * psf.extent < WIDE_LENS
-        met, tested = one * visits + fine * fine_visits, one * taps + fine * fine_taps
+        met, across = one * visits + fine * fine_visits, ~narrow * (one * rows + fine * fine_rows)
+        tested = 0.0 * size if has_spans(plan.spec, plan.device.has_fp64) else ~narrow * (one * taps + fine * fine_taps)
         found |= {
             "hidden source": total(met * hits.edges),
-            "edge taps": total(tested * ~narrow * (hits.edges - hits.cut_edges)),
-            "cut edge taps": total(tested * ~narrow * hits.cut_edges),
+            "edge row": total(across * (hits.edges - hits.cut_edges)),
+            "cut edge row": total(across * hits.cut_edges),
+            "edge taps": channels * total(tested),
             "narrow edge": total(met * narrow * (hits.edges - hits.cut_edges)),
             "narrow cut edge": total(met * narrow * hits.cut_edges),
         }
