@@ -68,7 +68,9 @@ def test_time_rises_with_the_blur_radius_the_time_samples_the_size_and_the_color
 def test_what_costs_nothing_is_not_reckoned_with() -> None:
     one, three = example("sphere"), example("occlusion_three")
     names = {name for scene in (one, three) for _, work in works(scene) for name in work}
-    assert "edge taps" in names
+    assert "edge row" in names
+    assert "edge taps" not in names
+    assert any("edge taps" in work for _, work in works(three.replace("psf.model", "gaussian")))
     assert not any(name.startswith(("hidden", "edge", "test")) for _, work in works(one) for name in work)
 
 
