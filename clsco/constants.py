@@ -13,6 +13,9 @@ STATISTIC_SMALLEST = 1
 STATISTIC_SLOTS = 2
 STATISTIC_MOST_SLOTS = 3
 STATISTIC_BEYOND = 4  # 1 where a hit is not where its object was predicted
+STATISTIC_OUTSIDE = 5  # 1 where a source is not still that was predicted to be (kernels/trace/still.clh)
+PLACE_NUMBERS = 10  # of the place of an object at a time sample
+MOVING_MARGIN = 4  # px around what moves, within which sources are not still
 
 # Coordinates of a surface that a texture lies on (clsco/optics/texture_mapping.py, kernels/trace/mapping.clh), and what
 # is beyond an image.

@@ -24,7 +24,9 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     slope between neighboring rays. lens_t: see `clsco.optics.lens.Lens`. surface_t: see
     `clsco.optics.quadrics.PlacedSurface`; texture: its number in the stack. texture_map_t: see
     `clsco.optics.texture_mapping.TextureMap`. light_t: see `clsco.optics.light.PlacedLight`. pose_t: see
-    `clsco.optics.motion.Pose`. group_t: see `clsco.optics.visibility.OcclusionGroup`; count: of all objects. psf_t:
+    `clsco.optics.motion.Pose`. exposure_t: see `clsco.optics.still.Exposed`; still: 1 where still sources are made, and
+    0 where the others are, in the window. group_t: see `clsco.optics.visibility.OcclusionGroup`; count: of all objects.
+    psf_t:
     how a blur radius becomes a coordinate in the tables, which intervals they hold (first, count), and which of them
     radii are clamped to (low to end - 1), see `clsco.optics.psf_tables.PsfTable`; lens_extent: of the lens in
     lens radii.
@@ -44,13 +46,15 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     mapping += _reals(real, frame=nine, scale=(4,), shift=two, slant=(), spread=(), outside=())
     light = [("members", "u8"), ("is_near", i), *_reals(real, x=(), y=(), z=(), ambient=())]
     pose = _reals(real, rotation=nine, shift=three)
+    exposure = [("moving", "u8"), ("changing", "u8")]
+    exposure += [(name, i) for name in ("samples", "still", "left", "top", "right", "bottom")]
     group = [("members", "u8"), ("occluders", "u8"), *((name, i) for name in ("count", "own", "root"))]
     psf: list[Any] = [(name, i) for name in ("first", "count", "low", "end", "reach")]
     psf += [(name, i) for name in ("sub_first", "sub_count", "sub_low", "sub_end")]
     psf += _reals(real, key=(), minimum_blur=(), fine_steps=(), fine_until=(), octaves_from=(), steps=(), sub_steps=())
     psf += _reals(real, lens_extent=())
     fields = {"grid_t": grid, "lens_t": lens, "surface_t": surface, "texture_map_t": mapping}
-    fields |= {"light_t": light, "pose_t": pose, "group_t": group, "psf_t": psf}
+    fields |= {"light_t": light, "pose_t": pose, "exposure_t": exposure, "group_t": group, "psf_t": psf}
     return {name: np.dtype(members, align=True) for name, members in fields.items()}
 
 

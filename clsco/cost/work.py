@@ -16,10 +16,12 @@ from numpy.typing import NDArray
 from clsco.constants import BAND, MAP_TRIPLANAR, TAP_LANES
 from clsco.inputs.focus import seen
 from clsco.inputs.textures import mapped_size
-from clsco.optics.exposure import middle_time
+from clsco.optics.exposure import frame_exposure, middle_time
 from clsco.optics.lens import Lens
+from clsco.optics.motion import poses_at
 from clsco.optics.psf_grid import row_lanes
-from clsco.optics.quadrics import cutting_bounds
+from clsco.optics.quadrics import cutting_bounds, place
+from clsco.optics.still import exposed, numbers
 from clsco.optics.texture_mapping import texture_map, texture_spread
 from clsco.optics.visibility import NO_GROUP, OcclusionGroup
 from clsco.plan.buffers import has_spans
@@ -55,6 +57,7 @@ LATTICE, LEAST_LATTICE = 96, 32  # cells along the longer side, in scenes of som
 FEW_TESTS = 24  # of objects by rays and of occluders by points, from which on there are fewer cells
 MANY_TESTS = 96  # and from which on occluders count as unbounded in what they hide, which takes far less
 DEPTH_LAYERS = 4  # that are reckoned with: there are up to 8, as the image has discontinuities
+MOST_PLACES = 9  # of what moves, that are looked at
 REFLECTIONS = 3  # images of a triplanar mapping
 
 
@@ -118,7 +121,8 @@ def frame_work(plan: Plan, maps: Maps) -> list[tuple[Pass, Work]]:
     else:
         of_kind |= _of_image(plan, lattice, maps)
     of_kind["ground truth"] = _of_truth(plan)
-    of_kind["accumulate"] = {"accumulated": float(plan.channels * plan.rows * plan.columns)}
+    planes = plan.channels * plan.rows * plan.columns * (1.0 + plan.divided / plan.samples)
+    of_kind["accumulate"] = {"accumulated": planes}
     shared = sum(strip.height for strip in plan.strips) / plan.height  # strips have rows of sources in common
     found = []
     for each in plan.passes:
@@ -185,39 +189,80 @@ def _hits(plan: Plan, view: View, group: OcclusionGroup, lattice: Lattice) -> Hi
 
 
 def _of_group(plan: Plan, group: OcclusionGroup, lattice: Lattice) -> dict[str, Work]:
-    """Work of the passes of an occlusion group at a time sample, by their kinds."""
+    """Work of the passes of an occlusion group at a time sample, by their kinds; of a divided frame the mean."""
     scene = plan.scene
     time = middle_time(scene.sequence, 0) if plan.moves else 0.0
     view = view_at(scene, (), time, plan.eye, plan.moves or plan.eye_moved)
-    hits, total = _hits(plan, view, group, lattice), lattice.total
-    found = {"trace": _of_rays(plan, group, hits.number, lattice)}
-    found["trace"] |= {"test": total(hits.tests), "cut test": total(hits.cuts)}
+    hits = _hits(plan, view, group, lattice)
+    every = np.ones(hits.w.shape, np.bool_)
+    if not plan.divided:
+        return _of_part(plan, group, lattice, view, hits, (every, every))
+    changed, window = _changed(plan, group, hits, lattice)
+    found = _of_part(plan, group, lattice, view, hits, (changed, window))
+    for kind, work in _of_part(plan, group, lattice, view, hits, (~changed, every)).items():
+        for name, count in work.items():
+            found[kind][name] = found[kind].get(name, 0.0) + count / plan.samples
+    return found
+
+
+def _changed(
+    plan: Plan, group: OcclusionGroup, hits: Hits, lattice: Lattice
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:  # fmt: skip
+    """Sources that are not the same at all time samples (n, m), and pixels whose rays are cast for them."""
+    scene, camera = plan.scene, plan.scene.camera
+    times = frame_exposure(scene, 0, min(plan.samples, MOST_PLACES)).times.tolist()
+    posed = [zip(scene.objects, poses_at(scene, time, plan.eye), strict=True) for time in times]
+    found = exposed(scene.objects, [[place(item, pose) for item, pose in each] for each in posed])
+    ends = found.window(group, camera, plan.psf.extent, plan.guard_px, -plan.guard_px, plan.height)
+    if ends is None:
+        return np.zeros(hits.w.shape, np.bool_), np.zeros(hits.w.shape, np.bool_)
+    down, across = ((at + plan.guard_px)[:, None] for at in (lattice.row, lattice.column))
+    window = (down >= ends[1]) & (down < ends[3]) & ((across >= ends[0]) & (across < ends[2])).T
+    changed = np.isin(hits.number, numbers(found.changing))
+    x, y = hits.rays[..., 0], hits.rays[..., 1]
+    for k in numbers(found.moving & group.occluders):
+        for left, right, low, high, _, near, *_ in found.places[:, k]:
+            way = Lens.of(camera).radius * plan.psf.extent * np.maximum(near - hits.w, 0.0)
+            changed |= (way > 0.0) & (x + way >= left) & (x - way <= right) & (y + way >= low) & (y - way <= high)
+    return changed & window, window
+
+
+def _of_part(
+    plan: Plan, group: OcclusionGroup, lattice: Lattice, view: View, hits: Hits,
+    part: tuple[NDArray[np.bool_], NDArray[np.bool_]],
+) -> dict[str, Work]:  # fmt: skip
+    """The same of a part of the sources, by where they are, and where rays are cast for them (n, m)."""
+    total, (made, cast) = lattice.total, part
+    found = {"trace": _of_rays(plan, group, hits.number, lattice, cast)}
+    found["trace"] |= {"test": total(cast * hits.tests), "cut test": total(cast * hits.cuts)}
     finer = np.zeros(hits.w.shape)
     if plan.silhouettes:
-        marked, rays = _near_silhouettes(hits.label, lattice), plan.silhouettes**2
-        detailed = (1.0 - marked) * (_parts(plan, view, hits) > 0)
-        images = _images(plan, hits.number)
+        marked, rays = cast * _near_silhouettes(hits.label, lattice), plan.silhouettes**2
+        detailed = cast * (1.0 - marked) * (_parts(plan, view, hits) > 0)
+        images = made * _images(plan, hits.number)
         found["silhouettes"] = {
-            "marked": total(np.ones(hits.w.shape)),
+            "marked": total(cast),
             "sub-pixel ray": rays * total(marked + detailed) * group.members.bit_count(),
             "sub-pixel mapped": rays * total(marked * images),
-            "sub-pixel test": rays * total(marked * hits.tests),
+            "sub-pixel test": rays * total(made * marked * hits.tests),
             "detail": total(detailed * images),
         }
         finer = np.maximum(marked, detailed)
-    lit = (hits.w > 0.0) & (hits.state != HIDDEN)
+    lit = made & (hits.w > 0.0) & (hits.state != HIDDEN)
     found["blur"] = _of_blur(plan, lattice, hits.radius, lit, finer, hits)
     return found
 
 
-def _of_rays(plan: Plan, group: OcclusionGroup, number: NDArray[np.int32], lattice: Lattice) -> Work:
-    """Work of rays that hit objects of these numbers, -1 for none."""
-    images, moved = _images(plan, number), bool(plan.features()["MOVED"])
+def _of_rays(
+    plan: Plan, group: OcclusionGroup, number: NDArray[np.int32], lattice: Lattice, cast: NDArray[np.bool_]
+) -> Work:  # fmt: skip
+    """Work of rays that hit objects of these numbers, -1 for none, where they are cast."""
+    images, moved = cast * _images(plan, number), bool(plan.features()["MOVED"])
     return {
-        "ray": group.members.bit_count() * lattice.total(number >= -1),
-        "moved": plan.channels * lattice.total((number >= 0) & (images == 0)) if moved else 0.0,
+        "ray": group.members.bit_count() * lattice.total(cast),
+        "moved": plan.channels * lattice.total(cast & (number >= 0) & (images == 0)) if moved else 0.0,
         "mapped": lattice.total(images),
-        "lit": lattice.total(number >= 0) if plan.scene.light is not None else 0.0,
+        "lit": lattice.total(cast & (number >= 0)) if plan.scene.light is not None else 0.0,
     }
 
 
@@ -274,7 +319,7 @@ def _of_image(plan: Plan, lattice: Lattice, maps: Maps) -> dict[str, Work]:
         layers[name] = count * (DEPTH_LAYERS if name == "walked" else (plan.channels + 1) / plan.channels)
     everything = OcclusionGroup((1 << len(plan.scene.objects)) - 1, 0)
     return {
-        "pinhole": _of_rays(plan, everything, number.astype(np.int32), lattice),
+        "pinhole": _of_rays(plan, everything, number.astype(np.int32), lattice, np.ones(w.shape, np.bool_)),
         "static image": {"sent": pixels * plan.channels},
         "reproject": {"reprojected": pixels * len(plan.scene.objects)},
         "fill": {"filled": pixels},

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
 
@@ -15,9 +16,29 @@ from clsco.opencl.session import Session
 from clsco.optics.depth_layers import LayerBounds
 from clsco.optics.exposure import frame_exposure
 from clsco.passes.blur import Events, Plane
+from clsco.passes.placed import Part
 from clsco.plan.plan import Plan
 
 NOTHING_MISSING = {"missing_pixels": 0, "filled_pixels": 0, "unfilled_pixels": 0, "sweeps": 0}
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A run of the passes of a plan, for all sources of a time sample or a part of them.
+
+    Attributes
+    ----------
+    number : int
+        Number of the time sample, at whose time the objects are.
+    weights : ndarray of float64, (rows,)
+        Weights of the plane in the frame.
+    still : bool, optional
+        Sources of a divided exposure: the still ones, or the others; None for all sources.
+    """
+
+    number: int
+    weights: NDArray[np.float64]
+    still: bool | None = None
 
 
 class Film:
@@ -33,13 +54,16 @@ class Film:
     ----------
     times : list of float
         Its time samples, s.
-    weights : ndarray of float64 (samples, rows)
+    steps : tuple of Step
+        Runs of the passes, of which the frame is the sum.
     color : ndarray of float32 (rows, columns[, channels])
     subframes : ndarray of float32 (samples or 0, rows, columns[, channels])
     missing : ndarray of bool (rows, columns)
         Pixels that were missing at any time sample, filled or not.
     bounds : dict
         Bounds of the depth layers of time samples by their numbers, where they come from all strips.
+    parts : dict
+        Parts of a divided exposure by `Step.still`.
     events : list
         Launches.
     reports : dict
@@ -50,19 +74,25 @@ class Film:
         exposure = frame_exposure(plan.scene, index, plan.samples)
         shape = (plan.rows, plan.columns)
         image = shape if plan.channels == 1 else (*shape, plan.channels)
-        self.index, self.times, self.weights = index, exposure.times.tolist(), exposure.of_rows(plan.rows)
+        self.index, self.times, weights = index, exposure.times.tolist(), exposure.of_rows(plan.rows)
+        still = None if not plan.divided else False
+        self.steps = tuple(Step(number, each, still) for number, each in enumerate(weights))
+        if plan.divided:
+            self.steps = (Step(0, weights.sum(axis=0), True), *self.steps)
         self.shares = exposure.weights.reshape(len(self.times), -1).mean(axis=1).tolist()
         self.color = np.empty(image, np.float32)
         self.subframes = np.empty((len(self.times) if "subframes" in plan.truth else 0, *image), np.float32)
         self.missing = np.zeros(shape, np.bool_)
         self.bounds: dict[int, LayerBounds | None] = {}
+        self.parts: dict[bool | None, Part] = {}
         self.events: Events = []
         self.reports: dict[int, dict[str, Any]] = {}
         self.began = perf_counter()
         self._planes: list[tuple[Plane, NDArray[np.float32]]] = []
 
-    def add(self, session: Session, strip: Strip, number: int, found: Mapping[str, Any]) -> None:
-        """Add what the passes of a time sample, by its number, have handed on for a strip."""
+    def add(self, session: Session, strip: Strip, count: int, found: Mapping[str, Any]) -> None:
+        """Add what the passes of a step, by its number, have handed on for a strip."""
+        number = self.steps[count].number
         report = {"time": self.times[number], "weight": self.shares[number]} | NOTHING_MISSING | found.get("counts", {})
         self.reports[number] = report | {name: found[name] for name in ("depth_layers",) if name in found}
         if "missing" in found:
@@ -71,7 +101,7 @@ class Film:
             return
         if len(self.subframes):
             found["plane"].read(session, self.subframes[number][strip.inside])
-        if number == len(self.times) - 1:
+        if count == len(self.steps) - 1:
             self._planes.append((found.get("frame", found["plane"]), self.color[strip.inside]))
 
     def read(self, session: Session) -> None:

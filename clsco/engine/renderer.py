@@ -89,23 +89,26 @@ class Renderer:
             film.missing |= self.pixels.missing
         if statistics is not None:
             cl.enqueue_copy(self.session.queue, statistics, EMPTY_STATISTICS)
-        for number in range(len(film.times)) if len(self.plan.strips) > 1 else ():
+        if self.plan.divided:
+            film.parts = self.scene.parts(film.times)
+        for number in range(len(film.steps)) if len(self.plan.strips) > 1 else ():
             strips = (self._moment(film, strip, number) for strip in self.plan.strips)
             film.bounds[number] = self.space.find_layers(self.plan.passes, strips)
         return film
 
-    def _moment(self, film: Film, strip: Strip, number: int) -> Moment:
-        sample, weights = self.scene.at(film.times[number]), film.weights[number, strip.inside]
+    def _moment(self, film: Film, strip: Strip, count: int) -> Moment:
+        step = film.steps[count]
         return Moment(
-            strip=strip, grid=self.grids[strip], events=film.events, bounds=film.bounds.get(number), sample=sample,
-            weights=weights, first=number == 0,
+            strip=strip, grid=self.grids[strip], events=film.events, bounds=film.bounds.get(step.number),
+            sample=self.scene.at(film.times[step.number]), weights=step.weights[strip.inside], first=count == 0,
+            part=film.parts.get(step.still),
         )  # fmt: skip
 
-    def add(self, film: Film, strip: Strip, number: int) -> None:
-        """Run the passes of a time sample, by its number, on a strip."""
-        at = self._moment(film, strip, number)
+    def add(self, film: Film, strip: Strip, count: int) -> None:
+        """Run the passes of a step, by its number, on a strip."""
+        at = self._moment(film, strip, count)
         passes = (step for step in self.plan.passes if step.kind != "ground truth")
-        film.add(self.session, strip, number, self.space.run(passes, at))
+        film.add(self.session, strip, count, self.space.run(passes, at))
 
     def finish(self, film: Film) -> Frame:
         """The frame, of the strips added: again with larger buffers where the plan was too small."""
@@ -185,16 +188,16 @@ def expose(renderers: Sequence[Renderer], index: int) -> list[Film]:
 def _expose(renderers: Sequence[Renderer], index: int) -> list[Film]:
     session, plan = renderers[0].session, renderers[0].plan
     films = [renderer.begin(index) for renderer in renderers]
-    samples, strips = len(films[0].times), plan.strips
+    steps, strips = len(films[0].steps), plan.strips
     if {step.kind for step in plan.passes} <= {"ground truth"}:
         return films
     for number, strip in enumerate(strips):
-        for count in range(samples):
+        for count in range(steps):
             before = [film.events[-1:] for film in films]
             for renderer, film in zip(renderers, films, strict=True):
                 renderer.add(film, strip, count)
             if (progress := session.progress) is not None:
-                _keep_pace(before, progress, number * samples + count, len(strips) * samples)
+                _keep_pace(before, progress, number * steps + count, len(strips) * steps)
         for film in films:
             film.read(session)
     return films

@@ -347,7 +347,8 @@ def _shares_rays(one: tuple[Plan, ...], other: tuple[Plan, ...]) -> bool:
     return all(
         casts_for_lenses(a)
         and casts_for_lenses(b)
-        and (a.blur, a.groups, a.silhouettes, a.samples) == (b.blur, b.groups, b.silhouettes, b.samples)
+        and (a.blur, a.groups, a.silhouettes, a.samples, a.divided)
+        == (b.blur, b.groups, b.silhouettes, b.samples, b.divided)
         for a, b in zip(one, other, strict=True)
     )
 

@@ -136,7 +136,7 @@ def _ray_runs(tracer: Tracer, handed_on: Callable[[Moment, Any], Any]) -> dict[K
     def trace(at: Moment) -> tuple[Any, ...]:
         return (handed_on(at, tracer.trace(at)),)
 
-    def silhouettes(at: Moment, sources: Sources) -> tuple[Any, ...]:
+    def silhouettes(at: Moment, sources: Sources | None) -> tuple[Any, ...]:
         return (tracer.silhouettes(at, sources),)
 
     def pinhole(at: Moment) -> tuple[Any, ...]:
@@ -204,10 +204,11 @@ def blur_runs(
         prepare_sources(target, at.grid, blur.struct, image.maps, buffers["source"], at.events)
         return (Sources(buffers["source"], image.value),)
 
-    def spread(at: Area, lit: Sources, begun: Plane | None = None) -> tuple[Any, ...]:
+    def spread(at: Area, lit: Sources | None, begun: Plane | None = None) -> tuple[Any, ...]:
         if begun is None:
             blur.begin(at.grid)
-        blur.add(lit, at.events)
+        if lit is not None:
+            blur.add(lit, at.events)
         return (blur.plane(at.events),)
 
     if not spec.layered:

@@ -46,6 +46,7 @@ HEADERS_OF = {
         "trace/light.clh",
         "trace/texture.clh",
         "trace/outline.clh",
+        "trace/still.clh",
     ),
     "trace/truth.cl": (*MAPPING_HEADERS, "trace/light.clh", "trace/texture.clh"),
     "blur/blur.cl": ("common/sources.clh", "common/psf.clh"),
@@ -136,6 +137,7 @@ def launch(
     local_size: tuple[int, ...],
     *args: Argument,
     work: float = 1.0,
+    origin: tuple[int, ...] = (),
 ) -> list[cl.Event]:
     """Enqueue a kernel over at least `global_size` work-items and return its events; in order with all others.
 
@@ -143,22 +145,24 @@ def launch(
     there are. global_size is rounded up to whole groups of local_size, so the kernel's first statement has to be a
     guard. local_size is fixed by the kernel, since each new one is compiled anew. args: buffers or None, NumPy
     scalars, scalars of a structured dtype, in the kernel's order. work: of a work-item, 1 where it does about as much
-    as others do for a pixel. Raises DeviceError when the device cannot run it, CanceledError between two pieces.
+    as others do for a pixel. origin: number of the first work-item along each axis, by default 0. Raises DeviceError
+    when the device cannot run it, CanceledError between two pieces.
     """
     groups = tuple([-(-size // group) for size, group in zip(global_size, local_size, strict=True)])
     padded = tuple([count * group for count, group in zip(groups, local_size, strict=True)])
     work, most = work * prod(padded), max(groups)
     expected = session.pace.expected(kernel, work)
     if expected <= pace.PIECE or most <= 1:
-        event = launch_whole(session, kernel, padded, local_size, *args)
+        event = launch_whole(session, kernel, padded, local_size, *args, offset=origin if any(origin) else None)
         session.pace.launched(kernel, work, [event], expected)
         return [event]
     axis = groups.index(most)
 
     def enqueue(begin: int, end: int) -> cl.Event:
-        size, offset = list(padded), [0] * len(padded)
-        size[axis], offset[axis] = (end - begin) * local_size[axis], begin * local_size[axis]
-        return launch_whole(session, kernel, tuple(size), local_size, *args, offset=tuple(offset) if begin else None)
+        size, offset = list(padded), list(origin or (0,) * len(padded))
+        size[axis], offset[axis] = (end - begin) * local_size[axis], offset[axis] + begin * local_size[axis]
+        begins = tuple(offset) if any(offset) else None
+        return launch_whole(session, kernel, tuple(size), local_size, *args, offset=begins)
 
     return in_pieces(session, kernel, most, work, expected, enqueue)
 

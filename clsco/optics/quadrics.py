@@ -83,6 +83,9 @@ class PlacedSurface:
         Center in the reference pose, mm.
     constant : float
         The quadric's value at the lens center.
+    ball : ndarray of float64, (4,)
+        Center x, y, z and radius of a ball around the surface before the camera, mm; the radius is infinite where there
+        is none.
     seen : Extent
         Bounds of the surface in the image and in depth.
     """
@@ -96,6 +99,7 @@ class PlacedSurface:
     own_offset: Vector
     rest: Vector
     constant: float
+    ball: Vector
     seen: Extent = EVERYWHERE
 
 
@@ -227,12 +231,12 @@ def place(item: Object, pose: Pose) -> PlacedSurface:
         constant = (distance - item.radius) * (distance + item.radius)
     else:
         constant = float(shape.q @ offset**2 + 2.0 * (shape.l @ offset) - shape.k)
-    ways = (turn, offset, body_turn, body_offset, own_turn, own_offset)
-    return PlacedSurface(shape, *ways, rest, constant, _seen(item, pose))
+    ways, ball = (turn, offset, body_turn, body_offset, own_turn, own_offset), _ball(item, pose)
+    return PlacedSurface(shape, *ways, rest, constant, ball, _seen(*ball.tolist()))
 
 
-def _seen(item: Object, pose: Pose) -> Extent:
-    """Extent of a bounding ball; everywhere if there is none, or the lens is in it."""
+def _ball(item: Object, pose: Pose) -> Vector:
+    """See `PlacedSurface.ball`."""
     balls: list[tuple[Vector, float]] = []
     if isinstance(item, Sphere):
         balls.append((np.zeros(3), item.radius))
@@ -244,10 +248,13 @@ def _seen(item: Object, pose: Pose) -> Extent:
         box = np.array(item.bounds)
         balls.append((static_rotation(item) @ box.mean(axis=1), 0.5 * float(np.linalg.norm(box[:, 1] - box[:, 0]))))
     if not balls:
-        return EVERYWHERE
+        return np.array([0.0, 0.0, 0.0, inf])
     middle, radius = min(balls, key=lambda ball: ball[1])
-    x, y, z = (rest_center(item) + pose.shift + pose.rotation @ middle).tolist()
-    radius *= 1.0 + 1e-9
+    return np.array([*(rest_center(item) + pose.shift + pose.rotation @ middle), radius * (1.0 + 1e-9)])
+
+
+def _seen(x: float, y: float, z: float, radius: float) -> Extent:
+    """Extent of a ball; everywhere if the lens is in it."""
     if z - radius <= 1e-3 * radius:
         return EVERYWHERE
 

@@ -100,10 +100,11 @@ class Target:
     real: Real
 
     def run(
-        self, name: str, size: tuple[int, ...], local: tuple[int, ...], events: Events, *args: Any, work: float = 1.0
-    ) -> None:
+        self, name: str, size: tuple[int, ...], local: tuple[int, ...], events: Events, *args: Any, work: float = 1.0,
+        origin: tuple[int, ...] = (),
+    ) -> None:  # fmt: skip
         """Enqueue a kernel as `clsco.opencl.program.launch` does; events gets its name and its events."""
-        for event in launch(self.session, kernel(self.program, name), size, local, *args, work=work):
+        for event in launch(self.session, kernel(self.program, name), size, local, *args, work=work, origin=origin):
             events.append((name, event))
 
 

@@ -18,6 +18,7 @@ from clsco.optics.point_spread import MINIMUM_BLUR, PointSpread
 from clsco.optics.psf_grid import octaves_from, sampled_steps, table_steps
 from clsco.optics.psf_tables import PsfTable
 from clsco.optics.quadrics import PlacedSurface, cutting_bounds
+from clsco.optics.still import Exposed, Window
 from clsco.optics.texture_mapping import TextureMap, texture_spread
 from clsco.optics.visibility import OcclusionGroup
 from clsco.records import Real, Struct, filled, structs
@@ -145,6 +146,13 @@ def light_struct(light: PlacedLight, real: Real) -> Struct:
 def group_struct(group: OcclusionGroup, objects: int) -> Struct:
     """group_t of an occlusion group of a scene of so many objects."""
     return filled("group_t", "double", vars(group) | {"count": objects})
+
+
+def exposure_struct(exposed: Exposed, still: bool, window: Window | None, real: Real) -> Struct:
+    """exposure_t of a part of an exposure; no window: sources that are not still are nowhere."""
+    ends = dict(zip(("left", "top", "right", "bottom"), window or (0, 0, 0, 0), strict=True))
+    values = {"moving": exposed.moving, "changing": exposed.changing, "samples": len(exposed.places), "still": still}
+    return filled("exposure_t", real, values | ends)
 
 
 def psf_struct(psf: PointSpread, table: PsfTable, subpixel: PsfTable | None, real: Real) -> Struct:

@@ -19,10 +19,11 @@ from clsco.optics.light import place_light
 from clsco.optics.motion import Eye, Pose, poses_at, rest_center, rest_poses
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import PlacedSurface, place
+from clsco.optics.still import Exposed, exposed
 from clsco.optics.texture_mapping import texture_map
 from clsco.passes.blur import Area
 from clsco.passes.pack import light_struct, pose_structs, surface_structs, texture_map_structs, texture_planes
-from clsco.records import Real, Struct, structs
+from clsco.records import REAL, Real, Struct, structs
 from clsco.scene.model import Scene
 
 # A source is at most its mean and 4 c of it with c < 0.0901 (kernels/trace/footprint.clh).
@@ -58,6 +59,23 @@ class TimeSample:
     light: tuple[Struct, ...] = ()
 
 
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Sources of a divided exposure: the still ones, or the others of a time sample.
+
+    Attributes
+    ----------
+    exposed : Exposed
+    places : Buffer
+        Its `places` on the device.
+    still : bool
+    """
+
+    exposed: Exposed
+    places: cl.Buffer
+    still: bool
+
+
 @dataclass(frozen=True, kw_only=True)
 class Moment(Area):
     """A strip of a frame at a time sample.
@@ -69,11 +87,14 @@ class Moment(Area):
         Weights of the time sample in the strip.
     first : bool
         It is the first time sample of the frame.
+    part : Part, optional
+        Sources that are made, where a frame is divided.
     """
 
     sample: TimeSample
     weights: NDArray[np.float64]
     first: bool
+    part: Part | None = None
 
 
 class PlacedScene:
@@ -196,10 +217,20 @@ class PlacedScene:
         """The objects as the textures show them."""
         return self.posed(rest_poses(self.scene))
 
+    def parts(self, times: Sequence[float]) -> dict[bool | None, Part]:
+        """The parts of a divided exposure with time samples at these times in s, by `Part.still`."""
+        placed = (self._placed(poses_at(self.scene, time, self.eye)) for time in times)
+        found = exposed(self.scene.objects, [[each for each in one if each is not None] for one in placed])
+        places = self.hold(found.places.astype(REAL[self.real]))
+        return {still: Part(found, places, still) for still in (True, False)}
+
+    def _placed(self, poses: Sequence[Pose]) -> Surfaces:
+        pairs = zip(self.scene.objects, poses, strict=True)
+        return tuple(place(item, pose) if item.is_analytic else None for item, pose in pairs)
+
     def posed(self, poses: Sequence[Pose], time: float = 0.0) -> TimeSample:
         """The objects in given poses."""
-        pairs = zip(self.scene.objects, poses, strict=True)
-        placed = tuple(place(item, pose) if item.is_analytic else None for item, pose in pairs)
+        placed = self._placed(poses)
         packed = self._surface_structs(placed)
         return TimeSample(time, tuple(poses), placed, packed, self.hold(packed))
 

@@ -16,10 +16,11 @@ from clsco.opencl.program import build
 from clsco.opencl.session import Session
 from clsco.optics.lens import Lens
 from clsco.optics.quadrics import EVERYWHERE
+from clsco.optics.still import Window
 from clsco.optics.visibility import OcclusionGroup
 from clsco.passes.blur import PIXELS, Image, Sources, Target
-from clsco.passes.pack import group_struct, lens_struct
-from clsco.passes.placed import Moment, PlacedScene
+from clsco.passes.pack import exposure_struct, group_struct, lens_struct
+from clsco.passes.placed import Moment, Part, PlacedScene
 from clsco.plan.buffers import STATISTICS, Sizes, hit_buffers
 from clsco.plan.plan import Plan
 from clsco.records import REAL, Struct, structs
@@ -29,6 +30,7 @@ TRACE_FILES = ("trace/trace.cl", "trace/truth.cl")  # the kernels that cast rays
 # What of the statistics a frame must begin with: no radius met, no slot taken (trace.cl).
 EMPTY_STATISTICS = np.zeros(STATISTICS, np.int32)
 EMPTY_STATISTICS[STATISTIC_SMALLEST] = np.iinfo(np.int32).max
+NO_SOURCE = np.array([-1.0], np.float32)  # as a coordinate, and as the bits of a mark, which is no slot
 
 HitPlanes = tuple[cl.Buffer, ...]  # value, depth and label, as in trace.cl
 Cast = Callable[[HitPlanes], None]
@@ -145,36 +147,47 @@ class Tracer:
         ends += np.array([-1.0, 1.0] * 3) * (ROUNDED * np.abs(ends))
         return (upload(self.scene.session, ends.astype(REAL[self.scene.real])),)
 
-    def trace(self, at: Moment) -> Sources:
-        """Sources of one occlusion group; its buffers are those of the group before, which the queue is done with."""
+    def trace(self, at: Moment) -> Sources | None:
+        """Sources of one occlusion group, None where a part of an exposure has none; its buffers are those of the group
+        before, which the queue is done with."""
         buffers, sizes, head = self.buffers, hit_buffers(self.plan.grid, self.plan.mapped > 0), self._head(at)
+        window = self._window(at)
+        if window is None:
+            return None
         if self.hits is None:
             planes = tuple(buffers[name] for name in sizes)
-            self._cast(at, planes)
+            self._cast(at, planes, window, self._exposure(at))
         else:
-            planes = self.hits.planes(sizes, self._key(at), lambda found: self._cast(at, found))
+            every = self._exposure(at, every=True)
+            planes = self.hits.planes(sizes, self._key(at), lambda found: self._cast(at, found, whole_grid(at), every))
         value, depth, label = planes
         source = buffers.get("source")
+        if source is not None and at.part is not None and not at.part.still:
+            cl.enqueue_fill_buffer(self.target.session.queue, source, NO_SOURCE, 0, source.size)
         beside = (value, *self.scene.texture_maps, buffers["share"]) if "share" in buffers else ()
         out = (source, buffers["statistics"], *self.extents)
-        self._per_pixel("aim", at, *head, depth, label, *out, *beside)
+        self._per_pixel("aim", at, window, *head, depth, label, *out, *beside, *self._exposure(at))
         hidden: dict[str, Any] = {}
         if self.plan.spec.occluders:
             hidden = {"lens": self.lens, "surfaces": at.sample.surfaces, "group": head[3], "depth": depth}
         return Sources(source, value, label=label, **hidden)
 
-    def _cast(self, at: Moment, planes: HitPlanes) -> None:
+    def _cast(self, at: Moment, planes: HitPlanes, window: Window, exposure: tuple[Any, ...]) -> None:
         """Enqueue the rays of one occlusion group, which are the same for all lenses."""
-        grid, _, surfaces, group, _ = self._head(at)
-        self._per_pixel("cast", at, grid, surfaces, group, *self._appearance(at), *planes)
+        grid, lens, surfaces, group, psf = self._head(at)
+        divided = (lens, psf, *exposure) if exposure else ()
+        self._per_pixel("cast", at, window, grid, surfaces, group, *self._appearance(at), *planes, *divided)
 
-    def silhouettes(self, at: Moment, sources: Sources) -> Sources:
+    def silhouettes(self, at: Moment, sources: Sources | None) -> Sources | None:
         """The sources of an occlusion group with those of sub-pixels."""
+        window = self._window(at)
+        if sources is None or window is None:
+            return None
         plan, buffers, statistics = self.plan, self.buffers, self.buffers["statistics"]
         slots, source = np.int32(plan.slots), buffers["source"]
         cl.enqueue_fill_buffer(self.target.session.queue, statistics, np.zeros(1, np.int32), 4 * STATISTIC_SLOTS, 4)
         marks = (at.grid, sources.label, slots, source, buffers["pixels"], statistics)
-        self._per_pixel("mark_silhouettes", at, *marks)
+        self._per_pixel("mark_silhouettes", at, window, *marks)
         if at.first:
             self._check_room()
         subs = buffers["sub_source"], buffers["sub_value"]
@@ -186,14 +199,16 @@ class Tracer:
         run("label_subpixels", size, PIXELS[:1], at.events, *labeled)
         covered = (grid, surfaces, buffers["pixels"], slots, source, labels, subs[0], statistics)
         run("cover_outlines", (plan.slots,), PIXELS[:1], at.events, *covered)
-        traced = (*slotted, *subs, labels, depth, statistics)
+        exposure = self._exposure(at)
+        centers = (source,) if exposure else ()
+        traced = (*slotted, *subs, labels, depth, statistics, *centers, *exposure)
         run("trace_subpixels", size, PIXELS[:1], at.events, *traced)
         value = sources.value
         if "sharper" in buffers:
-            detailed = (*slotted, *subs, depth, statistics)
+            detailed = (*slotted, *subs, depth, statistics, *centers)
             run("trace_detail", (plan.slots,), PIXELS[:1], at.events, *detailed)
             value = buffers["sharper"]
-            self._per_pixel("sharpen", at, at.grid, sources.value, buffers["share"], source, value)
+            self._per_pixel("sharpen", at, window, at.grid, sources.value, buffers["share"], source, value)
         return replace(
             sources, value=value, sub_source=subs[0], sub_value=subs[1], capacity=plan.slots, sub_depth=depth
         )
@@ -208,7 +223,7 @@ class Tracer:
         """The image of a pinhole, with its radii."""
         value, coc, valid = (self.buffers[name] for name in ("value", "coc", "valid"))
         head = (at.grid, self.lens, at.sample.surfaces, everything(self.plan), *self._appearance(at))
-        self._per_pixel("pinhole", at, *head, value, coc, valid, self.buffers["statistics"])
+        self._per_pixel("pinhole", at, whole_grid(at), *head, value, coc, valid, self.buffers["statistics"])
         return Image(value, (coc, valid))
 
     def _key(self, at: Moment) -> HitKey:
@@ -229,9 +244,31 @@ class Tracer:
         group = group_struct(at.group, len(at.sample.placed))
         return at.grid, self.lens, at.sample.surfaces, group, self.psf
 
-    def _per_pixel(self, name: str, at: Moment, *args: Any) -> None:
-        size = (int(at.grid["width"]), int(at.grid["height"]))
-        self.target.run(name, size, PIXELS, at.events, *args)
+    def _changed(self, at: Moment, part: Part) -> Window | None:
+        """Window of the sources that are not still."""
+        plan, strip = self.plan, at.strip
+        rows = strip.top - strip.above, strip.height
+        return part.exposed.window(at.group, plan.scene.camera, plan.psf.extent, plan.guard_px, *rows)
+
+    def _window(self, at: Moment) -> Window | None:
+        """Part of the grid whose sources are made."""
+        return whole_grid(at) if at.part is None or at.part.still else self._changed(at, at.part)
+
+    def _exposure(self, at: Moment, every: bool = False) -> tuple[Any, ...]:
+        """Kernel arguments of a part of an exposure; every: of rays that other lenses share."""
+        if at.part is None:
+            return ()
+        window, part = self._changed(at, at.part), at.part
+        return exposure_struct(part.exposed, part.still or every, window, self.scene.real), part.places
+
+    def _per_pixel(self, name: str, at: Moment, window: Window, *args: Any) -> None:
+        left, top, right, bottom = window
+        self.target.run(name, (right - left, bottom - top), PIXELS, at.events, *args, origin=(left, top))
+
+
+def whole_grid(at: Moment) -> Window:
+    """Window of all pixels of frame and apron."""
+    return 0, 0, int(at.grid["width"]), int(at.grid["height"])
 
 
 def ray_target(plan: Plan, scene: PlacedScene) -> Target:

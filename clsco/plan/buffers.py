@@ -23,7 +23,7 @@ from clsco.constants import (
     ROW_TILE,
     SCORE_SUMS,
     SCORED_COLUMNS,
-    STATISTIC_BEYOND,
+    STATISTIC_OUTSIDE,
     TAP_LANES,
     WIDE_LANES,
 )
@@ -50,7 +50,7 @@ MOST_IN_ONE_SUM = 256  # taps of `gather` that a float adds up before it goes in
 MAP_BYTES = structs("double")["texture_map_t"].itemsize
 UNKNOWN = 2**62  # bytes, of a limit that is not known
 COUNTERS = COUNTER_DONE + 1  # ints, of a filling
-STATISTICS = STATISTIC_BEYOND + 1  # ints, of a frame
+STATISTICS = STATISTIC_OUTSIDE + 1  # ints, of a frame
 # Outputs that ground_truth writes, with what one pixel of each takes: dtype and components (0: the channels).
 TRUTH_BUFFERS: dict[str, tuple[type[np.generic], int]] = {
     "object_id": (np.int32, 1),

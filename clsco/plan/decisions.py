@@ -7,11 +7,12 @@ from dataclasses import dataclass, fields, replace
 from clsco.frame.frame import ALL_TRUTH, MAPPING_NAMES, MOTION_NAMES, STEREO_NAMES
 from clsco.optics.motion import Eye
 from clsco.optics.point_spread import PointSpread
-from clsco.optics.quadrics import Extent
+from clsco.optics.quadrics import Extent, place
+from clsco.optics.still import exposed
 from clsco.optics.texture_mapping import needs_detail
 from clsco.optics.visibility import OcclusionGroup, extent, is_hollow, occlusion_groups
 from clsco.plan.choice import Choice
-from clsco.plan.methods import Blur, Occlusion, can_convolve, choose_blur
+from clsco.plan.methods import MANY_RADII, Blur, Occlusion, can_convolve, choose_blur
 from clsco.plan.predict import (
     Maps,
     Prediction,
@@ -71,6 +72,8 @@ class Choices:
         Method by which nearer surfaces hide farther ones.
     ground_truth : Choice of tuple of str
         Outputs besides color and alpha.
+    still_sources : Choice of bool
+        Sources that all time samples share are blurred once.
     other_outputs : Choice of bool
         All possible outputs are wanted, or none.
     """
@@ -89,6 +92,7 @@ class Choices:
     color: Choice[bool]
     occlusion: Choice[Occlusion]
     ground_truth: Choice[tuple[str, ...]]
+    still_sources: Choice[bool]
     other_outputs: Choice[bool]
 
     @property
@@ -125,6 +129,7 @@ def choose(
         blur = replace(blur, reason=why, unused=(*SPREAD_KEYS, *aperture))
     renormalize, guard_band = choose_border(scene)
     truth, others = choose_truth(scene, request.truth)
+    spread = rays.value and occlusion.value != "layered" and blur.value in MANY_RADII
     choices = Choices(
         image=choose_image(request.color),
         motion=choose_samples(scene, maps),
@@ -140,6 +145,7 @@ def choose(
         color=Choice(True) if channels > 1 else Choice(False, "gray texture: one channel"),
         occlusion=occlusion,
         ground_truth=truth,
+        still_sources=choose_still_sources(scene, spread, request.truth, seen, groups),
         other_outputs=others,
     )
     return choices, groups, extents
@@ -252,6 +258,23 @@ def choose_border(scene: Scene) -> tuple[Choice[bool], Choice[bool]]:
         return Choice(True), Choice(False, "light stays inside the frame")
     beyond = "the mirrored map" if is_static_map(scene) else "surface"
     return Choice(False, 'border = "lose"'), Choice(True, f"{beyond} outside the frame lights it")
+
+
+def choose_still_sources(
+    scene: Scene, spread: bool, asked: tuple[str, ...], seen: Prediction, groups: tuple[OcclusionGroup, ...]
+) -> Choice[bool]:
+    """True where sources that all time samples share are blurred once; spread: sources of rays have many radii."""
+    if not scene.moves:
+        return Choice(True)
+    if not spread:
+        return Choice(False, "only sources from rays that are spread one by one are told apart")
+    if scene.camera.motion.moves:
+        return Choice(False, "the camera moves")
+    if "subframes" in asked:
+        return Choice(False, "each sub-frame needs all sources")
+    placed = [[place(item, pose) for item, pose in zip(scene.objects, poses, strict=True)] for poses in seen.poses]
+    found = exposed(scene.objects, placed)
+    return Choice(True) if any(map(found.spares, groups)) else Choice(False, "no source is sure to be still")
 
 
 def choose_truth(scene: Scene, asked: tuple[str, ...]) -> tuple[Choice[tuple[str, ...]], Choice[bool]]:

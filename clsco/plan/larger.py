@@ -8,7 +8,13 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.constants import STATISTIC_BEYOND, STATISTIC_LARGEST, STATISTIC_MOST_SLOTS, STATISTIC_SMALLEST
+from clsco.constants import (
+    STATISTIC_BEYOND,
+    STATISTIC_LARGEST,
+    STATISTIC_MOST_SLOTS,
+    STATISTIC_OUTSIDE,
+    STATISTIC_SMALLEST,
+)
 from clsco.errors import SceneError
 from clsco.optics.lens import LARGEST_BLUR
 from clsco.optics.visibility import apart
@@ -33,12 +39,15 @@ class Met:
         Most pixels near silhouettes at a time sample.
     beyond : bool
         A hit was outside of the predicted extent of its object, so that it may be hidden by others than its group has.
+    outside : bool
+        A source is not still that was predicted to be.
     """
 
     smallest: float
     largest: float
     slots: int
     beyond: bool
+    outside: bool = False
 
     @classmethod
     def of(cls, statistics: NDArray[np.int32]) -> Self:
@@ -49,6 +58,7 @@ class Met:
             float(radii[STATISTIC_LARGEST]),
             int(statistics[STATISTIC_MOST_SLOTS]),
             bool(statistics[STATISTIC_BEYOND]),
+            bool(statistics[STATISTIC_OUTSIDE]),
         )
 
 
@@ -72,8 +82,10 @@ def larger_plan(plan: Plan, met: Met, limit: Limit) -> Plan | None:
         The blur radius passes LARGEST_BLUR, or the memory that was given does not suffice.
     """
     fits = met.largest <= plan.largest_blur * SLACK + 1e-6 and met.smallest >= plan.smallest_blur / SLACK - 1e-6
-    if met.largest == 0.0 or (fits and met.slots <= plan.slots and not met.beyond):
+    if met.largest == 0.0 or (fits and met.slots <= plan.slots and not met.beyond and not met.outside):
         return None
+    if met.outside:
+        plan = replace(plan, choices=replace(plan.choices, still_sources=Choice(False, "a still source was not")))
     wider = replace(
         _for_any_place(plan) if met.beyond else plan, least_slots=max(met.slots, plan.slots) if plan.silhouettes else 0
     )

@@ -122,6 +122,11 @@ class Plan:
     extents: tuple[Extent, ...] = ()
 
     @property
+    def divided(self) -> bool:
+        """True if sources that all time samples share are blurred once."""
+        return self.moves and self.averages and self.choices.still_sources.value
+
+    @property
     def color(self) -> bool:
         """True where the image is made, and not ground truth alone."""
         return self.choices.image.value
@@ -267,6 +272,7 @@ class Plan:
             "FILTER": FILTERS[scene.motion.texture_filter] if self.choices.texture_sampling.value else 0,
             "TEXTURED": self.mapped,
             "LIT": 0 if scene.light is None else self.channels - self.alpha,
+            "DIVIDED": int(self.divided),
             "TILT": int(self.tilt),
             "SUBPIXELS": self.silhouettes,
             "SAMPLED": psf["SAMPLED"],
@@ -381,8 +387,9 @@ def _image_passes(plan: Plan) -> Iterator[Pass]:
         for number, group in enumerate(plan.groups):
             yield from _group_passes(plan, group, number == 0)
     if plan.averages:
-        time_samples = (("time samples", "blurred planes, added up with a weight for each row"),)
-        yield Pass("accumulate", time_samples, named("frame", sum_buffers(grid)), ("plane",), ("frame",))
+        added: Parameters = (("time samples", "blurred planes, added up with a weight for each row"),)
+        added += (("still sources", "blurred once, the others for each time sample"),) if plan.divided else ()
+        yield Pass("accumulate", added, named("frame", sum_buffers(grid)), ("plane",), ("frame",))
 
 
 def _truth_pass(plan: Plan) -> Pass:

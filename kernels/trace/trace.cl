@@ -94,11 +94,16 @@ static float4 with_detail(const lens_t lens, __constant texture_map_t *maps, flo
 #endif
 
 // Hits of the rays through all pixels of frame and apron with the nearest object of occlusion group `group`, for all
-// lenses. Out: value, depth, label. With textures on surfaces value has a plane more, of texels per pixel as
-// `surface_texture` gives them.
+// lenses, or for one by which sources are told apart. Out: value, depth, label. With textures on surfaces value has a
+// plane more, of texels per pixel as `surface_texture` gives them.
 __kernel void cast(const grid_t grid, __constant surface_t *surfaces, const group_t group,
                    __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global float *value,
-                   __global real *depth, __global uchar *label)
+                   __global real *depth, __global uchar *label
+#if DIVIDED
+                   , const lens_t own_lens, const psf_t own_psf
+#endif
+                   OF_EXPOSURE
+)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)
@@ -110,6 +115,10 @@ __kernel void cast(const grid_t grid, __constant surface_t *surfaces, const grou
     const real w = nearest_surface(surfaces, group, ray, &root, &object);
     depth[at] = w;
     label[at] = root;
+#if DIVIDED
+    if (is_left_out(grid, own_lens, surfaces, group, own_psf, exposure, places, ray, w, object))
+        return;
+#endif
     const int plane = grid.height * grid.width;
     const float texels = take_radiance(grid, surfaces, ray, w, root, row, column, 1, 1,
                                        texture TEXTURE_MAPS LIGHT, value + at, plane);
@@ -139,6 +148,7 @@ __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *su
 #if TEXTURED && SUBPIXELS
                   , __global const float *value, __constant texture_map_t *maps, __global float *share
 #endif
+                  OF_EXPOSURE
 )
 {
     const int x = get_global_id(0), y = get_global_id(1);
@@ -148,11 +158,27 @@ __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *su
     const real3 ray = pixel_ray(grid, FRAME_ROW(grid, y), x - grid.guard);
     const uchar hit = label[at] & ~EDGE;
     uchar root = hit;
+#if DIVIDED
+    const int object = hit ? (hit - 1) / 2 : -1;
+    if (is_left_out(grid, lens, surfaces, group, psf, exposure, places, ray, depth[at], object)) {
+        put_source(source, grid.height * grid.width, at, (float4)(FAR_ELSEWHERE, 0, 0, as_float(WHOLE)));
+        label[at] = hit;
+        return;
+    }
+#endif
     float4 record = source_record(grid, lens, surfaces, group, psf, ray, depth[at], ray, depth[at], 0, &root,
                                   statistics);
 #if TEXTURED && SUBPIXELS
     const float texels = value[CHANNELS * grid.height * grid.width + at];
     record = with_detail(lens, maps, record, depth[at], hit, texels, share + at);
+#endif
+#if DIVIDED
+    const bool still = is_still(grid, lens, surfaces, group, psf, exposure, places, ray, depth[at], object,
+                                MOVING_MARGIN);
+    if (!still)
+        check_window(grid, exposure, at, statistics);
+    if (still != exposure.still)
+        record.x = ELSEWHERE;
 #endif
     if (source)
         put_source(source, grid.height * grid.width, at, record);
@@ -176,6 +202,10 @@ __kernel void mark_silhouettes(const grid_t grid, __global const uchar *label, c
     if (x >= grid.width || y >= grid.height)
         return;
     const int at = y * grid.width + x;
+#if DIVIDED
+    if (all_left_out(grid, source, x, y))
+        return;
+#endif
     const uchar own = label[at];
     bool differs = false, detailed = false, fine = false;
 #if TEXTURED
@@ -264,7 +294,12 @@ __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant s
                               __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
                               __global const int *pixels, const int capacity, __global float4 *sub_source,
                               __global float *sub_value, __global const uchar *sub_label,
-                              __global const real *sub_depth, __global int *statistics)
+                              __global const real *sub_depth, __global int *statistics
+#if DIVIDED
+                              , __global const float *centers
+#endif
+                              OF_EXPOSURE
+)
 {
     const int id = get_global_id(0), each = SUBPIXELS * SUBPIXELS;
     const int slot = id / each, sub = id % each;
@@ -276,6 +311,19 @@ __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant s
     const real3 middle = cell_ray(grid, pixels[slot], sub, 0, 0);
     const real depth = sub_depth[id];
     uchar root = sub_label[id];
+#if DIVIDED
+    // Sources of a pixel that is not still are not: they may be there at some time samples alone.
+    const bool pixel_still = (centers[pixels[slot]] <= ELSEWHERE) != exposure.still;
+    const int hit = root ? (root - 1) / 2 : -1;
+    const bool still = pixel_still && is_still(grid, lens, surfaces, group, psf, exposure, places, middle, depth, hit,
+                                               MOVING_MARGIN);
+    if (!still)
+        check_window(grid, exposure, pixels[slot], statistics);
+    if (still != exposure.still) {
+        sub_source[id] = (float4)(ELSEWHERE, 0, 0, as_float(WHOLE));
+        return;
+    }
+#endif
     real3 ray = middle;
     real w = depth;
     if (cover.y != 0 || cover.z != 0) {
@@ -299,12 +347,23 @@ __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant s
 __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
                            const psf_t psf, __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
                            __global const int *pixels, const int capacity, __global float4 *sub_source,
-                           __global float *sub_value, __global real *sub_depth, __global int *statistics)
+                           __global float *sub_value, __global real *sub_depth, __global int *statistics
+#if DIVIDED
+                           , __global const float *centers
+#endif
+)
 {
     const int slot = get_global_id(0), each = SUBPIXELS * SUBPIXELS;
     if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] >= 0)
         return;
     const int code = -1 - pixels[slot], at = code / 2, fine = code & 1, parts = fine ? FINE_PARTS : FEW_PARTS;
+#if DIVIDED
+    if (centers[at] <= ELSEWHERE) {
+        for (int sub = 0; sub < each; ++sub)
+            sub_source[slot * each + sub] = (float4)(ELSEWHERE, 0, 0, as_float(WHOLE));
+        return;
+    }
+#endif
     const int row = FRAME_ROW(grid, at / grid.width), column = at % grid.width - grid.guard;
     const real3 ray = pixel_ray(grid, row, column);
     uchar root;

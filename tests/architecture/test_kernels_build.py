@@ -54,7 +54,7 @@ GATHER, SCATTER = FILES_OF["gather"], FILES_OF["scatter"]
 # Files that are built together: feature -> value when off, when on, and others. Structure is all that is compiled in.
 PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     TRACE_FILES: GEOMETRY
-    | dict.fromkeys(("MOVED", "TILT", "OCCLUDED", "LIMITED", "GATHER"), ON_OR_OFF)
+    | dict.fromkeys(("MOVED", "TILT", "OCCLUDED", "LIMITED", "GATHER", "DIVIDED"), ON_OR_OFF)
     | {"SUBPIXELS": (0, 4, 2, 3), "TEXTURED": (0, 2, 1), "LIT": (0, 1, 3), "EDGES": (0,)},
     GATHER: dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(BLUR, ON_OR_OFF)

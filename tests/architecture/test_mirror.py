@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 KERNELS = sorted((ROOT / "kernels").rglob("*.cl"))
-# NumPy has what angles.clh has; others are vectors of processors.
+# NumPy has what angles.clh has, and the reference all sources at all time samples; others are vectors of processors.
 VECTORS = [
     f"{group}/{folder}{name}.clh"
     for group, name in (("common", "builtins"), ("common", "lanes"), ("inpainting", "lanes"))
@@ -18,7 +18,7 @@ VECTORS = [
 ]
 HEADERS = sorted(
     set((ROOT / "kernels").rglob("*.clh"))
-    - {ROOT / "kernels" / name for name in ("common/angles.clh", "common/cpu/pocl.clh", *VECTORS)}
+    - {ROOT / "kernels" / name for name in ("common/angles.clh", "common/cpu/pocl.clh", "trace/still.clh", *VECTORS)}
 )
 # What has no twin of its own, and why.
 WITHOUT_TWIN = {

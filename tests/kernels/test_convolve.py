@@ -170,8 +170,8 @@ def test_same_bits_again_and_in_other_groups(session: Session, psf: Psf, monkeyp
     first = found().tobytes()
     assert found().tobytes() == first
 
-    def other(session: Any, kernel: Any, size: Any, usual: Any, *args: Any, work: float) -> Any:
-        return launch(session, kernel, size, (3, 2, 1)[: len(usual)], *args, work=work)
+    def other(session: Any, kernel: Any, size: Any, usual: Any, *args: Any, **given: Any) -> Any:
+        return launch(session, kernel, size, (3, 2, 1)[: len(usual)], *args, **given)
 
     monkeypatch.setattr(blur, "launch", other)
     assert found().tobytes() == first

@@ -135,9 +135,9 @@ def on_a_gpu(session: Session, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     spread = import_module("clsco.passes.blur")
     launch = spread.launch
 
-    def noted(session: Session, kernel: Any, *args: Any, work: float) -> Any:
+    def noted(session: Session, kernel: Any, *args: Any, **given: Any) -> Any:
         names.append(kernel.function_name)
-        return launch(session, kernel, *args, work=work)
+        return launch(session, kernel, *args, **given)
 
     monkeypatch.setattr(spread, "launch", noted)
     return names

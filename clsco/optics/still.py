@@ -1,0 +1,158 @@
+"""Division of a frame's sources into still ones, which all time samples share, and the others (float64, pure).
+
+Blurring still sources once, with the weight of the whole exposure, adds the same terms in another order. How the device
+tells them apart is said in kernels/trace/still.clh.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import ceil, floor, inf, isfinite, isinf
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.constants import MOVING_MARGIN, PLACE_NUMBERS
+from clsco.optics.lens import Lens, ray_step
+from clsco.optics.quadrics import PlacedSurface, cutting_bounds
+from clsco.optics.visibility import OcclusionGroup
+from clsco.scene.model import Camera, Object
+
+Array = NDArray[np.float64]
+Window = tuple[int, int, int, int]
+"""Left, top, right, bottom of a part of the grid of a frame or strip, apron included, px; the last two beyond it."""
+
+SAME_SHAPE = 1e-12  # relative: differences of rounding, in poses that turn a shape about its axis
+WINDOW_MARGIN = 2 * MOVING_MARGIN + 1  # px: sources that are not still, and what their outlines are found from
+
+
+@dataclass(frozen=True, eq=False)
+class Exposed:
+    """Changes of objects while the shutter of a frame is open.
+
+    Attributes
+    ----------
+    moving, changing : int
+        Bit k: the shape of object k moves; its shape or its texture does. A cylinder that turns about its axis changes,
+        and hides what it hid before.
+    places : ndarray of float64, (samples, objects, PLACE_NUMBERS)
+        Place of each object at each time sample: low and high x and y of rays, low and high inverse depth in 1/mm
+        (`PlacedSurface.seen`); and of the ball around it x and y of the ray to its center, the inverse depth of this,
+        and the radius times this, infinite without a ball.
+    """
+
+    moving: int
+    changing: int
+    places: Array
+
+    def spares(self, group: OcclusionGroup) -> bool:
+        """True if sources of an occlusion group may be still: nothing that moves about them is without bounds."""
+        moving = numbers(self.moving & (group.members | group.occluders))
+        return bool(group.members & ~self.changing) and bool(np.isfinite(self.places[:, moving, 9]).all())
+
+    def window(
+        self, group: OcclusionGroup, camera: Camera, reach: float, guard: int, first: int, height: int
+    ) -> Window | None:  # fmt: skip
+        """Part of a grid in which sources of an occlusion group are not still, None where all are.
+
+        Parameters
+        ----------
+        group : OcclusionGroup
+        camera : Camera
+            With its resolution.
+        reach : float
+            Extent of the lens in lens radii.
+        guard : int
+            Columns of the apron on each side.
+        first, height : int
+            Row of the frame with which the grid begins, below 0 in the apron, and number of rows.
+        """
+        step, (columns, rows), radius = ray_step(camera), camera.frame_size, Lens.of(camera).radius * reach
+        still, found = numbers(group.members & ~self.changing), list[Array]()
+        for k in numbers(group.members & self.changing):
+            found.append(self.places[:, k, :4])
+        for k in numbers(group.occluders & self.moving) if still else ():
+            ahead = self.places[:, k, 5] - self.places[:, still, 4].min()
+            found.append(self.places[:, k, :4] + radius * np.maximum(ahead, 0.0)[:, None] * [-1.0, 1.0, -1.0, 1.0])
+        if not found:
+            return None
+        ends = np.concatenate(found) / step
+        x, y = 0.5 * (columns - 1) + guard, 0.5 * (rows - 1) - first
+        left, right = _cells(x + ends[:, 0].min(), x + ends[:, 1].max(), columns + 2 * guard)
+        top, bottom = _cells(y - ends[:, 3].max(), y - ends[:, 2].min(), height)
+        return (left, top, right, bottom) if left < right and top < bottom else None
+
+
+def numbers(bits: int) -> list[int]:
+    """Numbers of the objects whose bits are set."""
+    return [k for k in range(bits.bit_length()) if bits >> k & 1]
+
+
+def _cells(low: float, high: float, size: int) -> tuple[int, int]:
+    """First pixel within WINDOW_MARGIN of what is between two places, and the one after the last, of so many."""
+    first = floor(low) - WINDOW_MARGIN if isfinite(low) else 0
+    last = ceil(high) + WINDOW_MARGIN + 1 if isfinite(high) else size
+    return min(max(first, 0), size), max(min(last, size), 0)
+
+
+def exposed(items: Sequence[Object], times: Sequence[Sequence[PlacedSurface]]) -> Exposed:
+    """Find the changes in an exposure of analytic objects, placed at the time of each of its samples.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from clsco import Cylinder
+    >>> from clsco.optics.motion import Pose
+    >>> from clsco.optics.quadrics import place
+    >>> from clsco.optics.still import exposed
+    >>> tube, turn = Cylinder(center=(0, 0, 280), radius=30), np.diag([-1.0, 1.0, -1.0])
+    >>> found = exposed((tube,), [(place(tube, Pose(r, np.zeros(3))),) for r in (np.eye(3), turn)])
+    >>> found.moving, found.changing
+    (0, 1)
+    """
+    moving = changing = 0
+    for k, item in enumerate(items):
+        first, *others = (surfaces[k] for surfaces in times)
+        changed = [other for other in others if not _same_place(first, other)]
+        changing |= bool(changed) << k
+        moving |= (not all(_same_shape(item, first, other) for other in changed)) << k
+    places = np.array([_place(one) for surfaces in times for one in surfaces])
+    return Exposed(moving, changing, places.reshape(len(times), len(items), PLACE_NUMBERS))
+
+
+def _place(surface: PlacedSurface) -> list[float]:
+    """See `Exposed.places`."""
+    seen, (x, y, z, radius) = surface.seen, surface.ball.tolist()
+    w, size = (0.0, inf) if isinf(seen.w[1]) else (1.0 / z, radius / z)  # infinite: the lens is in the ball
+    return [*seen.x, *seen.y, *seen.w, x * w, y * w, w, size]
+
+
+def _same_place(one: PlacedSurface, other: PlacedSurface) -> bool:
+    """True if an object is in the same pose, to the bit."""
+    ways = ("turn", "offset", "body_turn", "body_offset", "own_turn", "own_offset")
+    return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in ways)
+
+
+def _same_shape(item: Object, one: PlacedSurface, other: PlacedSurface) -> bool:
+    """True if an object in another pose hides the same, but for rounding."""
+    pairs = zip(_hiding(item, one), _hiding(item, other), strict=True)
+    return all(bool((np.abs(a - b) <= SAME_SHAPE * scale).all()) for (a, scale), (b, _) in pairs)
+
+
+def _hiding(item: Object, surface: PlacedSurface) -> Iterator[tuple[Array, float]]:
+    """Numbers that follow from the shape of an object, in the frame of the camera, each with the size of its terms: the
+    quadratic, linear and constant part of its equation, the axis of its nappe, the center of a disc, and bounds."""
+    shape, turn, offset = surface.canonical, surface.turn, surface.offset
+    size, far, straight = float(np.abs(shape.q).max()), float(np.linalg.norm(offset)), float(np.linalg.norm(shape.l))
+    yield turn.T @ (shape.q[:, None] * turn), size
+    yield turn.T @ (shape.q * offset + shape.l), size * far + straight
+    yield np.asarray(surface.constant), size * far**2 + straight * far + abs(shape.k)
+    if shape.nappe:
+        yield turn[2], 1.0
+    if isfinite(shape.radius):
+        yield turn.T @ offset, far
+    for axis, ends in enumerate(cutting_bounds(item) or ()):
+        if any(map(isfinite, ends)):
+            yield surface.own_turn[axis], 1.0
+            yield surface.own_offset[axis], float(np.linalg.norm(surface.own_offset))
