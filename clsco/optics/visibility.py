@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import lru_cache, reduce
 from math import inf
 
 import numpy as np
@@ -41,12 +41,15 @@ class OcclusionGroup:
 NO_GROUP = OcclusionGroup(0, 0)  # where objects are not told apart
 
 
+@lru_cache(maxsize=16)
 def lens_floats(psf: PointSpread) -> Array:
-    """Lens as kernels read it: its cells; of a `signed` one mirrored cells and its straight edges after them."""
-    cells = psf.lens_cells()
-    if not psf.signed:
-        return cells
-    return np.concatenate([cells.ravel(), cells[::-1, ::-1].ravel(), np.ravel(psf.pupil.edges)])
+    """Lens as kernels read it: its cells; of a `signed` one mirrored cells and its straight edges after them. Not to be
+    written to."""
+    found = psf.lens_cells()
+    if psf.signed:
+        found = np.concatenate([found.ravel(), found[::-1, ::-1].ravel(), np.ravel(psf.pupil.edges)])
+    found.flags.writeable = False
+    return found
 
 
 def extent(item: Object, poses: Sequence[Pose], seen: Array) -> Extent:
