@@ -322,9 +322,8 @@ class Preview:
         stops = self._stops
         self._is_exact_underway = True
         scene, index = self._at_rest()
-        key = id(self), self._session.revision, index, self._time, self._eye
         try:
-            question = Question(scene, index, key, x, y, self._eye, purpose == MEASURE)
+            question = Question(scene, index, x, y, self._eye, purpose == MEASURE)
             await report(await self._renderer.inspect(question, self._watch))
         except CanceledError:
             if self._stops == stops:

@@ -55,18 +55,22 @@ class Job:
 
 @dataclass(frozen=True)
 class Question:
-    """Request for the figures of a pixel; frames of one `key` are the same.
+    """Request for the figures of a pixel.
 
     measures: the response of its source is asked for, which takes a rendering of its own.
     """
 
     scene: Scene
     index: int
-    key: tuple[int, int, int, float | None, Eye]
     x: int
     y: int
     eye: Eye = "left"
     measures: bool = False
+
+    @property
+    def frame(self) -> tuple[Scene, int, Eye]:
+        """The frame that is asked about."""
+        return self.scene, self.index, self.eye
 
 
 @dataclass(frozen=True)
@@ -296,7 +300,7 @@ def _needed(job: Job) -> Scene:
 class _Known:
     """A frame with all of its ground truth, whether tilt counts in it, and the time of a response, s."""
 
-    key: tuple[int, int, int, float | None, Eye]
+    asked: tuple[Scene, int, Eye]
     frame: Any
     is_tilted: bool
     seconds: float
@@ -454,13 +458,13 @@ class _Worker:
         from clsco.frame.frame import ALL_TRUTH
         from clsco.plan.prepare import prepare
 
-        if self._known is None or self._known.key != question.key:
+        if self._known is None or self._known.asked != question.frame:
             self._check(number)
             self._known = None
             plan = prepare(question.scene, None, self._live.session.device, self._live.files).plan
             frame = self._frame(question.scene, question, ALL_TRUTH)
             seconds = sum(frame.metadata["seconds"].values())  # in kernels, without what was compiled
-            self._known = _Known(question.key, frame, plan.tilt and plan.occlusion != "layered", seconds)
+            self._known = _Known(question.frame, frame, plan.tilt and plan.occlusion != "layered", seconds)
         return self._known
 
     def _frame(self, scene: Scene, of: Job | Question, truth: tuple[str, ...]) -> Frame:

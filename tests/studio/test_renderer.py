@@ -144,14 +144,16 @@ async def eyes(renderer: Renderer) -> None:
 async def pixels(renderer: Renderer) -> None:
     scene = small()
     (frame,) = clsco.render(scene, device="pocl")
-    found = await renderer.inspect(Question(scene, 0, (1, 1, 0, None, "left"), 20, 15))
+    found = await renderer.inspect(Question(scene, 0, 20, 15))
     assert found["values"]["depth"] == float(frame.depth[15, 20])  # type: ignore[index]
     assert 0.0 < found["seconds"] < 1.0
-    measured = await renderer.inspect(Question(scene, 0, (1, 1, 0, None, "left"), 20, 15, measures=True))
+    measured = await renderer.inspect(Question(scene, 0, 20, 15, measures=True))
     expected = figures_of(clsco.response(scene, 20, 15, device="pocl"), 20, 15)
     assert measured == {"x": 20, "y": 15, "response": expected}
-    beside = await renderer.inspect(Question(scene, 0, (1, 1, 0, None, "left"), 99, 99, measures=True))
+    beside = await renderer.inspect(Question(scene, 0, 99, 99, measures=True))
     assert beside == {"x": 47, "y": 39, "unmeasured": "no surface"}
+    other = await renderer.inspect(Question(scene.replace("object.0.center", [0.0, 0.0, 290.0]), 0, 20, 15))
+    assert other["values"]["depth"] > found["values"]["depth"]
 
 
 async def faults(renderer: Renderer) -> None:
