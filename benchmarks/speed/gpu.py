@@ -118,9 +118,9 @@ def cases() -> Iterator[tuple[str, Callable[[], Call]]]:
         scene = sized(sphere, *SIZES[name])
         yield f"{FRAMES} frames of a drag of focus, {name}", partial(dragged, scene, "camera.focus_distance", 240, 310)
     for radius in (2.0, 6.0, 20.0, 60.0):
-        yield f"clsco.defocus, R to {radius:g} px, 2048 x 2048", partial(defocused, 2048, radius, 1)
-    yield "clsco.defocus, R to 20 px, color, 2048 x 2048", partial(defocused, 2048, 20.0, 3)
-    yield "clsco.defocus, R to 20 px, 8192 x 8192", partial(defocused, 8192, 20.0, 1)
+        yield f"clsco.defocus with depth layers, R to {radius:g} px, 2048 x 2048", partial(defocused, 2048, radius, 1)
+    yield "clsco.defocus with depth layers, R to 20 px, color, 2048 x 2048", partial(defocused, 2048, 20.0, 3)
+    yield "clsco.defocus with depth layers, R to 20 px, 8192 x 8192", partial(defocused, 8192, 20.0, 1)
     for radius, channels, method in product((2.0, 6.0, 20.0, 60.0), (1, 3), ("tiles", "scatter")):
         shown = "color" if channels == 3 else "gray"
         yield f"blur by {method}, R to {radius:g} px, {shown}, 2048 x 2048", partial(spread, method, radius, channels)
