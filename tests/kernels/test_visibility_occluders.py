@@ -262,7 +262,7 @@ def test_any_surface_before_any_point(session: Session, run_source: Runner, psf:
     found = {name: met.fields[name][twice].astype(np.float64) for name in ("root", "f", "slack")}
     root = found["root"][:, 0]
     bend = np.abs(found["f"][:, 2:]).sum(axis=1) + (found["f"][:, :2] ** 2).sum(axis=1) / (4 * root**2)
-    assert_close(found["slack"][:, 0], 2 * bend / root * (64 if gather else 1) / 8 + 1, 5 * FLOAT)
+    assert_close(found["slack"][:, 0], 2 * bend / root * (64 if gather else 1) / 4 + 1, 5 * FLOAT)
 
 
 def test_near_bounds_in_single_precision(session: Session, run_source: Runner) -> None:
