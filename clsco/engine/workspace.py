@@ -13,8 +13,7 @@ from clsco.frame.strips import Grid
 from clsco.opencl.buffers import allocate
 from clsco.opencl.session import Session
 from clsco.optics.depth_layers import LayerBounds
-from clsco.optics.lens import blur_radius
-from clsco.optics.quadrics import axial_inverse_depth
+from clsco.optics.quadrics import axial_blur_radius
 from clsco.passes.accumulate import FrameSum
 from clsco.passes.blur import Area, Image, Maps, Plane, Sources, blur_target, padded_plane, prepare_sources
 from clsco.passes.clusters import Clusters, Layers, layered_program
@@ -118,18 +117,13 @@ def _handed_on(plan: Plan) -> Callable[[Moment, Any], Any]:
         return padded_plane(at.grid, light.value, plan.channels)
 
     def sources(at: Moment, light: Image | Sources) -> Sources:
-        return Sources(None, light.value, radius=_central_radius(plan, at))
+        surface = next(each for each in at.sample.placed if each is not None)  # one plane at one depth
+        return Sources(None, light.value, radius=abs(axial_blur_radius(plan.scene.camera, surface)))
 
     def itself(_: Moment, light: Image | Sources) -> Image | Sources:
         return light
 
     return {"none": plane, "convolve": sources}.get(plan.blur, itself)
-
-
-def _central_radius(plan: Plan, at: Moment) -> float:
-    """|R| on the axis in px, which is that of every pixel where the blur is a convolution."""
-    surface = next(each for each in at.sample.placed if each is not None)
-    return abs(float(blur_radius(plan.scene.camera, axial_inverse_depth(surface))))
 
 
 def _ray_runs(tracer: Tracer, handed_on: Callable[[Moment, Any], Any]) -> dict[Kind, Run]:

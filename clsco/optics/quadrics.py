@@ -14,8 +14,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.optics.bounds import Bounds, cutting
+from clsco.optics.lens import blur_radius
 from clsco.optics.motion import Pose, rest_center, static_rotation
-from clsco.scene.model import Background, Cone, Cylinder, Disc, Ellipsoid, Object, Plane, Quadric, Rectangle, Sphere
+from clsco.scene.model import (
+    Background,
+    Camera,
+    Cone,
+    Cylinder,
+    Disc,
+    Ellipsoid,
+    Object,
+    Plane,
+    Quadric,
+    Rectangle,
+    Sphere,
+)
 
 Vector = NDArray[np.float64]
 # Eigenvalues of a quadric below this fraction of the largest count as zero: they are rounding, not curvature.
@@ -265,9 +278,10 @@ def _seen(x: float, y: float, z: float, radius: float) -> Extent:
     return Extent(interval(x), interval(y), (1.0 / (z + radius), 1.0 / (z - radius)))
 
 
-def axial_inverse_depth(surface: PlacedSurface) -> float:
-    """Inverse depth in 1/mm at which the axis of the camera meets a plane."""
-    return -2.0 * float(surface.canonical.l @ surface.turn[:, 2]) / surface.constant
+def axial_blur_radius(camera: Camera, surface: PlacedSurface) -> float:
+    """Signed blur radius in px where the axis of the camera meets a plane."""
+    inverse_depth = -2.0 * float(surface.canonical.l @ surface.turn[:, 2]) / surface.constant
+    return float(blur_radius(camera, inverse_depth))
 
 
 def predict_inverse_depth(
