@@ -131,7 +131,7 @@ def _in_parts(reach: int) -> bool:
 
 def ends_bytes(spec: BlurSpec, channels: int, columns: int) -> int:
     """Ends of runs of a band."""
-    return 8 * BAND * (columns + 1) * (1 + spec.tilt) * channels
+    return 8 * BAND * (columns + 1) * (1 + spec.tilt) * (4 if channels == 3 else channels)
 
 
 def source_bytes(sources: int, tilt: bool, marked: bool = False) -> int:

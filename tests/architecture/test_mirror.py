@@ -40,6 +40,7 @@ WITHOUT_TWIN = {
     "sources": dict.fromkeys(("get_source", "put_source"), "where the planes of a record are"),
     "visibility_test": {
         "shared_cells": "free_share, which the device shortens where no two edges meet",
+        "move_inwards": "the first lines of tap_share",
     },
     "psf": dict.fromkeys(
         ("pixel_spread", "subpixel_spread", "tap", "source_visibility"),

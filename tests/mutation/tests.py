@@ -69,6 +69,7 @@ TESTS = {
     "trace/footprint.clh": "pipeline/test_surface_textures",
     "trace/detail.clh": "pipeline/test_surface_textures",
     "trace/outline.clh": "kernels/test_trace kernels/test_trace_hidden pipeline/test_outlines",
+    "trace/still.clh": "pipeline/test_still_sources kernels/test_trace",
     "trace/texture.clh": "kernels/test_trace kernels/test_trace_hidden",
     "trace/truth.cl": "kernels/test_trace kernels/test_trace_bounds kernels/test_trace_hidden",
     "trace/trace.cl": "kernels/test_silhouettes kernels/test_trace_hidden kernels/test_trace_bounds "
