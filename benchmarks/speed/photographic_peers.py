@@ -29,7 +29,7 @@ from clsco.inputs.textures import load_scene_textures
 Array = NDArray[Any]
 POSES = 5
 THREADS = 2
-TIMED = (4, 25)  # rays per pixel of pictures whose times give that of a ray
+TIMED = (4, 64)  # rays per pixel of pictures whose times give that of a ray
 LEAST_POWER = 0.5  # of the number of rays, by which noise falls in the end
 
 
