@@ -188,7 +188,7 @@ class Tracer:
         cl.enqueue_fill_buffer(self.target.session.queue, statistics, np.zeros(1, np.int32), 4 * STATISTIC_SLOTS, 4)
         marks = (at.grid, sources.label, slots, source, buffers["pixels"], statistics)
         self._per_pixel("mark_silhouettes", at, window, *marks)
-        if at.first:
+        if at.first and plan.spec.occluders:
             self._check_room()
         subs = buffers["sub_source"], buffers["sub_value"]
         labels, depth = buffers["sub_label"], buffers["sub_depth"]
