@@ -20,7 +20,7 @@ class Fault:
     check: str = "races"
 
 
-LAST_BARRIER = """                        first_y + n / across, item, &chunk SUBPIXEL_VALUES);
+LAST_BARRIER = """                        &chunk SUBPIXEL_VALUES);
         barrier(CLK_LOCAL_MEM_FENCE);
 """
 FAULTS = (
@@ -102,8 +102,8 @@ FAULTS = (
     Fault(
         "a source too many",
         "blur/tiles.cl",
-        "        if (n < across * down)\n",
-        "        if (n <= across * down)\n",
+        "source_y < grid.height)\n            note_source",
+        "source_y <= grid.height)\n            note_source",
         "tiles",
         "Invalid read",
     ),
