@@ -147,8 +147,8 @@ def test_a_long_frame_is_announced_with_what_takes_less() -> None:
     assert line is not None
     time = r"a frame will take about [\d.]+ (min|h) on \d+ cores?, \d+% of it in the pass blur; cheaper: "
     assert re.match(time, line)
-    assert 'psf.occlusion = "layered", ' in line
-    assert "(31 to 43 dB where objects overlap, docs/occlusion.md)" in line
+    assert 'psf.occlusion = "none", ' in line
+    assert "(24 to 36 dB where objects overlap, docs/occlusion.md)" in line
     assert "sequence.samples = 5, " in line
     for setting, less in cheaper_settings(prepared, found):
         assert less <= WORTH * found.seconds
