@@ -127,6 +127,7 @@ def test_what_passes_at_the_middle_is_seen(plainly: Make) -> None:
     assert_alike(rendered(wanted, truth=()), plainly(wanted))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["scatter"])
 def test_other_methods(method: str, plainly: Make) -> None:
     wanted = scene("ball before a card, a tube and a photo")
@@ -134,6 +135,7 @@ def test_other_methods(method: str, plainly: Make) -> None:
     assert_alike(found, exact)
 
 
+@pytest.mark.slow
 def test_single_precision(plainly: Make) -> None:
     wanted = scene("ball before a card, a tube and a photo")
     assert_alike(rendered(wanted, truth=(), precision="single"), plainly(wanted, precision="single"), 5e-6)
@@ -147,6 +149,7 @@ def test_each_frame_of_a_sequence(plainly: Make) -> None:
     np.testing.assert_array_equal(alone.color, second.color)
 
 
+@pytest.mark.slow
 def test_alpha_and_ground_truth_are_those_of_the_plain_sum(plainly: Make) -> None:
     wanted = scene("ball before a card, a tube and a photo")
     (found,), (plain,) = rendered(wanted, truth=("alpha", "depth", "flow", "object_id")), plainly(wanted)
