@@ -130,7 +130,7 @@ def _in_parts(reach: int) -> bool:
 
 
 def ends_bytes(spec: BlurSpec, channels: int, columns: int) -> int:
-    """Ends of runs of a band."""
+    """Bytes of the ends of runs of a band, see kernels/blur/cpu/spans.clh."""
     return 8 * BAND * (columns + 1) * (1 + spec.tilt) * (4 if channels == 3 else channels)
 
 
