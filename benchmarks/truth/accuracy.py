@@ -63,6 +63,15 @@ SCENES: dict[str, dict[str, Any]] = {
         **BALL,
         "motion": {"velocity": [2.0, 1.0, 3.0], "angular_velocity": [0.0, 10.0, 5.0]},
     },
+    "sphere_accelerated": {
+        **BALL,
+        "motion": {
+            "velocity": [-1.0, 1.0, 0.0],
+            "acceleration": [6.0, -2.0, 8.0],
+            "angular_acceleration": [0.0, 20.0, 8.0],
+        },
+    },
+    "sphere_spinning": {**BALL, "motion": {"angular_velocity": [0.0, 0.0, 60.0]}},
 }
 
 PLAIN = {"tilt": False, "silhouette_samples": 1}

@@ -29,7 +29,8 @@ class Problem:
     and the square of the largest distance from the z axis; `rotations` (objects, 3, 3), from that frame to the camera's
     axes at t = 0; `group_...` (objects, 3) of what carries each object, 0 for nothing; `textures` (objects, rows,
     columns, channels) linear radiance, 0 where an image lies on the surface; `mappings` (objects, SIZE) and `images`
-    (texels, channels) of these (`surface_images.py`); `light` (5,): where it is in mm, or three numbers towards it,
+    (texels, channels) of these (`surface_images.py`); `accelerations` and `angular_accelerations` (objects, 3) of
+    the objects' own motions; `light` (5,): where it is in mm, or three numbers towards it,
     whether the former, and the share of the texture that is seen without it; None without a light.
     """
 
@@ -45,6 +46,8 @@ class Problem:
     rotations: Array
     velocities: Array
     angular_velocities: Array
+    accelerations: Array
+    angular_accelerations: Array
     group_centers: Array
     group_velocities: Array
     group_angular_velocities: Array
@@ -163,6 +166,8 @@ def prepare(scene: Any, textures: Textures, rows: int, columns: int, frame: int 
         rotations=np.array([_static_rotation(item.rotation) for item in objects]),
         velocities=np.array([item.motion.velocity for item in objects], float),
         angular_velocities=np.radians([item.motion.angular_velocity for item in objects]),
+        accelerations=_gains(objects, "acceleration"),
+        angular_accelerations=np.radians(_gains(objects, "angular_acceleration")),
         group_centers=group_centers,
         group_velocities=group_velocities,
         group_angular_velocities=np.radians(group_turns),
@@ -171,6 +176,11 @@ def prepare(scene: Any, textures: Textures, rows: int, columns: int, frame: int 
         images=flat,
         light=_light(getattr(scene, "light", None)),
     )
+
+
+def _gains(objects: Any, key: str) -> Array:
+    """An acceleration of each object, (objects, 3), 0 where none is given."""
+    return np.array([getattr(item.motion, key, None) or (0.0, 0.0, 0.0) for item in objects], float)
 
 
 def rotation_matrix(angles: Array, axis_rotation: bool) -> Array:
@@ -212,8 +222,9 @@ def _static_rotation(given: Any) -> Array:
 def inverse_poses(problem: Problem, times: Array) -> Array:
     """Per time and object, the inverse rotation (9) and the moved center (3): (times, objects, 12), mm."""
     moments = times[:, None, None]
-    turn = rotation_matrix(moments * problem.angular_velocities, problem.axis_rotation) @ problem.rotations
-    center = problem.centers + moments * problem.velocities
+    angles = moments * (problem.angular_velocities + moments / 2 * problem.angular_accelerations)
+    turn = rotation_matrix(angles, problem.axis_rotation) @ problem.rotations
+    center = problem.centers + moments * (problem.velocities + moments / 2 * problem.accelerations)
     carried = rotation_matrix(moments * problem.group_angular_velocities, problem.axis_rotation)
     turn, arm = carried @ turn, center - problem.group_centers
     center = problem.group_centers + moments * problem.group_velocities + np.einsum("...ij,...j->...i", carried, arm)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from clsco.scene.groups import group_origin
 from clsco.scene.model import Group, Object, ObjectMotion, Scene
+from clsco.scene.quantities import Vector
 from clsco.scene.rotations import rotation_rows
 from clsco.scene.shapes import origin
 
@@ -78,7 +79,7 @@ def _sine_cosine(angles: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDAr
 
 
 def pose_at(motion: ObjectMotion, time: float, rotation: str) -> Pose:
-    """Pose after a time of constant velocities.
+    """Pose after a time of constant accelerations.
 
     Parameters
     ----------
@@ -95,16 +96,23 @@ def pose_at(motion: ObjectMotion, time: float, rotation: str) -> Pose:
     -----
     Poses are always formed from the reference pose, never composed step by step (thesis 4.3.6.2). Degrees are reduced
     to one turn before they become radians, as sin(1e7 deg) would lose four digits; "axis" reduces the length of the
-    vector instead of its components.
+    vector instead of its components. With accelerations the angles are w t + a t^2 / 2 in deg: of each Euler angle, or
+    of the vector, whose axis stays where the acceleration is along the angular velocity.
     """
-    degrees = np.asarray(motion.angular_velocity, dtype=np.float64) * time
+    degrees = _accelerated(motion.angular_velocity, motion.angular_acceleration, time)
     if rotation == "axis":
         length = float(np.linalg.norm(degrees))
         angles = degrees * (np.radians(np.fmod(length, 360.0)) / length) if length > 0 else np.zeros(3)
     else:
         angles = np.radians(np.fmod(degrees, 360.0))
     matrix = TOWARDS_CAMERA @ rotation_matrix(angles, rotation) @ TOWARDS_CAMERA
-    return Pose(matrix, np.asarray(motion.velocity, dtype=np.float64) * time)
+    return Pose(matrix, _accelerated(motion.velocity, motion.acceleration, time))
+
+
+def _accelerated(speed: Vector, gain: Vector | None, time: float) -> NDArray[np.float64]:
+    """v t + a t^2 / 2 (3,)."""
+    way = np.asarray(speed, dtype=np.float64) * time
+    return way if gain is None else way + np.asarray(gain, dtype=np.float64) * (0.5 * time * time)
 
 
 def rest_center(item: Object) -> NDArray[np.float64]:

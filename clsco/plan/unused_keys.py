@@ -22,10 +22,10 @@ def _idle(scene: Scene) -> dict[str, str]:
     """Reasons of keys that no rendering of the scene depends on."""
     found = {}
     motions = [scene.camera.motion, *(motion for item in scene.objects for motion in scene.motions(item))]
-    if scene.moves and all(sum(map(bool, motion.angular_velocity)) < 2 for motion in motions):
+    if scene.moves and all(sum(motion.turns) < 2 for motion in motions):
         found["motion.rotation"] = "euler and axis differ only for turns about several axes"
     for k, item in enumerate(scene.objects):
-        if not item.is_analytic and item.group is None and not any(item.motion.angular_velocity):
+        if not item.is_analytic and item.group is None and not any(item.motion.turns):
             found[f"object[{k}].center"] = "the depth map does not turn"
     for k, group in enumerate(scene.groups):
         if all(item.group != group.name for item in scene.objects):

@@ -10,8 +10,9 @@ from pydantic import BaseModel, ValidationError
 
 from clsco.errors import SceneError
 from clsco.scene.groups import Group, unknown_groups
+from clsco.scene.motions import ObjectMotion
 from clsco.scene.objects import repeated_names
-from clsco.scene.shapes import SHAPES, ObjectMotion
+from clsco.scene.shapes import SHAPES
 from clsco.scene.text import key_name, shown
 
 MAX_MESSAGES = 100

@@ -8,9 +8,10 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, BeforeValidator
 from pydantic_core import PydanticCustomError
 
+from clsco.scene.motions import ObjectMotion
 from clsco.scene.objects import MAX_OBJECTS, repeated_names
 from clsco.scene.quantities import Name, Point, Strict, Vector, at_keys, fault
-from clsco.scene.shapes import AnyShape, ObjectMotion, origin
+from clsco.scene.shapes import AnyShape, origin
 from clsco.scene.text import shown
 
 

@@ -18,11 +18,11 @@ from clsco.scene.arrays import HasInputs
 from clsco.scene.changes import replaced
 from clsco.scene.faults import refusal
 from clsco.scene.groups import Group, Groups, unknown_groups
+from clsco.scene.motions import CameraMotion, ObjectMotion
 from clsco.scene.objects import MAX_OBJECTS, Object, Objects
 from clsco.scene.quantities import (
     MAX_LENGTH_MM,
     MIN_LENGTH_MM,
-    AngularVelocity,
     Direction,
     Duration,
     FNumber,
@@ -32,7 +32,6 @@ from clsco.scene.quantities import (
     Samples,
     Strict,
     Text,
-    Velocity,
     Within,
     at_keys,
     fault,
@@ -46,7 +45,6 @@ from clsco.scene.shapes import (
     DepthMap,
     Disc,
     Ellipsoid,
-    ObjectMotion,
     Plane,
     Quadric,
     Rectangle,
@@ -101,15 +99,6 @@ def _sensor_distance_mm(data: dict[str, Any]) -> float:
     """Default of the sensor distance s, mm; 1/s = 1/f - 1/u."""
     f, u = data["focal_length"], data["focus_distance"]
     return 21.739 if u is None else float(f * u / (u - f))
-
-
-class CameraMotion(ObjectMotion):
-    """Constant velocities of the camera, which rotates about the center of its lens."""
-
-    velocity: Velocity = (0.0, 0.0, 0.0)
-    """Right, up, forwards; mm/s."""
-    angular_velocity: AngularVelocity = (0.0, 0.0, 0.0)
-    """About the axes right, up, backwards, in the sense of an object's; deg/s."""
 
 
 class Camera(Strict):

@@ -9,8 +9,8 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 from pydantic import Field, ValidationInfo, field_validator
 
 from clsco.scene.arrays import ArrayInput, DepthInput, Input, LayerInput
+from clsco.scene.motions import ObjectMotion
 from clsco.scene.quantities import (
-    AngularVelocity,
     Bounds,
     Coefficients,
     Coordinate,
@@ -21,9 +21,7 @@ from clsco.scene.quantities import (
     Point,
     Sides,
     Slope,
-    Strict,
     Vector,
-    Velocity,
     Within,
     fault,
 )
@@ -41,20 +39,6 @@ def _reaching(center: Vector, reach: float | None) -> Vector:
     if reach is not None and center[2] + reach <= 0.0:
         raise fault(IN_FRONT)
     return center
-
-
-class ObjectMotion(Strict):
-    """Constant velocities of an object, which rotates about its origin."""
-
-    velocity: Velocity = (0.0, 0.0, 0.0)
-    """Right, up, away from the camera; mm/s."""
-    angular_velocity: AngularVelocity = (0.0, 0.0, 0.0)
-    """About the object's axes right, up, towards the camera; deg/s."""
-
-    @property
-    def moves(self) -> bool:
-        """True if any component of either velocity differs from 0."""
-        return any(self.velocity) or any(self.angular_velocity)
 
 
 class _Object(Textured):

@@ -162,6 +162,34 @@ def test_ten_million_degrees(rotation: str, turns: tuple[float, float, float]) -
 
 
 @pytest.mark.parametrize("rotation", ROTATIONS)
+def test_accelerations_add_half_their_time_squared(rotation: str) -> None:
+    speeds: dict[str, Any] = {"velocity": (3.0, -4.0, 5.0), "angular_velocity": (30.0, -40.0, 50.0)}
+    gains: dict[str, Any] = {"acceleration": (-7.0, 2.0, 30.0), "angular_acceleration": (90.0, 25.0, -60.0)}
+    for time in (0.0, 0.3, 2.0, -1.5):
+        found = pose_at(ObjectMotion(**speeds, **gains), time, rotation)
+        # The pose at this time of constant velocities v + a t / 2, which reach the same place.
+        mean = [np.add(speeds[a], np.multiply(gains[b], time / 2)) for a, b in zip(speeds, gains, strict=True)]
+        even = pose_at(ObjectMotion(velocity=mean[0], angular_velocity=mean[1]), time, rotation)
+        np.testing.assert_allclose(found.shift, even.shift, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(found.rotation, even.rotation, rtol=0, atol=1e-13)
+        resting = pose_at(ObjectMotion(**speeds, acceleration=(0.0, 0.0, 0.0)), time, rotation)
+        plain = pose_at(ObjectMotion(**speeds), time, rotation)
+        assert np.array_equal(resting.shift, plain.shift)
+        assert np.array_equal(resting.rotation, plain.rotation)
+
+
+def test_an_axis_stays_where_the_acceleration_is_along_it() -> None:
+    motion = ObjectMotion(angular_velocity=(10.0, 20.0, -20.0), angular_acceleration=(3.0, 6.0, -6.0))
+    for time in (0.5, 3.0):
+        angle = radians(30.0 * time + 4.5 * time**2)
+        # z of the axis is towards the camera, and the turn is clockwise seen from its tip.
+        axis = np.array([1.0, 2.0, 2.0]) / 3.0
+        cross = np.cross(np.eye(3), -axis)
+        expected = expm(-angle * cross)
+        np.testing.assert_allclose(pose_at(motion, time, "axis").rotation, expected, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("rotation", ROTATIONS)
 def test_always_from_rest(rotation: str) -> None:
     """A pose depends on its time only, and for Euler angles is not the pose at half time done twice."""
     motion = ObjectMotion(velocity=(1.0, 2.0, 3.0), angular_velocity=(40.0, 50.0, 60.0))

@@ -35,6 +35,7 @@ from clsco.scene.model import (
 
 UNMAPPED: dict[str, Any] = {"texture_mapping": "projected"}
 UNMAPPED |= dict.fromkeys((f"texture_{key}" for key in ("layer", "size", "repeats", "offset", "angle", "wrap")), None)
+STILL = {"velocity": (0.0,) * 3, "angular_velocity": (0.0,) * 3, "acceleration": None, "angular_acceleration": None}
 SIDES = dict.fromkeys((f"texture_{side}" for side in ("back", "left", "right", "top", "bottom")), None)
 COEFFICIENTS = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -900.0)
 
@@ -53,7 +54,7 @@ COEFFICIENTS = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -900.0)
                 "normalization_distance": 20.0,
                 "pixel_pitch": 0.01,
                 "resolution": None,
-                "motion": {"velocity": (0.0, 0.0, 0.0), "angular_velocity": (0.0, 0.0, 0.0)},
+                "motion": STILL,
             },
         ),
         (
@@ -87,7 +88,7 @@ COEFFICIENTS = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -900.0)
                 **UNMAPPED,
                 "bounds": None,
                 "rotation": None,
-                "motion": {"velocity": (0.0, 0.0, 0.0), "angular_velocity": (0.0, 0.0, 0.0)},
+                "motion": STILL,
                 "group": None,
                 "depth": "z.exr",
                 "depth_layer": None,
@@ -111,7 +112,7 @@ COEFFICIENTS = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -900.0)
                 **SIDES,
                 "bounds": None,
                 "rotation": None,
-                "motion": {"velocity": (0.0, 0.0, 0.0), "angular_velocity": (0.0, 0.0, 0.0)},
+                "motion": STILL,
                 "group": None,
                 "radius": 30.0,
                 "center": (0.0, 0.0, 280.0),
@@ -184,6 +185,10 @@ def test_moves() -> None:
     assert not ObjectMotion(velocity=(0.0, -0.0, 0.0)).moves
     assert ObjectMotion(velocity=(0.0, 0.0, 1e-9)).moves
     assert ObjectMotion(angular_velocity=(0.0, -1.0, 0.0)).moves
+    assert not ObjectMotion(acceleration=(0.0, 0.0, 0.0)).moves
+    assert ObjectMotion(acceleration=(0.0, 0.0, 1e-9)).moves
+    assert ObjectMotion(angular_acceleration=(0.0, -1.0, 0.0)).turns == (False, True, False)
+    assert ObjectMotion(angular_acceleration=(0.0, -1.0, 0.0)).moves
 
 
 def test_a_scene_moves_where_anything_does() -> None:
