@@ -1,7 +1,9 @@
 """Exposure of a frame: the time samples that it averages, and the weight of each in every row (float64, pure).
 
-A shutter curve, or rows that are exposed one after another, changes `frame_exposure` alone: all that renders, predicts
-and reports takes times and weights from here.
+Shutter curves, and later rows that are exposed one after another, change `frame_exposure` alone: all that renders,
+predicts and reports takes times and weights from here. A curve is sampled at the middles of equal shares of the
+exposure, each with the light of its share: with a sample for a px of motion and more that is closer than times at equal
+light.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.scene.model import Scene, Sequence
+from clsco.scene.sequence import CURVES, ShutterCurve
 
 Array = NDArray[np.float64]
 PREDICTED_TIMES = 33  # of the whole sequence at most
@@ -64,7 +67,7 @@ def frame_exposure(scene: Scene, frame: int, samples: int) -> Exposure:
     Returns
     -------
     Exposure
-        Equal weights, as the shutter is a box.
+        The weight of a time sample is the integral of the shutter curve over its share of the exposure.
 
     Examples
     --------
@@ -79,19 +82,67 @@ def frame_exposure(scene: Scene, frame: int, samples: int) -> Exposure:
         return Exposure(np.zeros(1), np.ones(1))
     sequence = scene.sequence
     steps = np.arange(samples, dtype=np.float64) + (0.5 if sequence.sampling == "midpoint" else 1.0)
-    times = frame * sequence.interval + steps * (sequence.shutter / samples)
-    return Exposure(times, np.full(samples, 1.0 / samples))
+    times = shutter_span(sequence, frame)[0] + steps * (sequence.shutter / samples)
+    if sequence.shutter_curve == "box":
+        return Exposure(times, np.full(samples, 1.0 / samples))
+    return Exposure(times, _differences(curve_integral(sequence.shutter_curve, np.linspace(0.0, 1.0, samples + 1))))
+
+
+def curve_integral(curve: ShutterCurve, times: Array) -> Array:
+    """Share of the light of an exposure that has passed a shutter up to some times.
+
+    Parameters
+    ----------
+    curve : str or tuple of float
+        Name of a shutter curve, or weights at equal times, linear between them.
+    times : ndarray of float64
+        From 0, the opening of the shutter, to 1, its closing; what is beyond counts as these.
+
+    Returns
+    -------
+    ndarray of float64
+        From 0 to 1, of the shape of `times`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from clsco.optics.exposure import curve_integral
+    >>> curve_integral("triangle", np.array([0.0, 0.25, 0.5, 1.0])).tolist()
+    [0.0, 0.125, 0.5, 1.0]
+    """
+    weights = np.asarray(CURVES[curve] if isinstance(curve, str) else curve, dtype=np.float64)
+    weights = weights / weights.max()  # the sum of the largest ones is finite, that of the smallest not 0
+    intervals = len(weights) - 1
+    passed = np.concatenate([[0.0], np.cumsum(0.5 * (weights[1:] + weights[:-1]))])
+    place = np.clip(times, 0.0, 1.0) * intervals
+    k = np.minimum(place.astype(np.intp), intervals - 1)
+    into = place - k
+    found = passed[k] + into * (weights[k] + 0.5 * into * (weights[k + 1] - weights[k]))
+    return np.asarray(found / passed[-1])
+
+
+def _differences(passed: Array) -> Array:
+    """Weights (samples, ...) of the shares of an exposure, between whose ends (samples + 1, ...) light has passed.
+
+    Each is what its end has beyond the sum of those before, so that in the order of time they add up to 1 to the bit.
+    """
+    total, found = np.zeros(passed.shape[1:]), np.empty((len(passed) - 1, *passed.shape[1:]))
+    for k, end in enumerate(passed[1:]):
+        found[k] = np.maximum(end - total, 0.0)
+        total = total + found[k]
+    return found
 
 
 def shutter_span(sequence: Sequence, frame: int) -> tuple[float, float]:
     """Times at which the shutter of a frame opens and closes, s since the reference pose."""
-    opens = frame * sequence.interval
+    opens = frame * sequence.interval + sequence.shutter_start
     return opens, opens + sequence.shutter
 
 
 def middle_time(sequence: Sequence, frame: int) -> float:
-    """Middle of the shutter of a frame, s since the reference pose: the time of its ground truth."""
-    return frame * sequence.interval + 0.5 * sequence.shutter
+    """Time of a frame's ground truth, s since the reference pose: half way from the opening of its shutter to the
+    closing, whatever the curve between them is."""
+    return shutter_span(sequence, frame)[0] + 0.5 * sequence.shutter
 
 
 def sequence_times(scene: Scene) -> list[float]:
@@ -100,4 +151,4 @@ def sequence_times(scene: Scene) -> list[float]:
         return [0.0]
     last = scene.sequence.frames - 1
     count = min(4 * scene.sequence.frames + 1, PREDICTED_TIMES)
-    return np.linspace(0.0, shutter_span(scene.sequence, last)[1], count).tolist()
+    return np.linspace(shutter_span(scene.sequence, 0)[0], shutter_span(scene.sequence, last)[1], count).tolist()

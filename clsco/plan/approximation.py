@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from clsco.errors import SceneError
 from clsco.inputs.textures import Texture
-from clsco.optics.exposure import frame_exposure
+from clsco.optics.exposure import frame_exposure, shutter_span
 from clsco.optics.lens import blur_radius
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.texture_mapping import needs_detail
@@ -199,8 +199,9 @@ def _of_time(scene: Scene, cycles: Array, power: Array, uneven: float, exact: in
 def _sums(scene: Scene, cycles: Array, count: int) -> NDArray[np.complex128]:
     """M of so many time samples, (rows or 1, n)."""
     exposure = frame_exposure(scene, 0, count)
-    turns = np.exp(2j * np.pi / scene.sequence.shutter * np.multiply.outer(exposure.times, cycles))
-    return np.asarray(exposure.weights.reshape(count, -1).T @ turns)
+    opens, closes = shutter_span(scene.sequence, 0)
+    turns = np.exp(2j * np.pi / (closes - opens) * np.multiply.outer(exposure.times, cycles))
+    return np.asarray(exposure.weights.reshape(len(exposure.times), -1).T @ turns)
 
 
 def _of_coverage(outlines: float, exact: int, count: int) -> float:

@@ -27,7 +27,8 @@ from clsco.plan.request import Request
 from clsco.scene.model import Aperture, Fill, Scene
 
 WHOLE_PIXELS = "the forward warp moves whole pixels"
-MOTION_KEYS = ("sequence.samples", "sequence.sampling", "sequence.shutter", "motion.rotation")
+EXPOSURE_KEYS = ("samples", "sampling", "shutter", "shutter_curve", "shutter_start")
+MOTION_KEYS = (*(f"sequence.{key}" for key in EXPOSURE_KEYS), "motion.rotation")
 FILL_KEYS = tuple(f"fill.{key}" for key in Fill.model_fields)
 SPREAD_KEYS = ("psf.tilt", "psf.occlusion", "psf.border")  # of light that leaves its pixel
 OPENING_KEYS = tuple(f"aperture.{key}" for key in Aperture.model_fields)

@@ -104,7 +104,8 @@ def swept_keys(mapping: Mapping[str, Any]) -> list[tuple[Location, Any]]:
                 if annotation is not BaseModel:
                     search(value, annotation, (*location, key))
             elif isinstance(value, Mapping) or (
-                isinstance(value, list) and (not _is_vector(annotation) or any(isinstance(v, list) for v in value))
+                isinstance(value, list)
+                and (not _is_vector(annotation) or any(isinstance(v, list | str) for v in value))
             ):
                 found.append(((*location, key), value))
 

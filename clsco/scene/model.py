@@ -24,18 +24,17 @@ from clsco.scene.quantities import (
     MAX_LENGTH_MM,
     MIN_LENGTH_MM,
     Direction,
-    Duration,
     FNumber,
     Length,
     Point,
     Resolution,
-    Samples,
     Strict,
     Text,
     Within,
     at_keys,
     fault,
 )
+from clsco.scene.sequence import Sequence
 from clsco.scene.shapes import (
     AnyShape,
     Background,
@@ -170,36 +169,6 @@ class Camera(Strict):
         other = "f_number" if info.field_name == "aperture_diameter" else "focus_distance"
         if info.data.get(other, "refused") is not None:  # a refused value is missing from `data`
             raise fault(f"give {other} or {info.field_name}, not both")
-        return value
-
-
-class Sequence(Strict):
-    """Video frames, and the time samples (sub-frames) of each exposure."""
-
-    frames: Annotated[int, Within(1, 1_000_000)] = 1
-    """Number of frames."""
-    interval: Duration = 1.0
-    """Time from frame to frame, s."""
-    shutter: Duration = Field(default_factory=lambda data: data["interval"])
-    """Time that the shutter is open, s, at most interval. Default: interval."""
-    samples: Samples = "auto"
-    """Time samples per frame, or "auto": about one per px of the largest motion."""
-    sampling: Literal["midpoint", "endpoint"] = "midpoint"
-    """Position of each time sample in its share of the exposure."""
-
-    @field_validator("shutter", mode="before")
-    @classmethod
-    def _is_open(cls, value: Any) -> Any:
-        if type(value) in (int, float) and value == 0:
-            raise fault("must be greater than 0 s; for an instant give a short one, such as 1e-6")
-        return value
-
-    @field_validator("shutter")
-    @classmethod
-    def _within_interval(cls, value: float, info: ValidationInfo) -> float:
-        interval = info.data.get("interval", math.inf)
-        if value > interval:
-            raise fault(f"must be at most interval = {interval:g} s")
         return value
 
 

@@ -26,7 +26,7 @@ def moment_of(scene: Scene, index: int, time: float) -> Scene:
     index : int
         Number of the frame.
     time : float
-        Seconds since the reference pose, taken to be within the interval of the frame.
+        Seconds since the reference pose, taken to be within the interval of the frame, or while its shutter is open.
 
     Returns
     -------
@@ -36,12 +36,15 @@ def moment_of(scene: Scene, index: int, time: float) -> Scene:
 
     Notes
     -----
-    A shutter of twice the time since the frame began has its only sample then; it may exceed the interval, which files
-    may not ask for. Validated by the sub-frames of `clsco.render`.
+    A shutter of twice the time since the frame began, or since its shutter opened sooner, has its only sample then; it
+    may exceed the interval, which files may not ask for. Validated by the sub-frames of `clsco.render`.
     """
-    interval = scene.sequence.interval
-    since = min(max(time - index * interval, LEAST_SHARE * interval), interval)
-    changes = {"shutter": 2.0 * since, "samples": 1, "sampling": "midpoint"}
+    sequence, interval = scene.sequence, scene.sequence.interval
+    start = min(sequence.shutter_start, 0.0)
+    last = max(shutter_span(sequence, 0)[1], interval)
+    since = min(max(time - index * interval, start + LEAST_SHARE * interval), last) - start
+    changes = {"shutter": 2.0 * since, "shutter_start": start, "shutter_curve": "box", "samples": 1}
+    changes |= {"sampling": "midpoint"}
     return scene.model_copy(update={"sequence": scene.sequence.model_copy(update=changes)})
 
 

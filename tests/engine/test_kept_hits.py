@@ -35,6 +35,7 @@ OTHERS: dict[str, Any] = {
     "sequence.shutter": 0.4,
     "sequence.samples": 3,
     "sequence.sampling": "endpoint",
+    "sequence.shutter_start": 0.1,
     "light.direction": [1.0, 2.0, 0.5],
     "light.position": [0.0, 50.0, 0.0],
     "light.ambient": 0.5,
@@ -57,6 +58,7 @@ ELSEWHERE = {
     "texture_offset",
     "texture_angle",
     "texture_mapping",
+    "shutter_curve",
 }
 
 

@@ -107,6 +107,22 @@ def test_weights_of_a_row_are_those_of_the_frame_in_strips(
     assert np.abs(whole.color - whole.subframes.mean(axis=0)).max() > 0.01
 
 
+def test_a_shutter_with_a_curve_is_the_weighted_mean_of_its_subframes() -> None:
+    """The ground truth belongs to the middle of its shutter, from wherever it opens."""
+    sequence = {"samples": SAMPLES, "shutter": 0.6, "shutter_start": -0.3}
+    wanted = scene({"sequence": sequence | {"shutter_curve": [0.0, 1.0, 0.5]}}, MOVING, CARD)
+    (frame,), (exact,) = clsco.render(wanted, truth=("subframes", "depth")), reference.render(wanted)
+    np.testing.assert_allclose(frame.color, exact.color, atol=1e-5)
+    weights = [sample["weight"] for sample in frame.metadata["intermediate"]]
+    assert sum(weights) == 1.0
+    assert weights == pytest.approx([8 / 45, 7 / 15, 16 / 45])
+    assert frame.subframes is not None
+    summed = np.einsum("t,trc->rc", weights, frame.subframes.astype(np.float64))
+    np.testing.assert_allclose(frame.color, summed, atol=1.2e-7)
+    (reposed,) = clsco.render(scene({}, BALL, CARD), truth=("depth",))
+    np.testing.assert_array_equal(frame.depth, reposed.depth)
+
+
 def test_one_image_is_not_summed() -> None:
     """A frame of a single time sample runs no pass more and has no buffer more; one of several has these two."""
     still, moving = (prepare(scene({}, item, CARD)).plan for item in (BALL, MOVING))

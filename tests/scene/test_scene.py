@@ -72,7 +72,15 @@ COEFFICIENTS = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -900.0)
         ),
         (
             Sequence(),
-            {"frames": 1, "interval": 1.0, "shutter": 1.0, "samples": "auto", "sampling": "midpoint"},
+            {
+                "frames": 1,
+                "interval": 1.0,
+                "shutter": 1.0,
+                "samples": "auto",
+                "sampling": "midpoint",
+                "shutter_curve": "box",
+                "shutter_start": 0.0,
+            },
         ),
         (Motion(), {"warp": "inverse", "rotation": "euler", "texture_filter": "bicubic"}),
         (Fill(), {"method": "ait", "domain": "surface"}),

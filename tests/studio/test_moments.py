@@ -36,6 +36,16 @@ def test_a_moment_is_the_subframe(warp: str) -> None:
     assert np.abs(frame.subframes[0] - frame.subframes[-1]).max() > 0.1
 
 
+def test_a_moment_before_the_frame_is_the_subframe() -> None:
+    scene = scene_of().replace("sequence.shutter_start", -0.2).replace("sequence.shutter_curve", "triangle")
+    frame = clsco.render_frame(scene, 1, truth=("subframes",))
+    time = frame.metadata["intermediate"][0]["time"]
+    assert frame.subframes is not None
+    assert 0.3 < time < 0.5
+    alone = clsco.render_frame(moment_of(scene, 1, time), 1, truth=())
+    np.testing.assert_allclose(alone.color, frame.subframes[0], atol=1e-5)
+
+
 def test_times_beyond_the_interval_are_taken_to_be_within() -> None:
     scene = scene_of()
     for time in (-7.0, 0.0, 99.0, 1e9):

@@ -49,10 +49,12 @@
     studio.place();
     one("#exposure-row").hidden = shutter === null;
     if (shutter === null) return;
-    const begin = studio.index * interval, share = (time) => `${(100 * (time - begin)) / interval}%`;
+    const begin = Math.min(studio.index * interval, shutter[0]); // the interval, and what of the shutter is beyond
+    const length = Math.max((studio.index + 1) * interval, shutter[1]) - begin;
+    const share = (time) => `${(100 * (time - begin)) / length}%`;
     const band = one("#band"), ticks = one("#exposed");
     band.style.left = share(shutter[0]);
-    band.style.width = `${(100 * (shutter[1] - shutter[0])) / interval}%`;
+    band.style.width = `${(100 * (shutter[1] - shutter[0])) / length}%`;
     one("#exposure-about").textContent = `${times.length} time sample${times.length === 1 ? "" : "s"}, shutter open `
       + `${digits(shutter[1] - shutter[0])} of ${digits(interval)} s`;
     ticks.replaceChildren(...times.map((time, number) => {

@@ -1,0 +1,80 @@
+"""The sequence of a scene: its frames, and when and how the shutter of each is open."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
+
+from clsco.scene.quantities import Duration, Samples, Strict, Within, as_python, fault
+
+CURVES = {"box": (1.0, 1.0), "trapezoid": (0.0, 1.0, 1.0, 1.0, 0.0), "triangle": (0.0, 1.0, 0.0)}
+"""Weights of the shutter curves that have names, at equal times from opening to closing."""
+MOST_WEIGHTS, LARGEST_WEIGHT = 256, 1e9  # of a shutter curve
+OF_MIDPOINTS = 'belongs to sequence.sampling = "midpoint", not "endpoint"'
+
+
+def _curve(value: Any) -> Any:
+    """Refuse all but the name of a shutter curve, and a list of weights, one of them above 0."""
+    value = as_python(value)
+    if type(value) is str and value in CURVES:
+        return value
+    numbers = tuple(value) if isinstance(value, list | tuple) else ()
+    if not 2 <= len(numbers) <= MOST_WEIGHTS or any(type(each) not in (int, float) for each in numbers):
+        raise fault(f"must be {', '.join(CURVES)}, or a list of 2 to {MOST_WEIGHTS} weights")
+    if not all(0 <= each <= LARGEST_WEIGHT for each in numbers) or not any(numbers):
+        raise fault(f"must have weights between 0 and {LARGEST_WEIGHT:g}, one of them above 0")
+    return numbers
+
+
+Start = Annotated[float, Within(-1e9, 1e9, "s")]
+Weight = Annotated[float, Within(0.0, LARGEST_WEIGHT)]
+ShutterCurve = Annotated[
+    Literal["box", "trapezoid", "triangle"]
+    | Annotated[tuple[Weight, ...], Field(json_schema_extra={"minItems": 2, "maxItems": MOST_WEIGHTS})],
+    BeforeValidator(_curve),
+]
+
+
+class Sequence(Strict):
+    """Video frames, and the time samples (sub-frames) of each exposure."""
+
+    frames: Annotated[int, Within(1, 1_000_000)] = 1
+    """Number of frames."""
+    interval: Duration = 1.0
+    """Time from frame to frame, s."""
+    shutter: Duration = Field(default_factory=lambda data: data["interval"])
+    """Time that the shutter is open, s, at most interval. Default: interval."""
+    samples: Samples = "auto"
+    """Time samples per frame, or "auto": about one per px of the largest motion."""
+    sampling: Literal["midpoint", "endpoint"] = "midpoint"
+    """Position of each time sample in its share of the exposure."""
+    shutter_curve: ShutterCurve = "box"
+    """Share of the light that the shutter lets through from its opening to its closing: box; trapezoid, which opens
+    over the first quarter and closes over the last; triangle; or weights at equal times, linear between them, the first
+    as it opens and the last as it closes."""
+    shutter_start: Start = 0.0
+    """Time at which the shutter of a frame opens, s after the frame's own; -shutter / 2 centers it there."""
+
+    @field_validator("shutter", mode="before")
+    @classmethod
+    def _is_open(cls, value: Any) -> Any:
+        if type(value) in (int, float) and value == 0:
+            raise fault("must be greater than 0 s; for an instant give a short one, such as 1e-6")
+        return value
+
+    @field_validator("shutter")
+    @classmethod
+    def _within_interval(cls, value: float, info: ValidationInfo) -> float:
+        interval = info.data.get("interval", math.inf)
+        if value > interval:
+            raise fault(f"must be at most interval = {interval:g} s")
+        return value
+
+    @field_validator("shutter_curve")
+    @classmethod
+    def _at_midpoints(cls, value: ShutterCurve, info: ValidationInfo) -> ShutterCurve:
+        if value != "box" and info.data.get("sampling") == "endpoint":
+            raise fault(OF_MIDPOINTS)
+        return value
