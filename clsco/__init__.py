@@ -42,7 +42,7 @@ Types
 -----
 Scene, Camera, Aperture, Psf, Sequence, Motion, Fill, ImageOptions, Light, Stereo, Group
     A scene and its sections, frozen and validated; lengths in mm, angles in degrees, times in s.
-ObjectMotion, CameraMotion
+ObjectMotion, CameraMotion, Keyframe
     Velocities of an object or a group, and of the camera.
 Plane, Rectangle, Disc, Box, Sphere, Cylinder, Cone, Ellipsoid, Quadric, DepthMap, Background
     The objects of a scene.
@@ -102,6 +102,7 @@ if TYPE_CHECKING:
     from clsco.scene.model import Fill as Fill
     from clsco.scene.model import Group as Group
     from clsco.scene.model import ImageOptions as ImageOptions
+    from clsco.scene.model import Keyframe as Keyframe
     from clsco.scene.model import Light as Light
     from clsco.scene.model import Motion as Motion
     from clsco.scene.model import ObjectMotion as ObjectMotion
@@ -146,7 +147,7 @@ _NAMES = {
             "Stereo",
             "Group",
         ),
-        *("ObjectMotion", "CameraMotion"),
+        *("ObjectMotion", "CameraMotion", "Keyframe"),
         *("Plane", "Rectangle", "Disc", "Box", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric"),
         *("DepthMap", "Background"),
     ),
@@ -160,7 +161,7 @@ __all__ = [  # noqa: RUF022, verbs and then types
     "render", "render_frame", "render_sweep", "response", "defocus", "inpaint", "load_scene", "parse_scene",
     "load_sweep", "parse_sweep", "dump_scene", "write_video", "list_devices", "reference",
     "Scene", "Camera", "Aperture", "Psf", "Sequence", "Motion", "Fill", "ImageOptions", "Light", "Stereo", "Group",
-    "ObjectMotion", "CameraMotion",
+    "ObjectMotion", "CameraMotion", "Keyframe",
     "Plane", "Rectangle", "Disc", "Box", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap", "Background",
     "Frame", "Live", "MeanMedian",
     "ClscoError", "SceneError", "ImageError", "DeviceError", "KernelError", "CanceledError",

@@ -156,9 +156,10 @@ class Reader:
     def _value(self, value: Any, key: Location, location: Location, name: str) -> tuple[Any, list[Parameter]]:
         """A value with None where it varies, and the parameters that go there."""
         if isinstance(value, Mapping):
-            if is_form(value):
+            is_keyframe = key[-2:-1] == ("keyframe",)  # whose key rotation is no distribution
+            if is_form(value) and not is_keyframe:
                 return None, self._parameter(value, key, location, name)
-            if value and value.keys() <= VALUE_TABLES:
+            if value and (value.keys() <= VALUE_TABLES or is_keyframe):
                 parts = {k: self._value(v, (*key, k), (*location, k), f"{name}.{k}") for k, v in value.items()}
                 return {k: part[0] for k, part in parts.items()}, [p for part in parts.values() for p in part[1]]
             rule = f"must be a value, or a distribution by one of {', '.join(FORMS)}"

@@ -38,8 +38,10 @@ def units(scene: Scene) -> dict[str, str]:
         place, model = sections.pop(0)
         for name, field in getattr(type(model), "model_fields", {}).items():
             key = f"{place}.{name}"
-            sections.append((key, getattr(model, name)))
-            is_table = hasattr(type(getattr(model, name)), "model_fields")  # whose own keys have units
+            value = getattr(model, name)
+            listed = enumerate(value) if isinstance(value, tuple) else ()
+            sections += [(key, value), *((f"{key}[{k}]", each) for k, each in listed)]
+            is_table = hasattr(type(value), "model_fields")  # whose own keys have units
             if (unit := _unit((field.annotation, *field.metadata))) and not is_table:
                 found[key] = unit
     return found

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.optics.keyframes import Orientations, Path, orientations_through, path_through
 from clsco.scene.groups import group_origin
 from clsco.scene.model import Group, Object, ObjectMotion, Scene
 from clsco.scene.quantities import Vector
@@ -79,7 +81,7 @@ def _sine_cosine(angles: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDAr
 
 
 def pose_at(motion: ObjectMotion, time: float, rotation: str) -> Pose:
-    """Pose after a time of constant accelerations.
+    """Pose of a motion at a time, after constant accelerations or between keyframes.
 
     Parameters
     ----------
@@ -97,22 +99,53 @@ def pose_at(motion: ObjectMotion, time: float, rotation: str) -> Pose:
     Poses are always formed from the reference pose, never composed step by step (thesis 4.3.6.2). Degrees are reduced
     to one turn before they become radians, as sin(1e7 deg) would lose four digits; "axis" reduces the length of the
     vector instead of its components. With accelerations the angles are w t + a t^2 / 2 in deg: of each Euler angle, or
-    of the vector, whose axis stays where the acceleration is along the angular velocity.
+    of the vector, whose axis stays where the acceleration is along the angular velocity. Keyframes that turn about one
+    axis alone have a path of their angle, with whole turns; others one of orientations.
     """
-    degrees = _accelerated(motion.angular_velocity, motion.angular_acceleration, time)
+    if motion.keyframe is None:
+        degrees = _accelerated(motion.angular_velocity, motion.angular_acceleration, time)
+        return Pose(_turned(degrees, rotation), _accelerated(motion.velocity, motion.acceleration, time))
+    track = _track(motion, rotation)
+    turned = track.turns.at(time)
+    return Pose(turned if isinstance(track.turns, Orientations) else _turned(turned, rotation), track.shifts.at(time))
+
+
+def _turned(degrees: NDArray[np.float64], rotation: str) -> NDArray[np.float64]:
+    """Rotation (3, 3) by angles in deg, in the axes of the camera."""
     if rotation == "axis":
         length = float(np.linalg.norm(degrees))
         angles = degrees * (np.radians(np.fmod(length, 360.0)) / length) if length > 0 else np.zeros(3)
     else:
         angles = np.radians(np.fmod(degrees, 360.0))
-    matrix = TOWARDS_CAMERA @ rotation_matrix(angles, rotation) @ TOWARDS_CAMERA
-    return Pose(matrix, _accelerated(motion.velocity, motion.acceleration, time))
+    return np.asarray(TOWARDS_CAMERA @ rotation_matrix(angles, rotation) @ TOWARDS_CAMERA)
 
 
 def _accelerated(speed: Vector, gain: Vector | None, time: float) -> NDArray[np.float64]:
     """v t + a t^2 / 2 (3,)."""
     way = np.asarray(speed, dtype=np.float64) * time
     return way if gain is None else way + np.asarray(gain, dtype=np.float64) * (0.5 * time * time)
+
+
+@dataclass(frozen=True, eq=False)
+class _Track:
+    """Paths through keyframes: of the shift in mm, and of angles in deg about one axis or of the orientation."""
+
+    shifts: Path
+    turns: Path | Orientations
+
+
+@lru_cache(maxsize=512)
+def _track(motion: ObjectMotion, rotation: str) -> _Track:
+    """Paths through the keyframes of a motion that has some."""
+    keys, interpolation, outside = motion.keyframe, motion.interpolation, motion.outside
+    assert keys is not None
+    assert interpolation is not None
+    assert outside is not None
+    times, angles = [key.time for key in keys], [key.rotation for key in keys]
+    shifts = path_through(times, [key.position for key in keys], interpolation, outside)
+    if sum(motion.turns) < 2:
+        return _Track(shifts, path_through(times, angles, interpolation, outside))
+    return _Track(shifts, orientations_through(times, angles, rotation, interpolation, outside))
 
 
 def rest_center(item: Object) -> NDArray[np.float64]:

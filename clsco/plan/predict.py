@@ -17,7 +17,7 @@ from clsco.optics.lens import LARGEST_BLUR, blur_radius, ray_step
 from clsco.optics.motion import Eye, Pose, poses_at, rest_center, static_rotation
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import cutting_bounds, place, predict_inverse_depth
-from clsco.scene.model import Disc, Object, Plane, Rectangle, Scene
+from clsco.scene.model import Disc, Object, ObjectMotion, Plane, Rectangle, Scene
 
 Array = NDArray[np.float64]
 Maps = Sequence[Array | None]
@@ -38,6 +38,22 @@ def guard_band(psf: PointSpread, border: str, largest: float) -> int:
         return 0
     needed = max(psf.reach(largest), psf.reach(largest, True)) + 2
     return -(-needed // TAP_LANES) * TAP_LANES
+
+
+def check_keyframes(scene: Scene) -> None:
+    """Raise SceneError where keyframes that must cover all exposures do not."""
+    moved: list[tuple[str, ObjectMotion]] = [("camera", scene.camera.motion)]
+    moved += [(f"group[{k}]", group.motion) for k, group in enumerate(scene.groups)]
+    moved += [(f"object[{k}]", item.motion) for k, item in enumerate(scene.objects)]
+    opens, closes = shutter_span(scene.sequence, 0)[0], shutter_span(scene.sequence, scene.sequence.frames - 1)[1]
+    faults = []
+    for name, motion in moved:
+        keys = motion.keyframe if motion.outside == "error" else None
+        if keys is not None and not keys[0].time <= opens < closes <= keys[-1].time:
+            rule = f"keyframes must cover all exposures, {opens:g} to {closes:g} s"
+            faults.append(f"{name}.motion.outside: {rule}; got {keys[0].time:g} to {keys[-1].time:g} s")
+    if faults:
+        raise SceneError(faults)
 
 
 def _grid(scene: Scene, guard: int) -> tuple[Array, Array]:
@@ -225,7 +241,9 @@ class Prediction:
 
 
 def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
-    """Cast rays of a coarse grid at the scene. Raises SceneError where |R| is larger than LARGEST_BLUR."""
+    """Cast rays of a coarse grid at the scene. Raises SceneError where |R| is larger than LARGEST_BLUR, and for times
+    that keyframes must cover."""
+    check_keyframes(scene)
     poses, guard = [poses_at(scene, time, eye) for time in sequence_times(scene)], 0
     seen = None if scene.moves or not scene.is_analytic else without_lens(scene)
     for _ in range(2):  # the second time with the guard band that the first asked for

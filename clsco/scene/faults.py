@@ -10,7 +10,7 @@ from pydantic import BaseModel, ValidationError
 
 from clsco.errors import SceneError
 from clsco.scene.groups import Group, unknown_groups
-from clsco.scene.motions import ObjectMotion
+from clsco.scene.motions import Keyframe, ObjectMotion
 from clsco.scene.objects import repeated_names
 from clsco.scene.shapes import SHAPES
 from clsco.scene.text import key_name, shown
@@ -51,7 +51,7 @@ def _places(root: type[BaseModel]) -> list[tuple[str, type[BaseModel]]]:
     known = {name: model for name, model in sections(root).items() if model is not Group}
     shapes = (("object[0]", shape) for shape in SHAPES.values())
     moving: Any = known["camera"].model_fields["motion"].annotation
-    moved = (("object[0].motion", ObjectMotion), ("camera.motion", moving))
+    moved = (("object[0].motion", ObjectMotion), ("camera.motion", moving), ("object[0].motion.keyframe[0]", Keyframe))
     return [*known.items(), *shapes, *moved, ("group[0]", Group)]
 
 
@@ -80,7 +80,9 @@ def messages(error: ValidationError, root: type[BaseModel], place: tuple[str | i
 
 def refusal(root: type[BaseModel], model: type[BaseModel], error: ValidationError) -> SceneError:
     """Error of a part of a scene that is made by itself, `Sphere: radius: rule; got value`; root: the scene's model."""
-    place = {root: (), Group: ("group", 0), ObjectMotion: ("object", 0, "sphere", "motion")}.get(model)
+    motion = ("object", 0, "sphere", "motion")
+    known: dict[Any, tuple[str | int, ...]] = {ObjectMotion: motion, Keyframe: (*motion, "keyframe", 0)}
+    place = ({root: (), Group: ("group", 0)} | known).get(model)
     if place is None:
         shapes = {shape: ("object", 0, name) for name, shape in SHAPES.items()}
         tables = {table: tuple(path.split(".")) for path, table in _places(root)}
@@ -144,10 +146,10 @@ def _unknown(loc: tuple[Any, ...], shape: str | None, root: type[BaseModel]) -> 
         if homes:
             return f"belongs to {_listed(homes)}, not to {shape}"
     elif shape is not None:
-        known = list(SHAPES[shape].model_fields[loc[-2]].annotation.model_fields)  # type: ignore[union-attr]
+        known = list(_table_at(SHAPES[shape], loc[2:-1]).model_fields)
     else:
         keys = [str(field.validation_alias or name) for name, field in root.model_fields.items()]
-        known = list(_model_at(loc[:-1], root).model_fields) if len(loc) > 1 else keys
+        known = list(_table_at(sections(root)[loc[0]], loc[1:-1]).model_fields) if len(loc) > 1 else keys
     from difflib import get_close_matches
 
     near = get_close_matches(key[:64], known, n=1)
@@ -155,11 +157,15 @@ def _unknown(loc: tuple[Any, ...], shape: str | None, root: type[BaseModel]) -> 
     return f"unknown key (did you mean {near[0]}?)" if near else "unknown key"
 
 
-def _model_at(loc: Sequence[str], root: type[BaseModel]) -> type[BaseModel]:
-    """Model of a section, or of a table inside it."""
-    model = sections(root)[loc[0]]
-    for part in loc[2 if loc[0] == "group" else 1 :]:
-        model = model.model_fields[part].annotation  # type: ignore[assignment]
+def _table_at(model: type[BaseModel], loc: Sequence[str | int]) -> type[BaseModel]:
+    """Model of a table inside that of a model, or of an array of tables."""
+    for key in loc:
+        waiting: list[Any] = [model.model_fields[key].annotation] if isinstance(key, str) else []
+        while waiting:
+            part = waiting.pop()
+            if isinstance(part, type) and issubclass(part, BaseModel):
+                model = part
+            waiting += get_args(part)
     return model
 
 

@@ -103,6 +103,8 @@ def swept_keys(mapping: Mapping[str, Any]) -> list[tuple[Location, Any]]:
             if isinstance(annotation, type) and issubclass(annotation, BaseModel):
                 if annotation is not BaseModel:
                     search(value, annotation, (*location, key))
+            elif holds_tables(annotation):
+                continue
             elif isinstance(value, Mapping) or (
                 isinstance(value, list)
                 and (not _is_vector(annotation) or any(isinstance(v, list | str) for v in value))
@@ -116,6 +118,12 @@ def swept_keys(mapping: Mapping[str, Any]) -> list[tuple[Location, Any]]:
             for index, item in enumerate(items(mapping, section)):
                 search(item.get("motion"), ObjectMotion, (section, index, "motion"))
     return found
+
+
+def holds_tables(annotation: Any) -> bool:
+    """True if a key holds a table, or an array of tables."""
+    is_table = isinstance(annotation, type) and issubclass(annotation, BaseModel)
+    return is_table or any(map(holds_tables, get_args(annotation)))
 
 
 def _is_vector(annotation: Any) -> bool:

@@ -18,7 +18,7 @@ from clsco.scene.arrays import HasInputs
 from clsco.scene.changes import replaced
 from clsco.scene.faults import refusal
 from clsco.scene.groups import Group, Groups, unknown_groups
-from clsco.scene.motions import CameraMotion, ObjectMotion
+from clsco.scene.motions import CameraMotion, Keyframe, ObjectMotion
 from clsco.scene.objects import MAX_OBJECTS, Object, Objects
 from clsco.scene.quantities import (
     MAX_LENGTH_MM,
@@ -72,6 +72,7 @@ __all__ = [
     "Fill",
     "Group",
     "ImageOptions",
+    "Keyframe",
     "Light",
     "Motion",
     "Object",

@@ -2,13 +2,87 @@
 
 from __future__ import annotations
 
-from clsco.scene.quantities import Acceleration, AngularAcceleration, AngularVelocity, Strict, Vector, Velocity
+from itertools import pairwise
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator
+
+from clsco.scene.quantities import (
+    Acceleration,
+    AngularAcceleration,
+    AngularVelocity,
+    Point,
+    Strict,
+    Time,
+    Vector,
+    Velocity,
+    as_python,
+    at_keys,
+    fault,
+)
+from clsco.scene.rotations import EulerAngles
 
 NONE: Vector = (0.0, 0.0, 0.0)
+MAX_KEYFRAMES = 256
+EVEN = 1e-6  # of an interval: by how much intervals of a B-spline may differ
+
+Interpolation = Literal["step", "linear", "cubic", "bspline"]
+Outside = Literal["hold", "linear", "error"]
+
+
+class Keyframe(Strict):
+    """Pose at a time."""
+
+    time: Time
+    """Time, s; later than that of the keyframe before."""
+    position: Point = NONE
+    """Displacement from the reference pose, in the directions of velocity; mm."""
+    rotation: EulerAngles = NONE
+    """Rotation from the reference pose as motion.rotation says, about the axes of angular_velocity; deg."""
+
+
+def listed_keyframes(value: Any) -> Any:
+    """Turn the array of tables into a tuple; refuse none, and too many. Raises the fault that says so."""
+    value = as_python(value)
+    if not isinstance(value, list | tuple):
+        raise fault("must be an array of tables, [[...keyframe]]")
+    if not 1 <= len(value) <= MAX_KEYFRAMES:
+        raise fault(f"must hold 1 to {MAX_KEYFRAMES} keyframes", got=str(len(value)))
+    return tuple(value)
+
+
+def in_order(value: Any) -> Any:
+    """Refuse keyframes that are not later than the one before."""
+    late = [k for k, (one, next_one) in enumerate(pairwise(value), 1) if not next_one.time > one.time]
+    if late:
+        rule = fault("must be later than that of the keyframe before")
+        raise at_keys([((k, "time"), rule, value[k].time) for k in late])
+    return value
+
+
+def default_of_keyframes(data: dict[str, Any], key: str, value: Any) -> Any:
+    """The default of a key that only keyframes have."""
+    return None if data[key] is None else value
+
+
+def check_interpolation(value: Any, keyframes: Any) -> Any:
+    """Refuse an interpolation without keyframes, and one that their times do not allow; "refused": not known."""
+    if value is None or keyframes == "refused":
+        return value
+    if keyframes is None:
+        raise fault("belongs to keyframes; there are none")
+    steps = [later.time - earlier.time for earlier, later in pairwise(keyframes)]
+    if value == "bspline" and steps and max(steps) - min(steps) > EVEN * min(steps):
+        raise fault("bspline needs keyframes at equal intervals of time")
+    return value
+
+
+SCHEMA = Field(json_schema_extra={"minItems": 1, "maxItems": MAX_KEYFRAMES})
+Keyframes = Annotated[tuple[Keyframe, ...], SCHEMA, AfterValidator(in_order), BeforeValidator(listed_keyframes)]
 
 
 class ObjectMotion(Strict):
-    """Velocities of an object at t = 0, which rotates about its origin, and constant accelerations."""
+    """Velocities of an object at t = 0, which rotates about its origin, and constant accelerations; or keyframes."""
 
     velocity: Velocity = NONE
     """Right, up, away from the camera; mm/s."""
@@ -18,21 +92,48 @@ class ObjectMotion(Strict):
     """Right, up, away from the camera; mm/s^2. Default: none."""
     angular_acceleration: AngularAcceleration | None = None
     """About the axes of angular_velocity; deg/s^2. Default: none."""
+    keyframe: Keyframes | None = None
+    """Poses at 1 to 256 times, instead of velocities and accelerations; none if not given."""
+    interpolation: Interpolation | None = Field(
+        default_factory=lambda data: default_of_keyframes(data, "keyframe", "cubic")
+    )
+    """Path between keyframes: natural cubic splines through all of them, lines, steps, or uniform cubic B-splines,
+    which pass by. Default: cubic."""
+    outside: Outside | None = Field(default_factory=lambda data: default_of_keyframes(data, "keyframe", "hold"))
+    """Path before the first and after the last keyframe: hold their poses, go on as fast as there, or refuse exposures
+    at such times. Default: hold."""
+
+    @field_validator("keyframe")
+    @classmethod
+    def _instead_of_velocities(cls, value: Keyframes | None, info: ValidationInfo) -> Keyframes | None:
+        keys = ("velocity", "angular_velocity", "acceleration", "angular_acceleration")
+        others = [key for key in keys if any(info.data.get(key) or NONE)]
+        if value is not None and others:
+            raise fault(f"give keyframes or {others[0]}, not both", got=f"{len(value)} keyframes")
+        return value
+
+    @field_validator("interpolation", "outside")
+    @classmethod
+    def _of_keyframes(cls, value: Any, info: ValidationInfo) -> Any:
+        return check_interpolation(value, info.data.get("keyframe", "refused"))
 
     @property
     def moves(self) -> bool:
-        """True if any component of a velocity or an acceleration differs from 0."""
-        return any(self.velocity) or any(self.acceleration or NONE) or any(self.turns)
+        """True if any component of a velocity, an acceleration or a keyframe differs from 0."""
+        shifts = (key.position for key in self.keyframe or ())
+        return any(map(any, (self.velocity, self.acceleration or NONE, *shifts))) or any(self.turns)
 
     @property
     def turns(self) -> tuple[bool, bool, bool]:
         """True for each axis about which it rotates."""
-        x, y, z = map(any, zip(self.angular_velocity, self.angular_acceleration or NONE, strict=True))
+        turned = (key.rotation for key in self.keyframe or ())
+        x, y, z = map(any, zip(self.angular_velocity, self.angular_acceleration or NONE, *turned, strict=True))
         return x, y, z
 
 
 class CameraMotion(ObjectMotion):
-    """Velocities of the camera at t = 0, which rotates about the center of its lens, and constant accelerations."""
+    """Velocities of the camera at t = 0, which rotates about the center of its lens, and constant accelerations; or
+    keyframes."""
 
     velocity: Velocity = NONE
     """Right, up, forwards; mm/s."""

@@ -10,7 +10,7 @@ from typing import Any, get_args
 
 from pydantic import BaseModel
 
-from clsco.scene.file import MAX_OUTPUTS, SECTIONS, SWEEPABLE
+from clsco.scene.file import MAX_OUTPUTS, SECTIONS, SWEEPABLE, holds_tables
 from clsco.scene.model import CameraMotion, ObjectMotion, Scene
 from clsco.scene.shapes import SHAPES
 
@@ -49,7 +49,7 @@ def scene_schema() -> dict[str, Any]:
     for model in swept:
         for key, entry in definitions[model.__name__]["properties"].items():
             annotation = model.model_fields[key].annotation
-            if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
+            if not holds_tables(annotation):
                 about = {name: entry.pop(name) for name in ("title", "description", "default") if name in entry}
                 several = {"type": "array", "items": entry, "minItems": 1, "description": "All of them in turn."}
                 choice = {"anyOf": [entry, several, {"$ref": "#/$defs/Range"}]}

@@ -13,7 +13,7 @@ from typing import Any, get_args
 
 from clsco.scene.file import SECTIONS
 from clsco.scene.groups import Group
-from clsco.scene.model import Scene
+from clsco.scene.model import Keyframe, Scene
 from clsco.scene.quantities import Within
 from clsco.scene.rotations import AxisAngle, UnitQuaternion
 from clsco.scene.schema import scene_schema
@@ -33,6 +33,7 @@ from clsco.studio.words import (
     SLIDERS,
     SYMBOLS,
     THESIS_TITLES,
+    keyframe_label,
     pose_label,
     words,
 )
@@ -230,6 +231,11 @@ def _fields(session: Session, model: Any, start: str) -> Iterator[Field]:
         path = f"{start}.{key}" if start else key
         annotation = model.model_fields[key]
         kinds = _kinds(entry)
+        if kinds and (listed := kinds[0].get("items", {}).get("$ref")):  # an array of tables, those that there are
+            part = _inner_model(annotation.annotation, listed.rpartition("/")[2])
+            for number in range(len(at(session.table, path.split(".")) or ())):
+                yield from _fields(session, part, f"{path}.{number}")
+            continue
         inner = [kind["$ref"].rpartition("/")[2] for kind in kinds if "$ref" in kind]
         if kinds and not all("$ref" in kind for kind in kinds):
             yield _field(session, model, path, key, entry, kinds, _limits(annotation))
@@ -239,7 +245,7 @@ def _fields(session: Session, model: Any, start: str) -> Iterator[Field]:
 
 def _inner_model(annotation: Any, name: str) -> Any:
     """The model of a name in an annotation."""
-    known = {"AxisAngle": AxisAngle, "UnitQuaternion": UnitQuaternion}
+    known = {"AxisAngle": AxisAngle, "UnitQuaternion": UnitQuaternion, "Keyframe": Keyframe}
     return known.get(name) or next(part for part in (annotation, *get_args(annotation)) if part.__name__ == name)
 
 
@@ -278,7 +284,7 @@ def _field(
     slider = _slider(session, key, limits) if kind in ("number", "vector") else None
     return Field(
         path=path,
-        label=LABELS_AT.get(path) or pose_label(path) or LABELS.get(key) or words(key),
+        label=LABELS_AT.get(path) or pose_label(path) or keyframe_label(path) or LABELS.get(key) or words(key),
         symbol=_symbol(session, path, key),
         unit=limits.unit if limits is not None else "",
         kind=kind,

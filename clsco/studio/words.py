@@ -21,7 +21,7 @@ LABELS = {  # words of the thesis
     "focal_length": "Focal length", "aperture_diameter": "Aperture diameter", "pixel_pitch": "Pixel pitch",
     "sensor_distance": "Lens to sensor distance", "normalization_distance": "Magnification normalization distance",
     "focus_distance": "Focus distance", "f_number": "F-number", "velocity": "Translation",
-    "angular_velocity": "Rotation", "half_angle": "Apex half angle",
+    "angular_velocity": "Rotation", "outside": "Before and after keyframes", "half_angle": "Apex half angle",
 }  # fmt: skip
 LABELS_AT = {
     "aperture.shape": "Aperture", "aperture.rotation": "Turn of the aperture", "aperture.obstruction": "Covered middle",
@@ -41,7 +41,7 @@ SYMBOLS = {
     "camera.focal_length": "f", "camera.aperture_diameter": "D", "camera.pixel_pitch": "p",
     "camera.sensor_distance": "s", "camera.normalization_distance": "s0", "camera.focus_distance": "u",
     "camera.f_number": "f/D", "sequence.frames": "n", "sequence.interval": "t", "motion.velocity": "v",
-    "motion.angular_velocity": "ω",
+    "motion.angular_velocity": "ω", "motion.acceleration": "a", "motion.angular_acceleration": "α",
 }  # fmt: skip
 COMPONENTS = {
     "resolution": ("columns", "rows"),
@@ -78,7 +78,14 @@ def pose_label(path: str) -> str:
         ".angle": "Angle of the pose",
         ".quaternion": "Pose as quaternion",
     }
-    return labels.get(key, "") if path.startswith("object.") and ".rotation" in path else ""
+    is_pose = path.startswith("object.") and ".rotation" in path and ".keyframe." not in path
+    return labels.get(key, "") if is_pose else ""
+
+
+def keyframe_label(path: str) -> str:
+    """Label of a key of a keyframe, which are numbered from 1; "" of others."""
+    number, _, key = path.partition(".keyframe.")[2].partition(".")
+    return f"{words(key)} of keyframe {int(number) + 1}" if key else ""
 
 
 def words(key: Any) -> str:

@@ -245,6 +245,34 @@ def test_shapes_of_a_population_take_the_keys_that_they_have(load: Load) -> None
         assert ("semi_axes" in item) == (item["shape"] == "ellipsoid")
 
 
+def test_keyframes_vary(load: Load) -> None:
+    keys = (
+        "{ time = 0 }, { time = 1, position = [{ uniform = [2, 9] }, 0, 0], rotation = { normal = [0, 5], size = 3 } }"
+    )
+    text = (
+        f"[[vary.object]]\nindex = 0\nmotion.keyframe = [{keys}]\n"
+        f'[[vary.object]]\ncount = 2\nshape = "sphere"\ncenter = [0, 0, 300]\nmotion.keyframe = [{keys}]\n'
+        f"[vary.camera]\nmotion.keyframe = [{keys}]\nmotion.interpolation = {{ choice = ['linear', 'cubic'] }}"
+    )
+    distribution = load(text)
+    first, second = (distribution.draw(1, number) for number in (0, 1))
+    for sample in (first, second):
+        (scene,) = sample.scenes
+        for motion in (scene.camera.motion, *(item.motion for item in scene.objects)):
+            assert motion.keyframe is not None
+            assert motion.keyframe[0].position == (0.0, 0.0, 0.0)
+            assert 2.0 <= motion.keyframe[1].position[0] <= 9.0
+            assert any(motion.keyframe[1].rotation)
+        places = [item.motion.keyframe[1].position for item in scene.objects if item.motion.keyframe]
+        assert len(set(places)) == 3
+    assert (
+        first.parameters["object.0.motion.keyframe.1.position.0"]
+        != second.parameters["object.0.motion.keyframe.1.position.0"]
+    )
+    with pytest.raises(SceneError, match=r"vary.object\[0\].motion.keyframe\[0\].time"):
+        load("[[vary.object]]\nindex = 0\nmotion.keyframe = [{ time = { unifrm = [1, 2] } }]").draw(1, 0)
+
+
 def test_rows_of_a_table_vary_together(load: Load, tmp_path: Path) -> None:
     (tmp_path / "lenses.csv").write_text(
         "camera.focal_length,camera.f_number,object.0.texture\n20,2,bricks\n25,4,#808080\n30,8,checkerboard\n"

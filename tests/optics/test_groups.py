@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -89,7 +91,7 @@ def test_what_a_group_moves_moves_in_the_plan() -> None:
 
 
 def test_a_plane_that_its_group_tilts_has_many_radii() -> None:
-    def blur(**motion: tuple[float, float, float]) -> str:
+    def blur(**motion: Any) -> str:
         group = Group(name="cart", motion=ObjectMotion(**motion))
         return plan_of(Plane(distance=280.0, group="cart"), groups=(group,)).blur
 

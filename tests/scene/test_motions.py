@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import tomllib
+from typing import Any
 
+import numpy as np
 import pytest
 
 import clsco
 from clsco.errors import SceneError
+from clsco.frame.provenance import units
+from clsco.scene.changes import dump, override
+from clsco.scene.file import swept_keys
 
 PLANE = '\n[[object]]\nshape = "plane"\n'
 BAD = [
@@ -22,7 +28,67 @@ BAD = [
         "angular_acceleration[2]: must be between -1e+09 and 1e+09 deg/s^2; got 2000000000.0",
     ),
     ("accelaration = [0, 0, 1]", "accelaration: unknown key (did you mean acceleration?); got [0, 0, 1]"),
+    ("keyframe = []", "keyframe: must hold 1 to 256 keyframes; got 0"),
+    ("keyframe = 3", "keyframe: must be an array of tables, [[...keyframe]]; got 3"),
+    ("keyframe = {time = 0}", "keyframe: must be an array of tables, [[...keyframe]]; got a table of 1 keys"),
+    (f"keyframe = [{', '.join(['{time = 0}'] * 257)}]", "keyframe: must hold 1 to 256 keyframes; got 257"),
+    ("keyframe = [1]", "keyframe[0]: must be a table; got 1"),
+    ("keyframe = [{}]", "keyframe[0].time: must be given; got nothing"),
+    ("keyframe = [{time = 2e9}]", "keyframe[0].time: must be between -1e+09 and 1e+09 s; got 2000000000.0"),
+    ("keyframe = [{time = inf}]", "keyframe[0].time: must be a finite number; got inf"),
+    (
+        "keyframe = [{time = 1}, {time = 1.0}]",
+        "keyframe[1].time: must be later than that of the keyframe before; got 1.0",
+    ),
+    ("keyframe = [{time = 0, position = [0, 0]}]", "keyframe[0].position: must be a list of 3 numbers; got [0, 0]"),
+    (
+        "keyframe = [{time = 0, position = [0, 0, 2e9]}]",
+        "keyframe[0].position[2]: must be between -1e+09 and 1e+09 mm; got 2000000000.0",
+    ),
+    ("keyframe = [{time = 0, rotation = 5}]", "keyframe[0].rotation: must be a list of 3 numbers; got 5"),
+    (
+        "keyframe = [{time = 0, rotation = [0, 0, nan]}]",
+        "keyframe[0].rotation[2]: must be a finite number; got nan",
+    ),
+    (
+        "keyframe = [{time = 0, positon = [0, 0, 0]}]",
+        "keyframe[0].positon: unknown key (did you mean position?); got [0, 0, 0]",
+    ),
+    (
+        "velocity = [1, 0, 0]\nkeyframe = [{time = 0}]",
+        "keyframe: give keyframes or velocity, not both; got 1 keyframes",
+    ),
+    (
+        "angular_acceleration = [1, 0, 0]\nkeyframe = [{time = 0}]",
+        "keyframe: give keyframes or angular_acceleration, not both; got 1 keyframes",
+    ),
+    ('interpolation = "linear"', 'interpolation: belongs to keyframes; there are none; got "linear"'),
+    ('outside = "hold"', 'outside: belongs to keyframes; there are none; got "hold"'),
+    (
+        'keyframe = [{time = 0}]\ninterpolation = "bezier"',
+        'interpolation: must be step, linear, cubic or bspline; got "bezier"',
+    ),
+    ('keyframe = [{time = 0}]\noutside = "stop"', 'outside: must be hold, linear or error; got "stop"'),
+    (
+        'keyframe = [{time = 0}, {time = 1}, {time = 3}]\ninterpolation = "bspline"',
+        'interpolation: bspline needs keyframes at equal intervals of time; got "bspline"',
+    ),
 ]
+KEYED = """
+[[object]]
+shape = "sphere"
+
+[object.motion]
+interpolation = "linear"
+
+[[object.motion.keyframe]]
+time = 0.0
+
+[[object.motion.keyframe]]
+time = 1.5
+position = [1.0, 2.0, 3.0]
+rotation = [0.0, 90.0, 0.0]
+"""
 
 
 def faults(text: str) -> list[str]:
@@ -36,3 +102,63 @@ def test_each_fault_of_a_motion_is_one_message(motion: str, message: str) -> Non
     assert faults(f"{PLANE}[object.motion]\n{motion}") == [f"scene: object[0].motion.{message}"]
     assert faults(f"[camera.motion]\n{motion}{PLANE}") == [f"scene: camera.motion.{message}"]
     assert faults(f'[[group]]\nname = "a"\n[group.motion]\n{motion}{PLANE}') == [f"scene: group[0].motion.{message}"]
+
+
+def test_keyframes_are_written_and_read_back() -> None:
+    scene = clsco.parse_scene(KEYED)
+    (item,) = scene.objects
+    assert item.motion == clsco.ObjectMotion(
+        keyframe=(
+            clsco.Keyframe(time=0.0),
+            clsco.Keyframe(time=1.5, position=(1.0, 2.0, 3.0), rotation=(0.0, 90.0, 0.0)),
+        ),
+        interpolation="linear",
+    )
+    assert item.motion.outside == "hold"
+    assert clsco.dump_scene(scene) == KEYED.lstrip()
+    assert clsco.parse_scene(dump(scene)) == scene
+    assert units(scene)["object[0].motion.keyframe[1].position"] == "mm"
+    assert units(scene)["object[0].motion.keyframe[1].time"] == "s"
+    later = scene.replace("object[0].motion.keyframe[1].time", 2).objects[0].motion.keyframe
+    assert later is not None
+    assert later[1].time == 2.0
+    assert swept_keys(tomllib.loads(KEYED)) == []
+    assert load(KEYED, ["object.0.motion.keyframe.1.position=[9, 0, 0]"])["position"] == [9, 0, 0]
+
+
+def load(text: str, overrides: list[str]) -> dict[str, Any]:
+    """The second keyframe of a scene with overrides."""
+    data: dict[str, Any] = tomllib.loads(text)
+    override(data, overrides, "scene")
+    found: dict[str, Any] = data["object"][0]["motion"]["keyframe"][1]
+    return found
+
+
+def test_scenes_without_keyframes_are_recorded_as_before() -> None:
+    text = json.dumps(dump(clsco.parse_scene(PLANE)))
+    assert not any(key in text for key in ("keyframe", "interpolation", "outside", "acceleration"))
+
+
+def test_arrays_stand_for_lists() -> None:
+    frame = {"time": np.float32(1.0), "position": np.array([1.0, 2.0, 3.0])}
+    motion = clsco.ObjectMotion(keyframe=[{"time": 0.0}, frame])  # type: ignore[arg-type]
+    assert motion.keyframe is not None
+    assert motion.keyframe[1] == clsco.Keyframe(time=1.0, position=(1.0, 2.0, 3.0))
+
+
+def test_a_motion_with_keyframes_moves_where_one_is_off_the_reference_pose() -> None:
+    assert not clsco.ObjectMotion(keyframe=(clsco.Keyframe(time=0.0),)).moves
+    assert clsco.ObjectMotion(keyframe=(clsco.Keyframe(time=0.0, position=(0.0, 0.0, 1e-9)),)).moves
+    turned = clsco.ObjectMotion(keyframe=(clsco.Keyframe(time=0.0, rotation=(0.0, 0.0, 5.0)),))
+    assert turned.turns == (False, False, True)
+    assert turned.moves
+
+
+@pytest.mark.parametrize("motion", ["keyframe = [{time = 0}]", "keyframe = [{time = 0, position = [0, 0, 1]}]"])
+def test_a_background_has_no_keyframes_that_move(motion: str) -> None:
+    text = f'[[object]]\nshape = "background"\n[object.motion]\n{motion}'
+    if "position" in motion:
+        rule = "a background stays where it is; turn the camera by camera.motion; got a motion"
+        assert faults(text) == [f"scene: object[0].motion: {rule}"]
+    else:
+        assert not clsco.parse_scene(text).moves

@@ -35,7 +35,8 @@ from clsco.scene.model import (
 
 UNMAPPED: dict[str, Any] = {"texture_mapping": "projected"}
 UNMAPPED |= dict.fromkeys((f"texture_{key}" for key in ("layer", "size", "repeats", "offset", "angle", "wrap")), None)
-STILL = {"velocity": (0.0,) * 3, "angular_velocity": (0.0,) * 3, "acceleration": None, "angular_acceleration": None}
+STILL: dict[str, Any] = dict.fromkeys(("velocity", "angular_velocity"), (0.0, 0.0, 0.0))
+STILL |= dict.fromkeys(("acceleration", "angular_acceleration", "keyframe", "interpolation", "outside"))
 SIDES = dict.fromkeys((f"texture_{side}" for side in ("back", "left", "right", "top", "bottom")), None)
 COEFFICIENTS = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -900.0)
 
@@ -200,7 +201,7 @@ def test_moves() -> None:
 
 
 def test_a_scene_moves_where_anything_does() -> None:
-    moving = {"velocity": (0.0, 1.0, 0.0)}
+    moving: dict[str, Any] = {"velocity": (0.0, 1.0, 0.0)}
     assert not Scene(objects=(Sphere(), Plane())).moves
     assert Scene(objects=(Plane(), Sphere(motion=ObjectMotion(**moving)))).moves
     assert Scene(camera=Camera(motion=CameraMotion(**moving)), objects=(Plane(),)).moves

@@ -26,7 +26,10 @@ def of_shape(session: Session, shape: str) -> dict[str, Panel]:
 
 
 def keys(schema: dict[str, Any], entry: dict[str, Any], start: str) -> Iterator[str]:
-    """Paths of all keys that a value of a schema may have; those of tables are of what is in them."""
+    """Paths of all keys that a value of a schema may have; those of tables are of what is in them, of arrays of tables
+    none where there are none."""
+    if any("$ref" in form.get("items", {}) for form in entry.get("anyOf", [])):
+        return
     forms = [form for form in [entry, *entry.get("anyOf", [])] if "$ref" in form]
     inner = [schema["$defs"][form["$ref"].rpartition("/")[2]] for form in forms]
     tables = [model for model in inner if "properties" in model and model.get("title") != "Range"]
@@ -60,6 +63,24 @@ def test_every_key_of_the_schema_has_a_field(session: Session) -> None:
                 assert field.least is not None
                 assert field.most is not None
                 assert field.unit or "mm" not in field.help.split(";")[0].split()[-1:], field.path
+
+
+def test_keyframes_have_fields_for_those_that_there_are(session: Session) -> None:
+    of_shape(session, "sphere")
+    frames = [{"time": 0.0}, {"time": 2.0, "position": [1.0, 2.0, 3.0], "rotation": [0.0, 45.0, 0.0]}]
+    session.patch("object.0.motion", {"keyframe": frames, "interpolation": "linear"})
+    assert session.scene is not None
+    start = "object.0.motion.keyframe.1"
+    found = {field.path: field for panel in panels(session) for field in panel.fields if field.path.startswith(start)}
+    assert [field.path.removeprefix(f"{start}.") for field in found.values()] == ["time", "position", "rotation"]
+    assert [field.label for field in found.values()] == [
+        "Time of keyframe 2", "Position of keyframe 2", "Rotation of keyframe 2",
+    ]  # fmt: skip
+    assert [field.unit for field in found.values()] == ["s", "mm", "deg"]
+    assert session.patch(f"{start}.position.1", 5.0)
+    assert session.scene.objects[0].motion.keyframe is not None
+    assert session.scene.objects[0].motion.keyframe[1].position == (1.0, 5.0, 3.0)
+    assert not session.patch(f"{start}.time", -1.0)
 
 
 def test_the_five_panels_are_those_of_the_thesis(session: Session) -> None:

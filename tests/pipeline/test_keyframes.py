@@ -1,0 +1,114 @@
+"""Motions that are not uniform, from scene to frame: device against reference, and what a plan misses of them."""
+
+from __future__ import annotations
+
+from functools import partial
+from math import cos, pi, sin
+from typing import Any
+
+import numpy as np
+import pytest
+
+import clsco
+from clsco.errors import SceneError
+from clsco.frame.frame import TRUTH_NAMES
+from clsco.plan.plan import make_plan
+from clsco.plan.prepare import prepare
+from clsco.scene.model import Scene
+from tests.scenes import assert_agree, reference_frames, rendered, scene_from
+from tests.slow import mostly_slow
+
+CAMERA: dict[str, Any] = {
+    "resolution": [48, 36],
+    "pixel_pitch": 0.1,
+    "aperture_diameter": 20.0,
+    "focus_distance": 250.0,
+}
+PLAIN = {"silhouette_samples": 1, "tilt": False, "edge": "sampled"}  # compiled in a third of the time
+WAY = [
+    {"time": 0.0},
+    {"time": 0.4, "position": [6.0, -4.0, 12.0], "rotation": [30.0, 20.0, -10.0]},
+    {"time": 1.0, "position": [-2.0, 3.0, 0.0], "rotation": [0.0, 170.0, 25.0]},
+]
+SWAY = [{"time": 0.0}, {"time": 0.7, "position": [4.0, 0.0, 9.0], "rotation": [2.0, 3.0, 10.0]}, {"time": 1.1}]
+BALL: dict[str, Any] = {"shape": "sphere", "center": [3.0, 4.0, 265.0], "radius": 9.0, "texture": "bricks"}
+WALL = {"shape": "plane", "distance": 330.0, "texture": "checkerboard"}
+FASTER = {"acceleration": [40.0, -20.0, 30.0], "angular_acceleration": [20.0, 90.0, 0.0]}
+scene = partial(scene_from, {"camera": CAMERA, "psf": PLAIN, "sequence": {"samples": 4, "frames": 2, "interval": 0.5}})
+SCENES: dict[str, Scene] = {
+    "object": scene(BALL | {"motion": {"keyframe": WAY}}, WALL),
+    "steps": scene(BALL | {"motion": {"keyframe": WAY, "interpolation": "step"}}, WALL),
+    "camera": scene(BALL, WALL, camera=CAMERA | {"motion": {"keyframe": SWAY, "interpolation": "linear"}}),
+    "group": scene(
+        BALL | {"group": "a"}, WALL,
+        group=[{"name": "a", "motion": {"keyframe": WAY[::2], "interpolation": "bspline", "outside": "linear"}}],
+    ),
+    "accelerated": scene(BALL | {"motion": FASTER}, WALL, camera={"motion": {"acceleration": [9.0, 0.0, 0.0]}}),
+    "forward": scene(BALL | {"motion": {"keyframe": WAY}}, WALL, motion={"warp": "forward"}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", mostly_slow(SCENES, ("object", "camera", "accelerated")))
+def test_device_against_reference(name: str) -> None:
+    frames = rendered(SCENES[name])
+    assert_agree(frames, reference_frames(SCENES[name]))
+    assert frames[0].flow is not None
+    assert np.abs(frames[0].flow).max() > 1.0
+    assert np.abs(frames[0].color - frames[1].color).max() > 0.1
+
+
+def test_constant_velocity_by_keys_renders_the_frames_of_velocity() -> None:
+    velocity, turn = [8.0, -3.0, 20.0], [0.0, 40.0, 0.0]
+    keys = [{"time": 0.0}, {"time": 2.0, "position": [16.0, -6.0, 40.0], "rotation": [0.0, 80.0, 0.0]}]
+    even = scene(BALL | {"motion": {"velocity": velocity, "angular_velocity": turn}}, WALL)
+    keyed = scene(BALL | {"motion": {"keyframe": keys, "interpolation": "linear"}}, WALL)
+    for one, other in zip(rendered(even), rendered(keyed), strict=True):
+        for name in ("color", *TRUTH_NAMES):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+def test_keys_that_must_cover_all_exposures() -> None:
+    keys = {"keyframe": [{"time": 0.0}, {"time": 0.9, "position": [1.0, 0.0, 0.0]}], "outside": "error"}
+    for wanted, place in (
+        (scene(BALL | {"motion": keys}), "object[0]"),
+        (scene(BALL, camera=CAMERA | {"motion": keys}), "camera"),
+        (scene(BALL | {"group": "a"}, group=[{"name": "a", "motion": keys}]), "group[0]"),
+    ):
+        with pytest.raises(SceneError) as error:
+            prepare(wanted)
+        rule = f"{place}.motion.outside: keyframes must cover all exposures, 0 to 1 s; got 0 to 0.9 s"
+        assert error.value.messages == (rule,)
+    keys["keyframe"][1]["time"] = 1.0  # type: ignore[index]
+    assert prepare(scene(BALL | {"motion": keys})).plan.moves
+
+
+def orbit(radius: float, count: int = 12) -> list[dict[str, Any]]:
+    """Keys of a circle in a second, from x = 0 away from the camera and back."""
+    turns = [2.0 * pi * k / count for k in range(count + 1)]
+    return [
+        {"time": k / count, "position": [radius * sin(turn), 0.0, radius * (cos(turn) - 1.0)]}
+        for k, turn in enumerate(turns)
+    ]
+
+
+def orbiting(frames: int, **motion: Any) -> Scene:
+    """A ball that passes before a wall once a second, and is far behind it at all whole seconds."""
+    ball = {"shape": "sphere", "center": [0.0, 0.0, 340.0], "radius": 9.0, "texture": "#ffffff", "motion": motion}
+    wall = {"shape": "rectangle", "center": [0.0, 0.0, 290.0], "size": [50.0, 40.0], "texture": "checkerboard"}
+    sequence = {"samples": 9, "frames": frames, "interval": 1.0}
+    return scene_from({"camera": CAMERA, "psf": {"tilt": False}, "sequence": sequence}, ball, wall)
+
+
+@pytest.mark.parametrize("way", ["cubic", "step"])
+def test_an_orbit_between_the_times_that_are_predicted(way: str) -> None:
+    """Its group of occluders and its radii are found on the device, whatever the times that the plan looked at."""
+    keys = orbit(90.0)
+    if way == "step":
+        keys = [{"time": 0.0}, {"time": 0.3, "position": [10.0, 0.0, -180.0]}, {"time": 0.7}]
+    # A plan of many frames looks at whole seconds; the orbit is over before the first of them.
+    long, short = (orbiting(frames, keyframe=keys, interpolation=way) for frames in (32, 1))
+    known, missed = make_plan(short, 1), make_plan(long, 1)
+    assert known.largest_blur > missed.largest_blur + 1.0
+    assert known.groups != missed.groups
+    (frame,) = clsco.render(long, frames=[0], truth=())
+    np.testing.assert_allclose(frame.color, reference_frames(short)[0].color, rtol=0, atol=1e-5)
