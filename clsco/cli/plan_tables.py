@@ -28,8 +28,9 @@ def plan_tables(
     """
     plan = plans[0]
     scene = plan.scene
-    samples, motion = f"{plan.samples} per frame", plan.choices.motion
+    samples, motion = f"{plan.subframes} per frame", plan.choices.motion
     samples += f", {motion.reason}" if motion.reason and not motion.left_out else ""
+    samples += _of_lines(plan) if plan.moves and scene.sequence.rolls else ""
     kind = "gray" if plan.colors == 1 else "color"
     figures = [("frames", f"{scene.sequence.frames}, {plan.columns} x {plan.rows} px, {kind}")]
     if scene.stereo is not None:
@@ -69,6 +70,7 @@ def planned_values(
         "rows": first.rows,
         "channels": first.channels,
         "samples": first.samples,
+        "subframes": first.subframes,
         "seconds": None if cost is None else cost.seconds,
         "cores": None if cost is None else cost.cores,
         "views": views,
@@ -78,10 +80,20 @@ def planned_values(
     }
 
 
+def _of_lines(plan: Plan) -> str:
+    """What a rolling shutter adds to the number of time samples."""
+    sequence = plan.scene.sequence
+    line = "column" if sequence.by_columns else "row"
+    text = f": {plan.samples} while a {line} is exposed"
+    text += f", each in the {line}s that are exposed then" if plan.narrows else ""
+    beyond = sequence.readout + sequence.shutter - sequence.interval
+    return f"{text}; the last {line}s are exposed {beyond:.3g} s into the next frame" if beyond > 0 else text
+
+
 def _times(plan: Plan, kind: Kind) -> int:
     """Number of times that a frame has passes of this kind."""
     members = sum(each.kind == kind for each in plan.passes)
-    return members if kind == "ground truth" else members * plan.samples
+    return members if kind == "ground truth" else members * plan.subframes
 
 
 def _time(cost: Cost | None) -> str:

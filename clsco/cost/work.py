@@ -121,12 +121,12 @@ def frame_work(plan: Plan, maps: Maps) -> list[tuple[Pass, Work]]:
     else:
         of_kind |= _of_image(plan, lattice, maps)
     of_kind["ground truth"] = _of_truth(plan)
-    planes = plan.channels * plan.rows * plan.columns * (1.0 + plan.divided / plan.samples)
+    planes = plan.channels * plan.rows * plan.columns * (1.0 + plan.divided / plan.repeats)
     of_kind["accumulate"] = {"accumulated": planes}
     shared = sum(strip.height for strip in plan.strips) / plan.height  # strips have rows of sources in common
     found = []
     for each in plan.passes:
-        often = 1.0 if each.kind == "ground truth" else plan.samples * shared
+        often = 1.0 if each.kind == "ground truth" else plan.repeats * shared
         work = groups[each.group][each.kind]
         found.append((each, {name: often * count for name, count in work.items() if count}))
     return found
@@ -201,7 +201,7 @@ def _of_group(plan: Plan, group: OcclusionGroup, lattice: Lattice) -> dict[str, 
     found = _of_part(plan, group, lattice, view, hits, (changed, window))
     for kind, work in _of_part(plan, group, lattice, view, hits, (~changed, every)).items():
         for name, count in work.items():
-            found[kind][name] = found[kind].get(name, 0.0) + count / plan.samples
+            found[kind][name] = found[kind].get(name, 0.0) + count / plan.repeats
     return found
 
 

@@ -111,7 +111,7 @@ def prepare(
 
     image = ["color"] if prepared.plan.color else []
     held = {FILE_NAMES[name] for name in (*image, *prepared.plan.truth, *(["alpha"] if prepared.plan.alpha else []))}
-    subframes = (prepared.plan.samples if scene.moves else 1) if "subframes" in request.truth else 0
+    subframes = prepared.plan.subframes if "subframes" in request.truth else 0
     tolerance = None if prepared.approximation is None else prepared.approximation.tolerance
 
     def is_there(index: int) -> bool:

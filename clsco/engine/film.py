@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
@@ -30,8 +30,8 @@ class Step:
     ----------
     number : int
         Number of the time sample, at whose time the objects are.
-    weights : ndarray of float64, (rows,)
-        Weights of the plane in the frame.
+    weights : ndarray of float64, (lines,)
+        Weights of the plane in the frame, in its rows or its columns.
     still : bool, optional
         Sources of a divided exposure: the still ones, or the others; None for all sources.
     """
@@ -39,6 +39,16 @@ class Step:
     number: int
     weights: NDArray[np.float64]
     still: bool | None = None
+
+
+def _parts(plan: Plan, strip: Strip, steps: Sequence[Step]) -> dict[int, Strip]:
+    """Steps that a strip needs, with its part that each needs: of what is still all of it."""
+    found = {}
+    for number, step in enumerate(steps):
+        part = strip if step.still else plan.part(strip, step.weights)
+        if part is not None:
+            found[number] = part
+    return found
 
 
 class Film:
@@ -62,6 +72,8 @@ class Film:
         Pixels that were missing at any time sample, filled or not.
     bounds : dict
         Bounds of the depth layers of time samples by their numbers, where they come from all strips.
+    parts_of : dict
+        For each strip its steps by their numbers, with the part of the strip that each is run on.
     parts : dict
         Parts of a divided exposure by `Step.still`.
     events : list
@@ -74,12 +86,14 @@ class Film:
         exposure = frame_exposure(plan.scene, index, plan.samples)
         shape = (plan.rows, plan.columns)
         image = shape if plan.channels == 1 else (*shape, plan.channels)
-        self.index, self.times, weights = index, exposure.times.tolist(), exposure.of_rows(plan.rows)
+        lines = plan.columns if exposure.by_columns else plan.rows
+        self.index, self.times, weights = index, exposure.times.tolist(), exposure.of_lines(lines)
         still = None if not plan.divided else False
         self.steps = tuple(Step(number, each, still) for number, each in enumerate(weights))
         if plan.divided:
             self.steps = (Step(0, weights.sum(axis=0), True), *self.steps)
         self.shares = exposure.weights.reshape(len(self.times), -1).mean(axis=1).tolist()
+        self.parts_of = {strip: _parts(plan, strip, self.steps) for strip in plan.strips}
         self.color = np.empty(image, np.float32)
         self.subframes = np.empty((len(self.times) if "subframes" in plan.truth else 0, *image), np.float32)
         self.missing = np.zeros(shape, np.bool_)
@@ -101,7 +115,7 @@ class Film:
             return
         if len(self.subframes):
             found["plane"].read(session, self.subframes[number][strip.inside])
-        if count == len(self.steps) - 1:
+        if count == [*self.parts_of[strip]][-1]:
             self._planes.append((found.get("frame", found["plane"]), self.color[strip.inside]))
 
     def read(self, session: Session) -> None:

@@ -63,7 +63,7 @@ class Renderer:
         real: Real = "double" if wants_double else "float"
         self.session, self.plan, self.limit, self.prepared, self.hits = session, plan, limit, prepared, hits
         self.scene = PlacedScene(session, plan.scene, plan.psf, prepared.textures, real, plan.eye, plan.alpha)
-        self.pixels, self.grids = self._pixels(), self._grids()
+        self.pixels, self.grids = self._pixels(), dict[Strip, Struct]()
         self.space = self._workspace()
         self.truth = GroundTruth(plan, self.scene, self.pixels)
 
@@ -74,13 +74,8 @@ class Renderer:
             return StaticMap(self.session, plan.scene.camera, radiance, depth, plan.guard_px, self.scene.real)
         return ForwardWarp(plan, self.scene, maps) if plan.forward else None
 
-    def _grids(self) -> dict[Strip, Struct]:
-        """grid_t of each strip."""
-        plan, real = self.plan, self.scene.real
-        return {strip: camera_grid(plan.scene.camera, plan.guard_px, real, strip) for strip in plan.strips}
-
     def _workspace(self) -> Workspace:
-        return scene_workspace(self.plan, self.scene, self.pixels, self.hits, self.grids[self.plan.strips[0]])
+        return scene_workspace(self.plan, self.scene, self.pixels, self.hits, self._grid(self.plan.strips[0]))
 
     def begin(self, index: int) -> Film:
         """Begin the frame of this number: no radiance yet."""
@@ -97,12 +92,21 @@ class Renderer:
         return film
 
     def _moment(self, film: Film, strip: Strip, count: int) -> Moment:
-        step = film.steps[count]
+        step, counts = film.steps[count], film.parts_of[strip]
+        part, by_columns = counts[count], self.plan.scene.sequence.by_columns
+        weights = step.weights if by_columns else step.weights[part.inside]
         return Moment(
-            strip=strip, grid=self.grids[strip], events=film.events, bounds=film.bounds.get(step.number),
-            sample=self.scene.at(film.times[step.number]), weights=step.weights[strip.inside], first=count == 0,
-            part=film.parts.get(step.still),
+            strip=part, grid=self._grid(part), events=film.events, bounds=film.bounds.get(step.number),
+            sample=self.scene.at(film.times[step.number]), weights=weights, first=count == next(iter(counts)),
+            of=strip, part=film.parts.get(step.still),
         )  # fmt: skip
+
+    def _grid(self, strip: Strip) -> Struct:
+        """grid_t of a strip, or of a part of one."""
+        if strip not in self.grids:
+            plan = self.plan
+            self.grids[strip] = camera_grid(plan.scene.camera, plan.guard_px, self.scene.real, strip)
+        return self.grids[strip]
 
     def add(self, film: Film, strip: Strip, count: int) -> None:
         """Run the passes of a step, by its number, on a strip."""
@@ -146,7 +150,7 @@ class Renderer:
         if plan.guard_px != before.guard_px:
             self.pixels = None
             self.pixels = self._pixels()
-        self.grids = self._grids()
+        self.grids = {}
         self.space = self._workspace()
         self.truth = GroundTruth(plan, self.scene, self.pixels)
 
@@ -188,16 +192,18 @@ def expose(renderers: Sequence[Renderer], index: int) -> list[Film]:
 def _expose(renderers: Sequence[Renderer], index: int) -> list[Film]:
     session, plan = renderers[0].session, renderers[0].plan
     films = [renderer.begin(index) for renderer in renderers]
-    steps, strips = len(films[0].steps), plan.strips
+    parts_of, done = films[0].parts_of, 0
+    steps = sum(map(len, parts_of.values()))
     if {step.kind for step in plan.passes} <= {"ground truth"}:
         return films
-    for number, strip in enumerate(strips):
-        for count in range(steps):
+    for strip, counts in parts_of.items():
+        for count in counts:
             before = [film.events[-1:] for film in films]
             for renderer, film in zip(renderers, films, strict=True):
                 renderer.add(film, strip, count)
             if (progress := session.progress) is not None:
-                _keep_pace(before, progress, number * steps + count, len(strips) * steps)
+                _keep_pace(before, progress, done, steps)
+            done += 1
         for film in films:
             film.read(session)
     return films

@@ -106,7 +106,7 @@ def scene_workspace(plan: Plan, scene: PlacedScene, pixels: Pixels, hits: Hits |
     blurs, clusters = blur_runs(session, spec, plan.grid, grid, buffers, real, "wide" if lit else "none")
     runs |= _ray_runs(tracer, _handed_on(plan)) | blurs
     if plan.averages:
-        runs |= _exposure_runs(FrameSum(session, sum_buffers(plan.grid)))
+        runs |= _exposure_runs(FrameSum(session, sum_buffers(plan.grid), scene.scene.sequence.by_columns))
     return Workspace(session, runs, buffers, clusters)
 
 
@@ -229,6 +229,6 @@ def _exposure_runs(frame: FrameSum) -> dict[Kind, Run]:
     def accumulate(at: Moment, plane: Plane) -> tuple[Any, ...]:
         if at.first:
             frame.clear()
-        return (frame.add(plane, at.weights, at.events),)
+        return (frame.add(plane, at.weights, at.events, at.strip.top - at.of.top, at.of.rows),)
 
     return {"accumulate": accumulate}

@@ -58,12 +58,17 @@ def cut(rows: int, tallest: int, guard: int, reach: int, step: int = 1) -> tuple
     -------
     tuple of Strip
     """
-    found = []
-    for top in range(0, rows, tallest):
-        end = min(top + tallest, rows)
-        above, below = (min(max(guard, reach), left + guard) for left in (top, rows - end))
-        found.append(Strip(top, end - top, above + (top + guard - above) % step, below))
-    return tuple(found)
+    tops = range(0, rows, tallest)
+    return tuple(part(rows, top, min(top + tallest, rows), guard, reach, step) for top in tops)
+
+
+def part(rows: int, top: int, end: int, guard: int, reach: int, step: int = 1) -> Strip:
+    """The strip from one row of a frame to the one before another; the other arguments as for `cut`.
+
+    It has the bits of the whole frame where it begins at a multiple of BAND, and ends at one or with the frame.
+    """
+    above, below = (min(max(guard, reach), left + guard) for left in (top, rows - end))
+    return Strip(top, end - top, above + (top + guard - above) % step, below)
 
 
 def around(

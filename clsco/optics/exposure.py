@@ -1,14 +1,15 @@
 """Exposure of a frame: the time samples that it averages, and the weight of each in every row (float64, pure).
 
-Shutter curves, and later rows that are exposed one after another, change `frame_exposure` alone: all that renders,
-predicts and reports takes times and weights from here. A curve is sampled at the middles of equal shares of the
-exposure, each with the light of its share: with a sample for a px of motion and more that is closer than times at equal
-light.
+Shutter curves, and lines (rows or columns) that are exposed one after another, change `frame_exposure` alone: all that
+renders, predicts and reports takes times and weights from here. A curve is sampled at the middles of equal shares of
+the exposure, each with the light of its share: with a sample for a px of motion and more that is closer than times at
+equal light.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,29 +29,32 @@ class Exposure:
     ----------
     times : ndarray of float64, (samples,)
         Seconds since the reference pose.
-    weights : ndarray of float64, (samples,) or (samples, rows)
-        Weight of each time sample in all rows of the frame, or in each of them; the sum of a row is 1.
+    weights : ndarray of float64, (samples,) or (samples, lines)
+        Weight of each time sample in all of the frame, or in each of its lines; the sum of a line is 1.
+    by_columns : bool, optional
+        Lines are columns, not rows.
 
     Examples
     --------
     >>> import numpy as np
     >>> from clsco.optics.exposure import Exposure
     >>> rolling = Exposure(np.array([0.0, 0.5]), np.array([[1.0, 0.5, 0.0], [0.0, 0.5, 1.0]]))
-    >>> rolling.of_rows(3)[1].tolist(), rolling.is_one_image
+    >>> rolling.of_lines(3)[1].tolist(), rolling.is_one_image
     ([0.0, 0.5, 1.0], False)
     """
 
     times: Array
     weights: Array
+    by_columns: bool = False
 
     @property
     def is_one_image(self) -> bool:
         """True if the frame is the image of a single time sample, of weight 1."""
         return len(self.times) == 1 and bool((self.weights == 1.0).all())
 
-    def of_rows(self, rows: int) -> Array:
-        """Weights (samples, rows) of a frame with so many rows."""
-        return np.broadcast_to(self.weights.reshape(len(self.times), -1), (len(self.times), rows))
+    def of_lines(self, lines: int) -> Array:
+        """Weights (samples, lines) of a frame with so many rows, or columns where weights are of these."""
+        return np.broadcast_to(self.weights.reshape(len(self.times), -1), (len(self.times), lines))
 
 
 def frame_exposure(scene: Scene, frame: int, samples: int) -> Exposure:
@@ -59,15 +63,16 @@ def frame_exposure(scene: Scene, frame: int, samples: int) -> Exposure:
     Parameters
     ----------
     scene : Scene
+        With its resolution, where rows or columns are exposed one after another.
     frame : int
     samples : int
-        Number of time samples. "midpoint": t = (i + 1/2) T / N after the shutter opens; "endpoint": t = (i + 1) T / N,
-        the thesis, which displaces the image by half an interval.
+        Number N of time samples while a line of the frame is exposed. "midpoint": t = (i + 1/2) T / N after the shutter
+        opens; "endpoint": t = (i + 1) T / N, the thesis, which displaces the image by half an interval.
 
     Returns
     -------
     Exposure
-        The weight of a time sample is the integral of the shutter curve over its share of the exposure.
+        The weight of a time sample is the integral of the shutter curve over its share of the exposure, for each line.
 
     Examples
     --------
@@ -81,11 +86,72 @@ def frame_exposure(scene: Scene, frame: int, samples: int) -> Exposure:
     if not scene.moves:
         return Exposure(np.zeros(1), np.ones(1))
     sequence = scene.sequence
+    if sequence.rolls:
+        return _rolling_exposure(scene, frame, samples)
     steps = np.arange(samples, dtype=np.float64) + (0.5 if sequence.sampling == "midpoint" else 1.0)
     times = shutter_span(sequence, frame)[0] + steps * (sequence.shutter / samples)
     if sequence.shutter_curve == "box":
         return Exposure(times, np.full(samples, 1.0 / samples))
     return Exposure(times, _differences(curve_integral(sequence.shutter_curve, np.linspace(0.0, 1.0, samples + 1))))
+
+
+def _rolling_exposure(scene: Scene, frame: int, samples: int) -> Exposure:
+    """Exposure of a frame whose lines open one after another.
+
+    Lines that are open at the same time share their time samples, which divide the frame's whole exposure into equal
+    shares of at most shutter / samples; where none are, each line has its own.
+    """
+    sequence, opens = scene.sequence, line_openings(scene)
+    (begins, _), curve, shutter = shutter_span(sequence, frame), sequence.shutter_curve, sequence.shutter
+    count = subframes_of(scene, samples)
+    if lines_overlap(scene):
+        ends = np.linspace(0.0, sequence.readout + shutter, count + 1)
+        passed = curve_integral(curve, (ends[:, None] - opens) / shutter)
+        passed[-1] = 1.0  # for the last line, whatever rounding is
+        weights = _differences(passed)
+        return Exposure(begins + 0.5 * (ends[1:] + ends[:-1]), weights, sequence.by_columns)
+    ends = np.linspace(0.0, 1.0, samples + 1)
+    times = (np.sort(opens)[:, None] + 0.5 * shutter * (ends[1:] + ends[:-1])).ravel()
+    in_turn = np.eye(len(opens))[np.argsort(opens)]
+    own = _differences(curve_integral(curve, ends))
+    return Exposure(
+        begins + times, np.repeat(in_turn, samples, axis=0) * np.tile(own, len(opens))[:, None], sequence.by_columns
+    )
+
+
+def lines_overlap(scene: Scene) -> bool:
+    """True if lines are open at the same time as those beside them."""
+    return scene.sequence.shutter * (frame_lines(scene) - 1) > scene.sequence.readout
+
+
+def subframes_of(scene: Scene, samples: int) -> int:
+    """Number of time samples of a frame, of which each line has about `samples` while it is exposed."""
+    sequence = scene.sequence
+    if not sequence.rolls:
+        return samples
+    if not lines_overlap(scene):
+        return samples * frame_lines(scene)
+    return ceil(samples * (1.0 + sequence.readout / sequence.shutter) * (1.0 - 1e-12))
+
+
+def frame_lines(scene: Scene) -> int:
+    """Number of lines of a frame: its columns where these are exposed one after another, else its rows."""
+    columns, rows = scene.camera.frame_size
+    return columns if scene.sequence.by_columns else rows
+
+
+def line_openings(scene: Scene) -> Array:
+    """Times (lines,) at which the lines of a frame open, s after its shutter does: 0 for the first, and for the last
+    one `readout`."""
+    sequence, lines = scene.sequence, frame_lines(scene)
+    opens = np.linspace(0.0, sequence.readout, lines) if lines > 1 else np.zeros(1)
+    return opens[::-1] if sequence.scan in ("bottom_to_top", "right_to_left") else opens
+
+
+def line_times(scene: Scene, frame: int) -> Array:
+    """Middles (lines,) of the exposures of a frame's lines, s since the reference pose: the times of its ground
+    truth."""
+    return shutter_span(scene.sequence, frame)[0] + line_openings(scene) + 0.5 * scene.sequence.shutter
 
 
 def curve_integral(curve: ShutterCurve, times: Array) -> Array:
@@ -134,15 +200,16 @@ def _differences(passed: Array) -> Array:
 
 
 def shutter_span(sequence: Sequence, frame: int) -> tuple[float, float]:
-    """Times at which the shutter of a frame opens and closes, s since the reference pose."""
+    """Times at which the shutter of a frame opens for its first line and closes for its last one, s since the reference
+    pose."""
     opens = frame * sequence.interval + sequence.shutter_start
-    return opens, opens + sequence.shutter
+    return opens, opens + sequence.shutter + sequence.readout
 
 
 def middle_time(sequence: Sequence, frame: int) -> float:
     """Time of a frame's ground truth, s since the reference pose: half way from the opening of its shutter to the
-    closing, whatever the curve between them is."""
-    return shutter_span(sequence, frame)[0] + 0.5 * sequence.shutter
+    closing, whatever the curve between them is. Of lines in turn this is the time of the middle line."""
+    return shutter_span(sequence, frame)[0] + 0.5 * (sequence.shutter + sequence.readout)
 
 
 def sequence_times(scene: Scene) -> list[float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pyopencl as cl
 from numpy.typing import NDArray
 
 from clsco.constants import SUMMED_PIXELS
@@ -13,25 +14,28 @@ from clsco.passes.blur import BLOCKS, PLAIN, Events, Plane, Target
 from clsco.plan.buffers import Sizes
 from clsco.records import structs
 
-FEATURES = PLAIN | {"SAMPLED": 0, "GENERAL": 0, "CHANNELS": 0}
+FEATURES = PLAIN | {"SAMPLED": 0, "GENERAL": 0, "CHANNELS": 0, "SCAN_COLUMNS": 0}
 
 
 class FrameSum:
-    """A frame, or a strip of it, as the sum of planes, each with one weight for each row.
+    """A frame, or a strip of it, as the sum of planes, each with one weight for each row, or for each column.
 
     Parameters
     ----------
     session : Session
     sizes : dict
         Sizes of the buffers, by `clsco.plan.buffers.sum_buffers`.
+    by_columns : bool
+        Weights are of columns.
 
     Notes
     -----
     Validated against `clsco.reference.blur.accumulate`.
     """
 
-    def __init__(self, session: Session, sizes: Sizes) -> None:
-        program = build(session, ["blur/accumulate.cl"], FEATURES, structs("float"), "float")
+    def __init__(self, session: Session, sizes: Sizes, by_columns: bool = False) -> None:
+        features = FEATURES | {"SCAN_COLUMNS": int(by_columns)}
+        program = build(session, ["blur/accumulate.cl"], features, structs("float"), "float")
         self.target = Target(session, program, "float")
         self.local = (1, 1) if session.device.kind == "cpu" else BLOCKS  # there PoCL compiles it in a third of the time
         self.sum, self.lost = (empty(session, sizes[name]) for name in ("sum", "lost"))
@@ -41,12 +45,19 @@ class FrameSum:
         """Begin a frame, or a strip of it."""
         self.begins = True
 
-    def add(self, plane: Plane, weights: NDArray[np.floating], events: Events) -> Plane:
-        """Add a plane with weights (rows,); the sum so far."""
-        rows, columns, channels = plane.rows, plane.columns, plane.shape[0]
-        head = (np.int32(n) for n in (self.begins, rows, columns, channels))
+    def add(
+        self, plane: Plane, weights: NDArray[np.floating], events: Events, top: int = 0, rows: int | None = None
+    ) -> Plane:
+        """Add a plane to the rows from `top` on, with weights (rows,) or (columns,) of it; rows: of the sum, by default
+        those of the plane. Returns the sum so far."""
+        height, columns, channels = rows or plane.rows, plane.columns, plane.shape[0]
+        if self.begins and plane.rows < height:
+            for buffer in (self.sum, self.lost):
+                cl.enqueue_fill_buffer(self.target.session.queue, buffer, np.zeros(1, np.uint32), 0, buffer.size)
+            self.begins = False
+        head = (np.int32(n) for n in (self.begins, plane.rows, columns, channels))
         given = copied(self.target.session, weights.astype(np.float32))  # sooner than by a command in the queue
-        args = (*head, *plane.layout, given, self.sum, self.lost)
+        args = (*head, *plane.layout, given, np.int32(top), np.int32(height), self.sum, self.lost)
         self.begins = False
-        self.target.run("accumulate", (-(-columns // SUMMED_PIXELS), rows), self.local, events, *args)
-        return Plane(self.sum, (channels, rows, columns), rows, columns)
+        self.target.run("accumulate", (-(-columns // SUMMED_PIXELS), plane.rows), self.local, events, *args)
+        return Plane(self.sum, (channels, height, columns), height, columns)

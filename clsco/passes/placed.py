@@ -11,6 +11,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
+from clsco.frame.strips import Strip
 from clsco.inputs.mipmaps import mipmap_floats
 from clsco.inputs.textures import Texture, empty_image
 from clsco.opencl.buffers import upload
@@ -83,10 +84,12 @@ class Moment(Area):
     Attributes
     ----------
     sample : TimeSample
-    weights : ndarray of float64, (rows,)
+    weights : ndarray of float64, (rows,) or (columns,)
         Weights of the time sample in the strip.
     first : bool
         It is the first time sample of the frame.
+    of : Strip
+        The strip of the frame that this one is a part of, or is.
     part : Part, optional
         Sources that are made, where a frame is divided.
     """
@@ -94,6 +97,7 @@ class Moment(Area):
     sample: TimeSample
     weights: NDArray[np.float64]
     first: bool
+    of: Strip
     part: Part | None = None
 
 

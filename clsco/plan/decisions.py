@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 
+from clsco.errors import SceneError
 from clsco.frame.frame import ALL_TRUTH, MAPPING_NAMES, MOTION_NAMES, STEREO_NAMES
+from clsco.optics.exposure import subframes_of
 from clsco.optics.motion import Eye
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import Extent, place
@@ -14,6 +16,7 @@ from clsco.optics.visibility import OcclusionGroup, extent, is_hollow, occlusion
 from clsco.plan.choice import Choice
 from clsco.plan.methods import MANY_RADII, Blur, Occlusion, can_convolve, choose_blur
 from clsco.plan.predict import (
+    MOST_SUBFRAMES,
     Maps,
     Prediction,
     constant_blur,
@@ -27,7 +30,7 @@ from clsco.plan.request import Request
 from clsco.scene.model import Aperture, Fill, Scene
 
 WHOLE_PIXELS = "the forward warp moves whole pixels"
-EXPOSURE_KEYS = ("samples", "sampling", "shutter", "shutter_curve", "shutter_start")
+EXPOSURE_KEYS = ("samples", "sampling", "shutter", "shutter_curve", "shutter_start", "readout", "scan")
 MOTION_KEYS = (*(f"sequence.{key}" for key in EXPOSURE_KEYS), "motion.rotation")
 FILL_KEYS = tuple(f"fill.{key}" for key in Fill.model_fields)
 SPREAD_KEYS = ("psf.tilt", "psf.occlusion", "psf.border")  # of light that leaves its pixel
@@ -158,12 +161,15 @@ def choose_image(color: bool) -> Choice[bool]:
 
 
 def choose_samples(scene: Scene, maps: Maps) -> Choice[int]:
-    """Time samples of what moves."""
+    """Time samples of what moves, while a line of the frame is exposed."""
     if not scene.moves:
         return Choice(0, "nothing moves: one sample, in the reference pose", MOTION_KEYS)
-    if scene.sequence.samples == "auto":
-        return Choice(motion_samples(scene, maps), "from the motion")
-    return Choice(scene.sequence.samples)
+    given = scene.sequence.samples
+    found = Choice(motion_samples(scene, maps), "from the motion") if given == "auto" else Choice(given)
+    if (count := subframes_of(scene, found.value)) > MOST_SUBFRAMES:
+        about = "fewer samples, a shorter readout or a longer shutter need fewer"
+        raise SceneError(f"sequence.readout: must give at most {MOST_SUBFRAMES} sub-frames; got {count} ({about})")
+    return found if scene.sequence.rolls else replace(found, unused=("sequence.scan",))
 
 
 def choose_warp(scene: Scene, eye: Eye) -> Choice[bool]:

@@ -14,10 +14,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.constants import TAP_LANES
-from clsco.frame.strips import Grid, Strip
+from clsco.constants import BAND, TAP_LANES
+from clsco.frame.strips import Grid, Strip, part
 from clsco.inputs.pupils import scene_point_spread
-from clsco.optics.exposure import frame_exposure
+from clsco.optics.exposure import frame_exposure, subframes_of
 from clsco.optics.lens import blur_radius
 from clsco.optics.motion import Eye
 from clsco.optics.point_spread import PointSpread
@@ -138,8 +138,22 @@ class Plan:
 
     @property
     def samples(self) -> int:
-        """Time samples per frame."""
+        """Time samples while a line of a frame is exposed, which is all of it but with a rolling shutter."""
         return max(self.choices.motion.value, 1)
+
+    @property
+    def subframes(self) -> int:
+        """Time samples per frame."""
+        return subframes_of(self.scene, self.samples) if self.moves else 1
+
+    @cached_property
+    def repeats(self) -> float:
+        """Time samples per frame, with those that are rendered in some of its rows as their share of it."""
+        if not self.narrows:
+            return float(self.subframes)
+        (whole,) = strips_of(self.spec, self.rows, 0, self.guard_px, self.reach_px)
+        parts = [self.part(whole, weights) for weights in frame_exposure(self.scene, 0, self.samples).weights]
+        return sum(each.height for each in parts if each is not None) / self.height
 
     @property
     def forward(self) -> bool:
@@ -202,6 +216,23 @@ class Plan:
     def strips(self) -> tuple[Strip, ...]:
         """The strips that the frame is made in, one after the other; the first one is the tallest."""
         return strips_of(self.spec, self.rows, self.strip_rows, self.guard_px, self.reach_px)
+
+    @property
+    def narrows(self) -> bool:
+        """True if a time sample is rendered in the rows alone that it has a weight in: depth layers need all rows."""
+        sequence, asked = self.scene.sequence, self.truth
+        rolls = self.moves and sequence.rolls and not sequence.by_columns
+        return rolls and not self.spec.layered and "subframes" not in asked
+
+    def part(self, strip: Strip, weights: Array) -> Strip | None:
+        """Part of a strip that a time sample with weights (rows,) is rendered in, None where it has none there."""
+        if not self.narrows:
+            return strip
+        lit = strip.top + np.flatnonzero(weights[strip.inside])
+        if not lit.size:
+            return None
+        top = max(int(lit[0]) // BAND * BAND, strip.top)
+        return part(self.rows, top, int(lit[-1]) + 1, self.guard_px, self.reach_px)
 
     @property
     def grid(self) -> Grid:
@@ -347,7 +378,7 @@ def _predicted_taps(plan: Plan, w: Array) -> float:
     if not seen.size:
         return 0.0
     lit = np.pi * (seen * plan.psf.extent + 0.7) ** 2
-    return float((w > 0).mean() * plan.width * plan.height * plan.samples * lit.mean())
+    return float((w > 0).mean() * plan.width * plan.height * plan.repeats * lit.mean())
 
 
 def _passes(plan: Plan) -> tuple[Pass, ...]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from clsco.constants import TAP_LANES
 from clsco.errors import SceneError
-from clsco.optics.exposure import middle_time, sequence_times, shutter_span
+from clsco.optics.exposure import lines_overlap, middle_time, sequence_times, shutter_span, subframes_of
 from clsco.optics.lens import LARGEST_BLUR, blur_radius, ray_step
 from clsco.optics.motion import Eye, Pose, poses_at, rest_center, static_rotation
 from clsco.optics.point_spread import PointSpread
@@ -26,6 +26,8 @@ GRID = 65  # rays per axis that predict the range of the blur radius
 LENS_KEYS = ("f_number", "aperture_diameter", "focus_distance", "sensor_distance")
 PIXELS_PER_SAMPLE = 1.0  # of the largest motion, with samples = "auto": 2 lose 5 to 9 dB, fewer gain little
 MOST_SAMPLES = 4095
+LINE_SAMPLES = 11  # while a line is exposed
+MOST_SUBFRAMES = 8192  # of a frame
 
 
 def guard_band(psf: PointSpread, border: str, largest: float) -> int:
@@ -184,9 +186,23 @@ def seen_depths(scene: Scene, maps: Maps) -> Array:
 
 
 def motion_samples(scene: Scene, maps: Maps) -> int:
-    """Time samples per frame that suit the motion."""
-    wanted = ceil(image_displacement(scene, maps) / PIXELS_PER_SAMPLE)
+    """Time samples that suit the motion, while a line of the frame is exposed."""
+    way = image_displacement(scene, maps) / PIXELS_PER_SAMPLE
+    wanted = _line_samples(scene, way) if scene.sequence.rolls else ceil(way)
     return min(wanted | 1, MOST_SAMPLES)  # odd, so that the middle of the shutter is one of them
+
+
+def _line_samples(scene: Scene, way: float) -> int:
+    """Time samples while a line is exposed, where lines open in turn; way: in px over all of these exposures.
+
+    A line is open for a part of its first and its last share, as if for all of that with less light: LINE_SAMPLES of
+    them keep this small where they are as long as a tenth of a px of motion at least.
+    """
+    sequence = scene.sequence
+    own = way * sequence.shutter / (sequence.shutter + sequence.readout)
+    least = min(ceil(LINE_SAMPLES * own) + 1, LINE_SAMPLES) if lines_overlap(scene) else 1
+    most = int(MOST_SUBFRAMES / subframes_of(scene, 1))
+    return min(max(ceil(own), least), max(most, 1))
 
 
 def fills_view(scene: Scene, w: Array) -> bool:

@@ -42,7 +42,8 @@ from clsco.scene.model import Scene
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """A pass of a frame at a time sample, s: its weights (rows,), and the weighted sum (m, n, C) of those before."""
+    """A pass of a frame at a time sample, s: its weights (rows,) or (1, columns), and the weighted sum (m, n, C) of
+    those before."""
 
     plan: Plan
     textures: tuple[Texture, ...]

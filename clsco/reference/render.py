@@ -86,7 +86,7 @@ def _frame(plan: Plan, textures: tuple[Texture, ...], maps: Maps, index: int, su
     missing, alone = np.zeros(color.shape[:2], dtype=bool), []
     exposure = frame_exposure(scene, index, plan.samples)
     for time, weights in zip(exposure.times.tolist(), exposure.weights, strict=True):
-        found = run(plan, textures, maps, time, weights, color)
+        found = run(plan, textures, maps, time, weights[None] if exposure.by_columns else weights, color)
         color, missing = found.get("frame", found["plane"]), missing | found.get("missing", False)
         if subframes:
             alone.append(_without_channel(found["plane"]))

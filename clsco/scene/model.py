@@ -312,6 +312,8 @@ class Scene(Strict):
         if of_two_views or not self.is_ray_castable:
             rule = 'belongs to scenes of analytic surfaces with motion.warp = "inverse"'
             found: list[Fault] = []
+            if self.sequence.rolls:
+                found.append((("sequence", "readout"), fault(rule), self.sequence.readout))
             for index, item in enumerate(self.objects):
                 if item.mapped is not None:
                     found.append((("object", index, "texture_mapping"), fault(rule), item.texture_mapping))

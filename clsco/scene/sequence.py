@@ -29,6 +29,8 @@ def _curve(value: Any) -> Any:
 
 
 Start = Annotated[float, Within(-1e9, 1e9, "s")]
+Readout = Annotated[float, Within(0.0, 1e9, "s")]
+Scan = Literal["top_to_bottom", "bottom_to_top", "left_to_right", "right_to_left"]
 Weight = Annotated[float, Within(0.0, LARGEST_WEIGHT)]
 ShutterCurve = Annotated[
     Literal["box", "trapezoid", "triangle"]
@@ -57,6 +59,11 @@ class Sequence(Strict):
     shutter_start: Start = 0.0
     """Time at which the shutter of a frame opens, s after the frame's own; -shutter / 2 centers it there."""
 
+    readout: Readout = 0.0
+    """Time from the opening of the shutter for the first row to that for the last one, s; 0: for all at once."""
+    scan: Scan = "top_to_bottom"
+    """Order in which rows, or columns, are exposed, each of them for shutter; only with a readout."""
+
     @field_validator("shutter", mode="before")
     @classmethod
     def _is_open(cls, value: Any) -> Any:
@@ -72,9 +79,26 @@ class Sequence(Strict):
             raise fault(f"must be at most interval = {interval:g} s")
         return value
 
-    @field_validator("shutter_curve")
+    @property
+    def rolls(self) -> bool:
+        """True if rows or columns are exposed one after another."""
+        return self.readout > 0.0
+
+    @property
+    def by_columns(self) -> bool:
+        """True if these are columns."""
+        return self.scan in ("left_to_right", "right_to_left")
+
+    @field_validator("readout", mode="before")
     @classmethod
-    def _at_midpoints(cls, value: ShutterCurve, info: ValidationInfo) -> ShutterCurve:
-        if value != "box" and info.data.get("sampling") == "endpoint":
+    def _forwards(cls, value: Any) -> Any:
+        if type(value) in (int, float) and value < 0:
+            raise fault("must be at least 0 s; for the other order of the rows change scan")
+        return value
+
+    @field_validator("shutter_curve", "readout")
+    @classmethod
+    def _at_midpoints(cls, value: ShutterCurve | float, info: ValidationInfo) -> ShutterCurve | float:
+        if value not in ("box", 0.0) and info.data.get("sampling") == "endpoint":
             raise fault(OF_MIDPOINTS)
         return value

@@ -106,7 +106,7 @@ def predicted_seconds(scene: Scene, index: int) -> float:
     from clsco.plan.prepare import prepare
 
     plan = prepare(scene).plan
-    work = plan.width * plan.height * plan.samples
+    work = plan.width * plan.height * plan.subframes
     if not scene.is_analytic:
         return OF_MAPS * work
     size = min(PROBE, plan.columns), min(PROBE, plan.rows)

@@ -1,28 +1,37 @@
-// Exposure of a frame: I(x) = sum_t weight_t(row of x) B_t(x), where B_t is the blurred image of time sample t. Twin:
+// Exposure of a frame: I(x) = sum_t weight_t(line of x) B_t(x), where B_t is the blurred image of time sample t, and
+// lines are rows, or with SCAN_COLUMNS columns. Twin:
 // clsco/reference/blur/accumulate.py. Host: clsco/passes/accumulate.py, for frames of several time samples.
 //
 // Kahan's sum: `lost` is what rounding has added to `sum` so far, which the next time sample takes back. However many
 // there are, a pixel is off by the rounding of its weights and of one sum. SUMMED_PIXELS of a row at a time took it
 // from 1.6 to 0.4 ns per pixel (benchmarks/optimisation_log.md).
 
+#if SCAN_COLUMNS
+#define WEIGHT(x, row) weights[x]
+#else
+#define WEIGHT(x, row) weight
+#endif
+
 // Adds the plane of a time sample, whose channels are `apart` apart, its first pixel at `start`, and its rows `pitch`.
-// In: begins, 1 for the first plane of a frame, which nothing is read of yet; weights float (rows). In and out: sum and
-// lost, float (channels, rows, columns).
+// In: begins, 1 for the first plane of a frame, which nothing is read of yet; weights float (rows) or (columns). In and
+// out: sum and lost, float (channels, height, columns), to whose rows from `top` on the plane belongs.
 __kernel void accumulate(const int begins, const int rows, const int columns, const int channels,
                          __global const float *restrict plane, const int apart, const int start, const int pitch,
-                         __global const float *restrict weights, __global float *restrict sum,
-                         __global float *restrict lost)
+                         __global const float *restrict weights, const int top, const int height,
+                         __global float *restrict sum, __global float *restrict lost)
 {
     const int first = get_global_id(0) * SUMMED_PIXELS, row = get_global_id(1);
     if (first >= columns || row >= rows)
         return;
+#if !SCAN_COLUMNS
     const float weight = weights[row];
+#endif
     for (int k = 0; k < channels; ++k) {
         __global const float *restrict own = plane + k * apart + start + row * pitch;
-        __global float *restrict total = sum + (k * rows + row) * columns, *restrict low = lost + (total - sum);
+        __global float *restrict total = sum + (k * height + top + row) * columns, *restrict low = lost + (total - sum);
         for (int x = first; x < MIN(first + SUMMED_PIXELS, columns); ++x) {
             const float before = begins ? 0.0f : total[x];
-            const float part = weight * own[x] - (begins ? 0.0f : low[x]), after = before + part;
+            const float part = WEIGHT(x, row) * own[x] - (begins ? 0.0f : low[x]), after = before + part;
             low[x] = (after - before) - part;
             total[x] = after;
         }

@@ -74,7 +74,7 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     | dict.fromkeys(("SAMPLED", "TILT", "DISC", "SEPARABLE"), ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 3)}
     | GENERAL,
-    ("blur/accumulate.cl",): GEOMETRY,
+    ("blur/accumulate.cl",): GEOMETRY | {"SCAN_COLUMNS": ON_OR_OFF},
     ("blur/convolve.cl",): GEOMETRY | {"WIDE_SUMS": ON_OR_OFF},
     ("inpainting/fse.cl",): GEOMETRY,
     ("inpainting/biharmonic.cl",): GEOMETRY,

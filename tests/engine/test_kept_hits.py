@@ -36,6 +36,7 @@ OTHERS: dict[str, Any] = {
     "sequence.samples": 3,
     "sequence.sampling": "endpoint",
     "sequence.shutter_start": 0.1,
+    "sequence.readout": 0.2,
     "light.direction": [1.0, 2.0, 0.5],
     "light.position": [0.0, 50.0, 0.0],
     "light.ambient": 0.5,
@@ -59,6 +60,7 @@ ELSEWHERE = {
     "texture_angle",
     "texture_mapping",
     "shutter_curve",
+    "scan",
 }
 
 

@@ -29,7 +29,7 @@ def test_the_frame_without_what_is_around_it_is_added(session: Session, local: t
     given: dict[str, Any] = {"rows": 8, "columns": 17, "channels": 3}
     given |= {"begins": begins, "apart": 15 * 23, "start": 2 * 23 + 3, "pitch": 23}
     program = FrameSum(session, sum_buffers(Grid.whole(8, 17, 0, 3))).target.program
-    given |= {"plane": plane, "weights": weights, "sum": sums, "lost": lost}
+    given |= {"plane": plane, "weights": weights, "top": 0, "height": 8, "sum": sums, "lost": lost}
     run(session, program, "accumulate", (17, 8), local, **given)
     part = weights[:, None] * plane[:, 2:10, 3:20]
     np.testing.assert_array_equal(sums.now(), total + part)
@@ -56,3 +56,32 @@ def test_many_planes_are_off_by_no_more_than_a_few(session: Session, channels: i
     found.clear()
     again = found.add(plane, np.ones(rows), []).read(session)
     np.testing.assert_array_equal(again.reshape(exact.shape), np.moveaxis(image, 0, -1))
+
+
+def test_planes_of_some_rows_are_added_to_these(session: Session) -> None:
+    """The first one as well, which the frame has nothing before of."""
+    rows, columns = 9, 20
+    found = FrameSum(session, sum_buffers(Grid.whole(rows, columns, 0, 3)))
+    total = np.zeros((rows, columns, 3))
+    for _ in range(2):
+        found.clear()
+        total[...] = 0.0
+        for top, count in ((2, 4), (0, 9), (5, 4)):
+            image, weights = RNG(top).random((3, count, columns), np.float32), RNG(count).random(count)
+            plane = Plane(copied(session, image), image.shape, count, columns)
+            frame = found.add(plane, weights, [], top, rows)
+            part = total[top : top + count]
+            total[top : top + count] = accumulate(part, np.moveaxis(image, 0, -1).astype(np.float64), weights)
+    np.testing.assert_allclose(frame.read(session), total, atol=3e-7)
+
+
+@pytest.mark.parametrize("columns", [20, 67])
+def test_weights_of_columns(session: Session, columns: int) -> None:
+    rows = 3
+    found = FrameSum(session, sum_buffers(Grid.whole(rows, columns, 0, 1)), by_columns=True)
+    total = np.zeros((rows, columns, 1))
+    for k in range(3):
+        image, weights = RNG(k).random((1, rows, columns), np.float32), RNG(9 + k).random(columns)
+        frame = found.add(Plane(copied(session, image), image.shape, rows, columns), weights, [])
+        total = accumulate(total, np.moveaxis(image, 0, -1).astype(np.float64), weights[None])
+    np.testing.assert_allclose(frame.read(session), total[..., 0], atol=3e-7)

@@ -1,10 +1,24 @@
 """Times and weights of an exposure."""
 
+from math import ceil
+from typing import Any
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from clsco import ObjectMotion, Scene, Sphere
-from clsco.optics.exposure import PREDICTED_TIMES, Exposure, frame_exposure, middle_time, sequence_times, shutter_span
+from clsco.optics import exposure
+from clsco.optics.exposure import (
+    PREDICTED_TIMES,
+    Exposure,
+    frame_exposure,
+    line_times,
+    middle_time,
+    sequence_times,
+    shutter_span,
+    subframes_of,
+)
 from clsco.scene.model import Sequence
 from clsco.scene.sequence import ShutterCurve
 
@@ -45,9 +59,9 @@ def test_what_stays_is_one_image() -> None:
 
 
 def test_weights_of_all_rows_and_of_each() -> None:
-    assert Exposure(np.zeros(2), np.array([0.25, 0.75])).of_rows(3).tolist() == [[0.25] * 3, [0.75] * 3]
+    assert Exposure(np.zeros(2), np.array([0.25, 0.75])).of_lines(3).tolist() == [[0.25] * 3, [0.75] * 3]
     ramp = np.array([[1.0, 0.5, 0.0], [0.0, 0.5, 1.0]])
-    assert (Exposure(np.zeros(2), ramp).of_rows(3) == ramp).all()
+    assert (Exposure(np.zeros(2), ramp).of_lines(3) == ramp).all()
 
 
 @pytest.mark.parametrize("frames", [1, 2, 9, 300])
@@ -113,3 +127,89 @@ def test_an_edge_through_a_trapezoid_is_as_close_as_its_midpoints() -> None:
     error = found.weights @ covered - exact
     assert np.sqrt(np.mean(error[(place > 0) & (place < px)] ** 2)) <= 0.0015
     assert np.abs(error).max() <= 0.0025
+
+
+def rolling(lines: int, **sequence: Any) -> Scene:
+    """A scene whose rows, or columns where it scans these, are as many."""
+    return scene_of(Sequence(**sequence)).replace("camera.resolution", [lines, lines])
+
+
+def in_order(weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    total = np.zeros(weights.shape[1:])
+    for one in weights:  # in the order of time, as the frame adds them
+        total = total + one
+    return total
+
+
+@pytest.mark.parametrize("scan", ["top_to_bottom", "bottom_to_top", "left_to_right", "right_to_left"])
+@pytest.mark.parametrize(("readout", "samples", "count"), [(0.2, 5, 10), (0.1, 1, 2), (1.0, 3, 18)])
+def test_weights_of_a_line_are_what_its_exposure_has_of_a_share(
+    scan: str, readout: float, samples: int, count: int
+) -> None:
+    found = frame_exposure(rolling(7, shutter=0.2, interval=0.5, readout=readout, scan=scan), 2, samples)
+    assert found.weights.shape == (count, 7)
+    assert found.by_columns == (scan in ("left_to_right", "right_to_left"))
+    share = (0.2 + readout) / count
+    np.testing.assert_allclose(found.times, 1.0 + (np.arange(count) + 0.5) * share, atol=1e-15)
+    for line in range(7):
+        opens = 1.0 + readout * (6 - line if scan in ("bottom_to_top", "right_to_left") else line) / 6
+        low, high = np.maximum(found.times - share / 2, opens), np.minimum(found.times + share / 2, opens + 0.2)
+        np.testing.assert_allclose(found.weights[:, line], np.maximum(high - low, 0.0) / 0.2, atol=1e-12)
+    assert (in_order(found.weights) == 1.0).all()
+
+
+@pytest.mark.parametrize("curve", ["box", "trapezoid", CURVE])
+@pytest.mark.parametrize(("readout", "samples"), [(0.7, 11), (0.013, 2), (30.0, 4)])
+def test_lines_are_as_bright_as_each_other(curve: ShutterCurve, readout: float, samples: int) -> None:
+    found = frame_exposure(rolling(31, shutter=0.2, readout=readout, shutter_curve=curve), 0, samples)
+    assert (in_order(found.weights) == 1.0).all()
+    assert (found.weights >= 0.0).all()
+    assert (np.diff(found.times) > 0.0).all()
+
+
+def test_lines_that_are_not_open_together_share_no_time() -> None:
+    scene = rolling(5, shutter=0.1, interval=9.0, readout=8.0, scan="bottom_to_top", shutter_curve="triangle")
+    found = frame_exposure(scene, 1, 2)
+    np.testing.assert_allclose(found.times, np.repeat([9.0, 11.0, 13.0, 15.0, 17.0], 2) + [0.025, 0.075] * 5)
+    assert (found.weights == np.kron(np.eye(5)[::-1], [[0.5], [0.5]])).all()
+    assert line_times(scene, 1).tolist() == pytest.approx([17.05, 15.05, 13.05, 11.05, 9.05])
+
+
+def test_the_number_of_subframes_goes_over_from_shared_to_own_ones() -> None:
+    counts = [subframes_of(rolling(9, shutter=shutter, readout=0.8), 3) for shutter in (0.0999, 0.1, 0.10001)]
+    assert counts == [27, 27, 27]
+    alone, plain = (frame_exposure(rolling(1, shutter=0.5, readout=late), 0, 2) for late in (0.25, 0.0))
+    assert (alone.times == plain.times).all()
+    assert (alone.weights[:, 0] == plain.weights).all()
+    assert subframes_of(rolling(9, shutter=0.5), 4) == 4
+
+
+# Share of the readout that a row is exposed for, px per sub-frame, and RMS and largest error of an edge that moves by
+# 24 px in the readout, against continuous time.
+TABLE = [(1.0, 1.0, 0.0010, 0.006), (0.25, 1.0, 0.0064, 0.021), (0.25, 0.5, 0.0019, 0.0055)]
+TABLE += [(0.1, 1.0, 0.022, 0.0505), (0.1, 0.5, 0.0066, 0.0135)]
+
+
+@pytest.mark.parametrize(("share", "px", "rms", "largest"), TABLE)
+def test_an_edge_under_a_rolling_shutter(
+    share: float, px: float, rms: float, largest: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows, speed, shutter = 96, 24.0, share
+    count = ceil(speed * (1.0 + shutter) / px)
+    monkeypatch.setattr(exposure, "subframes_of", lambda *_: count)
+    found = frame_exposure(rolling(rows, interval=3.0, shutter=shutter, readout=1.0), 0, 1)
+    place, errors = np.arange(-2.0, 50.0, 0.1), []
+    for row in range(0, rows, 5):
+        begin, end = speed * row / (rows - 1), speed * (row / (rows - 1) + shutter)
+        inside = (place > begin - 0.5) & (place < end + 0.5)
+
+        def ramp(at: NDArray[np.float64]) -> NDArray[np.float64]:
+            """Integral of what an edge at `at` px covers of a pixel at 0."""
+            return np.asarray(0.5 * np.clip(at + 0.5, 0.0, 1.0) ** 2 + np.maximum(at - 0.5, 0.0))
+
+        exact = (ramp(end - place[inside]) - ramp(begin - place[inside])) / (end - begin)
+        covered = np.clip(speed * found.times[:, None] - place[inside] + 0.5, 0.0, 1.0)
+        errors.append(found.weights[:, row] @ covered - exact)
+    error = np.concatenate(errors)
+    assert np.sqrt(np.mean(error**2)) <= rms
+    assert np.abs(error).max() <= largest

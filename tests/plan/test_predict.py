@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from clsco.errors import SceneError
+from clsco.optics.exposure import subframes_of
 from clsco.optics.lens import LARGEST_BLUR, blur_radius
 from clsco.optics.motion import poses_at
 from clsco.plan.larger import widened
 from clsco.plan.plan import make_plan
-from clsco.plan.predict import _moved_map, image_displacement
-from clsco.scene.model import DepthMap, ObjectMotion, Plane, Psf, Scene, Sequence, Sphere
+from clsco.plan.predict import MOST_SUBFRAMES, _moved_map, image_displacement, motion_samples
+from clsco.scene.model import Camera, DepthMap, ObjectMotion, Plane, Psf, Scene, Sequence, Sphere
 from tests.scenes import plan_of, scene_of
 
 STEP = 0.01 / 20.0  # slope between the rays of neighbors: pixel pitch over normalization distance
@@ -203,3 +204,34 @@ def test_work_is_counted_where_something_is_seen() -> None:
 def test_what_is_in_focus_takes_no_work() -> None:
     given = plan_of(Plane(distance=250.0), psf=Psf(edge="sampled"))
     assert (given.blur, given.taps) == ("none", 0.0)
+
+
+def rolling_scene(speed: float, shutter: float, readout: float, samples: Any = "auto") -> Scene:
+    """A plane whose image moves at so many px/s."""
+    camera = Camera(resolution=(64, 48), pixel_pitch=0.1)
+    motion = ObjectMotion(velocity=(speed * 0.1 * 280.0 / 20.0, 0.0, 0.0))
+    sequence = Sequence(interval=9.0, shutter=shutter, readout=readout, samples=samples)
+    return Scene(camera=camera, objects=(Plane(distance=280.0, motion=motion),), sequence=sequence)
+
+
+@pytest.mark.parametrize(
+    ("speed", "shutter", "readout", "samples"),
+    [
+        (24.3, 1.0, 1.0, 25),  # one for a px
+        (24.0, 0.1, 1.0, 11),  # shared by rows: enough that their ends matter little
+        (1.5, 0.1, 1.0, 3),
+        (24.0, 1e-3, 1.0, 1),  # of each row alone
+        (24.0, 1.0, 0.0, 25),
+    ],
+)
+def test_samples_while_a_row_is_exposed(speed: float, shutter: float, readout: float, samples: int) -> None:
+    assert motion_samples(rolling_scene(speed, shutter, readout), (None,)) == samples
+
+
+def test_subframes_are_bounded() -> None:
+    """Fewer by themselves; of a number that is given a message says so."""
+    scene = rolling_scene(24e6, 1e-3, 1.0)
+    assert subframes_of(scene, motion_samples(scene, (None,))) <= MOST_SUBFRAMES
+    rule = r"sequence.readout: must give at most 8192 sub-frames; got 9600 \(fewer samples, a shorter readout or a"
+    with pytest.raises(SceneError, match=rule):
+        make_plan(rolling_scene(24.0, 1e-3, 1.0, 200), 1)

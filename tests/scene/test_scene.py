@@ -81,6 +81,8 @@ COEFFICIENTS = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -900.0)
                 "sampling": "midpoint",
                 "shutter_curve": "box",
                 "shutter_start": 0.0,
+                "readout": 0.0,
+                "scan": "top_to_bottom",
             },
         ),
         (Motion(), {"warp": "inverse", "rotation": "euler", "texture_filter": "bicubic"}),

@@ -11,6 +11,7 @@ from clsco.reference.common.geometry import Array
 def accumulate(total: Array, plane: Array, weights: ArrayLike) -> Array:
     """Running sum of an exposure: `total` plus `weights` times `plane`, both (m, n, C).
 
-    weights: (m,), or a number for all rows; those of an exposure sum to 1 in each row.
+    weights: (m,) of rows, (1, n) of columns, or a number for all; those of an exposure sum to 1 in each of them.
     """
-    return np.asarray(total + np.reshape(weights, (-1, 1, 1)) * plane)
+    each = np.asarray(weights)
+    return np.asarray(total + (each.reshape(-1, 1) if each.ndim < 2 else each)[..., None] * plane)
