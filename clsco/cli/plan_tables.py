@@ -81,7 +81,7 @@ def planned_values(
 
 
 def _of_lines(plan: Plan) -> str:
-    """What a rolling shutter adds to the number of time samples."""
+    """Time samples of each line under a rolling shutter, after the number of all."""
     sequence = plan.scene.sequence
     line = "column" if sequence.by_columns else "row"
     text = f": {plan.samples} while a {line} is exposed"

@@ -189,20 +189,20 @@ def motion_samples(scene: Scene, maps: Maps) -> int:
     """Time samples that suit the motion, while a line of the frame is exposed."""
     way = image_displacement(scene, maps) / PIXELS_PER_SAMPLE
     wanted = _line_samples(scene, way) if scene.sequence.rolls else ceil(way)
-    return min(wanted | 1, MOST_SAMPLES)  # odd, so that the middle of the shutter is one of them
+    most = max(MOST_SUBFRAMES // subframes_of(scene, 1), 1)
+    return min(wanted | 1, MOST_SAMPLES, most - 1 | 1)  # odd, so that the middle of the shutter is one of them
 
 
 def _line_samples(scene: Scene, way: float) -> int:
     """Time samples while a line is exposed, where lines open in turn; way: in px over all of these exposures.
 
-    A line is open for a part of its first and its last share, as if for all of that with less light: LINE_SAMPLES of
-    them keep this small where they are as long as a tenth of a px of motion at least.
+    A line takes part of the light of its first and its last share, as if it were open for all of these: with
+    LINE_SAMPLES shares, or as many that each is a tenth of a px of motion, this matters little.
     """
     sequence = scene.sequence
     own = way * sequence.shutter / (sequence.shutter + sequence.readout)
     least = min(ceil(LINE_SAMPLES * own) + 1, LINE_SAMPLES) if lines_overlap(scene) else 1
-    most = int(MOST_SUBFRAMES / subframes_of(scene, 1))
-    return min(max(ceil(own), least), max(most, 1))
+    return max(ceil(own), least)
 
 
 def fills_view(scene: Scene, w: Array) -> bool:

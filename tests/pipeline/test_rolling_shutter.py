@@ -48,7 +48,7 @@ def test_the_device_renders_what_the_reference_does(scan: str, sections: dict[st
 
 @pytest.mark.parametrize("scan", SCANS)
 def test_a_line_is_the_mean_of_the_subframes_while_it_is_open(scan: str) -> None:
-    """Of four sub-frames each line has two: the first and the last line whole ones, and others parts of two more."""
+    """Each line has two of four sub-frames: the first and the last line whole ones, and others parts of two more."""
     wanted = scene(scan=scan, readout=0.3)
     (frame,) = clsco.render(wanted, truth=("subframes",))
     assert frame.subframes is not None
