@@ -42,7 +42,7 @@ Types
 -----
 Scene, Camera, Aperture, Psf, Sequence, Motion, Fill, ImageOptions, Light, Stereo, Group
     A scene and its sections, frozen and validated; lengths in mm, angles in degrees, times in s.
-ObjectMotion, CameraMotion, Keyframe
+ObjectMotion, CameraMotion, Keyframe, CameraShake
     Velocities of an object or a group, and of the camera.
 Plane, Rectangle, Disc, Box, Sphere, Cylinder, Cone, Ellipsoid, Quadric, DepthMap, Background
     The objects of a scene.
@@ -94,6 +94,7 @@ if TYPE_CHECKING:
     from clsco.scene.model import Box as Box
     from clsco.scene.model import Camera as Camera
     from clsco.scene.model import CameraMotion as CameraMotion
+    from clsco.scene.model import CameraShake as CameraShake
     from clsco.scene.model import Cone as Cone
     from clsco.scene.model import Cylinder as Cylinder
     from clsco.scene.model import DepthMap as DepthMap
@@ -147,7 +148,7 @@ _NAMES = {
             "Stereo",
             "Group",
         ),
-        *("ObjectMotion", "CameraMotion", "Keyframe"),
+        *("ObjectMotion", "CameraMotion", "Keyframe", "CameraShake"),
         *("Plane", "Rectangle", "Disc", "Box", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric"),
         *("DepthMap", "Background"),
     ),
@@ -161,7 +162,7 @@ __all__ = [  # noqa: RUF022, verbs and then types
     "render", "render_frame", "render_sweep", "response", "defocus", "inpaint", "load_scene", "parse_scene",
     "load_sweep", "parse_sweep", "dump_scene", "write_video", "list_devices", "reference",
     "Scene", "Camera", "Aperture", "Psf", "Sequence", "Motion", "Fill", "ImageOptions", "Light", "Stereo", "Group",
-    "ObjectMotion", "CameraMotion", "Keyframe",
+    "ObjectMotion", "CameraMotion", "Keyframe", "CameraShake",
     "Plane", "Rectangle", "Disc", "Box", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap", "Background",
     "Frame", "Live", "MeanMedian",
     "ClscoError", "SceneError", "ImageError", "DeviceError", "KernelError", "CanceledError",

@@ -72,7 +72,9 @@ SCENES: dict[str, dict[str, Any]] = {
         },
     },
     "sphere_spinning": {**BALL, "motion": {"angular_velocity": [0.0, 0.0, 60.0]}},
+    "sphere_shaken": BALL,
 }
+SHAKEN = {"shake": {"rotation_rms": 0.2, "translation_rms": 0.1, "band": [0.5, 3.0], "seed": 2}}
 
 PLAIN = {"tilt": False, "silhouette_samples": 1}
 AUTO = {"sequence": {"samples": "auto"}}
@@ -135,12 +137,18 @@ def scene_of(name: str, settings: Options, size: int) -> Any:
     item = SCENES[name]
     ratio = FULL_SIZE / size
     camera = {"resolution": [size, size], "pixel_pitch": 0.01 * ratio, "aperture_diameter": 10.0 * ratio}
+    camera |= SHAKEN if name == "sphere_shaken" else {}
     return clsco.parse_scene({"camera": camera, "object": [{**item, "texture": "bricks"}], **settings})
+
+
+def moves(name: str) -> bool:
+    """True if the object or the camera of the scene `name` moves."""
+    return "motion" in SCENES[name] or name == "sphere_shaken"
 
 
 def settings_of(name: str) -> dict[str, dict[str, Any]]:
     """The settings that make a difference to the scene `name`."""
-    return {**SETTINGS, **(MOVING_SETTINGS if "motion" in SCENES[name] else {})}
+    return {**SETTINGS, **(MOVING_SETTINGS if moves(name) else {})}
 
 
 def well_inside(seen: Mask, margin: float = INSIDE_PX) -> Mask:

@@ -30,7 +30,8 @@ class Problem:
     axes at t = 0; `group_...` (objects, 3) of what carries each object, 0 for nothing; `textures` (objects, rows,
     columns, channels) linear radiance, 0 where an image lies on the surface; `mappings` (objects, SIZE) and `images`
     (texels, channels) of these (`surface_images.py`); `accelerations` and `angular_accelerations` (objects, 3) of
-    the objects' own motions; `light` (5,): where it is in mm, or three numbers towards it,
+    the objects' own motions; `shake` (6, sines, 3) of the camera: amplitude in rad or mm, frequency in Hz, phase in
+    turns, of its rotation vector and then of its shift; `light` (5,): where it is in mm, or three numbers towards it,
     whether the former, and the share of the texture that is seen without it; None without a light.
     """
 
@@ -48,6 +49,7 @@ class Problem:
     angular_velocities: Array
     accelerations: Array
     angular_accelerations: Array
+    shake: Array
     group_centers: Array
     group_velocities: Array
     group_angular_velocities: Array
@@ -168,6 +170,7 @@ def prepare(scene: Any, textures: Textures, rows: int, columns: int, frame: int 
         angular_velocities=np.radians([item.motion.angular_velocity for item in objects]),
         accelerations=_gains(objects, "acceleration"),
         angular_accelerations=np.radians(_gains(objects, "angular_acceleration")),
+        shake=_shake(getattr(camera, "shake", None)),
         group_centers=group_centers,
         group_velocities=group_velocities,
         group_angular_velocities=np.radians(group_turns),
@@ -181,6 +184,18 @@ def prepare(scene: Any, textures: Textures, rows: int, columns: int, frame: int 
 def _gains(objects: Any, key: str) -> Array:
     """An acceleration of each object, (objects, 3), 0 where none is given."""
     return np.array([getattr(item.motion, key, None) or (0.0, 0.0, 0.0) for item in objects], float)
+
+
+def _shake(shake: Any, sines: int = 32) -> Array:
+    """See `Problem.shake`, by the words of docs/motion.md; no sines without a shake."""
+    if shake is None:
+        return np.zeros((6, 0, 3))
+    numbers = np.random.Philox(key=shake.seed).random_raw(12 * sines) >> np.uint64(11)
+    place, phase = np.moveaxis(numbers.reshape(6, sines, 2) / 2.0**53, -1, 0)
+    low, high = shake.band
+    frequency = low + (np.arange(sines) + place) * (high - low) / sines
+    sizes = np.repeat([math.radians(shake.rotation_rms), shake.translation_rms], 3)[:, None]
+    return np.stack([np.broadcast_to(sizes * math.sqrt(2 / (3 * sines)), place.shape), frequency, phase], axis=-1)
 
 
 def rotation_matrix(angles: Array, axis_rotation: bool) -> Array:
@@ -228,4 +243,9 @@ def inverse_poses(problem: Problem, times: Array) -> Array:
     carried = rotation_matrix(moments * problem.group_angular_velocities, problem.axis_rotation)
     turn, arm = carried @ turn, center - problem.group_centers
     center = problem.group_centers + moments * problem.group_velocities + np.einsum("...ij,...j->...i", carried, arm)
+    if problem.shake.size:
+        size, frequency, phase = np.moveaxis(problem.shake, -1, 0)
+        found = (size * np.sin(2 * np.pi * (frequency * times[:, None, None] + phase))).sum(axis=-1)
+        back = np.swapaxes(rotation_matrix(found[:, :3], True), -1, -2)[:, None]
+        turn, center = back @ turn, np.einsum("...ij,...j->...i", back, center - found[:, None, 3:])
     return np.concatenate([np.swapaxes(turn, -1, -2).reshape(*turn.shape[:2], 9), center], axis=-1)

@@ -304,7 +304,8 @@ def extend(halves: Halves, counts: NDArray[np.int64]) -> Halves:
     pairs = zip(halves.engines, halves.points, strict=True)
     points = tuple(np.concatenate([old, new.random(more)]) if more > 0 else old for new, old in pairs)
     sums, squares = halves.sums.copy(), halves.squares.copy()
-    own, group = ("velocities", "angular_velocities"), ("group_velocities", "group_angular_velocities")
+    own = "velocities", "angular_velocities", "accelerations", "angular_accelerations", "shake"
+    group = "group_velocities", "group_angular_velocities"
     moving = any(np.any(getattr(problem, name)) for name in (*own, *group))
     # Rows in random order, so that threads with a block of rows each have the same work.
     order = np.random.default_rng(0).permutation(len(counts))

@@ -217,5 +217,5 @@ def sequence_times(scene: Scene) -> list[float]:
     if not scene.moves:
         return [0.0]
     last = scene.sequence.frames - 1
-    count = min(4 * scene.sequence.frames + 1, PREDICTED_TIMES)
+    count = min(4 * scene.sequence.frames + 1, PREDICTED_TIMES) if scene.moves_evenly else PREDICTED_TIMES
     return np.linspace(shutter_span(scene.sequence, 0)[0], shutter_span(scene.sequence, last)[1], count).tolist()

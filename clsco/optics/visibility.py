@@ -52,9 +52,9 @@ def lens_floats(psf: PointSpread) -> Array:
     return found
 
 
-def extent(item: Object, poses: Sequence[Pose], seen: Array) -> Extent:
+def extent(item: Object, poses: Sequence[Pose], seen: Array, slack: float = 0.0) -> Extent:
     """Bounds of an object's image and depth over all `poses`; seen: inverse depths in 1/mm at rays over the frame, 0
-    for none."""
+    for none; slack: share of their changes by which bounds are wider."""
     hit = seen[seen > 0]
     depths = (0.9 * float(hit.min()), 1.1 * float(hit.max())) if hit.size else (0.0, inf)
     if isinstance(item, Plane) and hit.size < seen.size:
@@ -64,7 +64,22 @@ def extent(item: Object, poses: Sequence[Pose], seen: Array) -> Extent:
         one = place(item, pose).seen
         # Without an end, or around the lens: as deep as its rays are. A thin thing may hide between them.
         found.append(one if one.w[1] < inf else replace(one, w=depths))
-    return reduce(_hull, found)
+    hull = reduce(_hull, found)
+    return _wider(hull, found, slack) if slack > 0.0 else hull
+
+
+def _wider(hull: Extent, found: Sequence[Extent], slack: float) -> Extent:
+    """Bounds that are wider than the hull of those that were found, by a share of how much these differ."""
+
+    def both(ends: tuple[float, float], each: Sequence[tuple[float, float]]) -> tuple[float, float]:
+        lows, highs = zip(*each, strict=True)
+        low, high = (slack * (max(side) - min(side)) if np.isfinite(side).all() else 0.0 for side in (lows, highs))
+        return ends[0] - low, ends[1] + high
+
+    w = both(hull.w, [one.w for one in found])
+    return Extent(
+        both(hull.x, [one.x for one in found]), both(hull.y, [one.y for one in found]), (max(w[0], 0.0), w[1])
+    )
 
 
 def _hull(a: Extent, b: Extent) -> Extent:

@@ -29,6 +29,7 @@ from clsco.plan.predict import (
 from clsco.plan.request import Request
 from clsco.scene.model import Aperture, Fill, Scene
 
+UNEVEN = 0.25  # of the way of an object: how far it may be beyond the poses that were predicted
 WHOLE_PIXELS = "the forward warp moves whole pixels"
 EXPOSURE_KEYS = ("samples", "sampling", "shutter", "shutter_curve", "shutter_start", "readout", "scan")
 MOTION_KEYS = (*(f"sequence.{key}" for key in EXPOSURE_KEYS), "motion.rotation")
@@ -238,7 +239,8 @@ def choose_occlusion(
     if wanted == "layered" or not rays:
         return Choice("layered"), together, ()
     each = zip(scene.objects, zip(*seen.poses, strict=True), seen.w, strict=True)
-    extents = tuple(extent(item, poses, w) for item, poses, w in each)
+    slack = 0.0 if scene.moves_evenly else UNEVEN
+    extents = tuple(extent(item, poses, w, slack) for item, poses, w in each)
     found = occlusion_groups(scene.objects, extents, scene.camera, psf)
     if any(group.occluders for group in found):
         return Choice("visibility"), found, extents
@@ -275,7 +277,7 @@ def choose_still_sources(
         return Choice(True)
     if not spread:
         return Choice(False, "only sources from rays that are spread one by one are told apart")
-    if scene.camera.motion.moves:
+    if scene.camera.moves:
         return Choice(False, "the camera moves")
     if "subframes" in asked:
         return Choice(False, "each sub-frame needs all sources")

@@ -223,6 +223,7 @@ def constant_blur(scene: Scene) -> bool:
     """True if every pixel has the same radius at any time: a plane that stays parallel to the detector."""
     item, camera = scene.objects[0], scene.camera.motion
     turns = any(any(motion.turns[:2]) for motion in (*scene.motions(item), camera))
+    turns |= scene.camera.shake is not None and scene.camera.shake.rotation_rms > 0.0
     turned = scene.stereo is not None and scene.stereo.toe_in > 0.0
     flat = isinstance(item, Plane | Rectangle | Disc) and _faces_camera(item) and not turns and not turned
     return len(scene.objects) == 1 and (flat or item.is_background)

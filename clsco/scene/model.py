@@ -18,7 +18,7 @@ from clsco.scene.arrays import HasInputs
 from clsco.scene.changes import replaced
 from clsco.scene.faults import refusal
 from clsco.scene.groups import Group, Groups, unknown_groups
-from clsco.scene.motions import CameraMotion, Keyframe, ObjectMotion
+from clsco.scene.motions import CameraMotion, CameraShake, Keyframe, ObjectMotion
 from clsco.scene.objects import MAX_OBJECTS, Object, Objects
 from clsco.scene.quantities import (
     MAX_LENGTH_MM,
@@ -64,6 +64,7 @@ __all__ = [
     "Box",
     "Camera",
     "CameraMotion",
+    "CameraShake",
     "Cone",
     "Cylinder",
     "DepthMap",
@@ -122,6 +123,13 @@ class Camera(Strict):
     """Columns and rows, px. Default: size of the first object's texture."""
     motion: CameraMotion = CameraMotion()
     """Velocities of the camera itself; static if none are given."""
+    shake: CameraShake | None = None
+    """Shake of the camera; none if not given."""
+
+    @property
+    def moves(self) -> bool:
+        """True if it moves or shakes."""
+        return self.motion.moves or (self.shake is not None and self.shake.moves)
 
     @property
     def frame_size(self) -> tuple[int, int]:
@@ -365,7 +373,13 @@ class Scene(Strict):
     def moves(self) -> bool:
         """True if an object, its group or the camera moves."""
         motions = (motion for item in self.objects for motion in self.motions(item))
-        return self.camera.motion.moves or any(motion.moves for motion in motions)
+        return self.camera.moves or any(motion.moves for motion in motions)
+
+    @property
+    def moves_evenly(self) -> bool:
+        """True if all velocities are constant: nothing accelerates, has keyframes or shakes."""
+        motions = (self.camera.motion, *(motion for item in self.objects for motion in self.motions(item)))
+        return self.camera.shake is None and all(motion.is_uniform for motion in motions)
 
     def motions(self, item: AnyShape) -> tuple[ObjectMotion, ...]:
         """The motion of an object, and that of its group if it is in one."""

@@ -11,11 +11,13 @@ from clsco.scene.quantities import (
     Acceleration,
     AngularAcceleration,
     AngularVelocity,
+    Band,
     Point,
     Strict,
     Time,
     Vector,
     Velocity,
+    Within,
     as_python,
     at_keys,
     fault,
@@ -124,6 +126,11 @@ class ObjectMotion(Strict):
         return any(map(any, (self.velocity, self.acceleration or NONE, *shifts))) or any(self.turns)
 
     @property
+    def is_uniform(self) -> bool:
+        """True if velocities are constant."""
+        return self.keyframe is None and not any((*(self.acceleration or NONE), *(self.angular_acceleration or NONE)))
+
+    @property
     def turns(self) -> tuple[bool, bool, bool]:
         """True for each axis about which it rotates."""
         turned = (key.rotation for key in self.keyframe or ())
@@ -141,3 +148,21 @@ class CameraMotion(ObjectMotion):
     """About the axes right, up, backwards, in the sense of an object's; deg/s."""
     acceleration: Acceleration | None = None
     """Right, up, forwards; mm/s^2. Default: none."""
+
+
+class CameraShake(Strict):
+    """Shake of a camera that is held by hand, besides its motion: sums of sines with frequencies in a band."""
+
+    rotation_rms: Annotated[float, Within(0.0, 45.0, "deg")] = 0.02
+    """Root mean square of the angle by which it is turned, over a long time; deg."""
+    translation_rms: Annotated[float, Within(0.0, 1e6, "mm")] = 0.0
+    """Root mean square of the distance by which it is moved, over a long time; mm."""
+    band: Band = (2.0, 15.0)
+    """Least and largest frequency, Hz."""
+    seed: Annotated[int, Within(0, 2**63 - 1)] = 1
+    """Seed of the frequencies and phases: another one is another path."""
+
+    @property
+    def moves(self) -> bool:
+        """True if the camera is turned or moved by it."""
+        return self.rotation_rms > 0.0 or self.translation_rms > 0.0

@@ -13,9 +13,8 @@ from typing import Any, get_args
 
 from clsco.scene.file import SECTIONS
 from clsco.scene.groups import Group
-from clsco.scene.model import Keyframe, Scene
+from clsco.scene.model import Scene
 from clsco.scene.quantities import Within
-from clsco.scene.rotations import AxisAngle, UnitQuaternion
 from clsco.scene.schema import scene_schema
 from clsco.scene.shapes import SHAPES
 from clsco.scene.texture_keys import BUILT_IN_TEXTURES
@@ -245,8 +244,10 @@ def _fields(session: Session, model: Any, start: str) -> Iterator[Field]:
 
 def _inner_model(annotation: Any, name: str) -> Any:
     """The model of a name in an annotation."""
-    known = {"AxisAngle": AxisAngle, "UnitQuaternion": UnitQuaternion, "Keyframe": Keyframe}
-    return known.get(name) or next(part for part in (annotation, *get_args(annotation)) if part.__name__ == name)
+    waiting = [annotation]
+    while getattr(waiting[0], "__name__", "") != name:
+        waiting += get_args(waiting.pop(0))
+    return waiting[0]
 
 
 def _kinds(entry: Mapping[str, Any]) -> list[Mapping[str, Any]]:

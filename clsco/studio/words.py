@@ -27,6 +27,8 @@ LABELS_AT = {
     "aperture.shape": "Aperture", "aperture.rotation": "Turn of the aperture", "aperture.obstruction": "Covered middle",
     "aperture.image": "Image of the aperture", "motion.rotation": "Kind of rotation",
     "camera.motion.velocity": "Translation of the camera", "camera.motion.angular_velocity": "Rotation of the camera",
+    "camera.shake.rotation_rms": "Shake by turning", "camera.shake.translation_rms": "Shake by moving",
+    "camera.shake.band": "Frequencies of the shake", "camera.shake.seed": "Seed of the shake",
     "psf.model": "PSF model", "fill.method": "Filling", "stereo.baseline": "Baseline", "psf.edge": "Edge of the PSF",
     "light.direction": "Direction of the light", "light.position": "Position of the light",
     "light.ambient": "Ambient light", "image.transfer": "Transfer curve",
@@ -45,6 +47,7 @@ SYMBOLS = {
 }  # fmt: skip
 COMPONENTS = {
     "resolution": ("columns", "rows"),
+    "band": ("lowest", "highest"),
     "size": ("width", "height", "depth"),
     "texture_size": ("width", "height"),
     "texture_repeats": ("across", "up"),

@@ -44,11 +44,12 @@ SCENES: dict[str, Scene] = {
         group=[{"name": "a", "motion": {"keyframe": WAY[::2], "interpolation": "bspline", "outside": "linear"}}],
     ),
     "accelerated": scene(BALL | {"motion": FASTER}, WALL, camera={"motion": {"acceleration": [9.0, 0.0, 0.0]}}),
+    "shake": scene(BALL, WALL, camera={"shake": {"rotation_rms": 0.8, "translation_rms": 2.0, "band": [1.0, 4.0]}}),
     "forward": scene(BALL | {"motion": {"keyframe": WAY}}, WALL, motion={"warp": "forward"}),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", mostly_slow(SCENES, ("object", "camera", "accelerated")))
+@pytest.mark.parametrize("name", mostly_slow(SCENES, ("object", "camera", "accelerated", "shake")))
 def test_device_against_reference(name: str) -> None:
     frames = rendered(SCENES[name])
     assert_agree(frames, reference_frames(SCENES[name]))
@@ -110,5 +111,17 @@ def test_an_orbit_between_the_times_that_are_predicted(way: str) -> None:
     known, missed = make_plan(short, 1), make_plan(long, 1)
     assert known.largest_blur > missed.largest_blur + 1.0
     assert known.groups != missed.groups
+    (frame,) = clsco.render(long, frames=[0], truth=())
+    np.testing.assert_allclose(frame.color, reference_frames(short)[0].color, rtol=0, atol=1e-5)
+
+
+def test_a_shake_between_the_times_that_are_predicted() -> None:
+    """Few predicted times of many frames miss how far it goes; the frame is right, whatever the plan was."""
+    shake = {"rotation_rms": 2.0, "translation_rms": 12.0, "band": [1.0, 6.0], "seed": 3}
+    ball = {"shape": "sphere", "center": [0.0, 0.0, 230.0], "radius": 9.0, "texture": "#ffffff"}
+    tables: dict[str, Any] = {"camera": CAMERA | {"shake": shake}, "psf": {"tilt": False}}
+    short, long = (
+        scene_from(tables, ball, WALL, sequence={"samples": 9, "frames": frames, "interval": 1.0}) for frames in (1, 33)
+    )
     (frame,) = clsco.render(long, frames=[0], truth=())
     np.testing.assert_allclose(frame.color, reference_frames(short)[0].color, rtol=0, atol=1e-5)

@@ -74,6 +74,19 @@ BAD = [
         'interpolation: bspline needs keyframes at equal intervals of time; got "bspline"',
     ),
 ]
+BAD_SHAKES = [
+    ("shake = 3", ": must be a table; got 3"),
+    ("shake.rotation_rms = -1", ".rotation_rms: must be between 0 and 45 deg; got -1"),
+    ("shake.rotation_rms = inf", ".rotation_rms: must be a finite number; got inf"),
+    ("shake.translation_rms = 2e6", ".translation_rms: must be between 0 and 1000000 mm; got 2000000.0"),
+    ("shake.band = 3", ".band: must be a list of 2 numbers; got 3"),
+    ("shake.band = [5, 5]", ".band: lower bound must be less than the upper bound; got [5, 5]"),
+    ("shake.band = [0, 5]", ".band[0]: must be greater than 0 Hz; got 0"),
+    ("shake.band = [1, 2e6]", ".band[1]: must be between 1e-06 and 1000000 Hz; got 2000000.0"),
+    ("shake.seed = 1.5", ".seed: must be an integer; got 1.5"),
+    ("shake.seed = -1", ".seed: must be between 0 and 9.223372e+18; got -1"),
+    ("shake.sed = 1", ".sed: unknown key (did you mean seed?); got 1"),
+]
 KEYED = """
 [[object]]
 shape = "sphere"
@@ -102,6 +115,22 @@ def test_each_fault_of_a_motion_is_one_message(motion: str, message: str) -> Non
     assert faults(f"{PLANE}[object.motion]\n{motion}") == [f"scene: object[0].motion.{message}"]
     assert faults(f"[camera.motion]\n{motion}{PLANE}") == [f"scene: camera.motion.{message}"]
     assert faults(f'[[group]]\nname = "a"\n[group.motion]\n{motion}{PLANE}') == [f"scene: group[0].motion.{message}"]
+
+
+@pytest.mark.parametrize(("shake", "message"), BAD_SHAKES)
+def test_each_fault_of_a_shake_is_one_message(shake: str, message: str) -> None:
+    assert faults(f"[camera]\n{shake}{PLANE}") == [f"scene: camera.shake{message}"]
+
+
+def test_a_shake_is_given_by_a_table_or_an_object() -> None:
+    scene = clsco.parse_scene(f"[camera.shake]\n{PLANE}")
+    assert scene.camera.shake == clsco.CameraShake(rotation_rms=0.02, translation_rms=0.0, band=(2.0, 15.0), seed=1)
+    assert scene.moves
+    assert not scene.moves_evenly
+    assert not scene.replace("camera.shake.rotation_rms", 0).moves
+    assert scene.replace("camera.shake.translation_rms", 1).replace("camera.shake.rotation_rms", 0).moves
+    assert units(scene)["camera.shake.band"] == "Hz"
+    assert clsco.parse_scene(clsco.dump_scene(scene)) == scene
 
 
 def test_keyframes_are_written_and_read_back() -> None:

@@ -56,6 +56,7 @@ COEFFICIENTS = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -900.0)
                 "pixel_pitch": 0.01,
                 "resolution": None,
                 "motion": STILL,
+                "shake": None,
             },
         ),
         (
