@@ -40,7 +40,7 @@ reference
 
 Types
 -----
-Scene, Camera, Aperture, Psf, Sequence, Motion, Fill, ImageOptions, Light, Stereo, Group
+Scene, Camera, Aperture, Psf, Sequence, Motion, Fill, ImageOptions, Light, Stereo, Sensor, Group
     A scene and its sections, frozen and validated; lengths in mm, angles in degrees, times in s.
 ObjectMotion, CameraMotion, Keyframe, CameraShake
     Velocities of an object or a group, and of the camera.
@@ -112,6 +112,7 @@ if TYPE_CHECKING:
     from clsco.scene.model import Quadric as Quadric
     from clsco.scene.model import Rectangle as Rectangle
     from clsco.scene.model import Scene as Scene
+    from clsco.scene.model import Sensor as Sensor
     from clsco.scene.model import Sequence as Sequence
     from clsco.scene.model import Sphere as Sphere
     from clsco.scene.model import Stereo as Stereo
@@ -146,6 +147,7 @@ _NAMES = {
             "ImageOptions",
             "Light",
             "Stereo",
+            "Sensor",
             "Group",
         ),
         *("ObjectMotion", "CameraMotion", "Keyframe", "CameraShake"),
@@ -161,8 +163,8 @@ _HOME = {name: module for module, names in _NAMES.items() for name in names}
 __all__ = [  # noqa: RUF022, verbs and then types
     "render", "render_frame", "render_sweep", "response", "defocus", "inpaint", "load_scene", "parse_scene",
     "load_sweep", "parse_sweep", "dump_scene", "write_video", "list_devices", "reference",
-    "Scene", "Camera", "Aperture", "Psf", "Sequence", "Motion", "Fill", "ImageOptions", "Light", "Stereo", "Group",
-    "ObjectMotion", "CameraMotion", "Keyframe", "CameraShake",
+    "Scene", "Camera", "Aperture", "Psf", "Sequence", "Motion", "Fill", "ImageOptions", "Light", "Stereo", "Sensor",
+    "Group", "ObjectMotion", "CameraMotion", "Keyframe", "CameraShake",
     "Plane", "Rectangle", "Disc", "Box", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap", "Background",
     "Frame", "Live", "MeanMedian",
     "ClscoError", "SceneError", "ImageError", "DeviceError", "KernelError", "CanceledError",

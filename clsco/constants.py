@@ -107,6 +107,16 @@ COUNTER_DONE = 4
 # Sum of time samples (kernels/blur/accumulate.cl).
 SUMMED_PIXELS = 128  # pixels of a row that a work-item adds to the frame
 
+# Sensor (kernels/sensor).
+NOISE_LANES = 16  # pixels of a vector
+SENSED_PIXELS = 128  # pixels of a row that a work-item reads out, whole vectors
+LEAST_NORMAL = 30  # mean electrons, from which on their distribution is a corrected normal one
+FEW_ELECTRONS = 80  # counts of smaller means, beyond any that random words give
+# Streams of random words, and how many each plane has.
+SHOT_STREAM = 0
+PATTERN_STREAM = 1
+STREAMS = 2
+
 # Scores of mean and median (kernels/inpainting/score.cl).
 SCORED_COLUMNS = 128  # columns of a row that a work-item scores: no more may be summed up in 31 bits
 SCORE_SUMS = 13  # sums of a work-item

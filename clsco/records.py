@@ -53,8 +53,13 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     psf += [(name, i) for name in ("sub_first", "sub_count", "sub_low", "sub_end")]
     psf += _reals(real, key=(), minimum_blur=(), fine_steps=(), fine_until=(), octaves_from=(), steps=(), sub_steps=())
     psf += _reals(real, lens_extent=())
+    sensor: list[Any] = [("planes", i), ("channel", i, (12,)), ("maximum", i)]
+    sensor += [(name, "u4") for name in ("seed_low", "seed_high", "hot")]
+    sensor += _reals("float", scale=(12,), prnu=(), dsnu=(), dark=(), leak=(), most=(), full_well=(), read_noise=())
+    sensor += _reals("float", gain=(), black=(), largest=())
     fields = {"grid_t": grid, "lens_t": lens, "surface_t": surface, "texture_map_t": mapping}
     fields |= {"light_t": light, "pose_t": pose, "exposure_t": exposure, "group_t": group, "psf_t": psf}
+    fields |= {"sensor_t": sensor}
     return {name: np.dtype(members, align=True) for name, members in fields.items()}
 
 

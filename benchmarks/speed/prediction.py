@@ -71,7 +71,7 @@ KERNELS = {
     "mark_silhouettes": "silhouettes", "label_subpixels": "silhouettes", "trace_subpixels": "silhouettes",
     "trace_detail": "silhouettes", "sharpen": "silhouettes", "ground_truth": "ground truth", "host": "host",
     "reproject_targets": "reproject", "reproject_nearest": "reproject", "reproject_gather": "reproject",
-    "accumulate": "accumulate", "find_discontinuities": "cluster", "label_depth_layers": "cluster",
+    "accumulate": "accumulate", "sense": "sensor", "find_discontinuities": "cluster", "label_depth_layers": "cluster",
     "seed_hidden": "cluster", "column_seeds": "cluster", "reach_hidden": "cluster", "open_depth_layer": "cluster",
     "push": "cluster", "pull": "cluster", "take_depth_layer": "cluster",
 }  # fmt: skip

@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from clsco import reference
 from clsco.engine.sequence import render
-from clsco.frame.frame import ALL_TRUTH, Frame
+from clsco.frame.frame import ALL_TRUTH, SENSOR_NAMES, Frame
+from clsco.optics.sensor import camera_word, readout
+from clsco.reference.sensor.sensor import sensor_outputs
 from clsco.scene.model import Scene
 
 # Output -> unit, and the figure up to which it agrees: float32 of values of their size, and for color what an
@@ -35,6 +37,10 @@ FIGURES: dict[str, tuple[str, float]] = {
     "uv": ("relative beyond 1", 1e-5),
     "disparity": ("px", 1e-4),
     "occluded": ("", 0.0),
+    "raw": ("DN", 0.0),
+    "electrons": ("e-", 0.0),
+    "noise_sigma": ("e-", 0.0),
+    "saturated": ("", 0.0),
 }
 LEAST_AGREEING = 500
 
@@ -106,21 +112,38 @@ def compare(frame: Frame, exact: Frame) -> tuple[Difference, ...]:
     return tuple(
         difference(name, getattr(frame, name), getattr(exact, name), single)
         for name in ("color", *ALL_TRUTH)
-        if getattr(frame, name) is not None
+        if getattr(frame, name) is not None and getattr(exact, name) is not None
     )
 
 
+def _sensor_of(scene: Scene, frame: Frame) -> Frame:
+    """Outputs of the reference's sensor for the light of a frame."""
+    light = np.atleast_3d(frame.color)
+    found = readout(scene, light.shape[2])
+    camera = camera_word(frame.index, "right" if frame.eye == "right" else "left")
+    return Frame(index=frame.index, **sensor_outputs(found, light, camera, SENSOR_NAMES))
+
+
 def compare_frames(scene: Scene, device: str | None, precision: str | None) -> Iterator[Checked]:
-    """Render each frame, of a stereo pair each view, on the device and with the reference. Raises as `clsco.render`."""
-    frames, exacts = render(scene, device=device, precision=precision), reference.render(scene)
+    """Render each frame, of a stereo pair each view, on the device and with the reference. Raises as `clsco.render`.
+
+    Of a scene with a sensor the light is compared, and what the sensor makes of it with what the reference's makes of
+    the device's light: a code changes with the last bit of its light.
+    """
+    plain = scene.model_copy(update={"sensor": None})
+    frames, exacts = render(plain, device=device, precision=precision), reference.render(plain)
+    sensed = render(scene, truth=SENSOR_NAMES, device=device, precision=precision) if scene.sensor else None
     for _ in range(scene.sequence.frames * (1 if scene.stereo is None else 2)):
         start = time.perf_counter()
         frame = next(frames)
+        differences: tuple[Difference, ...] = ()
+        if sensed is not None:
+            differences = compare(next(sensed), _sensor_of(scene, frame))[1:]  # without what codes are developed to
         middle = time.perf_counter()
         exact = next(exacts)
         end = time.perf_counter()
         metadata = frame.metadata
         yield Checked(
-            frame.index, frame.eye, compare(frame, exact), metadata["device"], metadata["precision"],
+            frame.index, frame.eye, compare(frame, exact) + differences, metadata["device"], metadata["precision"],
             sum(spent for name, spent in metadata["seconds"].items() if name != "host"), middle - start, end - middle,
         )  # fmt: skip

@@ -200,8 +200,9 @@ set_option = click.option(
 truth_option = click.option(
     "--truth", "files", metavar="FORMAT,...", type=parse_files, default="",
     help="Also compute the ground truth, and write it in these formats: npz or exr, which hold all of it; npy or pfm, "
-    "a file per array; of the field flo, kitti_flow, kitti_disparity, kitti_depth, dpt; the camera as cam or colmap. "
-    "npz:depth,coc: these arrays alone; npz+float16: floats in 16 bits; npz+compressed, npy+zstd: smaller files.",
+    "a file per array; of the field flo, kitti_flow, kitti_disparity, kitti_depth, dpt; the camera as cam or colmap; "
+    "codes of a sensor as png or tiff. npz:depth,coc: these arrays alone; npz+float16: floats in 16 bits; "
+    "npz+compressed, npy+zstd: smaller files.",
 )  # fmt: skip
 no_color_option = click.option(
     "--no-color", is_flag=True, help="The ground truth alone: no image is made, which is most of the work."

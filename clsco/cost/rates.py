@@ -19,6 +19,8 @@ RATES: dict[str, float] = {
     "reprojected": 5.6e-09,
     "filled": 2.7e-09,
     "accumulated": 5e-10,
+    "sensed": 1e-08,
+    "patterned": 7e-09,
     "walked": 3.2e-09,
     "disc row": 9.6e-10,
     "disc taps": 1.8e-10,

@@ -41,6 +41,10 @@ ABOUT = {
     "uv": ("images", "place in the image of the texture, right and up from the lower left corner"),
     "disparity": ("px", "column in the left view less column in the right one, 0 where nothing is"),
     "occluded": ("", "True where the point is not visible in the other view"),
+    "raw": ("DN", "codes of the sensor, with all noise"),
+    "electrons": ("e-", "electrons to be expected, without noise"),
+    "noise_sigma": ("e-", "standard deviation of (raw - black level) / gain"),
+    "saturated": ("", "True where the full well or the largest code was reached"),
     "alpha": ("", "share of the light that comes from surfaces"),
     "subframes": ("1 = white", "linear radiance of each time sample"),
 }

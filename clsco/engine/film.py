@@ -17,6 +17,7 @@ from clsco.optics.depth_layers import LayerBounds
 from clsco.optics.exposure import frame_exposure
 from clsco.passes.blur import Events, Plane
 from clsco.passes.placed import Part
+from clsco.passes.sensor import Codes
 from clsco.plan.plan import Plan
 
 NOTHING_MISSING = {"missing_pixels": 0, "filled_pixels": 0, "unfilled_pixels": 0, "sweeps": 0}
@@ -67,6 +68,8 @@ class Film:
     steps : tuple of Step
         Runs of the passes, of which the frame is the sum.
     color : ndarray of float32 (rows, columns[, channels])
+    code, saturated : ndarray of uint16, of bool (rows, columns, planes)
+        Codes of a sensor; without one of no planes.
     subframes : ndarray of float32 (samples or 0, rows, columns[, channels])
     missing : ndarray of bool (rows, columns)
         Pixels that were missing at any time sample, filled or not.
@@ -95,6 +98,9 @@ class Film:
         self.shares = exposure.weights.reshape(len(self.times), -1).mean(axis=1).tolist()
         self.parts_of = {strip: _parts(plan, strip, self.steps) for strip in plan.strips}
         self.color = np.empty(image, np.float32)
+        planes = 0 if plan.readout is None else len(plan.readout.filters)
+        self.code = np.empty((*shape, planes), np.uint16)
+        self.saturated = np.empty((*shape, planes), np.bool_)
         self.subframes = np.empty((len(self.times) if "subframes" in plan.truth else 0, *image), np.float32)
         self.missing = np.zeros(shape, np.bool_)
         self.bounds: dict[int, LayerBounds | None] = {}
@@ -103,6 +109,8 @@ class Film:
         self.reports: dict[int, dict[str, Any]] = {}
         self.began = perf_counter()
         self._planes: list[tuple[Plane, NDArray[np.float32]]] = []
+        self._codes: list[tuple[Codes, slice]] = []
+        self._needs_light = plan.needs_light
 
     def add(self, session: Session, strip: Strip, count: int, found: Mapping[str, Any]) -> None:
         """Add what the passes of a step, by its number, have handed on for a strip."""
@@ -115,13 +123,18 @@ class Film:
             return
         if len(self.subframes):
             found["plane"].read(session, self.subframes[number][strip.inside])
-        if count == [*self.parts_of[strip]][-1]:
+        if found.get("codes") is not None:
+            self._codes.append((found["codes"], strip.inside))
+        if count == [*self.parts_of[strip]][-1] and self._needs_light:
             self._planes.append((found.get("frame", found["plane"]), self.color[strip.inside]))
 
     def read(self, session: Session) -> None:
         """Read back strips to which all time samples have been added; waits for the device."""
         for plane, out in self._planes:
             plane.read(session, out)
+        for codes, rows in self._codes:
+            codes.read(session, self.code[rows], self.saturated[rows])
+        self._codes.clear()
         self._planes.clear()
 
     def seconds(self) -> dict[str, float]:

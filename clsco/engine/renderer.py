@@ -15,10 +15,12 @@ from clsco.constants import STATISTIC_MOST_SLOTS
 from clsco.engine.film import Film
 from clsco.engine.workspace import Pixels, Workspace, scene_workspace
 from clsco.errors import DeviceError
+from clsco.frame.development import check_development, developed, sensor_truth
 from clsco.frame.frame import Frame
 from clsco.frame.strips import Strip
 from clsco.opencl.buffers import download
 from clsco.opencl.session import Progress, Session
+from clsco.optics.sensor import camera_word
 from clsco.passes.blur import Events
 from clsco.passes.pack import camera_grid
 from clsco.passes.placed import Moment, PlacedScene
@@ -61,6 +63,8 @@ class Renderer:
             raise DeviceError(f"device {device}: the scene needs {needed >> 20} MiB; got {device.global_mem >> 20} MiB")
         wants_double = precision == "double" or (precision is None and device.has_fp64)
         real: Real = "double" if wants_double else "float"
+        if plan.readout is not None:
+            check_development(plan.readout, plan.rows, plan.columns)
         self.session, self.plan, self.limit, self.prepared, self.hits = session, plan, limit, prepared, hits
         self.scene = PlacedScene(session, plan.scene, plan.psf, prepared.textures, real, plan.eye, plan.alpha)
         self.pixels, self.grids = self._pixels(), dict[Strip, Struct]()
@@ -98,7 +102,8 @@ class Renderer:
         return Moment(
             strip=part, grid=self._grid(part), events=film.events, bounds=film.bounds.get(step.number),
             sample=self.scene.at(film.times[step.number]), weights=weights, first=count == next(iter(counts)),
-            of=strip, part=film.parts.get(step.still),
+            of=strip, camera=camera_word(film.index, self.plan.eye) if count == [*counts][-1] else None,
+            part=film.parts.get(step.still),
         )  # fmt: skip
 
     def _grid(self, strip: Strip) -> Struct:
@@ -127,6 +132,10 @@ class Renderer:
         if plan.alpha and plan.color:
             image = {"color": _without_alpha(film.color), "alpha": np.ascontiguousarray(film.color[..., -1])}
             truth |= {name: _without_alpha(truth[name]) for name in {"sharp", "subframes"} & truth.keys()}
+        if plan.readout is not None:
+            light = image["color"] if plan.needs_light else None
+            truth |= sensor_truth(plan.truth, film.code, film.saturated, light, plan.readout)
+            image["color"] = developed(film.code, plan.readout)
         eye = plan.eye if plan.scene.stereo else ""
         return Frame(index=film.index, metadata=self._metadata(film), eye=eye, **image, **truth)
 

@@ -94,7 +94,8 @@ def response(
     Notes
     -----
     The frame is linear in the radiance of its sources as long as nothing is filled in: it is the sum over all sources
-    of radiance times response. Occlusion, motion, the border, and what `psf` has are as in the frame. The source is the
+    of radiance times response. Occlusion, motion, the border, and what `psf` has are as in the frame; a sensor
+    comes after it, and is left out. The source is the
     pixel of a projected texture, wherever the surface carries it; how textures are mapped and lit does not matter.
     Validated: that sum, and the response that `clsco.reference` gives (tests/engine/test_response.py).
 
@@ -142,7 +143,9 @@ def only_lit(
     objects = [_projected(each, BLACK) for each in scene.objects]
     objects[number] = _projected(scene.objects[number], ArrayInput(texture, "texture"))
     camera = scene.camera.model_copy(update={"resolution": (columns, rows)})
-    return Lit(scene.model_copy(update={"camera": camera, "objects": tuple(objects), "light": None}), margin)
+    return Lit(
+        scene.model_copy(update={"camera": camera, "objects": tuple(objects), "light": None, "sensor": None}), margin
+    )
 
 
 def _seen_at(prepared: Prepared, column: int, row: int) -> int:

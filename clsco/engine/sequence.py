@@ -12,7 +12,7 @@ from typing import SupportsIndex, TypedDict, Unpack
 from clsco.engine.renderer import Renderer, expose
 from clsco.engine.shrinking import Shrinking
 from clsco.errors import DeviceError, SceneError
-from clsco.frame.frame import ALL_TRUTH, IMAGE_NAMES, Frame, truth_names
+from clsco.frame.frame import ALL_TRUTH, IMAGE_NAMES, SENSOR_NAMES, Frame, truth_names
 from clsco.opencl.session import DeviceLike, Session, session_for
 from clsco.passes.tables import forget_others
 from clsco.passes.trace import KeptHits, LatestHits
@@ -208,8 +208,9 @@ def checked_request(
     if memory is not None:
         parse_size(memory)
     names = truth_names(truth)
-    if not color and (set(names) & {*IMAGE_NAMES} or not names):
-        raise SceneError(f"color: must be True for the image, alpha and subframes; got {color} and {shown(names)}")
+    if not color and (set(names) & {*IMAGE_NAMES} or set(names) <= {*SENSOR_NAMES}):
+        what = "the image, what a sensor gives, alpha and subframes"
+        raise SceneError(f"color: must be True for {what}; got {color} and {shown(names)}")
     return Request(names, method, tolerance, precision, memory, color)
 
 

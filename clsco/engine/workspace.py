@@ -22,11 +22,12 @@ from clsco.passes.frame_blur import make_blur
 from clsco.passes.layered import DepthLayers
 from clsco.passes.pack import psf_struct
 from clsco.passes.placed import Moment, PlacedScene
+from clsco.passes.sensor import FrameSensor
 from clsco.passes.static_image import StaticMap
 from clsco.passes.tables import tables_of
 from clsco.passes.trace import Hits, Tracer
 from clsco.passes.warp import ForwardWarp
-from clsco.plan.buffers import hit_buffers, sum_buffers
+from clsco.plan.buffers import hit_buffers, sensor_buffers, sum_buffers
 from clsco.plan.image import ImagePlan
 from clsco.plan.methods import BlurSpec
 from clsco.plan.passes import Kind, Pass, run_passes
@@ -107,6 +108,8 @@ def scene_workspace(plan: Plan, scene: PlacedScene, pixels: Pixels, hits: Hits |
     runs |= _ray_runs(tracer, _handed_on(plan)) | blurs
     if plan.averages:
         runs |= _exposure_runs(FrameSum(session, sum_buffers(plan.grid), scene.scene.sequence.by_columns))
+    if plan.readout is not None:
+        runs |= _sensor_runs(FrameSensor(session, plan.readout, sensor_buffers(plan.readout, plan.grid)))
     return Workspace(session, runs, buffers, clusters)
 
 
@@ -232,3 +235,10 @@ def _exposure_runs(frame: FrameSum) -> dict[Kind, Run]:
         return (frame.add(plane, at.weights, at.events, at.strip.top - at.of.top, at.of.rows),)
 
     return {"accumulate": accumulate}
+
+
+def _sensor_runs(sensor: FrameSensor) -> dict[Kind, Run]:
+    def expose(at: Moment, light: Plane) -> tuple[Any, ...]:
+        return (None if at.camera is None else sensor.expose(at.of, light, at.camera, at.events),)
+
+    return {"sensor": expose}

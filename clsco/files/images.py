@@ -270,7 +270,8 @@ def write_exr(
     path: str | os.PathLike[str], *views: Mapping[str, NDArray[Any]], names: Sequence[str] = (),
     attributes: Sequence[Mapping[str, Any]] = (),
 ) -> None:  # fmt: skip
-    """Write named channels in an OpenEXR file with lossless compression: float16 as it is, all else as float32.
+    """Write named channels in an OpenEXR file with lossless compression: float16 as it is, uint16 as uint32, all
+    else as float32.
 
     Parameters
     ----------
@@ -304,8 +305,8 @@ def write_exr(
             raise keeper.error
 
 
-def _exr_type(plane: NDArray[Any]) -> type[np.floating]:
-    return np.float16 if plane.dtype == np.float16 else np.float32
+def _exr_type(plane: NDArray[Any]) -> str:
+    return {"float16": "float16", "uint16": "uint32"}.get(plane.dtype.name, "float32")
 
 
 class _ErrorKeeper:

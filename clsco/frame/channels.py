@@ -9,15 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 _STEREO = ("disparity", "occluded")
+_SENSOR = ("raw", "electrons", "noise_sigma", "saturated")
 
 
 def exr_channels(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """Name a frame's arrays, by their names in files, as channels of an EXR.
 
     They are R G B A, Z, coc, sharp.R, N.X, flow.u, id, mask, filled, missing, hidden. A scene that moves has
-    flow_backward.u and flow_occluded, one with textures on surfaces uv.u, a stereo pair disparity and occluded, too;
-    sub-frames are sample_00.R and so on. A gray frame has R, G and B, so that every reader shows it. A is the alpha
-    where it was requested, else 1: a photograph covers all of its pixels.
+    flow_backward.u and flow_occluded, one with textures on surfaces uv.u, a stereo pair disparity and occluded; one
+    with a sensor raw.Y, electrons.Y, noise_sigma.Y and saturated.Y, or of three planes raw.R and so on; sub-frames are
+    sample_00.R. A gray frame has R, G and B, so that every reader shows it. A is the alpha where it was requested, else
+    1: a photograph covers all of its pixels.
     """
     color, plain = arrays.get("color"), (*("coc", "mask", "filled", "missing", "hidden", "flow_occluded"), *_STEREO)
 
@@ -33,6 +35,10 @@ def exr_channels(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     for number, image in enumerate(arrays.get("subframes", ())):
         subframes |= split(f"sample_{number:02d}.", "RGB", image)
     single = {"Z": "depth", "id": "object_id"} | {name: name for name in plain}
+    sensor: dict[str, NDArray[Any]] = {}
+    for name in _SENSOR:
+        array = arrays.get(name)
+        sensor |= split(f"{name}.", "RGB" if array is not None and array.ndim == 3 else "Y", array)
     return {
         **split("", "RGB", color),
         **({} if alpha is None else {"A": alpha}),
@@ -42,5 +48,6 @@ def exr_channels(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
         **split("flow.", "uv", arrays.get("flow")),
         **split("flow_backward.", "uv", arrays.get("flow_backward")),
         **split("uv.", "uv", arrays.get("uv")),
+        **sensor,
         **subframes,
     }

@@ -20,7 +20,7 @@ from clsco.files.cameras import cam_bytes, colmap_texts
 from clsco.files.color import SRGB, Color
 from clsco.files.depth_codes import dpt_bytes, kitti_depth_codes, kitti_disparity_codes, pfm_bytes
 from clsco.files.flow import flo_bytes, kitti_flow_codes
-from clsco.files.images import write_exr, write_json, write_npz, write_png
+from clsco.files.images import write_exr, write_json, write_npz, write_png, write_tiff
 from clsco.files.npy import ZSTD, npy_bytes
 from clsco.files.transfer import encode
 from clsco.frame.cameras import all_pinholes, exr_attributes, eye_of, gets_behind, pinhole
@@ -64,6 +64,14 @@ def _write_pfm(path: Path, shot: Shot, wanted: TruthFile) -> None:
         known = _known(shot, wanted)[..., None] & np.isfinite(vectors).all(axis=-1, keepdims=True)
         array = np.where(known, vectors, np.float32(np.inf)).reshape(array.shape)
     write_whole(path, pfm_bytes(array, str(path)))
+
+
+def _write_codes(path: Path, shot: Shot, wanted: TruthFile) -> None:
+    write_png(path, _single(shot, wanted))
+
+
+def _write_code_tiff(path: Path, shot: Shot, wanted: TruthFile) -> None:
+    write_tiff(path, _single(shot, wanted))
 
 
 def _write_flo(path: Path, shot: Shot, wanted: TruthFile) -> None:
@@ -132,6 +140,8 @@ TRUTH_FORMATS = {
         "{stem}_kitti_{array}.png", _write_kitti_disparity, "array", ("disparity",), ("mask",)
     ),
     "kitti_depth": TruthFormat("{stem}_kitti_{array}.png", _write_kitti_depth, "array", ("depth",)),
+    "png": TruthFormat("{stem}_{array}.png", _write_codes, "array", ("raw",)),
+    "tiff": TruthFormat("{stem}_{array}.tif", _write_code_tiff, "array", ("raw",), needs=("tifffile", "formats")),
     "dpt": TruthFormat("{stem}_{array}.dpt", _write_dpt, "array", ("depth",)),
     "cam": TruthFormat("{stem}.cam", _write_cam, arrays=()),
     "colmap": TruthFormat("sparse/0", _write_colmap, "scene", ()),

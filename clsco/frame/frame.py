@@ -20,7 +20,8 @@ TRUTH_NAMES = ("sharp", "depth", "blur_radius", "mask", "filled", "missing", "ob
 MOTION_NAMES = ("flow_backward", "flow_occluded")  # besides, where something moves
 MAPPING_NAMES = ("uv",)  # besides, where a texture lies on a surface
 STEREO_NAMES = ("disparity", "occluded")  # besides, of a stereo pair
-ALL_TRUTH = (*TRUTH_NAMES, *MOTION_NAMES, *MAPPING_NAMES, *STEREO_NAMES)
+SENSOR_NAMES = ("raw", "electrons", "noise_sigma", "saturated")  # besides, of the image of a sensor
+ALL_TRUTH = (*TRUTH_NAMES, *MOTION_NAMES, *MAPPING_NAMES, *STEREO_NAMES, *SENSOR_NAMES)
 IMAGE_NAMES = ("alpha", "subframes")  # besides, of the image, by name only
 FILE_NAMES = {name: name for name in ("color", *ALL_TRUTH, *IMAGE_NAMES)} | {"blur_radius": "coc"}
 """Names of the arrays in files, by attribute."""
@@ -57,7 +58,9 @@ class Frame:
     index : int
         Number of the frame in its sequence, from 0.
     color : float32 (rows, columns[, 3])
-        Linear radiance, 1 = white: blurred by defocus and motion. None where it was not wanted (`color=False`).
+        Linear radiance, 1 = white: blurred by defocus and motion. None where it was not wanted (`color=False`). With a
+        sensor what its codes stand for, with their noise: (raw - black_level) / gain electrons, demosaiced where the
+        sensor says so.
     sharp : float32 (rows, columns[, 3])
         Linear radiance: all in focus.
     depth : float32 (rows, columns), mm
@@ -90,11 +93,22 @@ class Frame:
         only, as `occluded`.
     occluded : bool (rows, columns)
         The point is not visible in the other view: an occluder hides it, or it is outside.
+    raw : uint16 (rows, columns[, 3]), DN
+        Codes of the sensor, with all noise; of a mosaic one for each pixel. Of a scene with a sensor only, as
+        `electrons`, `noise_sigma` and `saturated`, which have this shape.
+    electrons : float32 (rows, columns[, 3]), e-
+        Electrons to be expected without any noise: of the light and of the dark current.
+    noise_sigma : float32 (rows, columns[, 3]), e-
+        Standard deviation of (raw - black_level) / gain from `electrons`, over exposures and sensors: shot noise, read
+        noise, PRNU, DSNU and rounding, without hot pixels and where nothing is saturated.
+    saturated : bool (rows, columns[, 3])
+        The full well or the largest code was reached.
     alpha : float32 (rows, columns)
         Share of a pixel's light that comes from surfaces, blurred as `color` is, which has the rest of it black: the
         coverage of an image with associated (premultiplied) alpha. The background is no surface.
     subframes : float32 (samples, rows, columns[, 3])
-        Linear radiance of each time sample by itself, blurred by defocus: `color` is their weighted mean.
+        Linear radiance of each time sample by itself, blurred by defocus: `color` is their weighted mean, but with
+        a sensor, before which they are.
         `metadata["intermediate"]` has their times and weights.
     eye : str
         "left" or "right" of a stereo pair, else "".
@@ -119,6 +133,10 @@ class Frame:
     uv: NDArray[np.float32] | None = None
     disparity: NDArray[np.float32] | None = None
     occluded: NDArray[np.bool_] | None = None
+    raw: NDArray[np.uint16] | None = None
+    electrons: NDArray[np.float32] | None = None
+    noise_sigma: NDArray[np.float32] | None = None
+    saturated: NDArray[np.bool_] | None = None
     alpha: NDArray[np.float32] | None = None
     subframes: NDArray[np.float32] | None = None
     eye: str = ""

@@ -56,6 +56,7 @@ HEADERS_OF = {
         *GATHER_HEADERS,
     ),
     "blur/tiles.cl": ("common/sources.clh", "common/psf.clh"),
+    "sensor/sensor.cl": ("sensor/noise.clh",),
     "inpainting/fill.cl": ("inpainting/lanes.clh", "inpainting/estimate.clh"),
     "inpainting/mean_median.cl": ("inpainting/lanes.clh", "inpainting/estimate.clh"),
     "inpainting/fse.cl": ("inpainting/lanes.clh",),

@@ -90,6 +90,8 @@ class Moment(Area):
         It is the first time sample of the frame.
     of : Strip
         The strip of the frame that this one is a part of, or is.
+    camera : int, optional
+        `clsco.optics.sensor.camera_word` of the frame, at its last time sample.
     part : Part, optional
         Sources that are made, where a frame is divided.
     """
@@ -98,6 +100,7 @@ class Moment(Area):
     weights: NDArray[np.float64]
     first: bool
     of: Strip
+    camera: int | None = None
     part: Part | None = None
 
 

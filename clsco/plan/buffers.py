@@ -19,6 +19,7 @@ from clsco.constants import (
     ITEMS_BYTES,
     MOST_ASIDE,
     MOST_ITEMS,
+    NOISE_LANES,
     OWNED_PIXELS,
     ROW_TILE,
     SCORE_SUMS,
@@ -33,6 +34,7 @@ from clsco.inputs.textures import mapped_size
 from clsco.optics.depth_layers import bins_of, levels_of, most_deep
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_tables import rounded_span, table_sizes
+from clsco.optics.sensor import Readout
 from clsco.optics.stencil import is_by_axes, is_summed, stencil_sizes
 from clsco.optics.visibility import lens_floats
 from clsco.plan.methods import MANY_RADII, BlurSpec
@@ -219,6 +221,17 @@ def sum_buffers(grid: Grid) -> Sizes:
     """Buffers of the sum of time samples (`clsco.passes.accumulate.FrameSum`)."""
     pixels = grid.rows * grid.columns
     return {"sum": 4 * grid.channels * pixels, "lost": 4 * grid.channels * pixels}
+
+
+def sensor_buffers(readout: Readout, grid: Grid) -> Sizes:
+    """Buffers of the codes of a sensor (`clsco.passes.sensor.FrameSensor`)."""
+    pixels = len(readout.filters) * grid.rows * padded_columns(grid.columns)
+    return {"code": 2 * pixels, "saturated": pixels}
+
+
+def padded_columns(columns: int) -> int:
+    """Columns in whole vectors of a sensor."""
+    return -(-columns // NOISE_LANES) * NOISE_LANES
 
 
 def _table_buffers(spec: BlurSpec) -> Sizes:

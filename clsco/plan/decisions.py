@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 
 from clsco.errors import SceneError
-from clsco.frame.frame import ALL_TRUTH, MAPPING_NAMES, MOTION_NAMES, STEREO_NAMES
+from clsco.frame.frame import ALL_TRUTH, MAPPING_NAMES, MOTION_NAMES, SENSOR_NAMES, STEREO_NAMES
 from clsco.optics.exposure import subframes_of
 from clsco.optics.motion import Eye
 from clsco.optics.point_spread import PointSpread
@@ -40,6 +40,7 @@ POSSIBLE = (
     (STEREO_NAMES, lambda scene: scene.stereo is not None, "there is one view"),
     (MOTION_NAMES, lambda scene: scene.moves, "nothing moves"),
     (MAPPING_NAMES, lambda scene: scene.has_mapped_textures, "no texture lies on a surface"),
+    (SENSOR_NAMES, lambda scene: scene.sensor is not None, "there is no sensor"),
 )
 
 
@@ -133,7 +134,7 @@ def choose(
         why = f"in focus: R up to {seen.largest:.3g} px stays within its pixel"
         blur = replace(blur, reason=why, unused=(*SPREAD_KEYS, *aperture))
     renormalize, guard_band = choose_border(scene)
-    truth, others = choose_truth(scene, request.truth)
+    truth, others = choose_truth(scene, request.truth, request.color)
     spread = rays.value and occlusion.value != "layered" and blur.value in MANY_RADII
     choices = Choices(
         image=choose_image(request.color),
@@ -286,9 +287,12 @@ def choose_still_sources(
     return Choice(True) if any(map(found.spares, groups)) else Choice(False, "no source is sure to be still")
 
 
-def choose_truth(scene: Scene, asked: tuple[str, ...]) -> tuple[Choice[tuple[str, ...]], Choice[bool]]:
+def choose_truth(
+    scene: Scene, asked: tuple[str, ...], color: bool = True
+) -> tuple[Choice[tuple[str, ...]], Choice[bool]]:
     """Outputs besides color and alpha, of those that a scene can have; and whether any others are left out."""
     impossible = {name: why for names, can, why in POSSIBLE if not can(scene) for name in names}
+    impossible |= {} if color else dict.fromkeys(SENSOR_NAMES, "no image is made")
     taken = tuple(name for name in asked if name != "alpha" and name not in impossible)
     others = [name for name in ALL_TRUTH if name not in taken and name not in impossible]
     why = "; ".join(dict.fromkeys(impossible[name] for name in asked if name in impossible))

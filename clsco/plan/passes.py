@@ -12,7 +12,7 @@ from clsco.plan.buffers import Sizes
 Parameters = tuple[tuple[str, str], ...]
 Kind = Literal[
     "static image", "trace", "silhouettes", "pinhole", "reproject", "fill", "count missing", "sources", "cluster",
-    "depth layers", "blur", "accumulate", "ground truth",
+    "depth layers", "blur", "accumulate", "sensor", "ground truth",
 ]  # fmt: skip
 
 
@@ -29,8 +29,8 @@ class Pass:
         Bytes of its buffers on the device by their names; one name is one buffer in all passes.
     takes, gives : tuple of str
         Names of what it is handed by earlier passes, and of what it hands on: "moved" pixels, an "image" with its
-        radii, "sources", "layers", the blurred "plane" of a time sample, the "frame" so far; "counts" and "missing" of
-        a filling, the number of "depth_layers".
+        radii, "sources", "layers", the blurred "plane" of a time sample, the "frame" so far, its "codes" when it is
+        complete; "counts" and "missing" of a filling, the number of "depth_layers".
     group : OcclusionGroup
         The occlusion group that it is for.
     """

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.constants import BAND, TAP_LANES
+from clsco.frame.frame import SENSOR_NAMES
 from clsco.frame.strips import Grid, Strip, part
 from clsco.inputs.pupils import scene_point_spread
 from clsco.optics.exposure import frame_exposure, subframes_of
@@ -24,6 +25,7 @@ from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_grid import table_reach
 from clsco.optics.psf_tables import check_tables, psf_features
 from clsco.optics.quadrics import Extent
+from clsco.optics.sensor import Readout, readout
 from clsco.optics.visibility import OcclusionGroup
 from clsco.plan.buffers import (
     STATISTICS,
@@ -44,21 +46,11 @@ from clsco.plan.buffers import (
 from clsco.plan.decisions import Choices, choose
 from clsco.plan.features import shape_features
 from clsco.plan.image import blur_passes, light_of, named, strips_of
-from clsco.plan.methods import (
-    MANY_RADII,
-    Blur,
-    BlurSpec,
-    check_shape,
-    occluder_room,
-)
+from clsco.plan.methods import MANY_RADII, Blur, BlurSpec, check_shape, occluder_room
 from clsco.plan.passes import Kind, Parameters, Pass
-from clsco.plan.predict import (
-    Maps,
-    displaced,
-    is_static_map,
-    predict,
-)
+from clsco.plan.predict import Maps, displaced, is_static_map, predict
 from clsco.plan.request import Request
+from clsco.plan.sensor import sensor_pass
 from clsco.scene.model import Scene
 
 Array = NDArray[np.float64]
@@ -249,6 +241,16 @@ class Plan:
             layered=self.occlusion == "layered",
         )  # fmt: skip
 
+    @cached_property
+    def readout(self) -> Readout | None:
+        """The sensor of the scene, where its image is made."""
+        return readout(self.scene, self.colors) if self.scene.sensor is not None and self.color else None
+
+    @property
+    def needs_light(self) -> bool:
+        """True if the light of a frame is read back, and not only the codes of a sensor."""
+        return self.readout is None or self.alpha or not {"electrons", "noise_sigma"}.isdisjoint(self.truth)
+
     @property
     def slots(self) -> int:
         """Pixels near silhouettes that there is room for."""
@@ -385,7 +387,9 @@ def _passes(plan: Plan) -> tuple[Pass, ...]:
     """See `Plan.passes`."""
     found = list(_moving_passes(plan)) if plan.color or "missing" in plan.truth else []
     found += _image_passes(plan) if plan.color else ()
-    if plan.truth:
+    if plan.readout is not None:
+        found.append(sensor_pass(plan.readout, plan.grid, "frame" if plan.averages else "plane"))
+    if not set(plan.truth) <= {*SENSOR_NAMES}:
         found.append(_truth_pass(plan))
     return tuple(found)
 
@@ -430,7 +434,8 @@ def _truth_pass(plan: Plan) -> Pass:
     if plan.forward:
         sizes |= named("warp", warp_buffers(plan.scene, plan.grid, plan.device))
         sizes |= named("fill", fill_sizes(plan.scene, plan.grid))
-    return Pass("ground truth", (("outputs", ", ".join(plan.truth)),), sizes)
+    outputs = ", ".join(name for name in plan.truth if name not in SENSOR_NAMES)
+    return Pass("ground truth", (("outputs", outputs),), sizes)
 
 
 def _group_passes(plan: Plan, group: OcclusionGroup, first: bool) -> Iterator[Pass]:

@@ -74,7 +74,7 @@ def run(
     def run_pass(step: Pass, *given: Any) -> tuple[Any, ...]:
         return RUN[step.kind](Moment(plan, textures, maps, time, weights, frame, view, step), *given)
 
-    return run_passes((step for step in plan.passes if step.kind != "ground truth"), run_pass)
+    return run_passes((step for step in plan.passes if step.kind not in ("sensor", "ground truth")), run_pass)
 
 
 def _lit(at: Moment, light: Light) -> Light | Array:

@@ -18,6 +18,7 @@ from clsco.optics.depth_truth import map_flow, map_normal, map_occluded, map_ste
 from clsco.optics.exposure import frame_exposure, middle_time
 from clsco.optics.motion import Eye, poses_at
 from clsco.optics.point_spread import PointSpread
+from clsco.optics.sensor import camera_word
 from clsco.optics.texture_mapping import texture_map
 from clsco.plan.plan import Plan, make_plan
 from clsco.plan.predict import Maps
@@ -25,6 +26,7 @@ from clsco.plan.request import Request
 from clsco.reference.common.geometry import Array
 from clsco.reference.inpainting.fill import FillReport
 from clsco.reference.passes import Warped, crop, run, warped_image
+from clsco.reference.sensor.sensor import sensor_outputs
 from clsco.reference.trace.mapping import mapped_texture
 from clsco.reference.trace.trace import Sources, Texture
 from clsco.reference.trace.truth import ground_truth
@@ -103,9 +105,12 @@ def _frame(plan: Plan, textures: tuple[Texture, ...], maps: Maps, index: int, su
             arrays |= _map_truth(plan, textures, maps, middle, index)
     arrays |= {"missing": missing, "subframes": np.stack(alone) if alone else None}
     sharp = _without_channel(arrays.pop("sharp"))
+    arrays["color"] = _without_channel(color)
+    if plan.readout is not None:
+        arrays |= sensor_outputs(plan.readout, color, camera_word(index, plan.eye), plan.truth)
     eye = plan.eye if scene.stereo else ""
     about = {"intermediate": samples, "f_number": scene.camera.opening}
-    return Frame(index=index, color=_without_channel(color), sharp=sharp, metadata=about, eye=eye, **arrays)
+    return Frame(index=index, sharp=sharp, metadata=about, eye=eye, **arrays)
 
 
 def _truth(plan: Plan, textures: tuple[Texture, ...], maps: Maps, index: int) -> dict[str, Any]:

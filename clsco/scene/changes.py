@@ -22,6 +22,10 @@ _DISPLACED: tuple[tuple[str, str | None, str], ...] = (
     ("camera.sensor_distance", None, "camera.focus_distance"),
     ("light.direction", None, "light.position"),
     ("light.position", None, "light.direction"),
+    ("sensor.gain", None, "sensor.iso"),
+    ("sensor.gain", None, "sensor.iso_base"),
+    ("sensor.iso", None, "sensor.gain"),
+    ("sensor.mosaic", "none", "sensor.demosaic"),
     *(
         ("aperture.shape", shape, f"aperture.{key}")
         for key, own in APERTURE_KEYS.items()
@@ -121,6 +125,8 @@ def dump(scene: Any) -> dict[str, Any]:
         del data["camera"]["aperture_diameter"]
     if scene.camera.focus_distance is not None:
         del data["camera"]["sensor_distance"]
+    if scene.sensor is not None and scene.sensor.iso is None:
+        del data["sensor"]["iso_base"]
     if not scene.groups:
         del data["group"]
     for key, section in (("aperture.shape", "aperture"), ("psf.model", "psf"), ("motion.warp", "motion")):

@@ -35,7 +35,7 @@ Location = tuple[str | int, ...]  # of a key: ("object", 0, "motion", "velocity"
 
 SECTIONS = sections(Scene)
 # Sections whose keys may have several values, except keys that hold tables.
-SWEEPABLE = ("camera", "sequence", "motion", "light")
+SWEEPABLE = ("camera", "sequence", "motion", "light", "sensor")
 
 
 def load_scene(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:

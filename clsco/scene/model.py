@@ -34,6 +34,7 @@ from clsco.scene.quantities import (
     at_keys,
     fault,
 )
+from clsco.scene.sensor import Sensor
 from clsco.scene.sequence import Sequence
 from clsco.scene.shapes import (
     AnyShape,
@@ -83,6 +84,7 @@ __all__ = [
     "Quadric",
     "Rectangle",
     "Scene",
+    "Sensor",
     "Sequence",
     "Sphere",
     "Stereo",
@@ -267,6 +269,8 @@ class Scene(Strict):
     """Shades all surfaces; without one they emit the radiance of their texture in all directions."""
     stereo: Stereo | None = None
     """A second view; none if not given."""
+    sensor: Sensor | None = None
+    """Counts electrons; none if not given, and frames are light."""
     groups: Groups = Field(
         default=(),
         validation_alias="group",

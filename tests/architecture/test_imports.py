@@ -45,6 +45,7 @@ OUTSIDE = {
     "matplotlib": ("cli.bench", "inpainting.report"),
     "numba": ("cli.bench",),
     "cv2": ("cli.bench",),
+    "colour_demosaicing": (),
     "mpmath": ("cli.bench",),
     "pydantic": ("scene",),
 }

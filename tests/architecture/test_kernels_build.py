@@ -75,6 +75,7 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 3)}
     | GENERAL,
     ("blur/accumulate.cl",): GEOMETRY | {"SCAN_COLUMNS": ON_OR_OFF},
+    ("sensor/sensor.cl",): GEOMETRY | {"FIXED_PATTERN": ON_OR_OFF},
     ("blur/convolve.cl",): GEOMETRY | {"WIDE_SUMS": ON_OR_OFF},
     ("inpainting/fse.cl",): GEOMETRY,
     ("inpainting/biharmonic.cl",): GEOMETRY,

@@ -29,6 +29,7 @@ WITHOUT_TWIN = {
         "pinhole": "trace of all objects, with nothing in their way",
         "trace_detail": "part of trace_subpixels",
     },
+    "noise": {"any_lane": "any of NumPy"},
     "visibility": {
         "dot3": "a product of NumPy's arrays",
         "size2": "np.hypot",

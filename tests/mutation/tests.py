@@ -64,6 +64,8 @@ TESTS = {
     "inpainting/mean_median.cl": "kernels/test_mean_median inpainting/test_inpaint",
     "inpainting/score.cl": "kernels/test_mean_median kernels/test_fill",
     "layered/layered.cl": "kernels/test_layered_amid kernels/test_layered engine/test_defocus",
+    "sensor/noise.clh": "kernels/test_sensor",
+    "sensor/sensor.cl": "kernels/test_sensor pipeline/test_sensor",
     "trace/light.clh": "pipeline/test_light",
     "trace/mapping.clh": "pipeline/test_surface_textures",
     "trace/footprint.clh": "pipeline/test_surface_textures",

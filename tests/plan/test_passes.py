@@ -72,7 +72,7 @@ def test_a_pass_that_lacks_what_it_takes_is_refused() -> None:
 
 
 def test_the_reference_runs_all_kinds() -> None:
-    assert {*get_args(Kind)} - {"ground truth"} == RUN.keys()
+    assert {*get_args(Kind)} - {"sensor", "ground truth"} == RUN.keys()
 
 
 def met(plan: Plan, **changes: Any) -> Met:

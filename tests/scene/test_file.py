@@ -314,6 +314,7 @@ def test_schema_documents_every_key() -> None:
         "image",
         "light",
         "stereo",
+        "sensor",
         "group",
         "object",
     ]

@@ -1,0 +1,122 @@
+"""From the codes of a sensor to the image, and what is known of its noise."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Collection
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.errors import ImageError, SceneError
+from clsco.optics.sensor import Readout, noise_variance
+
+FUNCTIONS = {
+    "bilinear": "demosaicing_CFA_Bayer_bilinear",
+    "malvar": "demosaicing_CFA_Bayer_Malvar2004",
+    "menon": "demosaicing_CFA_Bayer_Menon2007",
+}
+"""Functions of colour-demosaicing by the methods of demosaicing of a scene file."""
+
+APRON = 8  # px, an even number, around a mosaic
+LEAST_SIDE = 2  # px, of frames that can be demosaiced
+
+
+def developed(raw: NDArray[np.uint16], readout: Readout) -> NDArray[np.float32]:
+    """Light that codes stand for: (code - black) / (gain electrons), demosaiced where the sensor says so.
+
+    Parameters
+    ----------
+    raw : ndarray of uint16, (rows, columns, planes)
+    readout : Readout
+
+    Returns
+    -------
+    ndarray of float32, (rows, columns[, 3])
+        1 = white. Noise is below 0, too. Of a mosaic in color that is not demosaiced, channels that a pixel has not
+        measured are 0; in gray light each pixel has measured all there is.
+
+    Raises
+    ------
+    ImageError
+        colour-demosaicing is missing.
+    """
+    electrons = (raw.astype(np.float64) - readout.sensor.black_level) / readout.gain
+    light = electrons / of_sites(readout.scale, readout, raw.shape[:2])
+    if readout.sensor.mosaic == "none" or readout.channels == 1:
+        return np.asarray(light if light.shape[2] > 1 else light[..., 0], np.float32)
+    plane = light[..., 0]
+    if readout.sensor.demosaic == "none":
+        colors = of_sites((0, 1, 2), readout, plane.shape) == np.arange(3)
+        return np.where(colors, plane[..., None], 0.0).astype(np.float32)
+    function = getattr(_demosaicing(), FUNCTIONS[readout.sensor.demosaic])
+    padded = np.pad(plane, APRON, mode="reflect")  # colors go on as in the mosaic, which its mirror image does not
+    found = function(padded, readout.sensor.mosaic.upper())[APRON:-APRON, APRON:-APRON]
+    return np.ascontiguousarray(found, np.float32)
+
+
+def of_sites(values: Collection[float], readout: Readout, size: tuple[int, ...]) -> NDArray[Any]:
+    """Values of the channels that pixels have measured, (rows, columns, planes) of this size."""
+    y, x = np.ogrid[: size[0], : size[1]]
+    each = np.array(tuple(values))[np.array(readout.filters)]
+    return np.moveaxis(each[:, 2 * (y & 1) + (x & 1)], 0, -1)
+
+
+def check_development(readout: Readout, rows: int, columns: int) -> None:
+    """Raise ImageError where colour-demosaicing is needed and missing, SceneError for frames that are too small."""
+    if readout.sensor.demosaic != "none" and readout.channels > 1:
+        if min(rows, columns) < LEAST_SIDE:
+            size = f"{columns} x {rows}"
+            raise SceneError(f"sensor.demosaic: needs frames of {LEAST_SIDE} x {LEAST_SIDE} px at least; got {size}")
+        _demosaicing()
+
+
+def _demosaicing() -> Any:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # of SciPy, for how it imports it
+            return import_module("colour_demosaicing")
+    except ImportError as error:
+        needs = "sensor.demosaic: needs colour-demosaicing: pip install 'clsco[sensor]'"
+        raise ImageError(f"{needs}; got {error}") from error
+
+
+def sensor_truth(
+    names: Collection[str],
+    raw: NDArray[np.uint16],
+    saturated: NDArray[np.bool_],
+    light: NDArray[np.floating] | None,
+    readout: Readout,
+) -> dict[str, NDArray[Any]]:
+    """Outputs of a sensor that are wanted, (rows, columns[, 3]), as `Frame` has them.
+
+    Parameters
+    ----------
+    names : collection of str
+        Some of `clsco.frame.frame.SENSOR_NAMES`; others are passed by.
+    raw, saturated : ndarray (rows, columns, planes)
+    light : ndarray (rows, columns[, 3]), optional
+        Light of the exposure, for `electrons` and `noise_sigma`.
+    readout : Readout
+
+    Returns
+    -------
+    dict
+    """
+    found: dict[str, NDArray[Any]] = {}
+    if "raw" in names:
+        found["raw"] = raw
+    if light is not None:
+        channels = np.atleast_3d(light).astype(np.float64)
+        taken = np.minimum(of_sites((0, 1, 2), readout, raw.shape[:2]), readout.channels - 1)
+        own = np.maximum(np.take_along_axis(channels, taken, axis=2), 0.0)
+        photo = own * of_sites(readout.scale, readout, raw.shape[:2])
+        if "electrons" in names:
+            found["electrons"] = (photo + readout.dark).astype(np.float32)
+        if "noise_sigma" in names:
+            found["noise_sigma"] = np.sqrt(noise_variance(readout, photo)).astype(np.float32)
+    if "saturated" in names:
+        found["saturated"] = saturated
+    return {name: array if array.shape[2] > 1 else np.ascontiguousarray(array[..., 0]) for name, array in found.items()}

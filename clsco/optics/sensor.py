@@ -1,0 +1,177 @@
+"""Image sensor: electrons, codes and noise of an exposure, by the linear model of EMVA 1288 (float64, pure).
+
+Where random numbers come in, `clsco.reference.sensor` and the kernels have the formulas.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.constants import FEW_ELECTRONS
+from clsco.optics.motion import Eye
+from clsco.scene.model import Scene
+from clsco.scene.sensor import MOSAICS, Sensor
+
+GRAY = 1  # gray light is taken for green
+PLANES = 3
+LEAST_DARK_NOISE = 0.4  # DN rms, below which rounding no longer adds 1/12 DN^2 (EMVA 1288)
+MOST_MEAN = 2.0**24  # electrons of a pixel, beyond any full well
+MOST_DOUBLINGS = 100.0  # of the dark current, where any pixel is full
+
+
+@dataclass(frozen=True)
+class Readout:
+    """Numbers of a sensor by which the light of an exposure becomes codes.
+
+    Attributes
+    ----------
+    scale : tuple of float
+        Electrons of light of value 1 in red, green, blue, e-.
+    dark : float
+        Mean electrons of the dark, e-.
+    leak : float
+        Most mean electrons that a hot pixel has besides, e-.
+    gain : float
+        DN/e-.
+    largest : int
+        Largest code, DN.
+    channels : {1, 3}
+        Channels of the light.
+    filters : tuple of tuple of int
+        For each plane of codes the colors that pixels (0, 0), (0, 1), (1, 0), (1, 1) measure: of a mosaic one plane.
+    sensor : Sensor
+        The rest as the scene has it.
+    """
+
+    scale: tuple[float, float, float]
+    dark: float
+    leak: float
+    gain: float
+    largest: int
+    channels: int
+    filters: tuple[tuple[int, ...], ...]
+    sensor: Sensor
+
+    @property
+    def has_pattern(self) -> bool:
+        """True if pixels differ from each other."""
+        sensor = self.sensor
+        return sensor.prnu > 0 or sensor.dsnu > 0 or (sensor.hot_pixels > 0 and self.leak > 0)
+
+    @property
+    def dark_noise(self) -> float:
+        """Noise of a pixel without light, DN rms."""
+        return self.gain * float(np.hypot(self.sensor.read_noise, np.sqrt(self.dark)))
+
+
+def readout(scene: Scene, channels: int) -> Readout:
+    """Numbers of the sensor of a scene, which has one, for light of so many channels.
+
+    Parameters
+    ----------
+    scene : Scene
+    channels : {1, 3}
+
+    Returns
+    -------
+    Readout
+
+    Notes
+    -----
+    Order and notation are those of EMVA 1288: mean electrons white_electrons qe light + i t, with the dark current
+    i = dark_current 2^((temperature - temperature_reference) / temperature_doubling) over the time t that the shutter
+    is open; code gain e + black_level. With iso the light that is 1 makes iso_base / iso as many electrons.
+
+    Examples
+    --------
+    >>> import clsco
+    >>> from clsco.optics.sensor import readout
+    >>> sensor = clsco.Sensor(dark_current=8.0, temperature=28.0, iso=200.0)
+    >>> found = readout(clsco.Scene(objects=(clsco.Plane(),), sensor=sensor), 1)
+    >>> found.dark, found.scale[0], round(found.gain, 4)
+    (16.0, 5000.0, 0.6718)
+    """
+    sensor = scene.sensor
+    assert sensor is not None
+    more = sensor.iso_base / sensor.iso if sensor.iso is not None else 1.0
+    doublings = (sensor.temperature - sensor.temperature_reference) / sensor.temperature_doubling
+    time = scene.sequence.shutter * 2.0 ** min(doublings, MOST_DOUBLINGS)
+    largest = 2**sensor.bits - 1
+    gain = sensor.gain or (largest - sensor.black_level) / sensor.full_well / more
+    red, green, blue = (sensor.white_electrons * more * each for each in sensor.quantum_efficiency)
+    if sensor.mosaic != "none":
+        filters: tuple[tuple[int, ...], ...] = (MOSAICS[sensor.mosaic],)
+    else:
+        filters = tuple((k,) * 4 for k in (range(PLANES) if channels > 1 else (GRAY,)))
+    dark, leak = sensor.dark_current * time, sensor.full_well * time if sensor.hot_pixels else 0.0
+    return Readout((red, green, blue), dark, leak, gain, largest, channels, filters, sensor)
+
+
+def sensor_values(found: Readout) -> dict[str, Any]:
+    """Numbers of a read-out as kernels and the reference take them: fields of sensor_t."""
+    sensor, filters = found.sensor, np.zeros((PLANES, 4), np.int64)
+    filters[: len(found.filters)] = found.filters
+    return {
+        "planes": len(found.filters),
+        "channel": np.minimum(filters, found.channels - 1).ravel(),
+        "scale": np.array(found.scale)[filters].ravel(),
+        "maximum": found.largest,
+        "largest": found.largest,
+        "seed_low": sensor.seed & 0xFFFFFFFF,
+        "seed_high": sensor.seed >> 32,
+        "hot": min(round(sensor.hot_pixels * 2**32), 2**32 - 1),
+        "prnu": sensor.prnu,
+        "dsnu": sensor.dsnu,
+        "dark": min(found.dark, MOST_MEAN),
+        "leak": min(found.leak, MOST_MEAN),
+        "most": MOST_MEAN,
+        "full_well": sensor.full_well,
+        "read_noise": sensor.read_noise,
+        "gain": found.gain,
+        "black": sensor.black_level,
+    }
+
+
+def camera_word(frame: int, eye: Eye) -> int:
+    """Word of the counters of random numbers for a frame of a view: both views of a stereo pair differ."""
+    return 2 * frame + int(eye == "right")
+
+
+def reciprocals_of_counts() -> NDArray[np.float32]:
+    """1 / k from k = 0 on, of which the first is not used, float32 (FEW_ELECTRONS,)."""
+    return (1.0 / np.maximum(np.arange(FEW_ELECTRONS), 1)).astype(np.float32)
+
+
+def noise_variance(found: Readout, photoelectrons: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Variance of what a pixel reads, over exposures and over sensors, where nothing is clipped, e-^2.
+
+    Parameters
+    ----------
+    found : Readout
+    photoelectrons : ndarray of float64, any shape
+        Mean electrons of the light, e-.
+
+    Returns
+    -------
+    ndarray of float64, the same shape
+
+    Notes
+    -----
+    Shot noise of light and dark current, PRNU, DSNU, read noise, and 1/12 DN^2 of rounding; without hot pixels.
+
+    Examples
+    --------
+    >>> import clsco, numpy as np
+    >>> from clsco.optics.sensor import noise_variance, readout
+    >>> sensor = clsco.Sensor(prnu=0.0, dsnu=0.0, read_noise=3.0, gain=1.0)
+    >>> found = readout(clsco.Scene(objects=(clsco.Plane(),), sensor=sensor), 1)
+    >>> noise_variance(found, np.array([0.0, 100.0])).round(3).tolist()
+    [9.083, 109.083]
+    """
+    sensor = found.sensor
+    still = found.dark + sensor.dsnu**2 + sensor.read_noise**2 + 1.0 / (12.0 * found.gain**2)
+    return np.asarray(photoelectrons + (sensor.prnu * photoelectrons) ** 2 + still)

@@ -1,0 +1,81 @@
+"""Image sensor: codes of a frame, or of a strip of it, from its light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from clsco.constants import SENSED_PIXELS
+from clsco.frame.strips import Strip
+from clsco.opencl.buffers import download, empty, upload_cached
+from clsco.opencl.program import build
+from clsco.opencl.session import Session
+from clsco.optics.sensor import Readout, reciprocals_of_counts, sensor_values
+from clsco.passes.blur import PLAIN, Events, Plane, Target
+from clsco.plan.buffers import Sizes, padded_columns
+from clsco.records import filled, structs
+
+FEATURES = PLAIN | {"SAMPLED": 0, "GENERAL": 0, "CHANNELS": 0}
+RECIPROCALS = reciprocals_of_counts()
+
+
+@dataclass(frozen=True)
+class Codes:
+    """Codes on the device, with rows of whole vectors.
+
+    Attributes
+    ----------
+    code, saturated : Buffer
+        ushort and uchar of this shape.
+    shape : tuple of int
+        Planes, rows, columns of whole vectors.
+    columns : int
+        Columns of the image.
+    """
+
+    code: cl.Buffer
+    saturated: cl.Buffer
+    shape: tuple[int, int, int]
+    columns: int
+
+    def read(self, session: Session, code: NDArray[np.uint16], saturated: NDArray[np.bool_]) -> None:
+        """Read into arrays (rows, columns, planes); waits for the device."""
+        for buffer, out, dtype in ((self.code, code, np.uint16), (self.saturated, saturated, np.uint8)):
+            out[...] = np.moveaxis(download(session, buffer, self.shape, dtype)[..., : self.columns], 0, -1)
+
+
+class FrameSensor:
+    """The sensor of a scene, which reads out a frame or strips of it.
+
+    Parameters
+    ----------
+    session : Session
+    readout : Readout
+    sizes : dict
+        Sizes of the buffers, by `clsco.plan.buffers.sensor_buffers`.
+
+    Notes
+    -----
+    Validated against `clsco.reference.sensor.sensor.sense`, which has the same bits (tests/kernels/test_sensor.py).
+    """
+
+    def __init__(self, session: Session, readout: Readout, sizes: Sizes) -> None:
+        features = FEATURES | {"FIXED_PATTERN": int(readout.has_pattern)}
+        program = build(session, ["sensor/sensor.cl"], features, structs("float"), "float")
+        self.target, self.planes = Target(session, program, "float"), len(readout.filters)
+        self.code, self.saturated = (empty(session, sizes[name]) for name in ("code", "saturated"))
+        self.struct = filled("sensor_t", "float", sensor_values(readout))
+
+    def expose(self, strip: Strip, plane: Plane, camera: int, events: Events) -> Codes:
+        """Codes of the light of a strip; camera: `clsco.optics.sensor.camera_word` of the frame."""
+        padded = padded_columns(plane.columns)
+        counts = upload_cached(self.target.session, RECIPROCALS, "reciprocals of counts")
+        head = (np.int32(n) for n in (plane.rows, plane.columns, strip.top, padded))
+        args: tuple[Any, ...] = (*head, np.uint32(camera), *plane.layout, self.struct, counts)
+        size = (-(-plane.columns // SENSED_PIXELS), plane.rows, self.planes)
+        self.target.run("sense", size, (1, 1, 1), events, *args, self.code, self.saturated)
+        return Codes(self.code, self.saturated, (self.planes, plane.rows, padded), plane.columns)

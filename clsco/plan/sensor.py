@@ -1,0 +1,23 @@
+"""The pass of a sensor, which reads out a frame when all of its time samples are added up."""
+
+from __future__ import annotations
+
+from clsco.frame.strips import Grid
+from clsco.optics.sensor import GRAY, LEAST_DARK_NOISE, Readout
+from clsco.plan.buffers import sensor_buffers
+from clsco.plan.image import named
+from clsco.plan.passes import Parameters, Pass
+
+
+def sensor_pass(found: Readout, grid: Grid, takes: str) -> Pass:
+    """The pass; takes: what has the light of the frame, "frame" or "plane"."""
+    sensor = found.sensor
+    electrons = f"{found.scale[GRAY]:.6g} e- of white, full well {sensor.full_well:.6g} e-"
+    codes = f"{found.gain:.4g} DN/e- from {sensor.black_level}, {sensor.bits} bits"
+    noise = f"{found.dark_noise:.3g} DN rms in the dark"
+    if found.dark_noise < LEAST_DARK_NOISE:
+        noise += f": posterized, as below {LEAST_DARK_NOISE} DN means of many frames follow the steps of the codes"
+    about: Parameters = (("electrons", electrons), ("codes", codes), ("noise", noise))
+    if sensor.mosaic != "none":
+        about += (("mosaic", f"{sensor.mosaic}, demosaic {sensor.demosaic}"),)
+    return Pass("sensor", about, named("sensor", sensor_buffers(found, grid)), (takes,), ("codes",))

@@ -1,0 +1,1 @@
+"""Image sensor in NumPy float32: the bits of kernels/sensor."""

@@ -1,0 +1,87 @@
+"""An image sensor in NumPy float32: the codes that its pixels give for the light of an exposure, with the bits of
+kernels/sensor/sensor.cl."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.constants import PATTERN_STREAM, SHOT_STREAM, STREAMS
+from clsco.frame.development import developed, sensor_truth
+from clsco.optics.sensor import Readout, reciprocals_of_counts, sensor_values
+from clsco.records import filled
+from clsco.reference.sensor.noise import Floats, Words, normal_of, philox, poisson, uniform_of
+
+
+def photoelectrons(light: Floats, scale: Floats) -> Floats:
+    """Mean electrons of pixels, without those of the dark: no light is less than none, and NaN is none."""
+    with np.errstate(over="ignore", invalid="ignore"):  # there pixels are full
+        return np.where(light > 0, light * scale, np.float32(0.0))
+
+
+def codes_of(electrons: Floats, added: Floats, sensor: Any) -> NDArray[np.int64]:
+    """Codes of electrons that pixels have collected, and of what the read-out adds to them."""
+    code = sensor["gain"] * (electrons + added) + (sensor["black"] + np.float32(0.5))
+    return np.clip(code, np.float32(0.0), sensor["largest"]).astype(np.int64)
+
+
+def sensor_outputs(
+    readout: Readout, light: NDArray[np.floating], camera: int, names: Collection[str]
+) -> dict[str, Any]:
+    """Image and outputs of a sensor, by their names in `Frame`, for the light (m, n, C) of a frame; else as `sense`."""
+    raw, saturated = sense(readout, light, camera)
+    return {"color": developed(raw, readout)} | sensor_truth(names, raw, saturated, light, readout)
+
+
+def sense(readout: Readout, light: NDArray[np.floating], camera: int) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
+    """Codes of a frame for its light (m, n, C), and where the full well or the largest code was reached.
+
+    Parameters
+    ----------
+    readout : Readout
+    light : ndarray (m, n, C)
+        Rounded to float32 first.
+    camera : int
+        `clsco.optics.sensor.camera_word` of the frame.
+
+    Returns
+    -------
+    code : ndarray of uint16, (m, n, planes)
+    saturated : ndarray of bool, (m, n, planes)
+    """
+    sensor = filled("sensor_t", "float", sensor_values(readout))
+    rows, columns = light.shape[:2]
+    y, x = np.mgrid[:rows, :columns]
+    site = 2 * (y & 1) + (x & 1)
+    key = int(sensor["seed_low"]), int(sensor["seed_high"])
+    planes = []
+    for k in range(len(readout.filters)):
+        channel, scale = (sensor[name].reshape(-1, 4)[k][site] for name in ("channel", "scale"))
+        own = np.take_along_axis(light, channel[..., None], axis=2)[..., 0].astype(np.float32)
+        mean, dark, added = photoelectrons(own, scale), sensor["dark"], np.zeros(own.shape, np.float32)
+        pixel = y * columns + x
+        if readout.has_pattern:
+            word = philox(pixel, 0, camera & 1, PATTERN_STREAM + STREAMS * k, key)
+            mean, dark, added = _patterned(mean, word, sensor)
+        with np.errstate(over="ignore"):
+            mean = np.minimum(mean + dark, sensor["most"])
+        word = philox(pixel, 0, camera, SHOT_STREAM + STREAMS * k, key)
+        count = poisson(mean, word[0], reciprocals_of_counts()).astype(np.float32)
+        full = count >= sensor["full_well"]
+        added = added + sensor["read_noise"] * normal_of(word[1])
+        code = codes_of(np.where(full, sensor["full_well"], count), added, sensor)
+        planes.append((code.astype(np.uint16), full | (code >= sensor["maximum"])))
+    codes, saturated = (np.stack(each, axis=-1) for each in zip(*planes, strict=True))
+    return codes, saturated
+
+
+def _patterned(mean: Floats, word: tuple[Words, ...], sensor: Any) -> tuple[Floats, Floats, Floats]:
+    """Mean electrons of pixels that differ, their electrons of the dark, and what they add at the read-out."""
+    response: Floats = np.float32(1.0) + sensor["prnu"] * normal_of(word[0])
+    with np.errstate(over="ignore", invalid="ignore"):
+        mean = np.where(response > 0, mean * response, np.float32(0.0))
+    dark = np.where(word[2] < sensor["hot"], sensor["dark"] + sensor["leak"] * uniform_of(word[3]), sensor["dark"])
+    return mean, dark, sensor["dsnu"] * normal_of(word[1])

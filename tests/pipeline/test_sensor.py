@@ -1,0 +1,224 @@
+"""Scenes with a sensor: codes of whole frames on the device and in the reference, their files, and what does not change
+without one."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from PIL import Image
+
+import clsco
+from clsco.cli.main import main
+from clsco.constants import BAND
+from clsco.engine.response import response
+from clsco.errors import SceneError
+from clsco.frame.frame import ALL_TRUTH, SENSOR_NAMES, Frame
+from clsco.optics.sensor import camera_word, readout
+from clsco.plan.prepare import prepare
+from clsco.plan.request import Request
+from clsco.reference.sensor.sensor import sense
+from clsco.scene.file import parse_scene
+from clsco.scene.model import Scene
+
+BALL: dict[str, Any] = {"shape": "sphere", "center": [0, 0, 260], "radius": 10, "texture": "bricks"}
+WALL: dict[str, Any] = {"shape": "plane", "distance": 330.0, "texture": "#4060a0"}
+CAMERA = {"resolution": [39, 2 * BAND + 9], "pixel_pitch": 0.08}
+MOVING = BALL | {"motion": {"velocity": [6.0, 0.0, 0.0]}}
+SCENES: dict[str, dict[str, Any]] = {
+    "still": {"object": [BALL, WALL]},
+    "moving": {"object": [MOVING, WALL], "sequence": {"samples": 3, "frames": 2}},
+    "mosaic": {"object": [BALL, WALL], "sensor": {"mosaic": "rggb", "quantum_efficiency": [0.3, 0.6, 0.4]}},
+    "pair": {"object": [BALL, WALL], "stereo": {"baseline": 5.0}},
+    "gray, in focus": {"object": [{"shape": "plane", "distance": 250.0}], "camera": {"focus_distance": 250.0}},
+    "depth layers": {"object": [BALL, WALL], "psf": {"occlusion": "layered"}},
+    "forward": {"object": [MOVING], "sequence": {"samples": 2}, "motion": {"warp": "forward"}},
+}
+
+
+def named(name: str) -> Scene:
+    data = SCENES[name]
+    sensor = {"dark_current": 5.0, "hot_pixels": 0.01} | data.get("sensor", {})
+    return parse_scene(data | {"camera": CAMERA | data.get("camera", {}), "sensor": sensor})
+
+
+def light_of(scene: Scene, **options: Any) -> list[Frame]:
+    return list(clsco.render(scene.replace("sensor", None), truth=(), **options))
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_codes_are_those_of_the_light(name: str) -> None:
+    scene = named(name)
+    for frame, plain in zip(clsco.render(scene), light_of(scene), strict=True):
+        light = np.atleast_3d(plain.color)
+        known = readout(scene, light.shape[2])
+        raw, saturated = sense(known, light, camera_word(frame.index, frame.eye or "left"))  # type: ignore[arg-type]
+        found = frame.arrays()
+        np.testing.assert_array_equal(found["raw"].reshape(raw.shape), raw)
+        np.testing.assert_array_equal(found["saturated"].reshape(saturated.shape), saturated)
+        assert frame.color.shape == plain.color.shape
+        assert 1e-3 < np.abs(frame.color - plain.color).mean() < 0.5
+
+
+@pytest.mark.parametrize("name", ["still", "moving", "mosaic", "pair"])
+def test_the_reference_agrees(name: str) -> None:
+    """But for codes that the last digits of the light decide."""
+    scene = named(name)
+    for frame, exact in zip(clsco.render(scene), clsco.reference.render(scene), strict=True):
+        found, wanted = frame.arrays(), exact.arrays()
+        assert (found["raw"] != wanted["raw"]).mean() < 2e-3
+        assert np.abs(found["raw"].astype(int) - wanted["raw"]).max() <= 1
+        np.testing.assert_allclose(found["electrons"], wanted["electrons"], atol=0.1)
+        np.testing.assert_allclose(found["noise_sigma"], wanted["noise_sigma"], atol=0.01)
+        assert found["electrons"].dtype == found["noise_sigma"].dtype == np.float32
+
+
+@pytest.mark.parametrize("name", ["moving", "mosaic"])
+def test_strips_have_the_bits_of_the_whole(name: str) -> None:
+    scene = named(name)
+    whole = list(clsco.render(scene, truth=SENSOR_NAMES))
+    strips = list(clsco.render(scene, truth=SENSOR_NAMES, memory="3MiB"))
+    assert all(frame.metadata["strips"] > 1 for frame in strips)
+    for one, other in zip(whole, strips, strict=True):
+        for array in ("color", *SENSOR_NAMES):
+            np.testing.assert_array_equal(getattr(one, array), getattr(other, array))
+
+
+@pytest.mark.processor
+@pytest.mark.parametrize("threads", ["1", "3"])
+def test_with_other_threads(threads: str) -> None:
+    code = "from tests.pipeline.test_sensor import codes_sum; print(codes_sum())"
+    root = Path(__file__).resolve().parents[2]
+    environ = os.environ | {"POCL_MAX_PTHREAD_COUNT": threads, "PYTHONPATH": str(root)}
+    command = [sys.executable, "-c", code]
+    printed = subprocess.run(command, env=environ, check=True, capture_output=True, text=True, timeout=300).stdout
+    assert printed.strip() == codes_sum()
+
+
+def codes_sum() -> str:
+    raw = clsco.render_frame(named("still"), truth="raw").arrays()["raw"]
+    return str(raw.astype(np.int64).cumsum().sum())
+
+
+def test_a_frame_by_itself_has_the_noise_that_it_has_in_the_sequence() -> None:
+    scene = named("moving")
+    _, second = clsco.render(scene, truth="raw")
+    (alone,) = clsco.render(scene, truth="raw", frames=[1])
+    np.testing.assert_array_equal(alone.raw, second.raw)
+
+
+def test_outputs_are_those_that_are_wanted() -> None:
+    scene = named("still")
+    for names in ((), ("raw",), ("electrons", "depth"), ("saturated",)):
+        frame = clsco.render_frame(scene, truth=names)
+        assert tuple(name for name in ALL_TRUTH if getattr(frame, name) is not None) == tuple(
+            name for name in ALL_TRUTH if name in names
+        )
+    plain = clsco.render_frame(scene.replace("sensor", None))
+    assert all(getattr(plain, name) is None for name in SENSOR_NAMES)
+    with_alpha = clsco.render_frame(scene, truth=("alpha", "raw")).arrays()
+    np.testing.assert_array_equal(with_alpha["raw"], clsco.render_frame(scene, truth="raw").raw)
+    assert with_alpha["alpha"].shape == with_alpha["color"].shape[:2]
+    light = clsco.render_frame(scene, truth=("subframes", "electrons")).arrays()
+    np.testing.assert_allclose(light["subframes"][0] * 1e4 + 5.0, light["electrons"], rtol=1e-5)
+
+
+def test_without_an_image_there_are_no_codes() -> None:
+    scene = named("still")
+    frame = clsco.render_frame(scene, truth=("raw", "depth"), color=False)
+    assert frame.raw is None
+    assert frame.depth is not None
+    with pytest.raises(SceneError, match="color: must be True"):
+        clsco.render_frame(scene, truth=("raw", "electrons"), color=False)
+
+
+def test_a_scene_without_a_sensor_has_nothing_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    def never(*_: object) -> None:
+        raise AssertionError
+
+    scene = named("still").replace("sensor", None)
+    monkeypatch.setattr("clsco.engine.workspace.FrameSensor", never)
+    monkeypatch.setattr("clsco.engine.renderer.developed", never)
+    frame = clsco.render_frame(scene)
+    assert "sense" not in frame.metadata["seconds"]
+    plan = prepare(scene, Request(ALL_TRUTH)).plan
+    assert plan.readout is None
+    assert plan.needs_light
+    assert "sensor" not in {each.kind for each in plan.passes}
+    with_sensor = prepare(named("still"), Request(ALL_TRUTH)).plan
+    assert [each.kind for each in with_sensor.passes if each.kind != "sensor"] == [each.kind for each in plan.passes]
+    assert plan.features() == with_sensor.features()
+
+
+def test_a_response_is_that_of_the_lens_alone() -> None:
+    scene = named("still")
+    np.testing.assert_array_equal(response(scene, 20, 60), response(scene.replace("sensor", None), 20, 60))
+
+
+@pytest.mark.parametrize(("gain", "told"), [(0.1, True), (0.3, False)])
+def test_the_plan_tells_of_codes_that_are_too_few(gain: float, told: bool) -> None:
+    scene = named("gray, in focus").replace("sensor.gain", gain)
+    (sensor,) = (each for each in prepare(scene, Request()).plan.passes if each.kind == "sensor")
+    assert ("posterized" in dict(sensor.parameters)["noise"]) == told
+
+
+SCENE = """
+[camera]
+resolution = [20, 14]
+pixel_pitch = 0.2
+[sensor]
+mosaic = "rggb"
+bits = 14
+[[object]]
+shape = "sphere"
+texture = "#e08020"
+"""
+
+
+def run(*args: object) -> str:
+    found = CliRunner().invoke(main, [str(each) for each in args], catch_exceptions=False)
+    assert found.exit_code == 0, found.output
+    return found.output
+
+
+def test_files(tmp_path: Path) -> None:
+    exr = pytest.importorskip("OpenEXR")
+    tifffile = pytest.importorskip("tifffile")
+    scene = tmp_path / "s.toml"
+    scene.write_text(SCENE)
+    run("render", scene, "-o", tmp_path, "--truth", "npz,exr,png,tiff", "--quiet")
+    arrays = np.load(tmp_path / "frame_0000.npz")
+    frame = clsco.render_frame(str(scene))
+    for name in ("color", *SENSOR_NAMES):
+        np.testing.assert_array_equal(arrays[name], getattr(frame, name))
+    raw = arrays["raw"]
+    assert raw.dtype == np.uint16
+    assert raw.max() < 2**14
+    np.testing.assert_array_equal(np.array(Image.open(tmp_path / "frame_0000_raw.png")), raw)
+    np.testing.assert_array_equal(tifffile.imread(tmp_path / "frame_0000_raw.tif"), raw)
+    channels = exr.File(str(tmp_path / "frame_0000.exr"), separate_channels=True).channels()
+    assert channels["raw.Y"].pixels.dtype == np.uint32
+    np.testing.assert_array_equal(channels["raw.Y"].pixels, raw)
+    np.testing.assert_array_equal(channels["noise_sigma.Y"].pixels, arrays["noise_sigma"])
+    about = json.loads((tmp_path / "frame_0000.json").read_text())
+    assert about["scene"]["sensor"]["mosaic"] == "rggb"
+    assert about["units"]["sensor.read_noise"] == "e-"
+    before = {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
+    run("render", scene, "-o", tmp_path, "--truth", "npz,exr,png,tiff", "--quiet", "--resume")
+    assert before == {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
+    assert "raw" in run("check", scene)
+
+
+def test_codes_of_a_scene_without_a_sensor_are_refused(tmp_path: Path) -> None:
+    scene = tmp_path / "s.toml"
+    scene.write_text('[[object]]\nshape = "sphere"\n')
+    found = CliRunner().invoke(main, ["render", str(scene), "-o", str(tmp_path / "out"), "--truth", "png"])
+    assert found.exit_code == 1
+    assert "--truth: the scene must have raw; got png" in found.output

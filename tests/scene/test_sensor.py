@@ -1,0 +1,123 @@
+"""The sensor of a scene file: rules of every key, defaults that follow from others, and its way back."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+
+import clsco
+from clsco.errors import SceneError
+from clsco.inputs.dump import dump_scene
+from clsco.scene.changes import dump
+from clsco.scene.file import parse_scene
+from clsco.scene.sweep import parse_sweep
+
+BALL: dict[str, Any] = {"shape": "sphere"}
+EVERY = {
+    "white_electrons": 500.0, "full_well": 700.0, "read_noise": 1.5, "dark_current": 3.0, "temperature": -10.0,
+    "temperature_reference": 25.0, "temperature_doubling": 6.0, "prnu": 0.01, "dsnu": 2.0, "hot_pixels": 1e-4,
+    "bits": 14, "black_level": 512, "iso": 800.0, "iso_base": 200.0, "quantum_efficiency": [0.4, 0.6, 0.5],
+    "mosaic": "gbrg", "demosaic": "malvar", "seed": 2**63 - 1,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("sensor", [{}, EVERY, {"gain": 0.5, "bits": 1}])
+def test_dumps_are_the_way_back(sensor: dict[str, Any]) -> None:
+    scene = parse_scene({"object": [BALL], "sensor": sensor})
+    assert parse_scene(json.loads(json.dumps(dump(scene), allow_nan=False))) == scene
+    assert parse_scene(dump_scene(scene)) == scene
+    given = sensor | {"quantum_efficiency": tuple(sensor.get("quantum_efficiency", (1, 1, 1)))}
+    assert scene.sensor == clsco.Sensor(**given)
+
+
+def test_without_the_section_there_is_none() -> None:
+    scene = parse_scene({"object": [BALL]})
+    assert scene.sensor is None
+    assert "sensor" not in dump(scene)
+
+
+@pytest.mark.parametrize(("bits", "black"), [(12, 64), (16, 1024), (8, 4), (5, 0)])
+def test_the_black_level_follows_the_bits(bits: int, black: int) -> None:
+    assert clsco.Sensor(bits=bits).black_level == black
+
+
+def test_iso_and_gain_take_the_place_of_each_other() -> None:
+    scene = parse_scene({"object": [BALL], "sensor": {"iso": 400.0}})
+    with_gain = scene.replace("sensor.gain", 0.3)
+    assert with_gain.sensor is not None
+    assert scene.sensor is not None
+    assert (with_gain.sensor.gain, with_gain.sensor.iso) == (0.3, None)
+    again = with_gain.replace("sensor.iso", 400.0)
+    assert again == scene
+    assert scene.replace("sensor", None) == parse_scene({"object": [BALL]})
+
+
+def test_sensors_are_swept() -> None:
+    sweep = parse_sweep({"object": [BALL], "sensor": {"iso": [100.0, 400.0], "seed": [1, 2]}})
+    found = [(scene.sensor.iso, scene.sensor.seed) for scene in sweep.scenes if scene.sensor]
+    assert found == [(iso, seed) for iso in (100.0, 400.0) for seed in (1, 2)]
+
+
+@pytest.mark.parametrize(
+    ("sensor", "message"),
+    [
+        ("on", 'sensor: must be a table; got "on"'),
+        ({"white": 1.0}, "sensor.white: unknown key; got 1.0"),
+        ({"white_electrons": 0.5}, "sensor.white_electrons: must be between 1 and 1e+07 e-; got 0.5"),
+        ({"white_electrons": 2e7}, "sensor.white_electrons: must be between 1 and 1e+07 e-; got 20000000.0"),
+        ({"full_well": float("inf")}, "sensor.full_well: must be a finite number; got inf"),
+        ({"full_well": 0}, "sensor.full_well: must be between 1 and 1e+07 e-; got 0"),
+        ({"read_noise": -1.0}, "sensor.read_noise: must be between 0 and 1000000 e-; got -1.0"),
+        ({"read_noise": "low"}, 'sensor.read_noise: must be a number; got "low"'),
+        ({"dark_current": -0.1}, "sensor.dark_current: must be between 0 and 1e+09 e-/s; got -0.1"),
+        ({"temperature": -300.0}, "sensor.temperature: must be between -273.15 and 1000 degC; got -300.0"),
+        (
+            {"temperature_reference": 2000.0},
+            "sensor.temperature_reference: must be between -273.15 and 1000 degC; got 2000.0",
+        ),
+        ({"temperature_doubling": 0.0}, "sensor.temperature_doubling: must be greater than 0 degC; got 0.0"),
+        (
+            {"temperature_doubling": 2000.0},
+            "sensor.temperature_doubling: must be between 0.1 and 1000 degC; got 2000.0",
+        ),
+        ({"prnu": 1.5}, "sensor.prnu: must be between 0 and 1; got 1.5"),
+        ({"dsnu": -0.5}, "sensor.dsnu: must be between 0 and 1000000 e-; got -0.5"),
+        ({"hot_pixels": 2.0}, "sensor.hot_pixels: must be between 0 and 1; got 2.0"),
+        ({"bits": 17}, "sensor.bits: must be between 1 and 16; got 17"),
+        ({"bits": 12.0}, "sensor.bits: must be an integer; got 12.0"),
+        ({"black_level": -1}, "sensor.black_level: must be between 0 and 65535 DN; got -1"),
+        ({"black_level": 4096}, "sensor.black_level: must be at most 4095 with bits = 12; got 4096"),
+        (
+            {"black_level": 4095},
+            "sensor.black_level: must be below 4095, or with a gain, which else follows from the codes above; got 4095",
+        ),
+        ({"iso": 0.0}, "sensor.iso: must be between 1 and 1e+07; got 0.0"),
+        ({"iso_base": 200.0}, "sensor.iso_base: belongs to iso, which is not given; got 200.0"),
+        ({"iso": 100.0, "iso_base": 0.5}, "sensor.iso_base: must be between 1 and 1e+07; got 0.5"),
+        ({"gain": 0.0}, "sensor.gain: must be greater than 0 DN/e-; got 0.0"),
+        ({"gain": 0.5, "iso": 100.0}, "sensor.gain: give iso or gain, not both; got 0.5"),
+        ({"quantum_efficiency": [1.0, 1.0]}, "sensor.quantum_efficiency: must be a list of 3 numbers; got [1.0, 1.0]"),
+        (
+            {"quantum_efficiency": [1.0, 1.2, 1.0]},
+            "sensor.quantum_efficiency[1]: must be between 1e-06 and 1; got 1.2",
+        ),
+        ({"mosaic": "rgbg"}, 'sensor.mosaic: must be none, rggb, bggr, grbg or gbrg; got "rgbg"'),
+        ({"demosaic": "malvar"}, 'sensor.demosaic: needs a mosaic, not "none"; got "malvar"'),
+        (
+            {"mosaic": "rggb", "demosaic": "linear"},
+            'sensor.demosaic: must be none, bilinear, malvar or menon; got "linear"',
+        ),
+        ({"seed": -1}, "sensor.seed: must be between 0 and 9.223372e+18; got -1"),
+        ({"seed": 2**63}, "sensor.seed: must be between 0 and 9.223372e+18; got 9223372036854775808"),
+    ],
+)
+def test_what_is_refused(sensor: Any, message: str) -> None:
+    with pytest.raises(SceneError) as caught:
+        parse_scene({"object": [BALL], "sensor": sensor})
+    assert caught.value.messages == (f"scene: {message}",)
+
+
+def test_all_keys_are_tried() -> None:
+    assert {*EVERY, "gain"} == clsco.Sensor.model_fields.keys()
