@@ -86,6 +86,7 @@ def test_every_pass_has_a_rate_and_every_rate_is_of_a_pass() -> None:
     scenes += [example("occlusion_three").replace(*pair) for pair in (
         ("psf.model", "gaussian"), ("psf.occlusion", "layered"), ("aperture.shape", "polygon"),
     )]  # fmt: skip
+    scenes += [example("sphere").replace("sensor", {})]
     scenes += [example("siemens_star").replace("psf.edge", "sampled").replace("camera.f_number", 64.0)]
     used = {name for scene in scenes for _, work in works(scene, ("depth",)) for name in work}
     used |= host_work(prepare(scenes[0]).plan).keys()
