@@ -41,6 +41,7 @@ FIGURES: dict[str, tuple[str, float]] = {
     "electrons": ("e-", 0.0),
     "noise_sigma": ("e-", 0.0),
     "saturated": ("", 0.0),
+    "row_time": ("s", 0.0),
 }
 LEAST_AGREEING = 500
 
@@ -98,7 +99,7 @@ def difference(output: str, got: NDArray[Any], wanted: NDArray[Any], single: boo
     if unit == "relative beyond 1":  # millions of copies of an image may lie on a surface
         error = error / np.maximum(np.abs(exact), 1.0)
     error = np.where(found == exact, 0.0, np.where(np.isnan(error), np.inf, error))
-    error = error.reshape(*error.shape[:2], -1).max(axis=2)
+    error = error.reshape(len(error), *error.shape[1:2], -1).max(axis=-1).reshape(len(error), -1)
     row, column = np.unravel_index(int(error.argmax()), error.shape)
     rms = float(np.sqrt(np.mean(error**2)))
     count = int((error > figure).sum())

@@ -30,7 +30,7 @@ def plan_tables(
     scene = plan.scene
     samples, motion = f"{plan.subframes} per frame", plan.choices.motion
     samples += f", {motion.reason}" if motion.reason and not motion.left_out else ""
-    samples += _of_lines(plan) if plan.moves and scene.sequence.rolls else ""
+    samples += _of_lines(plan) if scene.rolls else ""
     kind = "gray" if plan.colors == 1 else "color"
     figures = [("frames", f"{scene.sequence.frames}, {plan.columns} x {plan.rows} px, {kind}")]
     if scene.stereo is not None:

@@ -21,7 +21,8 @@ MOTION_NAMES = ("flow_backward", "flow_occluded")  # besides, where something mo
 MAPPING_NAMES = ("uv",)  # besides, where a texture lies on a surface
 STEREO_NAMES = ("disparity", "occluded")  # besides, of a stereo pair
 SENSOR_NAMES = ("raw", "electrons", "noise_sigma", "saturated")  # besides, of the image of a sensor
-ALL_TRUTH = (*TRUTH_NAMES, *MOTION_NAMES, *MAPPING_NAMES, *STEREO_NAMES, *SENSOR_NAMES)
+ROLLING_NAMES = ("row_time",)  # besides, where rows or columns are exposed one after another
+ALL_TRUTH = (*TRUTH_NAMES, *MOTION_NAMES, *MAPPING_NAMES, *STEREO_NAMES, *ROLLING_NAMES, *SENSOR_NAMES)
 IMAGE_NAMES = ("alpha", "subframes")  # besides, of the image, by name only
 FILE_NAMES = {name: name for name in ("color", *ALL_TRUTH, *IMAGE_NAMES)} | {"blur_radius": "coc"}
 """Names of the arrays in files, by attribute."""
@@ -51,7 +52,8 @@ class Frame:
     Row 0 is on top, column 0 on the left, pixel centers at integer coordinates. Channels are red, green, blue; arrays
     of a gray scene have none. Truth that was not requested is None. `sharp`, `depth`, `blur_radius`, `mask`,
     `object_id`, `normal`, `flow`, `flow_backward` and `uv` belong to the middle of the shutter and are never
-    anti-aliased, but for `sharp` where a texture lies on a surface: that is its mean over the pixel.
+    anti-aliased, but for `sharp` where a texture lies on a surface: that is its mean over the pixel. With a rolling
+    shutter they belong to the middle of the exposure of the pixel's own row, or column, which `row_time` has.
 
     Attributes
     ----------
@@ -78,7 +80,8 @@ class Frame:
     normal : float32 (rows, columns, 3)
         Unit vector in the camera frame, x right, y up, z into the scene.
     flow : float32 (rows, columns, 2), px
-        x right, y down, to the next frame.
+        x right, y down, to the next frame. With a rolling shutter to the row that shows the point there, and inf where
+        none does, or not one alone.
     hidden : bool (rows, columns)
         The point is hidden in the reference pose, so its radiance is extrapolated.
     flow_backward : float32 (rows, columns, 2), px
@@ -103,6 +106,8 @@ class Frame:
         noise, PRNU, DSNU and rounding, without hot pixels and where nothing is saturated.
     saturated : bool (rows, columns[, 3])
         The full well or the largest code was reached.
+    row_time : float64 (rows,), or (columns,) where these are exposed one after another, s
+        Middle of the exposure of each row since the reference pose. With a rolling shutter only.
     alpha : float32 (rows, columns)
         Share of a pixel's light that comes from surfaces, blurred as `color` is, which has the rest of it black: the
         coverage of an image with associated (premultiplied) alpha. The background is no surface.
@@ -137,6 +142,7 @@ class Frame:
     electrons: NDArray[np.float32] | None = None
     noise_sigma: NDArray[np.float32] | None = None
     saturated: NDArray[np.bool_] | None = None
+    row_time: NDArray[np.float64] | None = None
     alpha: NDArray[np.float32] | None = None
     subframes: NDArray[np.float32] | None = None
     eye: str = ""

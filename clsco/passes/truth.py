@@ -1,4 +1,4 @@
-"""Ground truth of a frame, at the middle of its exposure."""
+"""Ground truth of a frame, at the middle of its exposure, or of those of its rows or columns."""
 
 from __future__ import annotations
 
@@ -14,16 +14,17 @@ from clsco.frame.frame import MOTION_NAMES, STEREO_NAMES
 from clsco.frame.strips import Strip
 from clsco.opencl.buffers import allocate, download_into
 from clsco.optics.depth_truth import map_flow, map_normal, map_occluded, map_stereo
-from clsco.optics.exposure import middle_time
+from clsco.optics.exposure import line_times, middle_time
 from clsco.optics.lens import Lens
+from clsco.optics.line_truth import LinePoints, lines_of
 from clsco.optics.motion import Eye
 from clsco.passes.blur import PIXELS, Events, Target
 from clsco.passes.pack import camera_grid, lens_struct, pose_structs
-from clsco.passes.placed import PlacedScene
+from clsco.passes.placed import PlacedScene, TimeSample
 from clsco.passes.static_image import StaticMap
 from clsco.passes.trace import everything, ray_target
 from clsco.passes.warp import ForwardWarp
-from clsco.plan.buffers import TRUTH_BUFFERS, truth_buffers
+from clsco.plan.buffers import OF_LINES, TRUTH_BUFFERS, truth_buffers
 from clsco.plan.plan import Plan
 
 BOOLEAN = ("hidden", "occluded", "flow_occluded")
@@ -62,7 +63,10 @@ class GroundTruth:
         if not plan.truth:
             return {}
         times = self._middles(index)
-        found = self._of_rays(*times, events) if plan.scene.is_analytic else self._of_maps(*times, events)
+        if plan.scene.rolls:
+            found = self._of_lines(index, events)
+        else:
+            found = self._of_rays(*times, events) if plan.scene.is_analytic else self._of_maps(*times, events)
         return {name: array for name, array in found.items() if name in plan.truth}
 
     def _middles(self, index: int) -> tuple[float, float, float]:
@@ -79,29 +83,83 @@ class GroundTruth:
     def _of_rays(self, before: float, time: float, later: float, events: Events) -> Arrays:
         """By rays at analytic surfaces, strip by strip."""
         plan, scene, names = self.plan, self.scene, self.plan.device_truth
-        buffers = allocate(scene.session, truth_buffers(names, plan.grid))
-        sample, reference = scene.at(time), scene.in_reference_pose()
-        after = scene.at(later)
-        poses = scene.poses(after)
-        shown = (scene.texture, *scene.texture_maps, *sample.light)
-        lens = lens_struct(Lens.of(plan.scene.camera), scene.real)
-        head = (lens, sample.surfaces, reference.surfaces, poses, everything(plan), *shown)
-        view: tuple[Any, ...] = (sample.surfaces, poses, np.int32(0))  # read for a stereo pair alone
-        if set(STEREO_NAMES) & set(names):
-            there = scene.at(time, eye=self._opposite)
-            poses_there = scene.hold(pose_structs(there.poses, scene.real))
-            view = there.surfaces, poses_there, np.int32(1 if plan.eye == "right" else -1)
-        previous = scene.poses(scene.at(before)) if set(MOTION_NAMES) & set(names) else poses
-        args = (*view, previous, after.surfaces, buffers["mask"], *(buffers.get(name) for name in TRUTH_BUFFERS))
+        sample, after = scene.at(time), scene.at(later)
+        there = scene.at(time, eye=self._opposite) if set(STEREO_NAMES) & set(names) else None
+        earlier = scene.at(before) if set(MOTION_NAMES) & set(names) else None
+        arguments = self._arguments(scene.in_reference_pose(), sample, after, there, earlier)
         out = self._arrays(names)
+        buffers = allocate(scene.session, truth_buffers(names, plan.grid))
         for strip in plan.strips:
-            grid = camera_grid(plan.scene.camera, plan.guard_px, scene.real, strip)
-            self.target.run("ground_truth", (plan.columns, strip.rows), PIXELS, events, grid, *head, *args)
+            self._cast(strip, arguments, buffers, events, (plan.columns, strip.rows))
             self._download(strip, buffers, out)
         self._take_out_background(out)
         if isinstance(self.pixels, ForwardWarp):
             out |= self.pixels.truth(sample, plan.truth, events)
         return {"filled": np.zeros((plan.rows, plan.columns), np.uint8)} | out
+
+    def _arguments(
+        self, reference: TimeSample, sample: TimeSample, after: TimeSample, there: TimeSample | None = None,
+        earlier: TimeSample | None = None,
+    ) -> tuple[Any, ...]:  # fmt: skip
+        """Kernel arguments of a frame, or a line of it, between the grid and the outputs.
+
+        reference: the reference pose; after, earlier: the next frame, and the one before; there: the other view.
+        """
+        plan, scene = self.plan, self.scene
+        poses = scene.poses(after)
+        shown = (scene.texture, *scene.texture_maps, *sample.light)
+        lens = lens_struct(Lens.of(plan.scene.camera), scene.real)
+        head = (lens, sample.surfaces, reference.surfaces, poses, everything(plan), *shown)
+        view: tuple[Any, ...] = (sample.surfaces, poses, np.int32(0))  # read for a stereo pair alone
+        if there is not None:
+            poses_there = scene.hold(pose_structs(there.poses, scene.real))
+            view = there.surfaces, poses_there, np.int32(1 if plan.eye == "right" else -1)
+        return *head, *view, poses if earlier is None else scene.poses(earlier), after.surfaces
+
+    def _cast(
+        self, strip: Strip, arguments: tuple[Any, ...], buffers: dict[str, Any], events: Events,
+        size: tuple[int, int], origin: tuple[int, ...] = (),
+    ) -> None:  # fmt: skip
+        """Enqueue the rays of a strip, or of so many columns and rows of it from `origin` on."""
+        grid = camera_grid(self.plan.scene.camera, self.plan.guard_px, self.scene.real, strip)
+        out = (buffers["mask"], *(buffers.get(name) for name in TRUTH_BUFFERS))
+        local = PIXELS if size[0] > 1 else PIXELS[::-1]
+        self.target.run("ground_truth", size, local, events, grid, *arguments, *out, origin=origin)
+
+    def _of_lines(self, index: int, events: Events) -> Arrays:
+        """By rays at analytic surfaces, each line at its own time; the host follows points from line to line."""
+        plan, scene, names = self.plan, self.scene, self.plan.device_truth
+        times, by_columns = line_times(plan.scene, index), plan.scene.sequence.by_columns
+        reference = scene.in_reference_pose()
+        samples = [self._arguments(reference, sample, sample) for sample in map(scene.at, times.tolist())]
+        buffers, out = allocate(scene.session, truth_buffers(names, plan.grid)), self._arrays(names)
+        for strip in plan.strips:
+            size = (1, strip.rows) if by_columns else (plan.columns, 1)
+            for line, arguments in enumerate(samples if by_columns else samples[strip.inside]):
+                self._cast(strip, arguments, buffers, events, size, (line, 0) if by_columns else (0, line))
+            self._download(strip, buffers, out)
+        self._take_out_background(out)
+        out |= {"row_time": times, "filled": np.zeros((plan.rows, plan.columns), np.uint8)}
+        return out | (self._between_lines(index, out) if set(OF_LINES) & set(plan.truth) else {})
+
+    def _between_lines(self, index: int, found: Arrays) -> Arrays:
+        """Flow, disparity and what they hide, where each line has its own time."""
+        plan, out = self.plan, Arrays()
+        camera, items, eye = plan.scene.camera, plan.scene.objects, plan.eye
+        points = LinePoints(camera, items, found["depth"], found["object_id"], lines_of(plan.scene, index, eye))
+        others = {"flow": (1, eye), "flow_backward": (-1, eye), "disparity": (0, self._opposite)}
+        for name, (step, other) in others.items():
+            hides = {"flow": "flow_occluded", "disparity": "occluded"}.get(name)
+            if not {name, hides} & set(plan.truth):
+                continue
+            lines = lines_of(plan.scene, index + step, other)
+            flow = points.flow(lines)
+            out[name] = flow.astype(np.float32)
+            if hides in plan.truth:
+                out[hides] = points.occluded(lines, flow)
+        if "disparity" in out:
+            out["disparity"] = out["disparity"][..., 0] * np.float32(1 if eye == "right" else -1)
+        return out
 
     def _take_out_background(self, found: Arrays) -> NDArray[np.bool_]:
         """Make outputs what they are without a surface where there is the background; True there."""

@@ -68,6 +68,8 @@ TRUTH_BUFFERS: dict[str, tuple[type[np.generic], int]] = {
     "flow_occluded": (np.uint8, 1),
     "uv": (np.float32, 2),
 }
+# Outputs that a rolling shutter has from those that rays give.
+OF_LINES = ("flow", "disparity", "occluded", "flow_backward", "flow_occluded")
 
 
 class DeviceFacts(Protocol):

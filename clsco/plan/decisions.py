@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 
 from clsco.errors import SceneError
-from clsco.frame.frame import ALL_TRUTH, MAPPING_NAMES, MOTION_NAMES, SENSOR_NAMES, STEREO_NAMES
+from clsco.frame.frame import ALL_TRUTH, MAPPING_NAMES, MOTION_NAMES, ROLLING_NAMES, SENSOR_NAMES, STEREO_NAMES
 from clsco.optics.exposure import subframes_of
 from clsco.optics.motion import Eye
 from clsco.optics.point_spread import PointSpread
@@ -41,6 +41,7 @@ POSSIBLE = (
     (MOTION_NAMES, lambda scene: scene.moves, "nothing moves"),
     (MAPPING_NAMES, lambda scene: scene.has_mapped_textures, "no texture lies on a surface"),
     (SENSOR_NAMES, lambda scene: scene.sensor is not None, "there is no sensor"),
+    (ROLLING_NAMES, lambda scene: scene.rolls, "all rows are exposed at once"),
 )
 
 
@@ -171,7 +172,7 @@ def choose_samples(scene: Scene, maps: Maps) -> Choice[int]:
     if (count := subframes_of(scene, found.value)) > MOST_SUBFRAMES:
         about = "fewer samples, a shorter readout or a longer shutter need fewer"
         raise SceneError(f"sequence.readout: must give at most {MOST_SUBFRAMES} sub-frames; got {count} ({about})")
-    return found if scene.sequence.rolls else replace(found, unused=("sequence.scan",))
+    return found if scene.rolls else replace(found, unused=("sequence.scan",))
 
 
 def choose_warp(scene: Scene, eye: Eye) -> Choice[bool]:

@@ -28,6 +28,7 @@ from clsco.optics.quadrics import Extent
 from clsco.optics.sensor import Readout, readout
 from clsco.optics.visibility import OcclusionGroup
 from clsco.plan.buffers import (
+    OF_LINES,
     STATISTICS,
     TRUTH_BUFFERS,
     DeviceFacts,
@@ -212,9 +213,8 @@ class Plan:
     @property
     def narrows(self) -> bool:
         """True if a time sample is rendered in the rows alone that it has a weight in: depth layers need all rows."""
-        sequence, asked = self.scene.sequence, self.truth
-        rolls = self.moves and sequence.rolls and not sequence.by_columns
-        return rolls and not self.spec.layered and "subframes" not in asked
+        by_rows = self.scene.rolls and not self.scene.sequence.by_columns
+        return by_rows and not self.spec.layered and "subframes" not in self.truth
 
     def part(self, strip: Strip, weights: Array) -> Strip | None:
         """Part of a strip that a time sample with weights (rows,) is rendered in, None where it has none there."""
@@ -273,6 +273,8 @@ class Plan:
         if not self.scene.is_analytic:
             return ()
         wanted = {*self.truth, *(["object_id"] if self.truth and self.background is not None else [])}
+        if self.scene.rolls and wanted & {*OF_LINES}:
+            wanted = (wanted - {*OF_LINES}) | {"depth", "object_id"}
         return tuple(n for n in TRUTH_BUFFERS if n in wanted and not (n == "sharp" and self.forward))
 
     @property

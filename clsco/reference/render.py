@@ -27,6 +27,7 @@ from clsco.reference.common.geometry import Array
 from clsco.reference.inpainting.fill import FillReport
 from clsco.reference.passes import Warped, crop, run, warped_image
 from clsco.reference.sensor.sensor import sensor_outputs
+from clsco.reference.trace.line_truth import line_truth
 from clsco.reference.trace.mapping import mapped_texture
 from clsco.reference.trace.trace import Sources, Texture
 from clsco.reference.trace.truth import ground_truth
@@ -117,7 +118,8 @@ def _truth(plan: Plan, textures: tuple[Texture, ...], maps: Maps, index: int) ->
     """Ground truth from rays; empty where the scene has depth maps, which are not ray-castable."""
     if any(depth is not None for depth in maps):
         return {}
-    found = vars(ground_truth(plan.scene, textures, index, plan.eye))
+    made = line_truth if plan.scene.rolls else ground_truth
+    found = vars(made(plan.scene, textures, index, plan.eye))
     others = (*(() if plan.moves else MOTION_NAMES), *(() if plan.mapped else MAPPING_NAMES))
     return {name: array for name, array in found.items() if name not in others}
 

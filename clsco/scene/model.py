@@ -385,6 +385,11 @@ class Scene(Strict):
         motions = (self.camera.motion, *(motion for item in self.objects for motion in self.motions(item)))
         return self.camera.shake is None and all(motion.is_uniform for motion in motions)
 
+    @property
+    def rolls(self) -> bool:
+        """True if rows or columns show what moves one after another."""
+        return self.moves and self.sequence.rolls
+
     def motions(self, item: AnyShape) -> tuple[ObjectMotion, ...]:
         """The motion of an object, and that of its group if it is in one."""
         return (item.motion, *(group.motion for group in self.groups if group.name == item.group))

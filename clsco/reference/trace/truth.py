@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +46,7 @@ class Truth:
     uv: Array
     disparity: Array | None
     occluded: NDArray[np.bool_] | None
+    row_time: Array | None = None
 
 
 def outside_frame(camera: Camera, row: Array, column: Array) -> NDArray[np.bool_]:
@@ -121,55 +123,76 @@ def _stereo(
     return disparity, occluded
 
 
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """Surfaces at pixels (m, n): hits of their rays, and the ground truth of one time, by its names."""
+
+    hit: Cast
+    rays: Array
+    arrays: dict[str, Any]
+
+
+def surface_truth(view: View, rest: list[PlacedSurface], row: NDArray[np.int64], column: NDArray[np.int64]) -> Shown:
+    """Ground truth of a view at pixels: rows (m, 1) and columns (1, n)."""
+    scene, camera = view.scene, view.scene.camera
+    rays = pixel_ray(camera, row, column)
+    hit = cast(view, everything(scene), row, column, (row, column))
+    w = hit.w
+    normal, uv, hidden = np.zeros((*w.shape, 3)), np.zeros((*w.shape, 2)), np.zeros(w.shape, dtype=bool)
+    for k, surface in enumerate(view.surfaces):
+        own = hit.number == k
+        normal = np.where(own[..., None], surface_normal(surface, rays, w), normal)
+        if scene.objects[k].mapped is None:
+            hidden = np.where(own, _hidden(view, rest[k], k, rays, w), hidden)
+        uv = np.where(own[..., None], _texture_coordinates(view, k, rays, np.where(own, w, 0.0)), uv)
+    mask = hit.label > 0
+    for k in (k for k, item in enumerate(scene.objects) if item.is_background):  # no surface, but radiance and blur
+        mask = mask & (hit.number != k)
+    arrays = {
+        "sharp": hit.radiance,
+        "depth": np.where(mask, 1.0 / np.where(mask, w, 1.0), np.inf),
+        "blur_radius": hit.radius,
+        "mask": mask,
+        "object_id": np.where(mask, hit.number, -1).astype(hit.number.dtype),
+        "normal": np.where(mask[..., None], normal, 0.0),
+        "hidden": hidden & mask,
+        "uv": np.where(mask[..., None], uv, 0.0),
+    }
+    return Shown(hit, rays, arrays)
+
+
 def ground_truth(scene: Scene, textures: tuple[Texture, ...], frame: int, eye: Eye = "left") -> Truth:
     """Ground truth (rows, columns[, ...]) of a frame at the middle of its shutter, at pixel centers.
 
     textures: as for `View`. `flow` goes from a pixel to where its surface point is at the middle of the next
     frame's shutter; 0 where that is behind the lens. `hidden`: in the reference pose the point is outside of the frame,
     or another point of its object hides it there (nearer by more than 1e-6 of its depth); never of a texture that lies
-    on the surface. Validated: flow against
-    the thesis' 80 and 70 px, normals and radius against closed forms.
+    on the surface. Validated: flow against the thesis' 80 and 70 px, normals and radius against closed forms.
     """
+    rest = [place(item, pose) for item, pose in zip(scene.objects, rest_poses(scene), strict=True)]
     moves, camera = scene.moves, scene.camera
     before, now, then = (middle_time(scene.sequence, k) if moves else 0.0 for k in (frame - 1, frame, frame + 1))
     view = view_at(scene, textures, now, eye, moves or displaced(scene, eye))
-    rest = [place(item, pose) for item, pose in zip(scene.objects, rest_poses(scene), strict=True)]
     earlier, later = (poses_at(scene, time, eye) for time in (before, then))
     following = tuple(place(item, pose) for item, pose in zip(scene.objects, later, strict=True))
     row, column = padded_grid(camera, 0)
-    rays = pixel_ray(camera, row, column)
-    hit = cast(view, everything(scene), row, column, (row, column))
-    mask, w = hit.label > 0, hit.w
-    flow, backward, normal = np.zeros((*w.shape, 2)), np.zeros((*w.shape, 2)), np.zeros((*w.shape, 3))
-    uv = np.zeros((*w.shape, 2))
-    hidden, flow_occluded = np.zeros(w.shape, dtype=bool), np.zeros(w.shape, dtype=bool)
+    shown = surface_truth(view, rest, row, column)
+    hit, rays, w, mask = shown.hit, shown.rays, shown.hit.w, shown.arrays["mask"]
+    flow, backward, flow_occluded = np.zeros((*w.shape, 2)), np.zeros((*w.shape, 2)), np.zeros(w.shape, dtype=bool)
     for k, surface in enumerate(view.surfaces):
         own = hit.number == k
         pixel, last = (moved_pixel(surface, camera, poses[k], rays, w) for poses in (later, earlier))
         flow = np.where(own[..., None], np.stack([pixel[1] - column, pixel[0] - row], axis=-1), flow)
         backward = np.where(own[..., None], np.stack([last[1] - column, last[0] - row], axis=-1), backward)
         flow_occluded = np.where(own, occluded_among(scene, following, pixel, w), flow_occluded)
-        normal = np.where(own[..., None], surface_normal(surface, rays, w), normal)
-        if scene.objects[k].mapped is None:
-            hidden = np.where(own, _hidden(view, rest[k], k, rays, w), hidden)
-        uv = np.where(own[..., None], _texture_coordinates(view, k, rays, np.where(own, w, 0.0)), uv)
     disparity, occluded = None, None
     if scene.stereo is not None:
         disparity, occluded = _stereo(scene, textures, view, eye, now, hit, rays)
-    for k in (k for k, item in enumerate(scene.objects) if item.is_background):  # no surface, but radiance and blur
-        mask = mask & (hit.number != k)
     return Truth(
-        sharp=hit.radiance,
-        depth=np.where(mask, 1.0 / np.where(mask, w, 1.0), np.inf),
-        blur_radius=hit.radius,
-        mask=mask,
-        object_id=np.where(mask, hit.number, -1).astype(hit.number.dtype),
-        normal=np.where(mask[..., None], normal, 0.0),
+        **shown.arrays,
         flow=np.where(mask[..., None], flow, 0.0),
-        hidden=hidden & mask,
         flow_backward=np.where(mask[..., None], backward, 0.0),
         flow_occluded=flow_occluded & mask,
-        uv=np.where(mask[..., None], uv, 0.0),
         disparity=None if disparity is None else np.where(mask, disparity, 0.0),
         occluded=None if occluded is None else occluded & mask,
     )
