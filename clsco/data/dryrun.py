@@ -26,6 +26,7 @@ from clsco.files.transfer import encode
 from clsco.frame.frame import Frame
 from clsco.frame.provenance import views
 from clsco.frame.truth_files import ATTRIBUTES
+from clsco.optics.exposure import frame_lines
 from clsco.plan.prepare import prepare
 from clsco.plan.request import Request
 from clsco.scene.model import Scene
@@ -274,6 +275,8 @@ def _planned(sample: Sample, wanted: Sequence[str]) -> tuple[dict[str, float], f
     for name in wanted:
         channels = plan.channels if name in ("color", "sharp") else 1
         found[name] = float(pixels * channels * (1 if name in MASKS else BYTES.get(name, 4)))
+        if name == "row_time":
+            found[name] = 8.0 * frame_lines(plan.scene)
     return found, plan.taps
 
 

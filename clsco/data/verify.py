@@ -23,6 +23,7 @@ from clsco.files.atomic import sha256
 from clsco.frame.frame import Frame
 from clsco.opencl.device import choose
 from clsco.optics.exposure import middle_time
+from clsco.optics.line_truth import LinePoints, lines_of
 from clsco.optics.motion import Eye, poses_at, rest_center
 from clsco.reference.common.geometry import pixel_ray, project
 from clsco.scene.model import Scene
@@ -126,6 +127,8 @@ def flow_error(scene: Scene, frame: Frame, depth: NDArray[np.float32], flow: NDA
     rows, columns = depth.shape
     camera = scene.camera.model_copy(update={"resolution": (columns, rows)})
     eye: Eye = "right" if frame.eye == "right" else "left"
+    if scene.rolls:
+        return _line_flow_error(scene.model_copy(update={"camera": camera}), frame, depth, flow)
     now, then = (middle_time(scene.sequence, k) if scene.moves else 0.0 for k in (frame.index, frame.index + 1))
     row, column = np.mgrid[:rows, :columns].astype(np.float64)
     points = pixel_ray(camera, row, column) * np.where(np.isfinite(depth), depth, 0.0)[..., None].astype(np.float64)
@@ -140,10 +143,27 @@ def flow_error(scene: Scene, frame: Frame, depth: NDArray[np.float32], flow: NDA
         seen = moved[:, 2] > NEAREST
         at_row, at_column = project(camera, moved[seen])
         expected = np.stack([at_column - column[own][seen], at_row - row[own][seen]], axis=-1)
-        excess = np.abs(flow[own][seen] - expected).max(axis=-1, initial=0.0)
-        excess -= FLOW_PX + FLOW_SHARE * np.abs(expected).max(axis=-1, initial=0.0)
-        worst = max(worst, float(excess.max(initial=-1.0)))
+        worst = max(worst, _excess(flow[own][seen], expected))
     return worst
+
+
+def _excess(flow: NDArray[np.floating], expected: NDArray[np.float64]) -> float:
+    """By how much vectors (points, 2) differ more from expected ones than they may, px."""
+    excess = np.abs(flow - expected).max(axis=-1, initial=0.0)
+    excess -= FLOW_PX + FLOW_SHARE * np.abs(expected).max(axis=-1, initial=0.0)
+    return float(excess.max(initial=-1.0))
+
+
+def _line_flow_error(scene: Scene, frame: Frame, depth: NDArray[np.float32], flow: NDArray[np.float32]) -> float:
+    """`flow_error` under a rolling shutter, infinite where other points have a flow than should."""
+    assert frame.object_id is not None
+    eye: Eye = "right" if frame.eye == "right" else "left"
+    now, then = (lines_of(scene, number, eye) for number in (frame.index, frame.index + 1))
+    expected = LinePoints(scene.camera, scene.objects, depth, frame.object_id, now).flow(then)
+    known = np.isfinite(expected).all(axis=-1)
+    if not np.array_equal(known, np.isfinite(flow).all(axis=-1)):
+        return np.inf
+    return max(0.0, _excess(flow[known], expected[known]))
 
 
 def _verify_shard(there: DataSet, shard: int) -> Iterator[str]:

@@ -20,6 +20,7 @@ from clsco.frame.frame import Frame
 from clsco.frame.strips import Strip
 from clsco.opencl.buffers import download
 from clsco.opencl.session import Progress, Session
+from clsco.optics.exposure import line_times
 from clsco.optics.sensor import camera_word
 from clsco.passes.blur import Events
 from clsco.passes.pack import camera_grid
@@ -179,7 +180,12 @@ class Renderer:
             "precision": "double" if self.scene.real == "double" else "single",
             "version": __version__,
             "seconds": film.seconds(),
-        }
+        } | self._line_times(film.index)
+
+    def _line_times(self, index: int) -> dict[str, Any]:
+        """Times of the ground truth of the first and the last line, where lines are exposed in turn."""
+        times = line_times(self.plan.scene, index).tolist() if self.plan.scene.rolls else []
+        return {"row_time": [times[0], times[-1]]} if times else {}
 
 
 def _without_alpha(image: NDArray[np.float32]) -> NDArray[np.float32]:

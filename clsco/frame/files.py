@@ -25,7 +25,7 @@ from clsco.files.npy import ZSTD, npy_bytes
 from clsco.files.transfer import encode
 from clsco.frame.cameras import all_pinholes, exr_attributes, eye_of, gets_behind, pinhole
 from clsco.frame.channels import exr_channels
-from clsco.frame.frame import ALL_TRUTH, FILE_NAMES, IMAGE_NAMES, Frame
+from clsco.frame.frame import ALL_TRUTH, FILE_NAMES, IMAGE_NAMES, ROLLING_NAMES, Frame
 from clsco.frame.truth_files import ATTRIBUTES, Shot, TruthFile, TruthFormat, parse_truth
 from clsco.optics.motion import Eye
 from clsco.resources import read_regular
@@ -124,11 +124,12 @@ def _known(shot: Shot, wanted: TruthFile) -> NDArray[np.bool_]:
 
 
 _FLOWS, _WHERE_FLOW_HOLDS = ("flow", "flow_backward"), ("mask", "depth", "object_id")
+_IMAGES = tuple(name for name in ATTRIBUTES if name not in ROLLING_NAMES)  # an EXR has a number for each pixel
 # By name, one row for each format: `clsco render --truth` takes its names from here.
 LARGEST_JSON = 2**22  # bytes; 64 objects with all of their keys take a fiftieth
 TRUTH_FORMATS = {
     "npz": TruthFormat("{stem}.npz", _write_npz, options=("float16", "compressed")),
-    "exr": TruthFormat("{stem}.exr", _write_exr, "frame", options=("float16",), needs=("OpenEXR", "exr")),
+    "exr": TruthFormat("{stem}.exr", _write_exr, "frame", _IMAGES, options=("float16",), needs=("OpenEXR", "exr")),
     "npy": TruthFormat("{stem}_{array}.npy", _write_npy, "array", options=("float16", "zstd")),
     "pfm": TruthFormat(
         "{stem}_{array}.pfm", _write_pfm, "array",

@@ -55,7 +55,7 @@ class TruthFile:
         return {name: self._stored(f"frame {frame.index}: {name}", array) for name, array in found.items()}
 
     def _stored(self, where: str, array: NDArray[Any]) -> NDArray[Any]:
-        if not self.float16 or array.dtype.kind != "f":
+        if not self.float16 or array.dtype.kind != "f" or array.ndim < 2:  # times keep their digits
             return array
         with np.errstate(over="ignore"):  # what becomes infinite is refused next
             half = array.astype(np.float16)

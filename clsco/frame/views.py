@@ -89,8 +89,8 @@ def _paint_radius(radius: NDArray[Any], scale: tuple[float, ...]) -> Picture:
 
 
 def _flow_extent(flow: NDArray[Any]) -> tuple[float, ...]:
-    _require(flow, "flow")
-    return (float(np.hypot(flow[..., 0], flow[..., 1]).max()),)
+    known = _require(flow, "flow", np.inf).all(axis=-1)  # a rolling shutter may have none
+    return (float(np.hypot(*flow[known].T).max(initial=0.0)),)
 
 
 VIEWS = {
@@ -132,17 +132,18 @@ def viridis(values: NDArray[Any], low: float, high: float) -> Picture:
 def flow_colors(flow: NDArray[Any], longest: float) -> Picture:
     """Colors of displacements, (rows, columns, 2) to (rows, columns, 3).
 
-    x right, y down, px: the direction is the hue, `longest` is full color. Validated against the C++ of Middlebury,
-    transcribed (tests/frame/test_views.py).
+    x right, y down, px: the direction is the hue, `longest` is full color, and what is not finite is black. Validated
+    against the C++ of Middlebury, transcribed (tests/frame/test_views.py).
     """
-    x, y = np.moveaxis(flow.astype(np.float64), 2, 0) / (longest if longest > 0 else 1.0)
+    known = np.isfinite(flow).all(axis=2, keepdims=True)
+    x, y = np.moveaxis(np.where(known, flow, 0.0).astype(np.float64), 2, 0) / (longest if longest > 0 else 1.0)
     wheel = _wheel()
     place = (np.arctan2(-y, -x) / np.pi + 1) / 2 * (len(wheel) - 1)
     first = np.floor(place).astype(np.intp)
     share = (place - first)[..., None]
     hue = (1 - share) * wheel[first] + share * wheel[(first + 1) % len(wheel)]
     strength = np.minimum(np.hypot(x, y), 1.0)[..., None]
-    painted: Picture = (255 * (1 - strength * (1 - hue))).astype(np.uint8)
+    painted: Picture = (255 * known * (1 - strength * (1 - hue))).astype(np.uint8)
     return painted
 
 

@@ -154,6 +154,13 @@ def line_times(scene: Scene, frame: int) -> Array:
     return shutter_span(scene.sequence, frame)[0] + line_openings(scene) + 0.5 * scene.sequence.shutter
 
 
+def pixel_time(scene: Scene, frame: int, column: int, row: int) -> float:
+    """Time of the ground truth of a pixel, s since the reference pose: the middle of its exposure."""
+    if not scene.sequence.rolls:
+        return middle_time(scene.sequence, frame)
+    return float(line_times(scene, frame)[column if scene.sequence.by_columns else row])
+
+
 def curve_integral(curve: ShutterCurve, times: Array) -> Array:
     """Share of the light of an exposure that has passed a shutter up to some times.
 

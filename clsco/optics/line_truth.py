@@ -69,7 +69,7 @@ class LinePoints:
     object_id : ndarray of int32, (rows, columns)
         -1 where there is no surface.
     now : Lines
-        Those of the frame.
+        Lines of the frame.
 
     Notes
     -----

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from clsco.files.transfer import encode
 from clsco.frame.frame import Frame
 from clsco.inputs.pupils import scene_point_spread
-from clsco.optics.exposure import middle_time
+from clsco.optics.exposure import pixel_time
 from clsco.optics.lens import SHARP, Lens, blur_radius, ray_step
 from clsco.optics.motion import poses_at, rest_center
 from clsco.reference.blur.blur import tilt_factor
@@ -92,7 +92,8 @@ def source_of(frame: Frame, scene: Scene, x: int, y: int) -> tuple[int, int, int
         return x, y, number
     rows, columns = frame.depth.shape
     step, middle = ray_step(scene.camera), np.array([(columns - 1) / 2, (rows - 1) / 2])
-    pose = poses_at(scene, middle_time(scene.sequence, frame.index))[number]
+    sized = scene.model_copy(update={"camera": scene.camera.model_copy(update={"resolution": (columns, rows)})})
+    pose = poses_at(scene, pixel_time(sized, frame.index, x, y))[number]
     center = rest_center(scene.objects[number])
     point = depth * np.array([(x - middle[0]) * step, (middle[1] - y) * step, 1.0])
     rest = center + (point - center - pose.shift) @ pose.rotation

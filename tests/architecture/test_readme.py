@@ -62,9 +62,16 @@ def test_the_python_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
     exec(last, given | {"clsco": clsco})
 
 
+def test_the_python_of_the_shutter_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    """It prints what its comments say."""
+    (text,) = blocks("python", "docs/shutter.md")
+    exec(text, {})
+    assert capsys.readouterr().out.splitlines() == re.findall(r"  # (.+)$", text, re.MULTILINE)
+
+
 def test_commands_and_outputs_are_all_named() -> None:
     assert set(re.findall(r"^\| `clsco (\w+)", PAGES["docs/commands.md"], re.MULTILINE)) == set(main.commands)
-    named = re.findall(r"^\| `(\w+)` \| (?:float32|bool|u?int\d+)", PAGES["docs/outputs.md"], re.MULTILINE)
+    named = re.findall(r"^\| `(\w+)` \| (?:float\d+|bool|u?int\d+)", PAGES["docs/outputs.md"], re.MULTILINE)
     assert sorted(named) == sorted(FILE_NAMES.values())
 
 
