@@ -195,7 +195,7 @@ def _of_group(plan: Plan, group: OcclusionGroup, lattice: Lattice) -> dict[str, 
     """Work of the passes of an occlusion group at a time sample, by their kinds; of a divided frame the mean."""
     scene = plan.scene
     time = middle_time(scene.sequence, 0) if plan.moves else 0.0
-    view = view_at(scene, (), time, plan.eye, plan.moves or plan.eye_moved)
+    view = view_at(scene, (), time, plan.eye, scene.is_displaced or plan.eye_moved)
     hits = _hits(plan, view, group, lattice)
     every = np.ones(hits.w.shape, np.bool_)
     if not plan.divided:

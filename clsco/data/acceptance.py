@@ -17,6 +17,7 @@ from clsco.data.folder import RefusedError
 from clsco.errors import SceneError
 from clsco.optics.exposure import middle_time
 from clsco.optics.lens import LARGEST_BLUR, blur_radius, ray_step
+from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import poses_at, rest_center
 from clsco.optics.quadrics import place, predict_inverse_depth
 from clsco.plan.predict import without_lens
@@ -157,7 +158,8 @@ def _looked(scene: Scene, frames: Sequence[_Seen], ways: Sequence[Array]) -> Loo
             visible = min(visible, float(shown_of_it.sum() / max(1, alone.sum())))
         depths.append(seen.w[hit])
         flows.append(way[hit])
-        radii.append(np.abs(blur_radius(scene.camera, seen.w[seen.front >= 0])))
+        camera = camera_at(scene, middle_time(scene.sequence, seen.number))
+        radii.append(np.abs(blur_radius(camera, seen.w[seen.front >= 0])))
     return Look(np.concatenate(depths), np.concatenate(radii), np.concatenate(flows), valid, visible)
 
 

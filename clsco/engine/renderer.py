@@ -20,7 +20,8 @@ from clsco.frame.frame import Frame
 from clsco.frame.strips import Strip
 from clsco.opencl.buffers import download
 from clsco.opencl.session import Progress, Session
-from clsco.optics.exposure import line_times
+from clsco.optics.exposure import line_times, middle_time
+from clsco.optics.lens_path import camera_at
 from clsco.optics.sensor import camera_word
 from clsco.passes.blur import Events
 from clsco.passes.pack import camera_grid
@@ -165,7 +166,7 @@ class Renderer:
         self.truth = GroundTruth(plan, self.scene, self.pixels)
 
     def _metadata(self, film: Film) -> dict[str, Any]:
-        device, report = self.session.device, self.prepared.approximation
+        device, report, plan = self.session.device, self.prepared.approximation, self.plan
         return {
             "frame": film.index,
             "intermediate": [*film.reports.values()],
@@ -175,7 +176,7 @@ class Renderer:
             "blur_method": self.plan.blur,
             "approximation": None if report is None else asdict(report),
             "bits": self.scene.bits,
-            "f_number": self.plan.scene.camera.opening,
+            "f_number": camera_at(plan.scene, middle_time(plan.scene.sequence, film.index)).opening,
             "device": str(device),
             "precision": "double" if self.scene.real == "double" else "single",
             "version": __version__,

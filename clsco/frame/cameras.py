@@ -15,6 +15,7 @@ from clsco.frame.frame import Frame
 from clsco.frame.provenance import views
 from clsco.optics.exposure import middle_time
 from clsco.optics.lens import ray_step
+from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import Eye, eye_pose, poses_at, rest_center
 from clsco.scene.model import Scene
 
@@ -125,7 +126,7 @@ def exr_attributes(scene: Scene, index: int, eye: Eye = "left") -> dict[str, Any
     The camera of OpenEXR looks along +z with x to the left and y up, and sees the screen window at z = 1. The world is
     that of `pinhole`. Validated by points of surfaces that these attributes project into the frame.
     """
-    camera, lens = pinhole(scene, index, eye), scene.camera
+    camera, lens = pinhole(scene, index, eye), camera_at(scene, middle_time(scene.sequence, index))
     matrix = np.eye(4)
     matrix[:3, :3], matrix[3, :3] = (EXR_AXES @ camera.rotation).T, EXR_AXES @ camera.translation
     world_to_camera: NDArray[np.float32] = matrix.astype(np.float32)

@@ -15,6 +15,7 @@ from clsco.opencl.buffers import allocate, download, upload
 from clsco.opencl.program import build
 from clsco.opencl.session import Session
 from clsco.optics.lens import Lens
+from clsco.optics.lens_path import camera_at
 from clsco.optics.quadrics import EVERYWHERE
 from clsco.optics.still import Window
 from clsco.optics.visibility import OcclusionGroup
@@ -131,10 +132,9 @@ class Tracer:
         """With the kernels that cast rays."""
         return ray_target(self.plan, self.scene)
 
-    @cached_property
-    def lens(self) -> Struct:
-        """lens_t of the plan."""
-        return lens_struct(Lens.of(self.plan.scene.camera), self.scene.real)
+    def lens(self, at: Moment) -> Struct:
+        """lens_t at a time sample."""
+        return lens_struct(Lens.of(camera_at(self.plan.scene, at.sample.time)), self.scene.real)
 
     @cached_property
     def extents(self) -> tuple[cl.Buffer, ...]:
@@ -169,7 +169,7 @@ class Tracer:
         self._per_pixel("aim", at, window, *head, depth, label, *out, *beside, *self._exposure(at))
         hidden: dict[str, Any] = {}
         if self.plan.spec.occluders:
-            hidden = {"lens": self.lens, "surfaces": at.sample.surfaces, "group": head[3], "depth": depth}
+            hidden = {"lens": head[1], "surfaces": at.sample.surfaces, "group": head[3], "depth": depth}
         return Sources(source, value, label=label, **hidden)
 
     def _cast(self, at: Moment, planes: HitPlanes, window: Window, exposure: tuple[Any, ...]) -> None:
@@ -222,7 +222,7 @@ class Tracer:
     def pinhole(self, at: Moment) -> Image:
         """The image of a pinhole, with its radii."""
         value, coc, valid = (self.buffers[name] for name in ("value", "coc", "valid"))
-        head = (at.grid, self.lens, at.sample.surfaces, everything(self.plan), *self._appearance(at))
+        head = (at.grid, self.lens(at), at.sample.surfaces, everything(self.plan), *self._appearance(at))
         self._per_pixel("pinhole", at, whole_grid(at), *head, value, coc, valid, self.buffers["statistics"])
         return Image(value, (coc, valid))
 
@@ -242,7 +242,7 @@ class Tracer:
 
     def _head(self, at: Moment) -> tuple[Any, ...]:
         group = group_struct(at.group, len(at.sample.placed))
-        return at.grid, self.lens, at.sample.surfaces, group, self.psf
+        return at.grid, self.lens(at), at.sample.surfaces, group, self.psf
 
     def _changed(self, at: Moment, part: Part) -> Window | None:
         """Window of the sources that are not still."""

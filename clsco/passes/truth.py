@@ -16,6 +16,7 @@ from clsco.opencl.buffers import allocate, download_into
 from clsco.optics.depth_truth import map_flow, map_normal, map_occluded, map_stereo
 from clsco.optics.exposure import line_times, middle_time
 from clsco.optics.lens import Lens
+from clsco.optics.lens_path import camera_at
 from clsco.optics.line_truth import LinePoints, lines_of
 from clsco.optics.motion import Eye
 from clsco.passes.blur import PIXELS, Events, Target
@@ -108,7 +109,7 @@ class GroundTruth:
         plan, scene = self.plan, self.scene
         poses = scene.poses(after)
         shown = (scene.texture, *scene.texture_maps, *sample.light)
-        lens = lens_struct(Lens.of(plan.scene.camera), scene.real)
+        lens = lens_struct(Lens.of(camera_at(plan.scene, sample.time)), scene.real)
         head = (lens, sample.surfaces, reference.surfaces, poses, everything(plan), *shown)
         view: tuple[Any, ...] = (sample.surfaces, poses, np.int32(0))  # read for a stereo pair alone
         if there is not None:

@@ -128,7 +128,7 @@ def fewer_samples(
     checked_tolerance(tolerance)
     scene, exact = plan.scene, (plan.samples, max(plan.silhouettes, 1))
     samples, silhouettes, square = *exact, 0.0
-    if exact != (1, 1):
+    if exact != (1, 1) and scene.lens is None:  # whose changes are not in the estimate
         parts = _parts(scene, textures(), maps)
         outlines = sum(float(_passed(plan.psf, part.radius)[: SIDE // 2].mean()) * sum(part.outline) for part in parts)
         cycles = *_cycles(plan.psf, parts), outlines / (12.0 * exact[1] ** 2)

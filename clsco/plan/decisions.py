@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, replace
 from clsco.errors import SceneError
 from clsco.frame.frame import ALL_TRUTH, MAPPING_NAMES, MOTION_NAMES, ROLLING_NAMES, SENSOR_NAMES, STEREO_NAMES
 from clsco.optics.exposure import subframes_of
+from clsco.optics.lens_path import widest_camera
 from clsco.optics.motion import Eye
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import Extent, place
@@ -24,6 +25,7 @@ from clsco.plan.predict import (
     fills_view,
     is_forward,
     is_static_map,
+    lens_samples,
     motion_samples,
 )
 from clsco.plan.request import Request
@@ -168,7 +170,11 @@ def choose_samples(scene: Scene, maps: Maps) -> Choice[int]:
     if not scene.moves:
         return Choice(0, "nothing moves: one sample, in the reference pose", MOTION_KEYS)
     given = scene.sequence.samples
-    found = Choice(motion_samples(scene, maps), "from the motion") if given == "auto" else Choice(given)
+    found = (
+        Choice(given)
+        if given != "auto"
+        else Choice(max(motion_samples(scene, maps), lens_samples(scene, maps)), "from the motion")
+    )
     if (count := subframes_of(scene, found.value)) > MOST_SUBFRAMES:
         about = "fewer samples, a shorter readout or a longer shutter need fewer"
         raise SceneError(f"sequence.readout: must give at most {MOST_SUBFRAMES} sub-frames; got {count} ({about})")
@@ -196,7 +202,7 @@ def choose_texture_sampling(scene: Scene, eye: Eye, forward: bool) -> Choice[boo
     key = ("motion.texture_filter",)
     if forward:
         return Choice(False, WHOLE_PIXELS, key)
-    if scene.moves or displaced(scene, eye) or scene.has_mapped_textures:
+    if scene.is_displaced or displaced(scene, eye) or scene.has_mapped_textures:
         return Choice(True)
     return Choice(False, "nothing moves: every pixel shows its own texel", key if scene.stereo is None else ())
 
@@ -243,7 +249,7 @@ def choose_occlusion(
     each = zip(scene.objects, zip(*seen.poses, strict=True), seen.w, strict=True)
     slack = 0.0 if scene.moves_evenly else UNEVEN
     extents = tuple(extent(item, poses, w, slack) for item, poses, w in each)
-    found = occlusion_groups(scene.objects, extents, scene.camera, psf)
+    found = occlusion_groups(scene.objects, extents, widest_camera(scene), psf)
     if any(group.occluders for group in found):
         return Choice("visibility"), found, extents
     return Choice("none", "no object hides another within its blur", key), found, extents
@@ -281,6 +287,8 @@ def choose_still_sources(
         return Choice(False, "only sources from rays that are spread one by one are told apart")
     if scene.camera.moves:
         return Choice(False, "the camera moves")
+    if scene.lens is not None:
+        return Choice(False, "the lens changes")
     if "subframes" in asked:
         return Choice(False, "each sub-frame needs all sources")
     placed = [[place(item, pose) for item, pose in zip(scene.objects, poses, strict=True)] for poses in seen.poses]

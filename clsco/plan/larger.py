@@ -17,6 +17,7 @@ from clsco.constants import (
 )
 from clsco.errors import SceneError
 from clsco.optics.lens import LARGEST_BLUR
+from clsco.optics.lens_path import widest_camera
 from clsco.optics.visibility import apart
 from clsco.plan.choice import Choice
 from clsco.plan.memory import Limit, fitted
@@ -101,7 +102,7 @@ def _for_any_place(plan: Plan) -> Plan:
     scene, choices = plan.scene, replace(plan.choices, occlusion=Choice("visibility"))
     if plan.blur == "tiles":
         choices = replace(choices, blur=choose_blur("auto", False, False, gpu=True, occluded=True))
-    return replace(plan, groups=apart(scene.objects, scene.camera, plan.psf), extents=(), choices=choices)
+    return replace(plan, groups=apart(scene.objects, widest_camera(scene), plan.psf), extents=(), choices=choices)
 
 
 def widened(plan: Plan, smallest: float, largest: float) -> Plan:

@@ -20,6 +20,7 @@ from clsco.frame.strips import Grid, Strip, part
 from clsco.inputs.pupils import scene_point_spread
 from clsco.optics.exposure import frame_exposure, subframes_of
 from clsco.optics.lens import blur_radius
+from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import Eye
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_grid import table_reach
@@ -49,7 +50,7 @@ from clsco.plan.features import shape_features
 from clsco.plan.image import blur_passes, light_of, named, strips_of
 from clsco.plan.methods import MANY_RADII, Blur, BlurSpec, check_shape, occluder_room
 from clsco.plan.passes import Kind, Parameters, Pass
-from clsco.plan.predict import Maps, displaced, is_static_map, predict
+from clsco.plan.predict import Maps, Prediction, displaced, is_static_map, predict
 from clsco.plan.request import Request
 from clsco.plan.sensor import sensor_pass
 from clsco.scene.model import Scene
@@ -296,7 +297,7 @@ class Plan:
     def features(self) -> dict[str, int]:
         """Structure that the kernels that cast rays are compiled for."""
         scene, spec = self.scene, self.spec
-        moved = (self.moves or self.eye_moved) and not self.forward
+        moved = (scene.is_displaced or self.eye_moved) and not self.forward
         psf = psf_features(self.psf)
         return self._shapes | {
             "CHANNELS": self.channels,
@@ -373,12 +374,13 @@ def make_plan(
         scene, psf, device, eye, channels + alpha, rows, columns, guard, seen.smallest, seen.largest, choices, groups,
         taps=0.0, alpha=alpha, extents=extents,
     )  # fmt: skip
-    return replace(plan, taps=_predicted_taps(plan, seen.nearest)) if blur != "none" and plan.color else plan
+    return replace(plan, taps=_predicted_taps(plan, seen)) if blur != "none" and plan.color else plan
 
 
-def _predicted_taps(plan: Plan, w: Array) -> float:
+def _predicted_taps(plan: Plan, predicted: Prediction) -> float:
     """Weights per frame, by inverse depths at some of its pixels."""
-    seen = np.abs(blur_radius(plan.scene.camera, w[w > 0]))
+    w, middle = predicted.nearest, predicted.times[len(predicted.times) // 2]
+    seen = np.abs(blur_radius(camera_at(plan.scene, middle), w[w > 0]))
     if not seen.size:
         return 0.0
     lit = np.pi * (seen * plan.psf.extent + 0.7) ** 2

@@ -14,10 +14,11 @@ from clsco.constants import TAP_LANES
 from clsco.errors import SceneError
 from clsco.optics.exposure import lines_overlap, middle_time, sequence_times, shutter_span, subframes_of
 from clsco.optics.lens import LARGEST_BLUR, blur_radius, ray_step
+from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import Eye, Pose, poses_at, rest_center, static_rotation
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import cutting_bounds, place, predict_inverse_depth
-from clsco.scene.model import Disc, Object, ObjectMotion, Plane, Rectangle, Scene
+from clsco.scene.model import Disc, LensMotion, Object, ObjectMotion, Plane, Rectangle, Scene
 
 Array = NDArray[np.float64]
 Maps = Sequence[Array | None]
@@ -26,6 +27,7 @@ GRID = 65  # rays per axis that predict the range of the blur radius
 LENS_KEYS = ("f_number", "aperture_diameter", "focus_distance", "sensor_distance")
 PIXELS_PER_SAMPLE = 1.0  # of the largest motion, with samples = "auto": 2 lose 5 to 9 dB, fewer gain little
 MOST_SAMPLES = 4095
+LENS_TIMES = 65  # of an exposure, at which changes of the lens are looked at
 LINE_SAMPLES = 11  # while a line is exposed
 MOST_SUBFRAMES = 8192  # of a frame
 
@@ -44,16 +46,17 @@ def guard_band(psf: PointSpread, border: str, largest: float) -> int:
 
 def check_keyframes(scene: Scene) -> None:
     """Raise SceneError where keyframes that must cover all exposures do not."""
-    moved: list[tuple[str, ObjectMotion]] = [("camera", scene.camera.motion)]
-    moved += [(f"group[{k}]", group.motion) for k, group in enumerate(scene.groups)]
-    moved += [(f"object[{k}]", item.motion) for k, item in enumerate(scene.objects)]
+    keyed: list[tuple[str, ObjectMotion | LensMotion]] = [("camera.motion", scene.camera.motion)]
+    keyed += [(f"group[{k}].motion", group.motion) for k, group in enumerate(scene.groups)]
+    keyed += [(f"object[{k}].motion", item.motion) for k, item in enumerate(scene.objects)]
+    keyed += [("lens", scene.lens)] if scene.lens is not None else []
     opens, closes = shutter_span(scene.sequence, 0)[0], shutter_span(scene.sequence, scene.sequence.frames - 1)[1]
     faults = []
-    for name, motion in moved:
+    for name, motion in keyed:
         keys = motion.keyframe if motion.outside == "error" else None
         if keys is not None and not keys[0].time <= opens < closes <= keys[-1].time:
             rule = f"keyframes must cover all exposures, {opens:g} to {closes:g} s"
-            faults.append(f"{name}.motion.outside: {rule}; got {keys[0].time:g} to {keys[-1].time:g} s")
+            faults.append(f"{name}.outside: {rule}; got {keys[0].time:g} to {keys[-1].time:g} s")
     if faults:
         raise SceneError(faults)
 
@@ -83,7 +86,7 @@ def is_forward(scene: Scene, eye: Eye) -> bool:
     is static."""
     if not scene.is_analytic:
         return not is_static_map(scene)
-    return scene.motion.warp == "forward" and (scene.moves or displaced(scene, eye))
+    return scene.motion.warp == "forward" and (scene.is_displaced or displaced(scene, eye))
 
 
 def _inverse_depths(scene: Scene, samples: list[tuple[Pose, ...]], maps: Maps, guard: int) -> Array:
@@ -205,6 +208,19 @@ def _line_samples(scene: Scene, way: float) -> int:
     return max(ceil(own), least)
 
 
+def lens_samples(scene: Scene, maps: Maps) -> int:
+    """Time samples that suit the changes of the lens while a line is exposed: one per px of the blur radius."""
+    if scene.lens is None:
+        return 1
+    w, way = seen_depths(scene, maps), 0.0
+    for frame in {0, scene.sequence.frames // 2, scene.sequence.frames - 1}:
+        times = np.linspace(*shutter_span(scene.sequence, frame), LENS_TIMES)
+        radii = np.array([blur_radius(camera_at(scene, time), w[w > 0]) for time in times.tolist()])
+        way = max(way, float(np.abs(np.diff(radii, axis=0)).sum(axis=0).max(initial=0.0)))
+    own = scene.sequence.shutter / (scene.sequence.shutter + scene.sequence.readout)
+    return min(ceil(way * own / PIXELS_PER_SAMPLE) | 1, MOST_SAMPLES)
+
+
 def fills_view(scene: Scene, w: Array) -> bool:
     """True if no silhouette is in sight: the surface is hit everywhere, and cannot have a hole between rays."""
     item = scene.objects[0]
@@ -235,6 +251,8 @@ class Prediction:
 
     Attributes
     ----------
+    times : list of float
+        s.
     poses : list of tuple of Pose
         Poses of the objects at each time.
     w : ndarray of float64, (objects, times, GRID, GRID)
@@ -245,6 +263,7 @@ class Prediction:
         Guard band that follows, px.
     """
 
+    times: list[float]
     poses: list[tuple[Pose, ...]]
     w: Array
     smallest: float
@@ -261,11 +280,13 @@ def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
     """Cast rays of a coarse grid at the scene. Raises SceneError where |R| is larger than LARGEST_BLUR, and for times
     that keyframes must cover."""
     check_keyframes(scene)
-    poses, guard = [poses_at(scene, time, eye) for time in sequence_times(scene)], 0
+    times = sequence_times(scene)
+    poses, cameras, guard = [poses_at(scene, t, eye) for t in times], [camera_at(scene, t) for t in times], 0
     seen = None if scene.moves or not scene.is_analytic else without_lens(scene)
     for _ in range(2):  # the second time with the guard band that the first asked for
         w = _inverse_depths(scene, poses, maps, guard) if seen is None else _static_depths(seen, eye, guard)
-        radii = np.abs(blur_radius(scene.camera, w[w > 0]))
+        each = (blur_radius(camera, w[:, k][w[:, k] > 0]) for k, camera in enumerate(cameras))
+        radii = np.abs(blur_radius(cameras[0], w[w > 0]) if scene.lens is None else np.concatenate([*each]))
         largest, smallest = (float(radii.max()), float(radii.min())) if radii.size else (0.0, 0.0)
         if largest > LARGEST_BLUR:
             nearest, rule = 1.0 / float(w.max()), f"the blur radius must be at most {LARGEST_BLUR:g} px"
@@ -276,4 +297,4 @@ def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
         if not constant_blur(scene):  # rays between those of the grid
             smallest, largest = max(0.0, 0.9 * smallest - 1.0), 1.1 * largest + 1.0
         guard = guard_band(psf, scene.psf.border, largest)
-    return Prediction(poses, w, smallest, largest, guard)
+    return Prediction(times, poses, w, smallest, largest, guard)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from clsco.inputs.textures import radiance_span
 from clsco.optics.lens import Lens
+from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import Eye, Pose, poses_at, rest_poses
 from clsco.optics.quadrics import PlacedSurface, place
 from clsco.plan.passes import Kind, Pass, run_passes
@@ -68,7 +69,7 @@ def run(
     plan: Plan, textures: tuple[Texture, ...], maps: Maps, time: float, weights: Array, frame: Array
 ) -> Mapping[str, Any]:
     """Run the passes of a plan at a time sample; what they hand on, by the names of `clsco.plan.passes.Pass`."""
-    moved = plan.moves or plan.eye_moved
+    moved = plan.scene.is_displaced or plan.eye_moved
     view = cache(lambda: view_at(plan.scene, textures, time, plan.eye, moved, plan.psf))
 
     def run_pass(step: Pass, *given: Any) -> tuple[Any, ...]:
@@ -215,7 +216,7 @@ def filled(
     status = np.where(new.entered & ~new.known, np.where(valid, FILLED, UNFILLED), status)
     if mapped:
         values, valid = extend_border(values, valid, guard)
-    radius = np.where(valid, blur_radius(Lens.of(scene.camera), values[..., -1]), 0.0)
+    radius = np.where(valid, blur_radius(Lens.of(camera_at(scene, time)), values[..., -1]), 0.0)
     flat = np.zeros((*radius.shape, 2))  # until its differences are taken
     sources = Sources(values[..., :-1], values[..., -1], valid.astype(np.uint8), radius, flat, valid)
     return Warped(sources, objects, status, report)

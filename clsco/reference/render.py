@@ -16,6 +16,7 @@ from clsco.inputs.textures import Texture as TextureImage
 from clsco.inputs.textures import load_scene_textures
 from clsco.optics.depth_truth import map_flow, map_normal, map_occluded, map_stereo
 from clsco.optics.exposure import frame_exposure, middle_time
+from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import Eye, poses_at
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.sensor import camera_word
@@ -110,7 +111,7 @@ def _frame(plan: Plan, textures: tuple[Texture, ...], maps: Maps, index: int, su
     if plan.readout is not None:
         arrays |= sensor_outputs(plan.readout, color, camera_word(index, plan.eye), plan.truth)
     eye = plan.eye if scene.stereo else ""
-    about = {"intermediate": samples, "f_number": scene.camera.opening}
+    about = {"intermediate": samples, "f_number": camera_at(scene, middle_time(scene.sequence, index)).opening}
     return Frame(index=index, sharp=sharp, metadata=about, eye=eye, **arrays)
 
 

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ValidationError
 
 from clsco.errors import SceneError
 from clsco.scene.groups import Group, unknown_groups
-from clsco.scene.motions import Keyframe, ObjectMotion
+from clsco.scene.motions import Keyframe, LensKeyframe, ObjectMotion
 from clsco.scene.objects import repeated_names
 from clsco.scene.shapes import SHAPES
 from clsco.scene.text import key_name, shown
@@ -52,7 +52,7 @@ def _places(root: type[BaseModel]) -> list[tuple[str, type[BaseModel]]]:
     shapes = (("object[0]", shape) for shape in SHAPES.values())
     moving: Any = known["camera"].model_fields["motion"].annotation
     moved = (("object[0].motion", ObjectMotion), ("camera.motion", moving), ("object[0].motion.keyframe[0]", Keyframe))
-    return [*known.items(), *shapes, *moved, ("group[0]", Group)]
+    return [*known.items(), *shapes, *moved, ("lens.keyframe[0]", LensKeyframe), ("group[0]", Group)]
 
 
 def parsed(root: type[Root], mapping: Any, where: str) -> Root:
@@ -82,6 +82,7 @@ def refusal(root: type[BaseModel], model: type[BaseModel], error: ValidationErro
     """Error of a part of a scene that is made by itself, `Sphere: radius: rule; got value`; root: the scene's model."""
     motion = ("object", 0, "sphere", "motion")
     known: dict[Any, tuple[str | int, ...]] = {ObjectMotion: motion, Keyframe: (*motion, "keyframe", 0)}
+    known |= {LensKeyframe: ("lens", "keyframe", 0)}
     place = ({root: (), Group: ("group", 0)} | known).get(model)
     if place is None:
         shapes = {shape: ("object", 0, name) for name, shape in SHAPES.items()}

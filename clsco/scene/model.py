@@ -18,7 +18,7 @@ from clsco.scene.arrays import HasInputs
 from clsco.scene.changes import replaced
 from clsco.scene.faults import refusal
 from clsco.scene.groups import Group, Groups, unknown_groups
-from clsco.scene.motions import CameraMotion, CameraShake, Keyframe, ObjectMotion
+from clsco.scene.motions import CameraMotion, CameraShake, Keyframe, LensKeyframe, LensMotion, ObjectMotion
 from clsco.scene.objects import MAX_OBJECTS, Object, Objects
 from clsco.scene.quantities import (
     MAX_LENGTH_MM,
@@ -75,6 +75,8 @@ __all__ = [
     "Group",
     "ImageOptions",
     "Keyframe",
+    "LensKeyframe",
+    "LensMotion",
     "Light",
     "Motion",
     "Object",
@@ -259,6 +261,8 @@ class Scene(Strict):
     title: Text = ""
     """Title; recorded in the metadata, used nowhere else."""
     camera: Camera = Camera()
+    lens: LensMotion | None = None
+    """Changes of the camera's lens over time; none if not given."""
     aperture: Aperture = Aperture()
     psf: Psf = Psf()
     sequence: Sequence = Sequence()
@@ -286,6 +290,24 @@ class Scene(Strict):
         json_schema_extra={"minItems": 1, "maxItems": MAX_OBJECTS},
     )
     """1 to 64 objects of different names. Where two are equally near, the first one is visible."""
+
+    @field_validator("lens")
+    @classmethod
+    def _lens_of_the_camera(cls, value: LensMotion | None, info: ValidationInfo) -> LensMotion | None:
+        camera, found = info.data.get("camera"), list[Fault]()
+        if value is None or camera is None:
+            return value
+        for k, key in enumerate(value.keyframe):
+            f, u, number = camera.focal_length, key.focus_distance, key.f_number
+            if u is not None and not (u > f and f * u / (u - f) <= MAX_LENGTH_MM):
+                rule = fault(f"must be greater than camera.focal_length = {f:g} mm")
+                found.append((("keyframe", k, "focus_distance"), rule, u))
+            if number is not None and not MIN_LENGTH_MM <= f / number <= MAX_LENGTH_MM:
+                rule = fault(f"must leave an aperture between {MIN_LENGTH_MM:g} and {MAX_LENGTH_MM:g} mm")
+                found.append((("keyframe", k, "f_number"), rule, number))
+        if found:
+            raise at_keys(found)
+        return value
 
     @field_validator("fill")
     @classmethod
@@ -375,6 +397,11 @@ class Scene(Strict):
 
     @property
     def moves(self) -> bool:
+        """True if an object, its group or the camera moves, or its lens changes."""
+        return self.lens is not None or self.is_displaced
+
+    @property
+    def is_displaced(self) -> bool:
         """True if an object, its group or the camera moves."""
         motions = (motion for item in self.objects for motion in self.motions(item))
         return self.camera.moves or any(motion.moves for motion in motions)
@@ -383,7 +410,7 @@ class Scene(Strict):
     def moves_evenly(self) -> bool:
         """True if all velocities are constant: nothing accelerates, has keyframes or shakes."""
         motions = (self.camera.motion, *(motion for item in self.objects for motion in self.motions(item)))
-        return self.camera.shake is None and all(motion.is_uniform for motion in motions)
+        return self.camera.shake is None and self.lens is None and all(motion.is_uniform for motion in motions)
 
     @property
     def rolls(self) -> bool:
@@ -397,7 +424,7 @@ class Scene(Strict):
     @property
     def is_ray_castable(self) -> bool:
         """True if every surface is analytic at any time: no depth map, and no pixels moved by a forward warp."""
-        return self.is_analytic and not (self.moves and self.motion.warp == "forward")
+        return self.is_analytic and not (self.is_displaced and self.motion.warp == "forward")
 
     @property
     def has_mapped_textures(self) -> bool:

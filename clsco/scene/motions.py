@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator, model_validator
 
 from clsco.scene.quantities import (
     Acceleration,
     AngularAcceleration,
     AngularVelocity,
     Band,
+    FNumber,
+    Length,
     Point,
     Strict,
     Time,
@@ -166,3 +168,40 @@ class CameraShake(Strict):
     def moves(self) -> bool:
         """True if the camera is turned or moved by it."""
         return self.rotation_rms > 0.0 or self.translation_rms > 0.0
+
+
+class LensKeyframe(Strict):
+    """Lens at a time."""
+
+    time: Time
+    """Time, s; later than that of the keyframe before."""
+    focus_distance: Length | None = None
+    """Distance in focus, mm, greater than camera.focal_length; by the keyframes beside if not given."""
+    f_number: FNumber | None = None
+    """camera.focal_length / aperture diameter; by the keyframes beside if not given."""
+
+    @model_validator(mode="after")
+    def _something(self) -> Self:
+        if self.focus_distance is None and self.f_number is None:
+            raise fault("must have focus_distance or f_number", got="neither")
+        return self
+
+
+LensKeyframes = Annotated[tuple[LensKeyframe, ...], SCHEMA, AfterValidator(in_order), BeforeValidator(listed_keyframes)]
+
+
+class LensMotion(Strict):
+    """Changes of the lens over time: its focus is pulled, or its aperture opens and closes."""
+
+    keyframe: LensKeyframes
+    """Lenses at 1 to 256 times, instead of the focus distance or the f-number of the camera."""
+    interpolation: Interpolation = "linear"
+    """Path of 1 / focus_distance and of 1 / f_number, to which the blur radius is proportional, as between keyframes of
+    a motion."""
+    outside: Outside = "hold"
+    """Path before the first and after the last keyframe, as of a motion."""
+
+    @field_validator("interpolation")
+    @classmethod
+    def _of_keyframes(cls, value: Any, info: ValidationInfo) -> Any:
+        return check_interpolation(value, info.data.get("keyframe", "refused"))

@@ -183,6 +183,7 @@ def panels(session: Session, index: int = 0) -> tuple[Panel, ...]:
     rest = (
         ("PSF and method", ("psf.", "aperture.")),
         ("Sequence and motion in detail", ("sequence.", "motion.", "camera.")),
+        ("Lens over time", ("lens.",)),
         ("Fill", ("fill.",)),
         ("Light", ("light.",)),
         ("Stereo", ("stereo.",)),

@@ -14,6 +14,7 @@ from clsco.frame.frame import Frame
 from clsco.inputs.pupils import scene_point_spread
 from clsco.optics.exposure import pixel_time
 from clsco.optics.lens import SHARP, Lens, blur_radius, ray_step
+from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import poses_at, rest_center
 from clsco.reference.blur.blur import tilt_factor
 from clsco.reference.common.geometry import pixel_tilt
@@ -61,6 +62,9 @@ def inspected(frame: Frame, scene: Scene, x: int, y: int, is_tilted: bool = Fals
         lengths = scene_point_spread(scene).pupil.lengths
         values |= {name: length * abs(radius) for name, length in lengths.items()}
     found: dict[str, Any] = {"index": frame.index, "eye": eye_of(frame), "values": values}
+    if scene.lens is not None:
+        lens = camera_at(scene, middle_time(scene.sequence, frame.index))
+        scene = scene.model_copy(update={"camera": lens, "lens": None})
     found["lens"] = lens_figures(scene, depth)
     if radius is not None and values["mask"]:
         gradient = radius_gradient(frame, scene, x, y) if is_tilted else np.zeros(2)

@@ -79,6 +79,11 @@ def test_keys_that_must_cover_all_exposures() -> None:
             prepare(wanted)
         rule = f"{place}.motion.outside: keyframes must cover all exposures, 0 to 1 s; got 0 to 0.9 s"
         assert error.value.messages == (rule,)
+    lens = {"keyframe": [{"time": 0.2, "f_number": 2.0}, {"time": 0.9, "f_number": 3.0}], "outside": "error"}
+    with pytest.raises(
+        SceneError, match=r"lens.outside: keyframes must cover all exposures, 0 to 1 s; got 0.2 to 0.9 s"
+    ):
+        prepare(scene(BALL, lens=lens))
     keys["keyframe"][1]["time"] = 1.0  # type: ignore[index]
     assert prepare(scene(BALL | {"motion": keys})).plan.moves
 

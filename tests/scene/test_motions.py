@@ -87,6 +87,43 @@ BAD_SHAKES = [
     ("shake.seed = -1", ".seed: must be between 0 and 9.223372e+18; got -1"),
     ("shake.sed = 1", ".sed: unknown key (did you mean seed?); got 1"),
 ]
+BAD_LENSES = [
+    ("lens = 3", ": must be a table; got 3"),
+    ("lens = {}", ".keyframe: must be given; got nothing"),
+    ("lens.keyframe = []", ".keyframe: must hold 1 to 256 keyframes; got 0"),
+    ("lens.keyframe = [{time = 0}]", ".keyframe[0]: must have focus_distance or f_number; got neither"),
+    ("lens.keyframe = [{f_number = 2}]", ".keyframe[0].time: must be given; got nothing"),
+    (
+        "lens.keyframe = [{time = 0, f_number = 2}, {time = 0, f_number = 4}]",
+        ".keyframe[1].time: must be later than that of the keyframe before; got 0.0",
+    ),
+    (
+        "lens.keyframe = [{time = 0, focus_distance = 20.0}]",
+        ".keyframe[0].focus_distance: must be greater than camera.focal_length = 20 mm; got 20.0",
+    ),
+    (
+        "lens.keyframe = [{time = 0, focus_distance = -1}]",
+        ".keyframe[0].focus_distance: must be greater than 0 mm; got -1",
+    ),
+    ("lens.keyframe = [{time = 0, f_number = 0}]", ".keyframe[0].f_number: must be greater than 0; got 0"),
+    (
+        "lens.keyframe = [{time = 0, f_stop = 2}]",
+        ".keyframe[0].f_stop: unknown key; got 2",
+    ),
+    (
+        'lens = {keyframe = [{time = 0, f_number = 2}], interpolation = "bezier"}',
+        '.interpolation: must be step, linear, cubic or bspline; got "bezier"',
+    ),
+    (
+        'lens = {keyframe = [{time = 0, f_number = 2}], outside = "stop"}',
+        '.outside: must be hold, linear or error; got "stop"',
+    ),
+    (
+        """lens.interpolation = "bspline"
+        lens.keyframe = [{time = 0, f_number = 2}, {time = 1, f_number = 2}, {time = 3, f_number = 2}]""",
+        '.interpolation: bspline needs keyframes at equal intervals of time; got "bspline"',
+    ),
+]
 KEYED = """
 [[object]]
 shape = "sphere"
@@ -120,6 +157,11 @@ def test_each_fault_of_a_motion_is_one_message(motion: str, message: str) -> Non
 @pytest.mark.parametrize(("shake", "message"), BAD_SHAKES)
 def test_each_fault_of_a_shake_is_one_message(shake: str, message: str) -> None:
     assert faults(f"[camera]\n{shake}{PLANE}") == [f"scene: camera.shake{message}"]
+
+
+@pytest.mark.parametrize(("lens", "message"), BAD_LENSES)
+def test_each_fault_of_a_lens_is_one_message(lens: str, message: str) -> None:
+    assert faults(lens + PLANE) == [f"scene: lens{message}"]
 
 
 def test_a_shake_is_given_by_a_table_or_an_object() -> None:

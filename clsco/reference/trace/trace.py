@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from clsco.inputs.pupils import scene_point_spread
 from clsco.optics.lens import Lens, ray_step
+from clsco.optics.lens_path import camera_at
 from clsco.optics.light import PlacedLight, place_light
 from clsco.optics.motion import Eye, poses_at
 from clsco.optics.point_spread import PointSpread, subpixel_offsets
@@ -125,7 +126,9 @@ class View:
 def view_at(
     scene: Scene, textures: tuple[Texture, ...], time: float, eye: Eye, moved: bool, psf: PointSpread | None = None
 ) -> View:
-    """The objects after `time` seconds; other arguments as for `View`."""
+    """The objects after `time` seconds, and the lens; other arguments as for `View`."""
+    if scene.lens is not None:
+        scene = scene.model_copy(update={"camera": camera_at(scene, time), "lens": None})
     placed = zip(scene.objects, poses_at(scene, time, eye), strict=True)
     surfaces = tuple(place(item, pose) for item, pose in placed)
     return View(scene, surfaces, textures, moved, place_light(scene, time, eye), psf or scene_point_spread(scene))

@@ -172,7 +172,7 @@ def ground_truth(scene: Scene, textures: tuple[Texture, ...], frame: int, eye: E
     rest = [place(item, pose) for item, pose in zip(scene.objects, rest_poses(scene), strict=True)]
     moves, camera = scene.moves, scene.camera
     before, now, then = (middle_time(scene.sequence, k) if moves else 0.0 for k in (frame - 1, frame, frame + 1))
-    view = view_at(scene, textures, now, eye, moves or displaced(scene, eye))
+    view = view_at(scene, textures, now, eye, scene.is_displaced or displaced(scene, eye))
     earlier, later = (poses_at(scene, time, eye) for time in (before, then))
     following = tuple(place(item, pose) for item, pose in zip(scene.objects, later, strict=True))
     row, column = padded_grid(camera, 0)

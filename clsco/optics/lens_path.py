@@ -1,0 +1,91 @@
+"""The lens at a time, where it changes (float64, pure)."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from itertools import chain, pairwise
+
+import numpy as np
+
+from clsco.errors import SceneError
+from clsco.optics.exposure import sequence_times
+from clsco.optics.keyframes import Path, path_through
+from clsco.scene.model import Camera, LensMotion, Scene
+
+DENSE = 33  # places between two keyframes at which the widest aperture is looked for
+WIDER = 1.01
+
+
+def camera_at(scene: Scene, time: float) -> Camera:
+    """The camera with the lens that it has at a time.
+
+    Parameters
+    ----------
+    scene : Scene
+    time : float
+        Seconds since the reference pose.
+
+    Returns
+    -------
+    Camera
+        That of the scene where its lens does not change.
+
+    Raises
+    ------
+    SceneError
+        The path between keyframes leaves what a lens can have.
+
+    Examples
+    --------
+    >>> import clsco
+    >>> from clsco.optics.lens_path import camera_at
+    >>> keys = {"keyframe": [{"time": 0, "f_number": 2}, {"time": 1, "f_number": 4}], "interpolation": "linear"}
+    >>> scene = clsco.parse_scene({"lens": keys, "object": [{"shape": "plane"}]})
+    >>> camera_at(scene, 1.0).aperture_diameter, camera_at(scene, 0.5).aperture_diameter
+    (5.0, 7.5)
+    """
+    if scene.lens is None:
+        return scene.camera
+    camera, changed = scene.camera, dict[str, float | None]()
+    f, (focus, opening) = camera.focal_length, _paths(scene.lens)
+    if focus is not None:
+        power = float(focus.at(time)[0])
+        if not power < 1.0 / f:
+            raise SceneError(_rule("focus_distance", f"greater than camera.focal_length = {f:g} mm", 1.0 / power, time))
+        known = power > 0.0  # else the focus is beyond infinity
+        changed |= {"focus_distance": 1.0 / power if known else None, "sensor_distance": 1.0 / (1.0 / f - power)}
+    if opening is not None:
+        share = float(opening.at(time)[0])
+        if not share > 0.0:
+            raise SceneError(_rule("f_number", "above 0", share and 1.0 / share, time))
+        changed |= {"f_number": 1.0 / share, "aperture_diameter": f * share}
+    return camera.model_copy(update=changed)
+
+
+def _rule(key: str, rule: str, got: float, time: float) -> str:
+    return f'lens.keyframe: {key} must stay {rule}, as with interpolation = "linear"; got {got:.6g} at {time:.6g} s'
+
+
+@lru_cache(maxsize=64)
+def _paths(lens: LensMotion) -> tuple[Path | None, Path | None]:
+    """Paths of the inverse focus distance in 1/mm, and of the aperture's diameter over the focal length; None where no
+    keyframe has one."""
+
+    def path(name: str) -> Path | None:
+        keys = [(key.time, getattr(key, name)) for key in lens.keyframe if getattr(key, name) is not None]
+        times, values = [time for time, _ in keys], [[1.0 / value] for _, value in keys]
+        return path_through(times, values, lens.interpolation, lens.outside) if keys else None
+
+    return path("focus_distance"), path("f_number")
+
+
+def widest_camera(scene: Scene) -> Camera:
+    """The camera with an aperture that is at least as wide as at any time of the sequence."""
+    opening = None if scene.lens is None else _paths(scene.lens)[1]
+    if opening is None:
+        return scene.camera
+    times = sequence_times(scene)
+    ends = np.unique([*times, *(time for time in opening.times if times[0] < time < times[-1])])
+    places = (np.linspace(*pair, DENSE) for pair in pairwise(ends))
+    widest = max(float(opening.at(time)[0]) for time in [times[0], *chain.from_iterable(places)])
+    return scene.camera.model_copy(update={"aperture_diameter": WIDER * widest * scene.camera.focal_length})
