@@ -30,6 +30,7 @@ OTHERS: dict[str, Any] = {
     "camera.pixel_pitch": 0.3,
     "camera.resolution": [20, 18],
     "camera.motion": {"velocity": [20.0, 0.0, 0.0]},
+    "camera.shake": {"rotation_rms": 0.5, "band": [0.2, 1.0]},
     "sequence.frames": 2,
     "sequence.interval": 2.0,
     "sequence.shutter": 0.4,

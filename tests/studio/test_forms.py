@@ -28,7 +28,7 @@ def of_shape(session: Session, shape: str) -> dict[str, Panel]:
 def keys(schema: dict[str, Any], entry: dict[str, Any], start: str) -> Iterator[str]:
     """Paths of all keys that a value of a schema may have; those of tables are of what is in them, of arrays of tables
     none where there are none."""
-    if any("$ref" in form.get("items", {}) for form in entry.get("anyOf", [])):
+    if any("$ref" in form.get("items", {}) for form in [entry, *entry.get("anyOf", [])]):
         return
     forms = [form for form in [entry, *entry.get("anyOf", [])] if "$ref" in form]
     inner = [schema["$defs"][form["$ref"].rpartition("/")[2]] for form in forms]
