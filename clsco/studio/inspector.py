@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from clsco.files.transfer import encode
 from clsco.frame.frame import Frame
 from clsco.inputs.pupils import scene_point_spread
-from clsco.optics.exposure import pixel_time
+from clsco.optics.exposure import middle_time, pixel_time
 from clsco.optics.lens import SHARP, Lens, blur_radius, ray_step
 from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import poses_at, rest_center
