@@ -28,9 +28,10 @@ from clsco.optics.exposure import frame_exposure, shutter_span
 from clsco.optics.lens import blur_radius
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.texture_mapping import needs_detail
+from clsco.plan.image_motion import ImagePath, image_paths, some_frames
 from clsco.plan.plan import Plan
-from clsco.plan.predict import Maps, image_path, seen_depths
-from clsco.scene.model import Scene
+from clsco.plan.predict import Maps, seen_depths
+from clsco.scene.model import Camera, Scene
 
 Array = NDArray[np.float64]
 Samples = tuple[int, int]
@@ -230,27 +231,26 @@ def _parts(scene: Scene, textures: tuple[Texture, ...], maps: Maps) -> tuple[_Pa
     nearest = np.where(front > 0.0, w.argmax(axis=0), -1)
     contrasts = _contrasts(textures, scene.light is not None)
     across, down = (_outlines(scene, contrasts, nearest, front, axis) for axis in (1, 0))
+    paths = [image_paths(scene, maps, frame) for frame in some_frames(scene)] if scene.moves else []
     parts = []
     for k in np.flatnonzero(np.bincount(nearest.ravel() + 1)[1:]).tolist():
         seen = nearest == k
         radius = float(np.abs(blur_radius(scene.camera, w[k][seen])).min())
         way, power = (0.0, 0.0), (NOTHING, NOTHING)
         if scene.moves:
-            way = _way(scene, k, maps[k])
+            way = _way(scene.camera, [each[k] for each in paths])
             along = _power(textures[k], scene.objects[k].mapped is not None)
             power = (seen.mean() * along[0], seen.mean() * along[1])
         parts.append(_Part(way, radius, power, (across[k], down[k])))
     return tuple(parts)
 
 
-def _way(scene: Scene, number: int, depth: Array | None) -> tuple[float, float]:
+def _way(camera: Camera, paths: list[ImagePath]) -> tuple[float, float]:
     """Longest way of an object's image and of its blur's rim along x and y, px: all of one that goes across both."""
     longest = np.zeros(2)
-    for frame in {0, scene.sequence.frames // 2, scene.sequence.frames - 1}:
-        path = image_path(scene, number, depth, frame, every=4)
-        rim = np.abs(np.diff(np.abs(blur_radius(scene.camera, path[:, 2])), axis=0)).sum(axis=0)
-        steps = np.diff(path[:, :2], axis=0)
-        along, whole = np.abs(steps).sum(axis=0) + rim, np.linalg.norm(steps, axis=1).sum(axis=0) + rim
+    for path in paths:
+        rim = (np.abs(np.diff(np.abs(blur_radius(camera, path.places[:, 2])), axis=0)) * path.seen).sum(axis=0)
+        along, whole = np.abs(path.steps).sum(axis=0) + rim, np.linalg.norm(path.steps, axis=1).sum(axis=0) + rim
         longest = np.maximum(longest, np.minimum(2.0 * along, whole).max(axis=1, initial=0.0))
     return float(longest[0]), float(longest[1])
 

@@ -15,9 +15,9 @@ from clsco.optics.still import exposed
 from clsco.optics.texture_mapping import needs_detail
 from clsco.optics.visibility import OcclusionGroup, extent, is_hollow, occlusion_groups
 from clsco.plan.choice import Choice
+from clsco.plan.image_motion import MOST_SUBFRAMES, lens_samples, motion_needs, motion_samples
 from clsco.plan.methods import MANY_RADII, Blur, Occlusion, can_convolve, choose_blur
 from clsco.plan.predict import (
-    MOST_SUBFRAMES,
     Maps,
     Prediction,
     constant_blur,
@@ -25,13 +25,12 @@ from clsco.plan.predict import (
     fills_view,
     is_forward,
     is_static_map,
-    lens_samples,
-    motion_samples,
 )
 from clsco.plan.request import Request
 from clsco.scene.model import Aperture, Fill, Scene
 
 UNEVEN = 0.25  # of the way of an object: how far it may be beyond the poses that were predicted
+MOST_NAMED = 3  # objects, with the time samples that they need
 WHOLE_PIXELS = "the forward warp moves whole pixels"
 EXPOSURE_KEYS = ("samples", "sampling", "shutter", "shutter_curve", "shutter_start", "readout", "scan")
 MOTION_KEYS = (*(f"sequence.{key}" for key in EXPOSURE_KEYS), "motion.rotation")
@@ -141,7 +140,7 @@ def choose(
     spread = rays.value and occlusion.value != "layered" and blur.value in MANY_RADII
     choices = Choices(
         image=choose_image(request.color),
-        motion=choose_samples(scene, maps),
+        motion=choose_samples(scene, psf, rays.value, maps, seen.guard),
         trace=rays,
         texture_sampling=choose_texture_sampling(scene, eye, warp.value),
         reproject=warp,
@@ -165,16 +164,22 @@ def choose_image(color: bool) -> Choice[bool]:
     return Choice(True) if color else Choice(False, "nobody asked for the color: neither its rays nor its blur")
 
 
-def choose_samples(scene: Scene, maps: Maps) -> Choice[int]:
-    """Time samples of what moves, while a line of the frame is exposed."""
+def choose_samples(scene: Scene, psf: PointSpread, rays: bool, maps: Maps, guard: int) -> Choice[int]:
+    """Time samples of what moves, while a line of the frame is exposed; guard: width in px of the band around the frame
+    that lights it."""
     if not scene.moves:
         return Choice(0, "nothing moves: one sample, in the reference pose", MOTION_KEYS)
-    given = scene.sequence.samples
-    found = (
-        Choice(given)
-        if given != "auto"
-        else Choice(max(motion_samples(scene, maps), lens_samples(scene, maps)), "from the motion")
-    )
+    if scene.sequence.samples == "auto":
+        evened = rays and scene.psf.occlusion != "none"  # which hides what is behind by outlines as sharp as that is
+        needs = motion_needs(scene, psf, maps, guard, evened)
+        named = [f"{scene.objects[need.number].name} {need}" for need in needs[:MOST_NAMED]]
+        left = [f"{len(needs) - MOST_NAMED} more"] if len(needs) > MOST_NAMED else []
+        lens = lens_samples(scene, maps)
+        words = ([f"the lens {lens}"] if lens > 1 else []) + named + left
+        why = f"from the motion: {', '.join(words) or 'none is seen'}"
+        found = Choice(max(motion_samples(scene, needs), lens), why)
+    else:
+        found = Choice(scene.sequence.samples)
     if (count := subframes_of(scene, found.value)) > MOST_SUBFRAMES:
         about = "fewer samples, a shorter readout or a longer shutter need fewer"
         raise SceneError(f"sequence.readout: must give at most {MOST_SUBFRAMES} sub-frames; got {count} ({about})")

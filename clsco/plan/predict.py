@@ -1,18 +1,17 @@
-"""Predictions for a scene from a coarse grid of rays: range of blur radii, guard band, image motion."""
+"""Predictions for a scene from a coarse grid of rays: range of blur radii, guard band."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsco.constants import TAP_LANES
 from clsco.errors import SceneError
-from clsco.optics.exposure import lines_overlap, middle_time, sequence_times, shutter_span, subframes_of
+from clsco.optics.exposure import middle_time, sequence_times, shutter_span
 from clsco.optics.lens import LARGEST_BLUR, blur_radius, ray_step
 from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import Eye, Pose, poses_at, rest_center, static_rotation
@@ -25,11 +24,6 @@ Maps = Sequence[Array | None]
 GRID = 65  # rays per axis that predict the range of the blur radius
 # Keys of the camera that change what a lens makes of a hit, and not what a ray hits.
 LENS_KEYS = ("f_number", "aperture_diameter", "focus_distance", "sensor_distance")
-PIXELS_PER_SAMPLE = 1.0  # of the largest motion, with samples = "auto": 2 lose 5 to 9 dB, fewer gain little
-MOST_SAMPLES = 4095
-LENS_TIMES = 65  # of an exposure, at which changes of the lens are looked at
-LINE_SAMPLES = 11  # while a line is exposed
-MOST_SUBFRAMES = 8192  # of a frame
 
 
 def guard_band(psf: PointSpread, border: str, largest: float) -> int:
@@ -129,96 +123,10 @@ def _moved_map(scene: Scene, item: Object, depth: Array, pose: Pose) -> Array:
     return np.where((w > 0) & (z > 0), 1.0 / np.where(z > 0, z, 1.0), 0.0)
 
 
-def image_displacement(scene: Scene, maps: Maps | None = None) -> float:
-    """Largest way in px that a visible point of a surface goes over the image while the shutter is open.
-
-    maps: as for `make_plan`.
-    """
-    frames = sorted({0, scene.sequence.frames // 2, scene.sequence.frames - 1})
-    known = enumerate(maps or (None,) * len(scene.objects))
-    return max(_frame_displacement(scene, k, depth, frame) for k, depth in known for frame in frames)
-
-
-def _frame_displacement(scene: Scene, number: int, depth: Array | None, frame: int) -> float:
-    steps = np.diff(image_path(scene, number, depth, frame)[:, :2], axis=0)
-    return float(np.linalg.norm(steps, axis=1).sum(axis=0).max(initial=0.0))
-
-
-def image_path(scene: Scene, number: int, depth: Array | None, frame: int, every: int = 1) -> Array:
-    """Places of an object's points in the image while the shutter of a frame is open.
-
-    Parameters
-    ----------
-    scene : Scene
-    number : int
-        Number of the object.
-    depth : ndarray, optional
-        Its inverse depth in 1/mm where it is a depth map.
-    frame : int
-    every : int
-        Takes every so manyth ray along each axis.
-
-    Returns
-    -------
-    ndarray of float64, (times, 3, points)
-        x and y in px from the middle of the image, and inverse depth in 1/mm.
-    """
-    item, (opens, closes) = scene.objects[number], shutter_span(scene.sequence, frame)
-    x, y = (slopes[::every, ::every] for slopes in _grid(scene, 0))
-    opening, center = poses_at(scene, opens)[number], rest_center(item)[:, None]
-    if depth is None:
-        w = predict_inverse_depth(item, place(item, opening), x, y)
-    else:
-        w = np.full(x.shape, float(np.quantile(depth[depth > 0], 0.99)))  # as if all of it were near
-    hit = w > 0
-    rays = np.stack([x[hit], y[hit], np.ones(int(hit.sum()))])
-    body = opening.rotation.T @ (rays / w[hit] - center - opening.shift[:, None])
-    steps = []
-    for time in np.linspace(opens, closes, 9).tolist():
-        pose = poses_at(scene, time)[number]
-        point = center + pose.shift[:, None] + pose.rotation @ body
-        ahead = np.maximum(point[2], 1e-3)
-        steps.append(np.concatenate([point[:2] / ahead / ray_step(scene.camera), 1.0 / ahead[None]]))
-    return np.stack(steps)
-
-
 def seen_depths(scene: Scene, maps: Maps) -> Array:
     """Predicted inverse depths (objects, GRID, GRID) in 1/mm in the middle of the sequence, 0 where nothing is hit."""
     time = middle_time(scene.sequence, scene.sequence.frames // 2) if scene.moves else 0.0
     return np.asarray(_inverse_depths(scene, [poses_at(scene, time)], maps, 0)[:, 0])
-
-
-def motion_samples(scene: Scene, maps: Maps) -> int:
-    """Time samples that suit the motion, while a line of the frame is exposed."""
-    way = image_displacement(scene, maps) / PIXELS_PER_SAMPLE
-    wanted = _line_samples(scene, way) if scene.sequence.rolls else ceil(way)
-    most = max(MOST_SUBFRAMES // subframes_of(scene, 1), 1)
-    return min(wanted | 1, MOST_SAMPLES, most - 1 | 1)  # odd, so that the middle of the shutter is one of them
-
-
-def _line_samples(scene: Scene, way: float) -> int:
-    """Time samples while a line is exposed, where lines open in turn; way: in px over all of these exposures.
-
-    A line takes part of the light of its first and its last share, as if it were open for all of these: with
-    LINE_SAMPLES shares, or as many that each is a tenth of a px of motion, this matters little.
-    """
-    sequence = scene.sequence
-    own = way * sequence.shutter / (sequence.shutter + sequence.readout)
-    least = min(ceil(LINE_SAMPLES * own) + 1, LINE_SAMPLES) if lines_overlap(scene) else 1
-    return max(ceil(own), least)
-
-
-def lens_samples(scene: Scene, maps: Maps) -> int:
-    """Time samples that suit the changes of the lens while a line is exposed: one per px of the blur radius."""
-    if scene.lens is None:
-        return 1
-    w, way = seen_depths(scene, maps), 0.0
-    for frame in {0, scene.sequence.frames // 2, scene.sequence.frames - 1}:
-        times = np.linspace(*shutter_span(scene.sequence, frame), LENS_TIMES)
-        radii = np.array([blur_radius(camera_at(scene, time), w[w > 0]) for time in times.tolist()])
-        way = max(way, float(np.abs(np.diff(radii, axis=0)).sum(axis=0).max(initial=0.0)))
-    own = scene.sequence.shutter / (scene.sequence.shutter + scene.sequence.readout)
-    return min(ceil(way * own / PIXELS_PER_SAMPLE) | 1, MOST_SAMPLES)
 
 
 def fills_view(scene: Scene, w: Array) -> bool:

@@ -49,7 +49,7 @@ class Sequence(Strict):
     shutter: Duration = Field(default_factory=lambda data: data["interval"])
     """Time that the shutter is open, s, at most interval. Default: interval."""
     samples: Samples = "auto"
-    """Time samples per frame, or "auto": about one per px of the largest motion."""
+    """Time samples per frame, or "auto": as many as the motion needs, at most about one per px."""
     sampling: Literal["midpoint", "endpoint"] = "midpoint"
     """Position of each time sample in its share of the exposure."""
     shutter_curve: ShutterCurve = "box"

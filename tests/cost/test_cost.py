@@ -140,7 +140,7 @@ def test_more_cores_help_as_far_as_there_are_bands() -> None:
 
 
 def test_a_long_frame_is_announced_with_what_takes_less() -> None:
-    prepared = prepare(crowd())
+    prepared = prepare(crowd().replace("sequence.samples", 299))
     found = cost(prepared.scene)
     assert found.seconds > LONG_FRAME
     assert found.dearest[0] == "blur"

@@ -25,6 +25,7 @@ TESTS = {
     "clsco/optics/motion.py": "optics/test_motion optics/test_quadrics plan/test_plan reference/test_geometry",
     "clsco/plan/plan.py": "plan/test_plan plan/test_predict plan/test_structure plan/test_memory "
     "engine/test_allocation pipeline/test_strips pipeline/test_scenes",
+    "clsco/plan/image_motion.py": "plan/test_image_motion",
     "clsco/plan/predict.py": "plan/test_predict plan/test_plan pipeline/test_scenes",
     "blur/accumulate.cl": "kernels/test_accumulate pipeline/test_scenes",
     "blur/blur.cl": "kernels/test_blur_amid kernels/test_blur engine/test_defocus kernels/test_layered "

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from clsco.optics.motion import Pose, pose_at, poses_at, rest_center
-from clsco.plan.predict import image_displacement
+from clsco.plan.image_motion import image_paths
 from clsco.scene.model import Camera, CameraMotion, Cylinder, Group, Motion, ObjectMotion, Plane, Scene, Sphere
 from tests.scenes import plan_of, scene_of
 
@@ -86,7 +86,8 @@ def test_what_a_group_moves_moves_in_the_plan() -> None:
     assert not scene_of(Sphere(), groups=(moving,)).moves  # nobody is in it
     carried = scene_of(ball, size=(640, 480), groups=(moving,))
     assert carried.moves
-    assert image_displacement(carried) == pytest.approx(80.0, rel=1e-3)
+    (path,) = image_paths(carried, (None,), 0)
+    assert path.longest == pytest.approx(80.0, rel=1e-3)
     assert plan_of(ball, groups=(moving,)).samples > 50
 
 

@@ -19,7 +19,7 @@ from clsco.plan.larger import widened
 from clsco.plan.memory import device_bytes
 from clsco.plan.methods import MANY_RADII
 from clsco.plan.plan import Plan, make_plan
-from clsco.plan.predict import guard_band, image_displacement
+from clsco.plan.predict import guard_band
 from clsco.plan.request import Request
 from clsco.scene.model import (
     Camera,
@@ -203,33 +203,6 @@ def test_texture_filter_and_table_form(name: Any, number: int) -> None:
 
 
 # Samples
-
-
-@pytest.mark.parametrize(("distance", "expected"), [(250.0, 80.0), (285.0, 70.2)])
-def test_displacement_of_the_thesis(distance: float, expected: float) -> None:
-    """10 mm at 250 and 285 mm: 80 and 70 px (4.3.3; 70.175 exactly)."""
-    item = Plane(distance=distance, motion=ObjectMotion(velocity=(10.0, 0.0, 0.0)))
-    assert image_displacement(scene_of(item)) == pytest.approx(expected, abs=0.03)
-    assert image_displacement(scene_of(item, sequence=Sequence(shutter=0.5))) == pytest.approx(expected / 2, abs=0.03)
-
-
-def test_displacement_counts_a_way_there_and_back() -> None:
-    # A full turn in the plane of the image: the corner, 39.3 px out (31.5 and 23.5 px), goes around in 8 chords.
-    item = moving(STILL, ObjectMotion(angular_velocity=(0.0, 0.0, 360.0)))
-    out = (31.5**2 + 23.5**2) ** 0.5
-    assert image_displacement(scene_of(item)) == pytest.approx(out * 8 * 2 * 0.3826834324, rel=1e-6)  # sin(22.5 deg)
-    nothing = Sphere(center=(900.0, 0.0, 280.0), motion=RIGHT)
-    assert image_displacement(scene_of(nothing)) == 0.0
-
-
-@pytest.mark.parametrize("speed", [0.05, 0.2, 0.5, 1.0, 3.3, 10.0])
-def test_automatic_samples_are_odd_and_about_one_per_pixel(speed: float) -> None:
-    item = moving(STILL, ObjectMotion(velocity=(speed, 0.0, 0.0)))
-    given = plan_of(item, sequence=Sequence(samples="auto"))
-    way = image_displacement(given.scene)
-    assert way > 0.3
-    assert given.samples % 2 == 1
-    assert way / 2 <= given.samples <= way + 2
 
 
 def test_samples_as_asked_and_one_at_rest() -> None:

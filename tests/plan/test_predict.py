@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from math import cos, hypot, sin
+from math import cos, sin
 from typing import Any
 
 import numpy as np
 import pytest
 
 from clsco.errors import SceneError
-from clsco.optics.exposure import subframes_of
 from clsco.optics.lens import LARGEST_BLUR, blur_radius
 from clsco.optics.motion import poses_at
 from clsco.plan.larger import widened
 from clsco.plan.plan import make_plan
-from clsco.plan.predict import MOST_SUBFRAMES, _moved_map, image_displacement, motion_samples
-from clsco.scene.model import Camera, DepthMap, ObjectMotion, Plane, Psf, Scene, Sequence, Sphere
+from clsco.plan.predict import _moved_map
+from clsco.scene.model import DepthMap, ObjectMotion, Plane, Psf, Scene, Sequence, Sphere
 from tests.scenes import plan_of, scene_of
 
 STEP = 0.01 / 20.0  # slope between the rays of neighbors: pixel pitch over normalization distance
@@ -115,54 +114,6 @@ def test_a_map_is_seen_up_to_the_lens_and_no_farther(depth: float, expected: flo
     assert np.unique(found).tolist() == [expected]
 
 
-# Ways over the image
-
-
-@pytest.mark.parametrize(("axis", "side"), SIDES)
-def test_ways_are_looked_at_out_to_the_outermost_pixels(axis: str, side: int) -> None:
-    """A tilted plane is nearest on one side, where its points go farthest: w = (1 - b x / s0) / a."""
-    item = Plane.model_validate({"distance": 280.0, axis: side * 1.5, "motion": RIGHT})
-    out = 31.5 if axis == "slope_x" else 23.5
-    nearest = (1.0 + 1.5 * out * STEP) / 280.0
-    assert image_displacement(scene_of(item)) == pytest.approx(10.0 * nearest / STEP, rel=1e-9)
-
-
-def test_the_way_of_what_is_seen_of_a_ball() -> None:
-    """Its nearest point, at 250 mm, goes 10 mm to the right: 80 px; beside the ball is nothing."""
-    assert image_displacement(scene_of(Sphere(motion=RIGHT), size=(640, 480))) == pytest.approx(80.0, rel=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("speed", "opens", "closes"), [(20.0, 250.0, 260.0), (-20.0, 220.0, 210.0)], ids=["away", "towards"]
-)
-def test_the_largest_way_of_a_sequence_is_in_its_first_or_last_frame(speed: float, opens: float, closes: float) -> None:
-    """The corner of a plane that goes along the axis, 10 mm per frame in four frames: near the lens it goes farther."""
-    item = Plane(distance=250.0, motion=ObjectMotion(velocity=(0.0, 0.0, speed)))
-    way = image_displacement(scene_of(item, sequence=Sequence(frames=4, interval=0.5)))
-    assert way == pytest.approx(hypot(31.5, 23.5) * abs(opens / closes - 1.0), rel=1e-9)
-
-
-def test_the_way_of_the_fastest_of_several_objects() -> None:
-    still, moving = Plane(distance=300.0), Plane(distance=250.0, motion=RIGHT)
-    for items in ((still, moving), (moving, still)):
-        assert image_displacement(scene_of(*items)) == pytest.approx(80.0, rel=1e-9)
-
-
-def test_the_way_of_a_map_of_which_little_is_seen() -> None:
-    """One pixel in 300 has a surface, at 250 mm: 10 mm are 80 px there."""
-    inverse_depth = np.zeros((48, 64))
-    inverse_depth[20, 10:20] = 1.0 / 250.0
-    item = MAP.model_copy(update={"motion": RIGHT})
-    assert image_displacement(scene_of(item), (inverse_depth,)) == pytest.approx(80.0, rel=1e-9)
-
-
-def test_automatic_samples_are_a_pixel_apart_at_most() -> None:
-    for speed in (0.3, 1.0, 3.3, 10.0):
-        item = Plane(distance=250.0, motion=ObjectMotion(velocity=(speed, 0.0, 0.0)))
-        way = speed / 250.0 / STEP
-        assert way <= plan_of(item, sequence=Sequence(samples="auto")).samples < way + 2
-
-
 # Silhouettes and work
 
 
@@ -204,34 +155,3 @@ def test_work_is_counted_where_something_is_seen() -> None:
 def test_what_is_in_focus_takes_no_work() -> None:
     given = plan_of(Plane(distance=250.0), psf=Psf(edge="sampled"))
     assert (given.blur, given.taps) == ("none", 0.0)
-
-
-def rolling_scene(speed: float, shutter: float, readout: float, samples: Any = "auto") -> Scene:
-    """A plane whose image moves at so many px/s."""
-    camera = Camera(resolution=(64, 48), pixel_pitch=0.1)
-    motion = ObjectMotion(velocity=(speed * 0.1 * 280.0 / 20.0, 0.0, 0.0))
-    sequence = Sequence(interval=9.0, shutter=shutter, readout=readout, samples=samples)
-    return Scene(camera=camera, objects=(Plane(distance=280.0, motion=motion),), sequence=sequence)
-
-
-@pytest.mark.parametrize(
-    ("speed", "shutter", "readout", "samples"),
-    [
-        (24.3, 1.0, 1.0, 25),  # one for a px
-        (24.0, 0.1, 1.0, 11),  # shared by rows: enough that their ends matter little
-        (1.5, 0.1, 1.0, 3),
-        (24.0, 1e-3, 1.0, 1),  # of each row alone
-        (24.0, 1.0, 0.0, 25),
-    ],
-)
-def test_samples_while_a_row_is_exposed(speed: float, shutter: float, readout: float, samples: int) -> None:
-    assert motion_samples(rolling_scene(speed, shutter, readout), (None,)) == samples
-
-
-def test_subframes_are_bounded() -> None:
-    """Fewer by themselves; of a number that is given a message says so."""
-    scene = rolling_scene(24e6, 1e-3, 1.0)
-    assert subframes_of(scene, motion_samples(scene, (None,))) <= MOST_SUBFRAMES
-    rule = r"sequence.readout: must give at most 8192 sub-frames; got 9600 \(fewer samples, a shorter readout or a"
-    with pytest.raises(SceneError, match=rule):
-        make_plan(rolling_scene(24.0, 1e-3, 1.0, 200), 1)

@@ -1,0 +1,300 @@
+"""Motion of objects over the image while a shutter is open, and the time samples that it needs (float64, pure).
+
+An edge of contrast 1 passes a pixel. What is seen of the object that moves, and what it hides, is blurred by its own
+pupil of radius R: the light of the pixel changes by at most v c / R for a speed of v px per exposure, c the share of
+the lens's light that an edge passes in one radius, 2 / pi of a disc. The midpoint rule with n samples is then off by at
+most (Euler and Maclaurin)
+
+    c v / (24 R n^2)
+
+of white, v the speed of a uniform motion, of any other one half of what its velocity changes by from rest to rest.
+Where R is small it is the pixel that evens out the steps, if they are PIXELS_PER_SAMPLE long at most. The smaller
+number is enough.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property, lru_cache
+from math import ceil, isfinite, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.optics.exposure import lines_overlap, shutter_span, subframes_of
+from clsco.optics.lens import blur_radius, ray_step
+from clsco.optics.lens_path import camera_at
+from clsco.optics.motion import Pose, poses_at, rest_center
+from clsco.optics.point_spread import PointSpread
+from clsco.optics.quadrics import place, predict_inverse_depth
+from clsco.plan.predict import Maps, seen_depths
+from clsco.scene.model import Camera, Object, Scene
+
+Array = NDArray[np.float64]
+PIXELS_PER_SAMPLE = 1.0  # of the fastest motion of what is in focus: 2 lose 5 to 9 dB, fewer gain little
+EDGE_ERROR = 5e-4  # of white, where an edge of contrast 1 passes
+MOST_SAMPLES = 4095
+LENS_TIMES = 65  # of an exposure, at which changes of the lens are looked at
+LINE_SAMPLES = 11  # while a line is exposed
+MOST_SUBFRAMES = 8192  # of a frame
+RAYS = 17  # along each axis of what is visible of an object
+LOOKS = 5  # times of an exposure at which rays look for an object
+FIRST_STEPS, MOST_STEPS = 32, 512  # of an exposure, at whose ends a path is known
+SETTLED = 1.05, 0.25  # a path grows by this factor and px at most when it has twice as many steps
+UNEVEN = 0.5  # of a step: what turns or swings in step with even times would seem to rest
+NEAREST = 1e-3  # mm; what is nearer to the lens is not visible
+BETWEEN = 0.95  # of the smallest |R| of rays may be what is between them
+
+
+@dataclass(frozen=True, eq=False)
+class ImagePath:
+    """Way of points of an object over the image while the shutter of a frame is open.
+
+    Attributes
+    ----------
+    times : ndarray of float64, (n,)
+        From 0, where the shutter opens, to 1.
+    places : ndarray of float64, (n, 3, points)
+        x and y in px from the middle of the image, and inverse depth in 1/mm.
+    seen : ndarray of bool, (n - 1, points)
+        Steps that touch the frame or the band around it that lights it.
+    """
+
+    times: Array
+    places: Array
+    seen: NDArray[np.bool_]
+
+    @cached_property
+    def steps(self) -> Array:
+        """Way of each step along x and y (n - 1, 2, points), px; 0 where it is not seen."""
+        return np.asarray(np.diff(self.places[:, :2], axis=0) * self.seen[:, None])
+
+    @property
+    def longest(self) -> float:
+        """Longest way of a point, px."""
+        return float(np.linalg.norm(self.steps, axis=1).sum(axis=0).max(initial=0.0))
+
+    @property
+    def speed(self) -> float:
+        """Largest speed of a point, px per exposure."""
+        return float((np.linalg.norm(self.steps, axis=1) / np.diff(self.times)[:, None]).max(initial=0.0))
+
+    @property
+    def variation(self) -> float:
+        """One half of what the velocity of a point changes by from rest to rest, px per exposure: its speed, where the
+        motion is uniform."""
+        velocity = self.steps / np.diff(self.times)[:, None, None]
+        changes = np.diff(velocity, axis=0, prepend=0.0, append=0.0)
+        return 0.5 * float(np.linalg.norm(changes, axis=1).sum(axis=0).max(initial=0.0))
+
+    def radius(self, camera: Camera) -> float:
+        """Smallest |R| of what is seen, px, less what may be between rays; 0 where it goes through the focus."""
+        ends = np.zeros((len(self.times), self.places.shape[2]), dtype=np.bool_)
+        ends[1:] |= self.seen
+        ends[:-1] |= self.seen
+        found = blur_radius(camera, self.places[:, 2][ends])
+        if not found.size or found.min() * found.max() <= 0.0:
+            return 0.0
+        return BETWEEN * float(np.abs(found).min())
+
+
+@dataclass(frozen=True)
+class Need:
+    """Time samples that the motion of an object needs.
+
+    Attributes
+    ----------
+    number : int
+        Number of the object.
+    speed : float
+        Its largest speed over the image, px per exposure of a line.
+    radius : float
+        Smallest |R| of what is seen of it, px.
+    samples : float
+    """
+
+    number: int
+    speed: float
+    radius: float
+    samples: float
+
+    def __str__(self) -> str:
+        wide = self.samples < self.speed / PIXELS_PER_SAMPLE
+        return f"{ceil(self.samples)} ({self.speed:.3g} px{f', R from {self.radius:.3g} px' if wide else ''})"
+
+
+def motion_needs(
+    scene: Scene, psf: PointSpread, maps: Maps | None = None, guard: int = 0, evened: bool = True
+) -> list[Need]:
+    """Time samples while a line is exposed that suit the motion of each object, those that need most first.
+
+    Parameters
+    ----------
+    scene : Scene
+    psf : PointSpread
+    maps : sequence of ndarray of float64 or None, optional
+        As for `clsco.plan.plan.make_plan`.
+    guard : int
+        Width in px of the band around the frame that lights it.
+    evened : bool
+        The blur of an object is that of its outline, too: what it hides appears as gradually.
+
+    Returns
+    -------
+    list of Need
+        Objects that are seen to move.
+    """
+    maps = maps or (None,) * len(scene.objects)
+    evened = evened and scene.sequence.sampling == "midpoint" and scene.lens is None
+    line = scene.sequence.shutter / (scene.sequence.shutter + scene.sequence.readout)  # part of all exposures
+    found = dict[int, Need]()
+    for frame in some_frames(scene):
+        for number, path in enumerate(image_paths(scene, maps, frame, guard)):
+            speed = line * path.speed
+            radius = path.radius(scene.camera) if evened and maps[number] is None else 0.0
+            samples = speed / PIXELS_PER_SAMPLE
+            if radius > 0.0:
+                samples = min(samples, sqrt(_chord(psf) * line * path.variation / (24.0 * radius * EDGE_ERROR)))
+            if samples > (found[number].samples if number in found else 0.0):
+                found[number] = Need(number, speed, radius, samples)
+    return sorted(found.values(), key=lambda need: -need.samples)
+
+
+@lru_cache(maxsize=16)
+def _chord(psf: PointSpread) -> float:
+    """Largest share of a lens's light that an edge along x or y passes in one radius."""
+    cells = psf.lens_cells()
+    shares = max(float(cells.sum(axis=axis).max()) for axis in (0, 1)) / float(cells.sum())
+    return shares * 0.5 * len(cells) / psf.extent
+
+
+def motion_samples(scene: Scene, needs: Sequence[Need]) -> int:
+    """Time samples, while a line is exposed, that are enough for all objects: odd, so that the middle is one of them.
+
+    A line that shares them with others takes part of the light of its first and its last share, as if it were open for
+    all of these: with LINE_SAMPLES shares, or as many that each is a tenth of a px of motion, this matters little.
+    """
+    wanted = ceil(max((need.samples for need in needs), default=1.0))
+    if scene.rolls and lines_overlap(scene):
+        own = max((need.speed for need in needs), default=0.0)
+        wanted = max(wanted, min(ceil(LINE_SAMPLES * own) + 1, LINE_SAMPLES))
+    most = max(MOST_SUBFRAMES // subframes_of(scene, 1), 1)
+    return min(wanted | 1, MOST_SAMPLES, most - 1 | 1)
+
+
+def lens_samples(scene: Scene, maps: Maps) -> int:
+    """Time samples that suit the changes of the lens while a line is exposed: one per px of the blur radius."""
+    if scene.lens is None:
+        return 1
+    w, way = seen_depths(scene, maps), 0.0
+    for frame in some_frames(scene):
+        times = np.linspace(*shutter_span(scene.sequence, frame), LENS_TIMES)
+        radii = np.array([blur_radius(camera_at(scene, time), w[w > 0]) for time in times.tolist()])
+        way = max(way, float(np.abs(np.diff(radii, axis=0)).sum(axis=0).max(initial=0.0)))
+    own = scene.sequence.shutter / (scene.sequence.shutter + scene.sequence.readout)
+    return min(ceil(way * own / PIXELS_PER_SAMPLE) | 1, MOST_SAMPLES)
+
+
+def some_frames(scene: Scene) -> list[int]:
+    """Numbers of the first, the middle and the last frame."""
+    return sorted({0, scene.sequence.frames // 2, scene.sequence.frames - 1})
+
+
+def image_paths(scene: Scene, maps: Maps, frame: int, guard: int = 0) -> list[ImagePath]:
+    """Ways of all objects over the image while the shutter of a frame is open.
+
+    Poses are taken at FIRST_STEPS + 1 times, and at twice as many while that makes a path longer: 8 for each turn or
+    swing make it 0.97 of its length, so that up to MOST_STEPS / 8 of them are seen. What is away and back within a step
+    may be missed: it has a share of 1 / FIRST_STEPS of the light at most.
+
+    Parameters
+    ----------
+    scene : Scene
+    maps : sequence of ndarray of float64 or None
+        As for `clsco.plan.plan.make_plan`.
+    frame : int
+    guard : int
+        Width in px of the band around the frame that lights it.
+
+    Returns
+    -------
+    list of ImagePath
+        One for each object, without points where it stands still.
+    """
+    opens, closes = shutter_span(scene.sequence, frame)
+
+    @cache
+    def poses(steps: int) -> list[tuple[Pose, ...]]:
+        return [poses_at(scene, opens + share * (closes - opens)) for share in _times(steps).tolist()]
+
+    def path(number: int, item: Object) -> ImagePath:
+        first = [each[number] for each in poses(FIRST_STEPS)]
+        looks = [first[k] for k in np.linspace(0, FIRST_STEPS, LOOKS).astype(np.intp).tolist()]
+        if all(map(_same(first[0]), first[1:])):
+            body = np.empty((3, 0))
+        else:
+            body = np.concatenate([_body_points(scene.camera, item, pose, maps[number]) for pose in looks], axis=1)
+        steps = FIRST_STEPS
+        while True:
+            found = _followed(scene.camera, item, body, [each[number] for each in poses(steps)], guard)
+            longest = found.longest
+            coarse = ImagePath(found.times[::2], found.places[::2], found.seen[::2] | found.seen[1::2]).longest
+            if longest <= SETTLED[0] * coarse + SETTLED[1] or steps >= MOST_STEPS:
+                return found
+            steps *= 2
+
+    return [path(number, item) for number, item in enumerate(scene.objects)]
+
+
+def _same(pose: Pose) -> Callable[[Pose], bool]:
+    """Test for another pose that is the same to the bit."""
+    return lambda other: np.array_equal(pose.rotation, other.rotation) and np.array_equal(pose.shift, other.shift)
+
+
+def _times(steps: int) -> Array:
+    """Ends of so many uneven steps from 0 to 1."""
+    k = np.arange(steps + 1, dtype=np.float64)
+    inner = (k > 0) & (k < steps)
+    return (k + inner * UNEVEN * (np.mod(k * 0.5 * (sqrt(5.0) - 1.0), 1.0) - 0.5)) / steps
+
+
+def _body_points(camera: Camera, item: Object, pose: Pose, depth: Array | None) -> Array:
+    """Points (3, n) that are seen of an object in a pose, in mm from its center in its reference pose; of a thing that
+    no ray meets the middle of the ball around it."""
+    step, (columns, rows) = ray_step(camera), camera.frame_size
+    half = 0.5 * (columns - 1) * step, 0.5 * (rows - 1) * step
+    if depth is not None:
+        x, y = _slopes(((-half[0], half[0]), (-half[1], half[1])))
+        w = np.full(x.shape, float(np.quantile(depth[depth > 0], 0.99)))  # as if all of it were near
+        middle = np.empty((3, 0))
+    else:
+        surface = place(item, pose)
+        ends = (surface.seen.x, surface.seen.y)
+        x, y = _slopes([(max(-size, low), min(size, high)) for size, (low, high) in zip(half, ends, strict=True)])
+        w = predict_inverse_depth(item, surface, x, y)
+        middle = surface.ball[:3, None] if isfinite(surface.ball[3]) else np.empty((3, 0))
+    hit = w > 0.0
+    rays = np.stack([x[hit], y[hit], np.ones(int(hit.sum()))]) / w[hit]
+    points = rays if hit.any() else middle
+    return np.asarray(pose.rotation.T @ (points - (rest_center(item) + pose.shift)[:, None]))
+
+
+def _slopes(ends: Sequence[tuple[float, float]]) -> tuple[Array, Array]:
+    """Slopes along x and y (RAYS, RAYS) of rays between those at the ends; none where these have nothing between."""
+    counts = [RAYS if low <= high else 0 for low, high in ends]
+    x, y = np.meshgrid(*(np.linspace(*both, count) for both, count in zip(ends, counts, strict=True)))
+    return x, y
+
+
+def _followed(camera: Camera, item: Object, body: Array, poses: Sequence[Pose], guard: int) -> ImagePath:
+    """Way of points `body` (3, points) of an object that takes poses one after another."""
+    turns, shifts = np.stack([pose.rotation for pose in poses]), np.stack([pose.shift for pose in poses])
+    points = turns @ body + (rest_center(item) + shifts)[:, :, None]
+    ahead = np.maximum(points[:, 2:], NEAREST)
+    xy = points[:, :2] / ahead / ray_step(camera)
+    size = 0.5 * (np.array(camera.frame_size)[:, None] - 1.0) + guard
+    near, far = np.minimum(xy[1:], xy[:-1]), np.maximum(xy[1:], xy[:-1])
+    visible = points[:, 2] > NEAREST
+    seen = ((near <= size) & (far >= -size)).all(axis=1) & visible[1:] & visible[:-1]
+    return ImagePath(_times(len(poses) - 1), np.concatenate([xy, 1.0 / ahead], axis=1), seen)
