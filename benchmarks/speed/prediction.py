@@ -61,7 +61,8 @@ OF_EXAMPLES: tuple[tuple[str, Keys], ...] = (
     ("plane_tilted", {"psf.model": "gaussian", "camera.f_number": 1}),
     ("plane_tilted", {"psf.edge": "sampled", "camera.f_number": 0.25}),
     ("plane_tilted", {"aperture.shape": "polygon", "camera.f_number": 1}), ("road", {}),
-    ("sphere", COLOR | {"camera.f_number": 0.5}), ("sphere", {"sensor": {}}), ("sphere_turning", {"sequence.samples": 3}), ("stereo", {}),
+    ("sphere", COLOR | {"camera.f_number": 0.5}), ("sphere", {"sensor": {}}),
+    ("sphere_turning", {"sequence.samples": 3}), ("stereo", {}),
     ("thesis_pipeline", {}), ("thesis_pipeline", {"sequence.samples": 25}), ("tube", {}),
 )  # fmt: skip
 WITH_TRUTH = {"cart", "lit", "stereo"}

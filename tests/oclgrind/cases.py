@@ -11,6 +11,7 @@ import random
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from importlib import import_module
 from itertools import combinations, islice
 from typing import Any
 from unittest.mock import patch
@@ -23,14 +24,21 @@ from clsco.engine.inpaint import inpaint
 from clsco.engine.sequence import render_sweep
 from clsco.errors import SceneError
 from clsco.frame.frame import ALL_TRUTH
+from clsco.frame.strips import Strip
 from clsco.inputs.textures import Texture
+from clsco.opencl.buffers import upload
 from clsco.optics.motion import Eye
+from clsco.optics.sensor import Readout, readout
 from clsco.optics.stencil import SUMMED
+from clsco.passes.blur import Plane as Plane2D
 from clsco.passes.blur import blur_features
+from clsco.passes.sensor import FrameSensor
 from clsco.passes.warp import forward_features
-from clsco.plan.buffers import ThisMachine
+from clsco.plan.buffers import ThisMachine, padded_columns
 from clsco.plan.plan import Plan, make_plan
 from clsco.plan.request import Request
+from clsco.records import flat
+from clsco.reference.sensor.sensor import sense
 from clsco.scene.model import (
     Camera,
     Cone,
@@ -46,6 +54,7 @@ from clsco.scene.model import (
     Quadric,
     Rectangle,
     Scene,
+    Sensor,
     Sphere,
     Stereo,
 )
@@ -339,6 +348,34 @@ def layers_of_long_rows() -> list[Array]:
     return [blurred_image(image, coc, psf, "scatter")]
 
 
+def sensor_cases() -> Iterator[Case]:
+    """Sensors with and without a pattern, in color and with a mosaic; rows of whole vectors and of parts of them."""
+    for number, sensor in enumerate((Sensor(prnu=0.0, dsnu=0.0), Sensor(hot_pixels=0.1), Sensor(mosaic="grbg"))):
+        for channels in (1, 3):
+            columns = (5, 16, 33)[(number + channels) % 3]
+            gpu = {"kind": "gpu"} if channels == 3 else {}
+            found = readout(Scene(objects=(FAR,), sensor=sensor), channels)
+            yield Case(f"sensor {number}, {channels} channels", gpu, partial(sensed, found, 3, columns), f"{sensor!r}")
+
+
+def sensed(known: Readout, rows: int, columns: int) -> list[Array]:
+    """Codes of light from none to twice the full well, which are those of the reference."""
+    light = (np.random.default_rng(5).random((rows, columns, known.channels)) ** 4 * 2.4).astype(np.float32)
+    session, pixels = (
+        import_module("clsco.engine.sequence").session_for("oclgrind"),
+        len(known.filters) * rows * padded_columns(columns),
+    )
+    plane = Plane2D(upload(session, flat(light, np.float32)), (known.channels, rows, columns), rows, columns)
+    code = np.zeros((rows, columns, len(known.filters)), np.uint16)
+    saturated = np.zeros(code.shape, np.bool_)
+    sensor = FrameSensor(session, known, {"code": 2 * pixels, "saturated": pixels})
+    sensor.expose(Strip(0, rows, 0, 0), plane, 3, []).read(session, code, saturated)
+    wanted, full = sense(known, light, 3)
+    assert (code == wanted).all()
+    assert (saturated == full).all()
+    return [code, saturated]
+
+
 def fault_cases() -> Iterator[Case]:
     """Cases that faults are planted in: few work-items, of which some have nothing to do."""
     rng = np.random.default_rng(7)
@@ -359,5 +396,6 @@ def fault_cases() -> Iterator[Case]:
 def all_cases() -> Iterator[Case]:
     yield from long_cases()
     yield from fault_cases()
+    yield from sensor_cases()
     for cases in (image_cases, inpainting_cases, scene_cases):
         yield from islice(cases(), 0, None, EVERY)
