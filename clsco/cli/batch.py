@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clsco.cli.options import PATH, precision_option, quiet_option, require_opencl, set_option
+from clsco.cli.options import OF_THE_IMAGE, PATH, precision_option, quiet_option, require_opencl, set_option
 from clsco.cli.output import echo
 from clsco.errors import ClscoError, SceneError
 
@@ -70,7 +70,7 @@ def _parse_arrays(text: str) -> tuple[str, ...]:
 
 def _uncolored(arrays: tuple[str, ...]) -> tuple[str, ...]:
     """Arrays without color. Raises click.UsageError where one belongs to the image, or none is left."""
-    if named := {"alpha", "subframes"}.intersection(arrays):
+    if named := OF_THE_IMAGE.intersection(arrays) - {"color"}:
         raise click.UsageError(f"--no-color: makes no image, so --truth must be without {min(named)}")
     if arrays == ("color",):
         raise click.UsageError("--no-color: needs --truth, as nothing else is written")

@@ -12,6 +12,7 @@ import click
 from clsco.cli.focus import focus_at_option, focus_depth_option, focused_files, parsed_focus
 from clsco.cli.inputs import report_inputs
 from clsco.cli.options import (
+    OF_THE_IMAGE,
     PATH,
     Computation,
     computation_options,
@@ -99,7 +100,7 @@ def require_uncolored(files: tuple[TruthFile, ...], no_color: bool) -> None:
     if no_color and not files:
         raise click.UsageError("--no-color: needs --truth, as nothing else is written")
     for file in files if no_color else ():
-        if named := [name for name in file.names if name in ("color", "alpha", "subframes")]:
+        if named := [name for name in file.names if name in OF_THE_IMAGE]:
             raise click.UsageError(f"--no-color: makes no image, so --truth must be without {named[0]}; got {file}")
 
 

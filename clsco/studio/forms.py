@@ -186,6 +186,7 @@ def panels(session: Session, index: int = 0) -> tuple[Panel, ...]:
         ("Lens over time", ("lens.",)),
         ("Fill", ("fill.",)),
         ("Light", ("light.",)),
+        ("Sensor", ("sensor.",)),
         ("Stereo", ("stereo.",)),
         ("Title and image", ("title", "image.")),
     )

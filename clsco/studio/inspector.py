@@ -48,7 +48,7 @@ def inspected(frame: Frame, scene: Scene, x: int, y: int, is_tilted: bool = Fals
     values["codes"] = _plain(encode(frame.color[y, x], min(frame.metadata["bits"], 16), scene.image.transfer))
     for name in (
         "color", "sharp", "depth", "blur_radius", "normal", "flow", "object_id", "mask", "filled", "missing", "hidden",
-        "flow_occluded", "uv",
+        "flow_occluded", "uv", "raw", "electrons", "noise_sigma", "saturated",
     ):  # fmt: skip
         array = getattr(frame, name)
         if array is not None:

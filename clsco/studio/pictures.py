@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.errors import SceneError
 from clsco.files.png import png_parts
 from clsco.files.transfer import encode
 from clsco.frame.frame import Frame
@@ -26,6 +27,8 @@ VIEWS = {
     "id": "object_id",
     "mask": "mask",
     "missing": "missing",
+    "raw": "raw",
+    "noise": "noise_sigma",
 }
 """Attributes of a frame, by what the studio calls them, in the order of the tabs."""
 
@@ -98,10 +101,13 @@ def truth_of(view: str) -> tuple[str, ...]:
 def picture_of(frame: Frame, scene: Scene, view: str, rung: int, full: tuple[int, int], seconds: float) -> Picture:
     """Encode a view of a frame.
 
-    Images are JPEG, but for EXACT the PNG that `clsco render` writes; all else is floats, for DRAGGING of 16 bits. The
-    blur radius is NaN where nothing is, which is not in focus.
+    Images are JPEG, but for EXACT the PNG that `clsco render` writes; all else is floats, for DRAGGING of 16 bits, but
+    for codes. The blur radius is NaN where nothing is, which is not in focus. Raises SceneError for a view that
+    belongs to a sensor where there is none.
     """
-    data: NDArray[Any] = getattr(frame, VIEWS[view])
+    data: NDArray[Any] | None = getattr(frame, VIEWS[view])
+    if data is None:
+        raise SceneError(f"view: {view} belongs to scenes with a sensor, which has a panel; got none")
     if view == "blur radius" and frame.mask is not None:
         data = np.where(frame.mask, data, np.nan)
     if view in IMAGES:
@@ -110,7 +116,7 @@ def picture_of(frame: Frame, scene: Scene, view: str, rung: int, full: tuple[int
         codes = encode(data, bits, scene.image.transfer)
         encoding, payload = (PNG, b"".join(png_parts(codes))) if is_exact else (JPEG, _jpeg(codes, QUALITY[rung]))
     else:
-        dtype, encoding = ("<f2", FLOAT16) if rung == DRAGGING else ("<f4", FLOAT32)
+        dtype, encoding = ("<f2", FLOAT16) if rung == DRAGGING and view != "raw" else ("<f4", FLOAT32)
         with np.errstate(over="ignore"):  # infinite in 16 bits
             payload = np.ascontiguousarray(data, dtype).tobytes()
     rows, columns = data.shape[:2]

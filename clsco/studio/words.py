@@ -31,11 +31,14 @@ LABELS_AT = {
     "camera.shake.band": "Frequencies of the shake", "camera.shake.seed": "Seed of the shake",
     "psf.model": "PSF model", "fill.method": "Filling", "stereo.baseline": "Baseline", "psf.edge": "Edge of the PSF",
     "light.direction": "Direction of the light", "light.position": "Position of the light",
-    "light.ambient": "Ambient light", "image.transfer": "Transfer curve",
+    "light.ambient": "Ambient light", "sensor.seed": "Seed of the noise",
+    "sensor.iso_base": "ISO of the full well",
+    "sensor.white_electrons": "Electrons of white", "sensor.bits": "Bits of a code", "image.transfer": "Transfer curve",
 }  # fmt: skip
 WORDS = {
     "ait": "AIT", "srgb": "sRGB", "coc": "Blur radius", "inverse_mm": "1/mm", "inverse_m": "1/m", "mm": "mm", "m": "m",
-    "mean_median": "Mean and median", "toe_in": "Toe-in", "depth_map": "Depth map",
+    "iso": "ISO", "prnu": "PRNU", "dsnu": "DSNU", "mean_median": "Mean and median", "toe_in": "Toe-in",
+    "depth_map": "Depth map",
 }  # fmt: skip
 SYMBOLS = {
     "plane.distance": "a", "plane.slope_x": "b", "plane.slope_y": "c", "cylinder.radius": "ρ", "cylinder.center": "C",
@@ -48,6 +51,7 @@ SYMBOLS = {
 COMPONENTS = {
     "resolution": ("columns", "rows"),
     "band": ("lowest", "highest"),
+    "quantum_efficiency": ("red", "green", "blue"),
     "size": ("width", "height", "depth"),
     "texture_size": ("width", "height"),
     "texture_repeats": ("across", "up"),
@@ -65,6 +69,9 @@ SLIDERS = {  # where useful values are; what is typed may be beyond
     "semi_axes": (1.0, 100.0), "axis": (-1.0, 1.0), "velocity": (-50.0, 50.0), "angular_velocity": (-90.0, 90.0),
     "frames": (1.0, 60.0), "interval": (0.01, 5.0), "shutter": (0.01, 5.0), "samples": (1.0, 64.0),
     "direction": (-1.0, 1.0), "baseline": (0.1, 100.0), "sigma_ratio": (0.1, 2.0),
+    "white_electrons": (100.0, 50000.0), "full_well": (100.0, 50000.0), "read_noise": (0.0, 20.0),
+    "dark_current": (0.0, 100.0), "prnu": (0.0, 0.05), "dsnu": (0.0, 20.0), "hot_pixels": (0.0, 0.01),
+    "iso": (50.0, 25600.0), "temperature": (-20.0, 60.0),
 }  # fmt: skip
 POINT = {"x": (-100.0, 100.0), "y": (-100.0, 100.0), "z": (50.0, 1000.0)}
 BY_UNIT = {"mm": (-100.0, 500.0), "deg": (-180.0, 180.0), "deg/s": (-90.0, 90.0), "mm/s": (-50.0, 50.0)}

@@ -87,6 +87,18 @@
     }),
     mask: (values, width, height) => ({ data: each(width, height, (at) => (values[at] ? [255, 255, 255] : [0, 0, 0])) }),
     missing: (values, width, height) => ({ data: each(width, height, (at) => (values[at] ? [255, 255, 255] : [0, 0, 0])) }),
+    raw: (values, width, height) => {
+      const [least, most] = extremes(values), channels = values.length / (width * height), gray = (t) => [255 * t, 255 * t, 255 * t];
+      const code = (at, k) => 255 * (values[channels * at + (k % channels)] - least) / (most - least || 1);
+      const data = each(width, height, (at) => [code(at, 0), code(at, 1), code(at, 2)]);
+      return { data, legend: { least: `${least} DN`, most: `${most} DN`, about: "codes of the sensor; of a mosaic one for each pixel", color: gray } };
+    },
+    noise: (values, width, height) => {
+      const [least, most] = extremes(values), channels = values.length / (width * height), span = (LEVELS - 1) / (most - least || 1);
+      const data = each(width, height, (at) => VIRIDIS[Math.round((values[channels * at + (channels > 1 ? 1 : 0)] - least) * span)]);
+      const about = "standard deviation of the noise, in color that of green";
+      return { data, legend: { least: `${short(least)} e−`, most: `${short(most)} e−`, about, color: viridis } };
+    },
   };
 
   window.studioColors = (view, values, width, height) => VIEWS[view](values, width, height);

@@ -25,6 +25,8 @@
     ["flow", "Flow to the next frame", "px"], ["object", "Object", ""], ["object_id", "Object number", ""],
     ["missing", "Missing before filling", ""], ["hidden", "Hidden in the reference pose", ""],
     ["flow_occluded", "Hidden in the next frame", ""], ["uv", "Place in the texture", ""],
+    ["raw", "Codes of the sensor", "DN"], ["electrons", "Electrons without noise", "e−"],
+    ["noise_sigma", "Standard deviation of the noise", "e−"], ["saturated", "Saturated", ""],
   ];
 
   studio.inspected = ({ values, psf, lens, unmeasured, seconds }) => {

@@ -6,7 +6,7 @@
   const HEAD = 20; // bytes before the pixels
   const EXACT = 2, PINNED = 3, STACKED = 4; // 0: while something is dragged; from PINNED on: to compare with
   const MESSAGE = 0, JPEG = 1, PNG = 2, FLOAT16 = 3;
-  const VIEWS = ["color", "sharp", "depth", "blur radius", "flow", "normal", "id", "mask", "missing"];
+  const VIEWS = ["color", "sharp", "depth", "blur radius", "flow", "normal", "id", "mask", "missing", "raw", "noise"];
   const ECHO = 300; // ms in which the server answers a change
   const NUMBERS_FROM = 24; // CSS px per pixel of the image
   const one = (selector) => document.querySelector(selector);
