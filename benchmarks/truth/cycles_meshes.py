@@ -37,15 +37,19 @@ class Cycles:
         As `benchmarks.truth.mitsuba_meshes.render`.
     threads : int
         Number that the renderer has.
+    exposed : float, optional
+        Share of the shutter that each row is open for, by default all of it. Rows open one after another from the top;
+        row i is in the middle of its exposure at ((i + 1) / rows - 1/2) (1 - exposed) + 1/2 of the shutter.
     """
 
-    def __init__(self, python: Path, camera: Any, meshes: Sequence[Any], threads: int) -> None:
+    def __init__(self, python: Path, camera: Any, meshes: Sequence[Any], threads: int, exposed: float = 1.0) -> None:
         self._folder = tempfile.TemporaryDirectory()
         folder = Path(self._folder.name)
         focus = 1.0 / (1.0 / camera.focal_length - 1.0 / camera.sensor_distance)
         described = {
             "size": camera.resolution, "lens": camera.normalization_distance, "focus": focus, "threads": threads,
             "width": camera.resolution[0] * camera.pixel_pitch, "aperture": camera.aperture_diameter,
+            "exposed": exposed,
             "meshes": [{"wrap": mesh.wrap, "nearest": mesh.nearest, "moves": mesh.moves} for mesh in meshes],
         }  # fmt: skip
         (folder / "scene.json").write_text(json.dumps(described), "utf-8")
@@ -117,6 +121,8 @@ def set_up(bpy: Any, folder: Path, described: dict[str, Any]) -> None:
     cycles.pixel_filter_type, cycles.filter_width = "BOX", 1.0
     render.use_motion_blur = any(mesh["moves"] for mesh in described["meshes"])
     render.motion_blur_shutter, render.motion_blur_position = 1.0, "START"
+    if described["exposed"] < 1.0:
+        cycles.rolling_shutter_type, cycles.rolling_shutter_duration = "TOP", described["exposed"]
     data = bpy.data.cameras.new("camera")
     camera = bpy.data.objects.new("camera", data)
     scene.collection.objects.link(camera)

@@ -61,7 +61,8 @@ def views(frames: Sequence[Frame]) -> dict[str, Picture]:
         round(float(limit), 1) + 0.0 for limit in (frame.blur_radius[seen].min(), frame.blur_radius[seen].max())
     )
     bound = max(abs(least), abs(most), 1e-6)
-    longest = float(np.linalg.norm(frame.flow[seen], axis=-1).max())
+    lengths = np.linalg.norm(frame.flow[seen], axis=-1)
+    longest = float(lengths[np.isfinite(lengths)].max(initial=0.0))
     depth = scaled(np.where(seen, frame.depth, far), near, far, SEQUENTIAL)
     maps = {f"depth, {near:.0f} to {far:.0f} mm": depth}
     if frame.disparity is not None and frame.occluded is not None:

@@ -18,6 +18,7 @@ EXAMPLES = {
     "cylinder_turning": "cylinder coming nearer, turning",
     "card": "card with edges, turning",
     "road": "road from a moving car",
+    "rolling_fan": "fan under a rolling shutter",
     "occlusion_near_sphere": "near sphere before a far plane",
     "occlusion_three": "three objects, the column in focus",
     "depth_map": "image with a depth map",

@@ -28,6 +28,8 @@ SMALL = ("camera.resolution=[96, 64]", "camera.pixel_pitch=0.05", "camera.apertu
 SMALL_MAP = ("camera.pixel_pitch=0.08", "camera.aperture_diameter=20.0")
 # Where things hide each other, half the blur: the reference looks at every tap.
 SMALL_SEVERAL = (*SMALL[:2], "camera.aperture_diameter=20.0")
+# A few sub-frames, which take the reference seconds each.
+BRIEF = dict.fromkeys(("rolling_fan", "rolling_train"), ("sequence.readout=0.004", "sequence.samples=1"))
 # What takes the reference many seconds, and is looked at in parts by tests/pipeline/test_occlusion.py.
 LONG = {
     f"occlusion_{stem}"
@@ -70,6 +72,7 @@ LONG |= {
     "fig_3_08_right",
 }
 LONG |= {"fig_3_15_right", "fig_4_17", "fig_4_19"}
+LONG |= {"rolling_fan", "rolling_train"}  # see tests/pipeline/test_rolling_shutter.py and test_line_truth.py
 LONG |= {"background"}  # see tests/pipeline/test_background.py
 LONG |= {"night"}  # see tests/pipeline/test_sensor.py
 LONG |= {"disc"}  # see tests/pipeline/test_rotated.py
@@ -98,7 +101,8 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Small:
     def load(path: Path) -> Scene:
         if path.stem != "depth_map":
             several = path.read_text("utf-8").count("[[object]]") > 1
-            scene = load_sweep(path, SMALL_SEVERAL if several else SMALL).scenes[0]
+            keys = (*(SMALL_SEVERAL if several else SMALL), *BRIEF.get(path.stem, ()))
+            scene = load_sweep(path, keys).scenes[0]
             return scene.model_copy(update={"sensor": None})  # whose codes depend on the last digit of the light
         (item,) = clsco.load_scene(path).objects
         assert isinstance(item, DepthMap)
