@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from clsco.scene.model import Scene
+from clsco.constants import BAND
+from clsco.optics.exposure import subframes_of
+from clsco.scene.model import Scene, Sequence
 
 BUDGET = 0.030  # s
 EIGHTHS = 8  # of the full width and height
 MOST_SAMPLES = 3
+ROLLING_SHARES = 16  # of the readout, of which a row is open for one at least
 LEAST = 5  # eighths; where fewer come in time, occlusion is left out
 FIXED = 30_000.0  # pixels whose time a picture takes besides that of its own
 _WEIGHT = 0.4  # of the latest measurement
@@ -78,8 +81,14 @@ class Ladders:
 
 
 def work_of(scene: Scene, size: tuple[int, int]) -> float:
-    """Pixels times time samples of a preview of full size."""
-    return size[0] * size[1] * (_preview_samples(scene) if scene.moves else 1)
+    """Pixels times time samples of a preview of full size, each in the rows that are exposed then."""
+    known = _preview_sequence(scene)
+    if not scene.rolls:
+        return size[0] * size[1] * (int(known.samples) if scene.moves else 1)
+    camera = scene.camera.model_copy(update={"resolution": size})
+    subframes = subframes_of(scene.model_copy(update={"camera": camera, "sequence": known}), int(known.samples))
+    rows = size[1] * known.shutter / (known.shutter + known.readout) + BAND
+    return subframes * size[0] * (size[1] if known.by_columns else min(rows, size[1]))
 
 
 def coarser(scene: Scene, size: tuple[int, int], eighths: int, is_plain: bool = False) -> Scene:
@@ -98,12 +107,13 @@ def coarser(scene: Scene, size: tuple[int, int], eighths: int, is_plain: bool = 
     Returns
     -------
     Scene
-        With one source per pixel at silhouettes, and few time samples.
+        With one source per pixel at silhouettes, and few time samples: with a rolling shutter one while a row is open,
+        each for a part of the readout at least.
     """
     left_out = {"silhouette_samples": 1} | ({"occlusion": "none"} if is_plain else {})
     changes: dict[str, object] = {"psf": scene.psf.model_copy(update=left_out)}
     if scene.moves:
-        changes["sequence"] = scene.sequence.model_copy(update={"samples": _preview_samples(scene)})
+        changes["sequence"] = _preview_sequence(scene)
     if scene.is_analytic and eighths < EIGHTHS:
         columns, rows = (max(side * eighths // EIGHTHS, 1) for side in size)
         pitch = scene.camera.pixel_pitch * size[0] / columns
@@ -122,6 +132,9 @@ def unblurred(scene: Scene) -> Scene:
     return scene.model_copy(update={"psf": psf, "camera": camera, "sequence": sequence})
 
 
-def _preview_samples(scene: Scene) -> int:
-    samples = scene.sequence.samples
-    return min(samples, MOST_SAMPLES) if isinstance(samples, int) else MOST_SAMPLES
+def _preview_sequence(scene: Scene) -> Sequence:
+    """The sequence with few time samples."""
+    known = scene.sequence
+    few = min(known.samples, MOST_SAMPLES) if isinstance(known.samples, int) else MOST_SAMPLES
+    rolling = {"samples": 1, "shutter": max(known.shutter, known.readout / ROLLING_SHARES)}
+    return known.model_copy(update=rolling if scene.rolls else {"samples": few})

@@ -182,6 +182,8 @@ def _select(shown: Field, value: Any, box: str) -> None:
             say("option", "by default", value="", selected=value is None or None)
         for option, label in shown.choices:
             say("option", label, value=option, selected=True if option == value else None)
+        if isinstance(value, list):  # weights of a shutter curve, which a file gives
+            say("option", _brief(value), value="", selected=True, disabled=True)
 
 
 def _text(session: Session, shown: Field, value: Any, box: str) -> None:
