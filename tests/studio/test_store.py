@@ -62,6 +62,19 @@ def elsewhere(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("elsewhere")
 
 
+def test_keyframes_are_opened_shown_and_saved_as_they_were(session: Session) -> None:
+    text = (EXAMPLES / "hand_held.toml").read_text("utf-8")
+    (session.folder / "held.toml").write_text(text)
+    session.open(Path("held.toml"))
+    assert session.shown("object.0.motion.keyframe.1.position") == [1.0, 1.5, 0.0]
+    session.save()
+    assert (session.folder / "held.toml").read_text("utf-8") == text
+    assert session.patch("object.0.motion.keyframe.1.position.1", 2.5)
+    session.save()
+    again = (session.folder / "held.toml").read_text("utf-8")
+    assert again == text.replace("position = [1.0, 1.5, 0.0]", "position = [1.0, 2.5, 0.0]")
+
+
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
 def test_examples_come_back_from_a_link_and_from_a_file(tmp_path: Path, path: Path) -> None:
     session = Session(EXAMPLES)
