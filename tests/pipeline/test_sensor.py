@@ -222,3 +222,18 @@ def test_codes_of_a_scene_without_a_sensor_are_refused(tmp_path: Path) -> None:
     found = CliRunner().invoke(main, ["render", str(scene), "-o", str(tmp_path / "out"), "--truth", "png"])
     assert found.exit_code == 1
     assert "--truth: the scene must have raw; got png" in found.output
+
+
+@pytest.mark.parametrize("scan", ["top_to_bottom", "left_to_right"])
+def test_a_rolling_shutter_is_read_out_once(scan: str) -> None:
+    """Each line has its own light, which the sensor counts when all time samples are added."""
+    sequence = {"samples": 7, "interval": 2.0, "shutter": 0.5, "readout": 0.5, "scan": scan}
+    data = {"object": [MOVING, WALL], "camera": CAMERA, "sequence": sequence, "sensor": {}}
+    scene = parse_scene(data)
+    frame = clsco.render_frame(scene, truth="raw")
+    (plain,) = light_of(scene)
+    raw, _ = sense(readout(scene, 3), plain.color, camera_word(0, "left"))
+    np.testing.assert_array_equal(frame.raw, raw)
+    (parts,) = clsco.render(scene, truth="raw", memory="3MiB")
+    assert parts.metadata["strips"] > 1
+    np.testing.assert_array_equal(parts.raw, raw)
