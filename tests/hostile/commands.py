@@ -139,7 +139,7 @@ TABLE: Table = (
     ("plan good.toml --memory {0}", NO_SIZES, 2, "--memory"),
     ("render good.toml -o out --frames {0}", NO_SPANS[1:], 2, "--frames"),
     ("render good.toml -o out --frames {0}", OUTSIDE_SPANS, 1, "--frames"),
-    ("render good.toml -o out --truth {0}", ("x", "npz;exr", "npz, exr", "NPZ", ",", "npz,", "tiff"), 2, "--truth"),
+    ("render good.toml -o out --truth {0}", ("x", "npz;exr", "npz, exr", "NPZ", ",", "npz,", "tif"), 2, "--truth"),
     ("thesis -o out --only {0}", ("", "x", "4", "4.1", "4.14 ", "é", "9" * 5000), 2, "--only"),
     ("render good.toml -o out --precision {0}", ("", "half", "Double", "64"), 2, "--precision"),
     ("render good.toml -o out --method {0}", ("auto", "gather"), 2, "--method"),

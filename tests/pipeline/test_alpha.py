@@ -84,7 +84,7 @@ def test_it_is_asked_for_by_name() -> None:
     assert frame.mask is None
     assert frame.alpha is not None
     np.testing.assert_array_equal(exr_channels(frame.arrays())["A"], frame.alpha)
-    with pytest.raises(clsco.SceneError, match=r"truth: must be .*, occluded, alpha, subframes; got 'alfa'"):
+    with pytest.raises(clsco.SceneError, match=r"truth: must be .*, saturated, alpha, subframes; got 'alfa'"):
         frames_of(scene(BALL), "alfa")
 
 
