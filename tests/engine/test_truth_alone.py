@@ -100,7 +100,8 @@ def test_a_frame_without_color_says_so(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("truth", ["alpha", ("depth", "subframes"), ()])
 def test_what_belongs_to_the_image_needs_it(truth: Any) -> None:
-    with pytest.raises(clsco.SceneError, match="color: must be True for the image, what a sensor gives, alpha and subframes; got False"):
+    of_the_image = "the image, what a sensor gives, alpha and subframes"
+    with pytest.raises(clsco.SceneError, match=f"color: must be True for {of_the_image}; got False"):
         clsco.render(clsco.parse_scene(ONE), truth=truth, color=False)
 
 
