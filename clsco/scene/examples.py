@@ -19,6 +19,7 @@ EXAMPLES = {
     "card": "card with edges, turning",
     "road": "road from a moving car",
     "rolling_fan": "fan under a rolling shutter",
+    "night": "ball at night, by a sensor",
     "occlusion_near_sphere": "near sphere before a far plane",
     "occlusion_three": "three objects, the column in focus",
     "depth_map": "image with a depth map",
