@@ -54,6 +54,7 @@ LENS_CELLS = 8  # cells of the lens per half axis, where it is tested on a grid 
 # Tables of weights (kernels/common/psf.clh, kernels/blur/cpu).
 TAP_LANES = 8  # floats in a vector of taps; rows of weights fill whole ones
 POWERS = 4  # coefficients of a weight, a cubic in the position in its interval
+TABLE_STEPS = 48  # intervals per octave of the radius, at least: the longest is so small a part of it
 # Floats in the widest vector; intervals of which a kernel reads the coefficients of a tap together, from every
 # TAP_LANES-th one on.
 WIDE_LANES = 16

@@ -9,18 +9,18 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.constants import POWERS, TAP_LANES
+from clsco.constants import POWERS, TABLE_STEPS, TAP_LANES
 from clsco.optics.point_spread import MINIMUM_BLUR, PointSpread
 
 Array = NDArray[np.float64]
 Widths = TypeVar("Widths", int, NDArray[np.int64])
 
-# Intervals of the tables: so many per octave of the radius and an offset (`octaves_from`), so that they grow with it.
-# The weight of a point source has a kink of order 3/2 where its circle touches a pixel's edge, first at R = 1/8 px, and
-# that of a Gaussian a corner where its cut does; the area forms have these in every weight of a frame.
+# Intervals of the tables: TABLE_STEPS or more per octave of the radius and an offset (`octaves_from`), so that they
+# grow with it. The weight of a point source has a kink of order 3/2 where its circle touches a pixel's edge, first at
+# R = 1/8 px, and that of a Gaussian a corner where its cut does; the area forms have these in every weight of a frame.
 # tests/optics/test_point_spread.py bounds what interpolation adds to a PSF, tests/kernels/test_blur.py to a frame.
-OFFSET, STEPS, AREA_STEPS = 0.125, 48, 128
-GAUSSIAN_STEPS = 64  # a power of 2: octaves are divided where the corners are, up to an extent of 2 STEPS offsets
+OFFSET, AREA_STEPS = 0.125, 128
+GAUSSIAN_STEPS = 64  # a power of 2: octaves are divided where the corners are, up to an extent of 2 TABLE_STEPS offsets
 # A sampled Gaussian changes fastest at few taps: so many intervals per unit of dx^2 + dy^2 up to so many units.
 FINE_STEPS, FINE_UNTIL = 16, 16
 # Chebyshev points of [0, 1]: near the best cubic, and never on a jump of a sampled PSF.
@@ -38,7 +38,7 @@ def table_steps(psf: PointSpread, subpixel: bool) -> int:
     """Intervals per octave of a table that is indexed by the radius."""
     if psf.edge == "area" and not subpixel:
         return AREA_STEPS
-    return GAUSSIAN_STEPS if psf.alignment else STEPS
+    return GAUSSIAN_STEPS if psf.alignment else TABLE_STEPS
 
 
 def octaves_from(psf: PointSpread) -> float:

@@ -39,6 +39,7 @@ WITHOUT_TWIN = {
     "convolve": dict.fromkeys(("sum_down", "sum_across"), "sums over rectangles, of which the reference has no need"),
     "estimate": {"use_neighbors": "counts them, as the reference does where it needs to"},
     "sources": dict.fromkeys(("get_source", "put_source"), "where the planes of a record are"),
+    "occluder": dict.fromkeys(("limited_part", "inside_outline"), "a part of occluded_part"),
     "visibility_test": {
         "shared_cells": "free_share, which the device shortens where no two edges meet",
         "move_inwards": "the first lines of tap_share",
@@ -98,7 +99,7 @@ WITHOUT_TWIN = {
     "blocks": dict.fromkeys(
         (
             *("least_of_corners", "most_of_corners", "add_conics", "find_conics", "sign_around"),
-            *("classify_limited", "classify_blocks"),
+            *("classify_limited", "classify_blocks", "edges_in_block", "share_of_edges"),
         ),
         "finds out which taps need a test at all",
     ),
@@ -114,6 +115,7 @@ RECORDS = {"points": ["ray", "w"], "texture": ["texture", "map"]}
 ON_THE_DEVICE = {"bounds", "texture_filter"}  # in surface_t, and a feature
 # Functions that take other things than their twins, and why.
 OTHERWISE = {
+    "crossing_part": "the device is told which conditions may decide on part of a cell",
     "quarter_discriminant": "A and B are needed as well, and linear terms seldom",
     "table_coordinate": "psf_t has the range of the table",
     "hides_all": "conditions of an occluder_t are dropped in place",

@@ -51,7 +51,7 @@ __kernel void meet(const lens_t lens, __constant surface_t *surfaces, const real
 }
 """
 # Of a occluder_t, in the order of the struct.
-FIELDS = {"h": 3, "root": 1, "f": 5, "slack": 1, "limits": 1, "crossings": 1}
+FIELDS = {"h": 3, "root": 1, "f": 5, "slack": 1, "rim": 1, "limits": 1, "crossings": 1}
 FIELDS |= {"b": 3, "f0": 1, "c": 6, "d": 6, "soft": 1, "limit": 28}
 CAMERA = Camera(resolution=(144, 120), pixel_pitch=0.04, aperture_diameter=25.0, focus_distance=250.0)
 LENS = Lens.of(CAMERA)
@@ -259,10 +259,11 @@ def test_any_surface_before_any_point(session: Session, run_source: Runner, psf:
     # Twice what a root that is bent as it is at the source leaves of a chord over all taps of a vector, and 1.
     twice = np.concatenate([at[(occluder.crossings == 2) & (occluder.root > 1e-20)] for at, occluder in met.occluders])
     twice = twice[met.state[twice] == PARTLY]
-    found = {name: met.fields[name][twice].astype(np.float64) for name in ("root", "f", "slack")}
+    found = {name: met.fields[name][twice].astype(np.float64) for name in ("root", "f", "slack", "rim")}
     root = found["root"][:, 0]
     bend = np.abs(found["f"][:, 2:]).sum(axis=1) + (found["f"][:, :2] ** 2).sum(axis=1) / (4 * root**2)
-    assert_close(found["slack"][:, 0], 2 * bend / root * (64 if gather else 1) / 4 + 1, 5 * FLOAT)
+    assert_close(found["slack"][:, 0], 2 * bend / root * (64 if gather else 1) / 4, 5 * FLOAT)
+    assert (found["rim"] == 1).all()
 
 
 def test_near_bounds_in_single_precision(session: Session, run_source: Runner) -> None:

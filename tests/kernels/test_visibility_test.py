@@ -20,10 +20,11 @@ Array = NDArray[Any]
 Runner = Callable[..., None]
 FEATURES = {"OCCLUDED": 2, "LIMITED": 1, "GATHER": 1}
 ALONG = """
-// States of seven blocks of taps from place (x, y) on: 0 hidden, 1 free, else 1/2. counts: occluders; per occluder
-// limits and crossings.
-// height: per occluder base, bx, by, slack; limit: per occluder seven of (constant, x, y).
-__kernel void say_along(const int rows, __global const float2 *place, __global const int *counts,
+// States of seven blocks of taps from place (x, y) on: 0 hidden, 1 free, else 1/2. unmoved: the first and the last
+// block whose taps the rim does not move. counts: occluders; per occluder limits and crossings.
+// height: per occluder base, bx, by, slack, rim; limit: per occluder seven of (constant, x, y).
+__kernel void say_along(const int rows, __global const float2 *place, __global const int2 *unmoved,
+                        __global const int *counts,
                         __global const float *height, __global const float *limit, __global float *state)
 {
     const int i = get_global_id(0);
@@ -37,8 +38,8 @@ __kernel void say_along(const int rows, __global const float2 *place, __global c
     visibility->count = counts[5 * i];
     for (int k = 0; k < 2; ++k) {
         occluder_t *m = visibility->occluder + k;
-        __global const float *h = height + 4 * (2 * i + k);
-        m->base = h[0], m->bx = h[1], m->by = h[2], m->slack = h[3];
+        __global const float *h = height + 5 * (2 * i + k);
+        m->base = h[0], m->bx = h[1], m->by = h[2], m->slack = h[3], m->rim = h[4];
         m->root = m->fx = m->fy = m->fxx = m->fxy = m->fyy = 0;
         m->limits = counts[5 * i + 1 + 2 * k], m->crossings = counts[5 * i + 2 + 2 * k];
         for (int n = 0; n < 7; ++n)
@@ -46,7 +47,7 @@ __kernel void say_along(const int rows, __global const float2 *place, __global c
                 m->limit[n][c] = limit[3 * (7 * (2 * i + k) + n) + c];
     }
     conics_t conics[OCCLUDED];
-    const blocks_t blocks = classify_blocks(visibility, place[i].x, place[i].y, 7, conics);
+    const blocks_t blocks = classify_blocks(visibility, place[i].x, place[i].y, 7, unmoved[i].x, unmoved[i].y, conics);
     for (int n = 0; n < 7; ++n)
         state[8 * i + n] = blocks.hidden >> n & 1 ? 0 : blocks.free >> n & 1 ? 1 : 0.5f;
 }
@@ -79,8 +80,8 @@ def test_blocks_are_decided_where_all_of_them_is_clear_or_hidden(session: Sessio
     """A row of seven blocks of 8 x 8 taps: 0 where one occluder hides all of it, 1 where none hides any, else between.
 
     A block goes from half a px before its first tap to half a px behind its last, along both axes. Of a card, it is
-    hidden where all limits are 1.5 widths of the soft edge away at its corners, and clear where any is: half of the
-    edge, and one for what the rim does to taps. Others have the latter in their slack.
+    hidden where all limits are half a width of the soft edge away at its corners, and clear where any is; others have a
+    slack besides. What the rim may do to taps is one width, or what others say.
     """
     rng, count = np.random.default_rng(5), 300
     place = rng.uniform([-20, -6], [4, 6], (count, 2)).astype(np.float32)
@@ -93,12 +94,14 @@ def test_blocks_are_decided_where_all_of_them_is_clear_or_hidden(session: Sessio
     edges[: count // 8, ..., 1:] = 0
     edges[: count // 8, ..., 0] *= 0.4
     height = edges[..., 6, :] - np.array([4, 0, 0])
-    slack = rng.uniform(0, 2, (count, 2, 1))
+    slack, rim = rng.uniform(0, 2, (2, count, 2, 1))
+    unmoved = rng.integers([-1, 2], [4, 8], (count, 2))
     state = empty(session, 4 * 8 * count)
     run_source(
         ALONG, "say_along", "double", FEATURES, count, np.int32(count), place,
+        unmoved.astype(np.int32),
         np.stack([occluders, limits[:, 0], crossings[:, 0], limits[:, 1], crossings[:, 1]], axis=-1).astype(np.int32),
-        np.concatenate([height, slack], axis=-1).astype(np.float32), edges.astype(np.float32), state,
+        np.concatenate([height, slack, rim], axis=-1).astype(np.float32), edges.astype(np.float32), state,
     )  # fmt: skip
     found = download(session, state, (count, 8), np.float32)[:, :7]
 
@@ -108,11 +111,15 @@ def test_blocks_are_decided_where_all_of_them_is_clear_or_hidden(session: Sessio
     part = edges[:, None]
     g = part[..., 0] + part[..., 1] * both + part[..., 2] * y  # (corners, rows, blocks, occluders, limits)
     there = np.arange(7) < limits[:, None, :, None]
-    card_hides = ((g.min(axis=0) >= 1.5) | ~there).all(axis=-1)
-    card_clears = ((g.max(axis=0) <= -1.5) & there).any(axis=-1)
+    block = np.arange(7)
+    moved = ((block < unmoved[:, :1]) | (block > unmoved[:, 1:]))[..., None]  # (rows, blocks, 1)
+    least = 0.5 + moved[..., None]
+    card_hides = ((g.min(axis=0) >= least) | ~there).all(axis=-1)
+    card_clears = ((g.max(axis=0) <= -least) & there).any(axis=-1)
     h = height[:, None, :, 0] + height[:, None, :, 1] * both[..., 0] + height[:, None, :, 2] * y[..., 0]
-    low, high = h.min(axis=0) - slack[:, None, :, 0], h.max(axis=0) + slack[:, None, :, 0]
-    assert min(np.abs(np.abs(g) - 1.5).min(), np.abs(low - 0.5).min(), np.abs(high + 0.5).min()) > 1e-5  # no ties
+    reach = slack[:, None, :, 0] + moved * rim[:, None, :, 0]
+    low, high = h.min(axis=0) - reach, h.max(axis=0) + reach
+    assert min(np.abs(np.abs(g) - least).min(), np.abs(low - 0.5).min(), np.abs(high + 0.5).min()) > 1e-5  # no ties
     whole, card = (np.broadcast_to((kind == name)[:, None], low.shape) for name in ("whole", "card"))
     hidden = (whole & (low >= 0.5)) | (card & card_hides)
     clear = (whole & (high <= -0.5)) | (card & card_clears)
