@@ -150,6 +150,8 @@ def _steep(radius: Array) -> tuple[Indices, Indices]:
 
 def _edges(radius: Array, stored: Array, line: Indices, column: Indices, top: int) -> _Edges:
     """Edges of lines from number `top` on that are steepest at places."""
+    between = _between_flat(stored, line, column)
+    line, column = line[between], column[between]
     near = _steps(stored, line, column, 2)
     near /= near[:, 2:3].copy()
     some = (np.abs(near[:, 1]) < 1) & (np.abs(near[:, 3]) <= 1) & (near >= -FLAT).all(axis=1)
@@ -170,6 +172,19 @@ def _edges(radius: Array, stored: Array, line: Indices, column: Indices, top: in
     begin, end = (_surface(radius, stored, line, *ends) for ends in ((first, last, -1), (last, first, 1)))
     found = _Edges(line + top, first, count, step, begin[0], end[0], begin[1], end[1], begin[2], end[2])
     return found[np.abs(found.end - found.begin) >= LEAST_STEP]
+
+
+def _between_flat(stored: Array, line: Indices, column: Indices) -> NDArray[np.bool_]:
+    """Mark places with a step in reach on either side that may be of a surface: on ramps there is none, and looking at
+    all steps around each place takes long."""
+    size = np.zeros((len(stored), stored.shape[1] - 1 + 2 * REACH))  # of the steps, 0 beyond the border
+    np.abs(stored[:, 1:] - stored[:, :-1], out=size[:, REACH:-REACH])
+    least, length = size, 1  # of so many steps, from each on
+    while length < REACH:
+        way = min(length, REACH - length)
+        least, length = np.fmin(least[:, :-way], least[:, way:]), length + way
+    flat = FLAT * (1.0 + 1e-12) * size[line, column + REACH]
+    return np.asarray((least[line, column] <= flat) & (least[line, column + REACH + 1] <= flat))
 
 
 def _steps(stored: Array, line: Indices, column: Indices, reach: int) -> Array:
