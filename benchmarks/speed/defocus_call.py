@@ -10,7 +10,6 @@ Medians of processor time of interleaved calls, ns per pixel. The old version's 
 from __future__ import annotations
 
 import argparse
-import inspect
 import subprocess
 import sys
 import time
@@ -27,8 +26,6 @@ import clsco
 
 CASES = ((2048, 2.0), (2048, 6.0), (1024, 20.0), (1024, 60.0))
 PSF = {"model": "pillbox", "edge": "sampled", "tilt": False, "occlusion": "none"}
-# As the scatter; what old versions have without asking.
-BLACK: Any = {"outside": "black"} if "outside" in inspect.signature(clsco.defocus).parameters else {}
 
 
 def main() -> None:
@@ -56,9 +53,10 @@ def main() -> None:
 def row(side: int, radius: float, repetitions: int, old: subprocess.Popen[str] | None) -> None:
     """Measure one case, and print it."""
     image, radii = given(side, radius)
+    options: Any = as_the_scatter()
     calls: dict[str, Callable[[], float]] = {
         "numba": lambda: spent(lambda: scatter()(image, radii)),
-        "new": lambda: spent(lambda: clsco.defocus(image, radii, PSF, **BLACK)),
+        "new": lambda: spent(lambda: clsco.defocus(image, radii, PSF, **options)),
     }
     if old is not None:
         calls["old"] = lambda: asked(old, side, radius)
@@ -84,6 +82,17 @@ def given(side: int, largest: float) -> tuple[NDArray[np.float32], NDArray[np.fl
     return np.random.default_rng(0).random((side, side), np.float32), radii.astype(np.float32)
 
 
+def as_the_scatter() -> dict[str, str]:
+    """Options of `clsco.defocus` that old versions have without being asked."""
+    options: Any
+    options, nothing = {"outside": "black", "soft_edges": "keep"}, np.zeros((2, 2), np.float32)
+    try:
+        clsco.defocus(nothing, nothing, **options)
+    except TypeError:
+        return {}
+    return options
+
+
 def spent(call: Callable[[], Any]) -> float:
     """Processor time of a call in s."""
     before = time.process_time()
@@ -94,11 +103,12 @@ def spent(call: Callable[[], Any]) -> float:
 def serve() -> None:
     """Measure what is asked for on stdin: side and radius of each call."""
     arrays: dict[str, Any] = {}
+    options: Any = as_the_scatter()
     for line in sys.stdin:
         if line not in arrays:
             side, radius = line.split()
             arrays = {line: given(int(side), float(radius))}
-        print(spent(partial(clsco.defocus, *arrays[line], PSF, **BLACK)), flush=True)
+        print(spent(partial(clsco.defocus, *arrays[line], PSF, **options)), flush=True)
 
 
 def asked(worker: subprocess.Popen[str], side: int, radius: float) -> float:
