@@ -32,11 +32,15 @@ def test_every_number_has_a_unit_or_needs_none(shape: str) -> None:
     sections = {"psf": {"model": "gaussian"}, "stereo": stereo}
     if shape != "depth_map":
         sections["light"] = {"position": [1.0, 2.0, 3.0]}
+    sections["sensor"] = {"iso": 200.0}
     scene = parse_scene({"object": [item], **sections})
     found = units(scene)
     without = {"camera.f_number", "sequence.frames", "sequence.samples", "psf.silhouette_samples"}
     without |= {"psf.sigma_ratio", "psf.truncation", "object[0].coefficients", "object[0].axis", "object[0].scale"}
     without |= {"light.ambient"}
+    without |= {
+        f"sensor.{key}" for key in ("prnu", "hot_pixels", "bits", "iso", "iso_base", "quantum_efficiency", "seed")
+    }
     numbers: set[str] = set()
 
     def walk(place: str, value: Any) -> None:
@@ -55,6 +59,7 @@ def test_every_number_has_a_unit_or_needs_none(shape: str) -> None:
     assert found["object[0].motion.angular_velocity"] == found["camera.motion.angular_velocity"] == "deg/s"
     assert (found["stereo.baseline"], found["stereo.toe_in"]) == ("mm", "deg")
     assert found.get("light.position", "mm") == "mm"
+    assert [found[f"sensor.{key}"] for key in ("full_well", "dark_current", "temperature")] == ["e-", "e-/s", "degC"]
     assert without & set(found) == set()
 
 
