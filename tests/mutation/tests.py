@@ -22,7 +22,10 @@ MOST_CASES = 6  # of the simulator, the quickest that see a mutant
 TESTS = {
     "clsco/optics/lens.py": "optics/test_lens plan/test_plan reference/test_geometry",
     "clsco/optics/exposure.py": "optics/test_exposure plan/test_plan plan/test_predict plan/test_approximation",
-    "clsco/optics/motion.py": "optics/test_motion optics/test_quadrics plan/test_plan reference/test_geometry",
+    "clsco/optics/motion.py": "optics/test_motion optics/test_shake optics/test_quadrics plan/test_plan "
+    "reference/test_geometry",
+    "clsco/optics/keyframes.py": "optics/test_keyframes",
+    "clsco/optics/lens_path.py": "optics/test_lens_path pipeline/test_lens_path",
     "clsco/plan/plan.py": "plan/test_plan plan/test_predict plan/test_structure plan/test_memory "
     "engine/test_allocation pipeline/test_strips pipeline/test_scenes",
     "clsco/plan/image_motion.py": "plan/test_image_motion",
