@@ -306,6 +306,7 @@ def test_schema_documents_every_key() -> None:
     assert list(schema["properties"]) == [
         "title",
         "camera",
+        "lens",
         "aperture",
         "psf",
         "sequence",
