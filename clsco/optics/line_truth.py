@@ -1,15 +1,16 @@
 """Flow and visibility under a rolling shutter, whose lines (rows or columns) have times of their own (float64, pure).
 
 A surface point p(t) that a pixel shows at its own line's time is shown in another frame, or by another eye, on the line
-u that is exposed as the point crosses it: line(p(t_u)) = u. Newton's method finds u; p is linear between the times of
-neighboring lines, and lines beyond the frame count as its first or last one. Where the image moves by a line or more
-from line to line, the point is on several lines or on none, and there is no flow.
+u that is exposed as the point crosses it: line(p(t_u)) = u. Newton's method finds u, and a look through all lines where
+the point moves by more than STEEP at any; p is linear between the times of neighboring lines, and lines beyond the
+frame count as its first or last one. Where the image moves by a line or more from line to line, there is no flow.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,9 @@ from clsco.scene.model import Camera, Object, Scene
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.intp]
-STEPS, CLOSE, SETTLED = 24, 1e-9, 1e-6  # of Newton's method at most, and lines by which the last one may change
+STEPS, CLOSE = 24, 1e-9  # of Newton's method at most, and lines by which the last one may change
+STEEP = 0.5  # lines from line to line: points that move by more may be met by several lines
+SOME = 64  # points of an object, and lines, by which those are found
 NEARER = 1.0 + 1e-5  # a depth that is nearer by this factor is that of another point
 
 
@@ -54,6 +57,28 @@ def lines_of(scene: Scene, frame: int, eye: Eye) -> Lines:
     """Lines of a frame of a scene with its resolution, as an eye sees it."""
     times = line_times(scene, frame)
     return Lines(scene.sequence.by_columns, times, tuple(poses_at(scene, time, eye) for time in times.tolist()))
+
+
+def _first_met(
+    at: Callable[[int], tuple[Array, NDArray[np.bool_]]], last: int, axis: int
+) -> tuple[Array, NDArray[np.bool_]]:  # fmt: skip
+    """As `LinePoints._shown`, of points that several lines may show: by the first that they do not lie beyond.
+
+    at: places of the points at the time of a line, and which are before the lens.
+    """
+    before, seen_before = at(0)
+    one, two, seen = before, before, seen_before
+    low, waiting = np.zeros(len(one)), np.ones(len(one), np.bool_)
+    for line in range(1, last + 1):
+        now, seen_now = at(line)
+        met = waiting & ((now[:, axis] <= line) | (line == last))
+        one, two = np.where(met[:, None], before, one), np.where(met[:, None], now, two)
+        seen, low = np.where(met, seen_before & seen_now, seen), np.where(met, line - 1.0, low)
+        waiting, before, seen_before = waiting & ~met, now, seen_now
+    slope = (two - one)[:, axis]
+    alone = np.abs(slope) < 1.0
+    share = np.clip((one[:, axis] - low) / np.where(alone, 1.0 - slope, 1.0), 0.0, 1.0)
+    return one + share[:, None] * (two - one), seen & alone
 
 
 class LinePoints:
@@ -117,23 +142,32 @@ class LinePoints:
     def _shown(self, k: int, pixels: tuple[Pixels, Pixels], then: Lines) -> tuple[Array, NDArray[np.bool_]]:
         """Places (points, 2) at which lines show points of an object, column and row, and where there is one."""
         axis, last, (rotations, shifts) = int(not then.by_columns), len(then.times) - 1, then.of_object(k)
-        u = pixels[int(then.by_columns)].astype(np.float64)
         body, center = self.bodies[pixels], rest_center(self.items[k])
 
-        def at(line: Pixels) -> tuple[Array, NDArray[np.bool_]]:
-            return self._project(center + shifts[line] + np.einsum("nij,nj->ni", rotations[line], body))
+        def at(line: Pixels | int, of: Any = ...) -> tuple[Array, NDArray[np.bool_]]:
+            moved = np.einsum("...ij,...j->...i", rotations[line], body[of])
+            return self._project(center + shifts[line] + moved)
 
+        def fast(line: int, of: Any = ...) -> NDArray[np.bool_]:
+            return np.asarray(np.abs((at(line + 1, of)[0] - at(line, of)[0])[:, axis]) > STEEP)
+
+        u, steep = pixels[int(then.by_columns)].astype(np.float64), np.zeros(len(body), np.bool_)
+        some, steps = slice(None, None, max(len(body) // SOME, 1)), range(0, last, max(last // SOME, 1))
+        if any(fast(line, some).any() for line in range(last)):
+            steep = np.any([fast(line) for line in steps], axis=0)
         for _ in range(STEPS):
             low = np.clip(u.astype(np.intp), 0, max(last - 1, 0))
             (one, seen), (two, also) = at(low), at(np.minimum(low + 1, last))
             shown = one + (u - low)[:, None] * (two - one)
-            slope, away = (two - one)[:, axis], shown[:, axis] - u
-            better = np.clip(u + away / np.where(slope < 1.0, 1.0 - slope, 1.0), 0.0, last)
-            change, u = np.abs(better - u).max(initial=0.0), better
+            slope = (two - one)[:, axis]
+            better = np.clip(u + (shown[:, axis] - u) / np.where(slope < 1.0, 1.0 - slope, 1.0), 0.0, last)
+            change, u = np.abs(better - u).max(initial=0.0, where=~steep), better
             if change <= CLOSE:
                 break
-        settled = (np.abs(away) < SETTLED) | (u == 0.0) | (u == last)
-        return shown, seen & also & (np.abs(slope) < 1.0) & settled
+        found = seen & also & (np.abs(slope) < 1.0)
+        if steep.any():
+            shown[steep], found[steep] = _first_met(lambda line: at(line, steep), last, axis)
+        return shown, found
 
     def _project(self, point: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Places (points, 2) in px of points in mm, column and row, and which are before the lens."""

@@ -21,6 +21,7 @@ RECORDING = 1800.0  # seconds that the tests of a file may take without a change
 MOST_CASES = 6  # of the simulator, the quickest that see a mutant
 TESTS = {
     "clsco/optics/lens.py": "optics/test_lens plan/test_plan reference/test_geometry",
+    "clsco/optics/line_truth.py": "pipeline/test_line_truth",
     "clsco/optics/exposure.py": "optics/test_exposure plan/test_plan plan/test_predict plan/test_approximation",
     "clsco/optics/motion.py": "optics/test_motion optics/test_shake optics/test_quadrics plan/test_plan "
     "reference/test_geometry",

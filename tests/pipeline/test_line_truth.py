@@ -51,6 +51,23 @@ def test_every_output_agrees(scan: str, sections: dict[str, Any]) -> None:
         assert 0.02 < frame.flow_occluded.mean() < 0.7
 
 
+@pytest.mark.parametrize(
+    "sections",
+    [
+        {"lens": {"keyframe": [{"time": 0.0, "focus_distance": 250.0}, {"time": 1.0, "focus_distance": 330.0}]}},
+        {"camera": {"resolution": [40, 30], "pixel_pitch": 0.08, "shake": {"rotation_rms": 0.5, "band": [2.0, 8.0]}}},
+    ],
+    ids=["focus", "shake"],
+)
+def test_a_lens_and_a_camera_that_move_within_the_frame(sections: dict[str, Any]) -> None:
+    """A shake goes faster than the rows in places, where points are met several times or never."""
+    wanted = scene(BALL, CARD, sections={"camera": CAMERA | {"resolution": [40, 30]}} | sections)
+    (frame,), (exact,) = clsco.render(wanted, precision="double"), reference.render(wanted)
+    assert [each for each in compare(frame, exact) if each.count] == []
+    assert frame.flow_backward is not None
+    assert np.isinf(frame.flow_backward).any() == ("shake" in sections["camera"] if "camera" in sections else False)
+
+
 @pytest.mark.parametrize("scan", ["top_to_bottom", "right_to_left"])
 def test_a_line_has_the_truth_of_its_time(scan: str) -> None:
     wanted, names = scene(scan=scan), ("depth", "coc", "normal", "object_id", "mask", "sharp", "hidden")
