@@ -41,7 +41,7 @@ def frame_progress(
         with _bar(total, quiet, "frames", after_bar) as advance:
 
             def after_frame() -> None:
-                here.done = 0
+                here.done, here.finished = 0, 0.0
                 advance()
 
             yield after_frame
@@ -53,11 +53,11 @@ def position(here: Progress, done: float, total: int, elapsed: float, predicted:
     """Say what is done in a frame, how much of it where it takes long, of which time sample, and the time left.
 
     done: frames of `total`; elapsed, and predicted for all frames where that is known: s. The latter says what is left
-    until a time sample is there to reckon from.
+    until it is known how long a time sample takes.
     """
     share = f" {here.share:.0%}" if 0.0 < here.share < 1.0 else ""
     sample = f"time sample {min(here.done + 1, here.total)} of {here.total}" if here.total > 1 else ""
-    finished = (done + here.done / max(here.total, 1)) / total
+    finished = (done + here.finished) / total
     left = elapsed * (1.0 - finished) / finished if finished > 0.0 else (predicted or 0.0) - elapsed
     parts = f"{here.doing}{share}", sample, f"{left:.0f} s left" if left >= 1.0 else ""
     return ", ".join(part for part in parts if part)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -208,8 +209,8 @@ def expose(renderers: Sequence[Renderer], index: int) -> list[Film]:
 def _expose(renderers: Sequence[Renderer], index: int) -> list[Film]:
     session, plan = renderers[0].session, renderers[0].plan
     films = [renderer.begin(index) for renderer in renderers]
-    parts_of, done = films[0].parts_of, 0
-    steps = sum(map(len, parts_of.values()))
+    parts_of, ends = films[0].parts_of, list[float]()
+    still = [bool(films[0].steps[count].still) for counts in parts_of.values() for count in counts]
     if {step.kind for step in plan.passes} <= {"ground truth"}:
         return films
     for strip, counts in parts_of.items():
@@ -218,15 +219,31 @@ def _expose(renderers: Sequence[Renderer], index: int) -> list[Film]:
             for renderer, film in zip(renderers, films, strict=True):
                 renderer.add(film, strip, count)
             if (progress := session.progress) is not None:
-                _keep_pace(before, progress, done, steps)
-            done += 1
+                _keep_pace(before, progress, still, ends)
         for film in films:
             film.read(session)
     return films
 
 
-def _keep_pace(before: Sequence[Events], progress: Progress, done: int, total: int) -> None:
-    """Wait for all but the latest time sample, so that a cancel comes soon, and what is done is known."""
+def _keep_pace(before: Sequence[Events], progress: Progress, still: Sequence[bool], ends: list[float]) -> None:
+    """Wait for all steps but the latest, so that a cancel comes soon, and what is done is known.
+
+    still: of each step of the frame that it is of what stands still, and no time sample; ends: times at which those
+    before were done, s, to which this one is added.
+    """
     for _, event in (latest for events in before for latest in events):
         event.wait()
-    progress.done, progress.total = done, total
+    ends.append(perf_counter())
+    done = still[: len(ends) - 1]
+    progress.done, progress.total = done.count(False), still.count(False)
+    progress.finished = _finished(done, still, ends)
+
+
+def _finished(done: Sequence[bool], still: Sequence[bool], ends: Sequence[float]) -> float:
+    """Share of a frame's time that is over, where each step takes as long as those of its kind on average; 0 while none
+    of a kind is done."""
+    if not set(done) >= set(still):
+        return 0.0
+    taken = np.diff(ends)
+    mean = {kind: float(taken[np.array(done) == kind].mean()) for kind in set(still)}
+    return float(taken.sum()) / max(sum(mean[kind] for kind in still), 1e-9)

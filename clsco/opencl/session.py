@@ -44,12 +44,15 @@ class Progress:
         Share of the last launch that is done, 0 to 1.
     done, total : int
         Time samples, of all strips.
+    finished : float
+        Share of the frame's time that is over, 0 where it is not known yet.
     """
 
     doing: str = ""
     share: float = 0.0
     done: int = 0
     total: int = 0
+    finished: float = 0.0
 
 
 class Session:

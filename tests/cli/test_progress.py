@@ -22,7 +22,8 @@ from clsco.opencl.session import Progress
         (Progress("blur", 0.25, 0, 1), 0, None, "blur 25%"),
         (Progress("blur", 0.25, 0, 1), 0, 40.0, "blur 25%, 30 s left"),
         (Progress("blur", 0.25, 0, 12), 0, 8.0, "blur 25%, time sample 1 of 12"),
-        (Progress("blur", 1.0, 3, 12), 0, 500.0, "blur, time sample 4 of 12, 70 s left"),
+        (Progress("blur", 1.0, 3, 12, 0.25), 0, 500.0, "blur, time sample 4 of 12, 70 s left"),
+        (Progress("blur", 1.0, 0, 5), 0, 40.0, "blur, time sample 1 of 5, 30 s left"),  # what stands still is blurred
         (Progress("trace", 0.0, 0, 1), 1, 500.0, "trace, 10 s left"),
     ],
 )
