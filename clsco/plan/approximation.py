@@ -129,7 +129,8 @@ def fewer_samples(
     checked_tolerance(tolerance)
     scene, exact = plan.scene, (plan.samples, max(plan.silhouettes, 1))
     samples, silhouettes, square = *exact, 0.0
-    if exact != (1, 1) and scene.lens is None:  # whose changes are not in the estimate
+    whole = exact[1] == 1 or needs_detail(scene, plan.psf, plan.largest_blur)  # silhouettes have all their samples
+    if not (exact[0] == 1 and whole) and scene.lens is None:  # whose changes are not in the estimate
         parts = _parts(scene, textures(), maps)
         outlines = sum(float(_passed(plan.psf, part.radius)[: SIDE // 2].mean()) * sum(part.outline) for part in parts)
         cycles = *_cycles(plan.psf, parts), outlines / (12.0 * exact[1] ** 2)
@@ -137,7 +138,7 @@ def fewer_samples(
         of_coverage = partial(_of_coverage, outlines, exact[1])
         samples = _fewest(range(least[0], exact[0]), tolerance**2, of_time) or exact[0]
         square = of_time(samples) if samples < exact[0] else 0.0
-        if not needs_detail(scene, plan.psf, plan.largest_blur):
+        if not whole:
             halves = tuple(2**n for n in range(4) if least[1] <= 2**n < exact[1])
             silhouettes = _fewest(halves, tolerance**2 - square, of_coverage) or exact[1]
             square += of_coverage(silhouettes) if silhouettes < exact[1] else 0.0
