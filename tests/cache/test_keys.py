@@ -30,6 +30,7 @@ from clsco.plan.prepare import prepare
 from clsco.plan.request import Request
 from clsco.resources import code_digest
 from clsco.scene.model import Camera, CameraMotion, DepthMap, Fill, ImageOptions, ObjectMotion, Plane, Scene, Sphere
+from clsco.scene.motions import CameraShake
 from tests.scenes import scene_of
 
 PUPILS = (Circle(), Gaussian(0.7, 3.0), Polygon(), Ring(0.5), image_pupil(np.eye(6)))
@@ -146,6 +147,7 @@ OTHER_CAMERAS: dict[str, dict[str, Any]] = {
     "pixel_pitch": {"pixel_pitch": 0.02},
     "resolution": {"resolution": (48, 48)},
     "motion": {"motion": CameraMotion(velocity=(0.0, 0.0, 1.0))},
+    "shake": {"shake": CameraShake(rotation_rms=0.02)},
 }
 
 
