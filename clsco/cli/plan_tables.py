@@ -12,7 +12,7 @@ from clsco.cost.cheaper import Setting, cores
 from clsco.cost.predict import Cost, duration
 from clsco.plan.buffers import Sizes
 from clsco.plan.memory import device_bytes
-from clsco.plan.passes import Kind, Pass
+from clsco.plan.passes import ONCE_A_FRAME, Kind, Pass
 from clsco.plan.plan import Plan
 from clsco.plan.unused_keys import unused_keys
 
@@ -93,7 +93,7 @@ def _of_lines(plan: Plan) -> str:
 def _times(plan: Plan, kind: Kind) -> int:
     """Number of times that a frame has passes of this kind."""
     members = sum(each.kind == kind for each in plan.passes)
-    return members if kind == "ground truth" else members * plan.subframes
+    return members if kind in ONCE_A_FRAME else members * plan.subframes
 
 
 def _time(cost: Cost | None) -> str:

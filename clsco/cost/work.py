@@ -25,7 +25,7 @@ from clsco.optics.still import exposed, numbers
 from clsco.optics.texture_mapping import texture_map, texture_spread
 from clsco.optics.visibility import NO_GROUP, OcclusionGroup
 from clsco.plan.buffers import has_spans
-from clsco.plan.passes import Pass
+from clsco.plan.passes import ONCE_A_FRAME, Pass
 from clsco.plan.plan import Plan
 from clsco.plan.predict import Maps
 from clsco.reference.common.geometry import (
@@ -129,7 +129,7 @@ def frame_work(plan: Plan, maps: Maps) -> list[tuple[Pass, Work]]:
     shared = sum(strip.height for strip in plan.strips) / plan.height  # strips have rows of sources in common
     found = []
     for each in plan.passes:
-        often = 1.0 if each.kind in ("sensor", "ground truth") else plan.repeats * shared
+        often = 1.0 if each.kind in ONCE_A_FRAME else plan.repeats * shared
         work = groups[each.group][each.kind]
         found.append((each, {name: often * count for name, count in work.items() if count}))
     return found

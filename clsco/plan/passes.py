@@ -14,6 +14,7 @@ Kind = Literal[
     "static image", "trace", "silhouettes", "pinhole", "reproject", "fill", "count missing", "sources", "cluster",
     "depth layers", "blur", "accumulate", "sensor", "ground truth",
 ]  # fmt: skip
+ONCE_A_FRAME: tuple[Kind, ...] = ("sensor", "ground truth")  # all others: for each time sample
 
 
 @dataclass(frozen=True)

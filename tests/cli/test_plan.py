@@ -49,6 +49,12 @@ def test_plan_predicts_seconds(ball: Path) -> None:
     assert several.stderr == "the first of 2 scenes, f_number_2:\n"
 
 
+def test_a_sensor_and_ground_truth_are_run_once_a_frame(ball: Path) -> None:
+    found = json.loads(clsco_("plan", ball, "--json", "--truth", "npz:depth", "--set", "sensor.bits=10").stdout)
+    times = {each["pass"]: each["times"] for each in found["views"][0]["passes"]}
+    assert (times["sensor"], times["ground truth"], times["blur"], times["accumulate"]) == (1, 1, 400, 400)
+
+
 def test_validate_warns_of_long_frames(ball: Path, tmp_path: Path) -> None:
     heavy = scene_file(
         tmp_path / "heavy.toml",
