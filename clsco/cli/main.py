@@ -224,7 +224,6 @@ def validate(scenes: tuple[Path, ...]) -> None:
 
     Warns of frames that will take more than a minute, with the keys that take less and their error.
     """
-    from clsco.cost.cheaper import warning_of
     from clsco.plan.prepare import prepare_files
     from clsco.scene.sweep import load_sweeps
 
@@ -239,12 +238,23 @@ def validate(scenes: tuple[Path, ...]) -> None:
         echo(f"{click.format_filename(path)}: valid{count}")
         report_stretched(path, prepared)
         most = max(prepared, key=lambda each: each.plan.taps)
-        if warning := warning_of(most):
+        if warning := _long_frame(most):
             label = labels[prepared.index(most)]
             where = f"{path} (with {label})" if label else f"{path}"
             echo(f"{where}: {warning}", err=True)
     if faults:
         raise SceneError(faults)
+
+
+def _long_frame(prepared: Prepared) -> str | None:
+    """Warning of a frame that takes long; frames that are short at a glance are not predicted, to answer at once."""
+    from clsco.cost.short import LONG_FRAME, most_seconds
+
+    if most_seconds(prepared.plan) < LONG_FRAME:
+        return None
+    from clsco.cost.cheaper import warning_of
+
+    return warning_of(prepared)
 
 
 @main.command()

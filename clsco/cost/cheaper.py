@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from clsco.cost.predict import Cost, cost_of, duration
+from clsco.cost.short import LONG_FRAME
 from clsco.errors import SceneError
 from clsco.plan.prepare import Prepared, prepare
 
-LONG_FRAME = 60.0  # s of a frame, from which on people are warned
 WORTH = 0.7  # of the time, that a setting may take at most to be named
 
 

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from clsco.cost.cheaper import LONG_FRAME, SETTINGS, WORTH, cheaper_settings, warning_of
+from clsco.cost.cheaper import SETTINGS, WORTH, cheaper_settings, warning_of
 from clsco.cost.predict import Cost, cost_of, duration, host_work
 from clsco.cost.rates import RATES
+from clsco.cost.short import LONG_FRAME, most_seconds
 from clsco.cost.work import LATTICE, frame_work, lattice_of
 from clsco.plan.buffers import ThisMachine
 from clsco.plan.plan import Plan
@@ -155,6 +156,17 @@ def test_a_long_frame_is_announced_with_what_takes_less() -> None:
         assert less <= WORTH * found.seconds
         assert seconds(prepared.scene.replace(setting.key, setting.value)) == pytest.approx(less, rel=0.5)
     assert warning_of(prepare(crowd(90))) is None
+
+
+@pytest.mark.parametrize("scene", [*map(example, EXAMPLES), crowd(90), crowd(180, f_number=0.5), crowd(360)])
+def test_a_glance_does_not_take_a_long_frame_for_a_short_one(scene: Scene) -> None:
+    prepared = prepare(scene)
+    found = cost_of(prepared, cores=1, slower=1.0)
+    assert found is None or 2 * found.seconds < most_seconds(prepared.plan)
+
+
+def test_a_small_scene_is_short_at_a_glance() -> None:
+    assert most_seconds(prepare(example("sphere")).plan) < LONG_FRAME / 5
 
 
 def test_what_a_scene_has_is_not_offered() -> None:
