@@ -165,7 +165,7 @@ def _hits(plan: Plan, view: View, group: OcclusionGroup, lattice: Lattice) -> Hi
     radius, state = np.where(hit, blur_radius(view.lens, w), 0.0), np.full(w.shape, CLEAR)
     tests, cuts, edges, cut_edges = (np.zeros(w.shape) for _ in range(4))
     gradient = np.zeros((*w.shape, 2))
-    for k in np.flatnonzero(np.bincount(number[hit])) if scene.psf.tilt else ():
+    for k in np.flatnonzero(np.bincount(number[hit])).tolist() if scene.psf.tilt else ():
         here = hit & (number == k)
         gradient[here] = blur_gradient(camera, view.lens, surface_slope(view.surfaces[k], rays[here], w[here]))
     label, many = label.copy(), _tests(plan) > MANY_TESTS

@@ -22,7 +22,7 @@ class Group(Strict):
     """Name, which objects give as their group."""
     origin: Point | None = None
     """Point about which the group rotates, mm. Default: the origin of its first object."""
-    motion: ObjectMotion = ObjectMotion()
+    motion: ObjectMotion = ObjectMotion.model_construct()
     """Velocities of the group; its objects move within it."""
 
 

@@ -125,7 +125,7 @@ class Camera(Strict):
     """Pixel pitch p, mm."""
     resolution: Resolution | None = None
     """Columns and rows, px. Default: size of the first object's texture."""
-    motion: CameraMotion = CameraMotion()
+    motion: CameraMotion = CameraMotion.model_construct()
     """Velocities of the camera itself; static if none are given."""
     shake: CameraShake | None = None
     """Shake of the camera; none if not given."""
@@ -260,15 +260,15 @@ class Scene(Strict):
 
     title: Text = ""
     """Title; recorded in the metadata, used nowhere else."""
-    camera: Camera = Camera()
+    camera: Camera = Camera.model_construct()
     lens: LensMotion | None = None
     """Changes of the camera's lens over time; none if not given."""
-    aperture: Aperture = Aperture()
-    psf: Psf = Psf()
-    sequence: Sequence = Sequence()
-    motion: Motion = Motion()
-    fill: Fill = Fill()
-    image: ImageOptions = ImageOptions()
+    aperture: Aperture = Aperture.model_construct()
+    psf: Psf = Psf.model_construct()
+    sequence: Sequence = Sequence.model_construct()
+    motion: Motion = Motion.model_construct()
+    fill: Fill = Fill.model_construct()
+    image: ImageOptions = ImageOptions.model_construct()
     light: Light | None = None
     """Shades all surfaces; without one they emit the radiance of their texture in all directions."""
     stereo: Stereo | None = None

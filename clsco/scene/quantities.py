@@ -213,7 +213,8 @@ _BUILDING = threading.RLock()
 class Strict(BaseModel):
     """Base of all models of a scene: no conversions, no unknown keys, no changes after validation."""
 
-    # Most scenes have few of the shapes: what checks them is built for those that a process meets.
+    # Most scenes have few of the shapes: what checks them is built for those that a process meets. So sections that are
+    # left out are made by `model_construct`: defaults need no check.
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, defer_build=True)
 
     refusal: ClassVar[Callable[[type[BaseModel], ValidationError], Exception]]

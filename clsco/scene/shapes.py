@@ -51,7 +51,7 @@ class _Object(Textured):
     rotation: Rotation | None = None
     """Pose at t = 0, about the object's origin: Euler angles [x, y, z] in deg, {axis, angle} or {quaternion}, in the
     order and sense of a motion; none if not given."""
-    motion: ObjectMotion = ObjectMotion()
+    motion: ObjectMotion = ObjectMotion.model_construct()
     """Velocities; static if none are given."""
     group: Name | None = None
     """Name of the group that the object moves with; none if not given."""

@@ -15,7 +15,7 @@ import pytest
 
 import clsco
 from clsco.frame.frame import TRUTH_NAMES, Frame
-from clsco.reference.render import render as reference
+from clsco.reference.sequence import render as reference
 from clsco.scene.file import parse_scene
 from tests.slow import mostly_slow
 

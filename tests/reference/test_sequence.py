@@ -12,7 +12,7 @@ from clsco.frame.frame import TRUTH_NAMES, Frame
 from clsco.optics.point_spread import point_spread
 from clsco.reference.blur.convolve import convolve
 from clsco.reference.inpainting.fill import Method
-from clsco.reference.render import render
+from clsco.reference.sequence import render
 from clsco.scene.model import Cylinder, Fill, Motion, ObjectMotion, Plane, Psf, Quadric, Scene, Sequence, Sphere
 from tests.scenes import scene_of
 
