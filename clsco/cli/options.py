@@ -197,8 +197,6 @@ set_option = click.option(
     "--set", "overrides", metavar="KEY=VALUE", multiple=True,
     help="Set a key of the scene, such as camera.f_number=4 or object.0.radius=30; may be given again.",
 )  # fmt: skip
-# Arrays of the image, which --no-color does not make.
-OF_THE_IMAGE = frozenset({"color", "alpha", "subframes", "raw", "electrons", "noise_sigma", "saturated"})
 truth_option = click.option(
     "--truth", "files", metavar="FORMAT,...", type=parse_files, default="",
     help="Also compute the ground truth, and write it in these formats: npz or exr, which hold all of it; npy or pfm, "

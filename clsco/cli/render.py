@@ -12,7 +12,6 @@ import click
 from clsco.cli.focus import focus_at_option, focus_depth_option, focused_files, parsed_focus
 from clsco.cli.inputs import report_inputs
 from clsco.cli.options import (
-    OF_THE_IMAGE,
     PATH,
     Computation,
     computation_options,
@@ -99,6 +98,8 @@ def require_uncolored(files: tuple[TruthFile, ...], no_color: bool) -> None:
     """Fail where --no-color is given and files need the image, or there are none."""
     if no_color and not files:
         raise click.UsageError("--no-color: needs --truth, as nothing else is written")
+    from clsco.frame.truth_files import OF_THE_IMAGE
+
     for file in files if no_color else ():
         if named := [name for name in file.names if name in OF_THE_IMAGE]:
             raise click.UsageError(f"--no-color: makes no image, so --truth must be without {named[0]}; got {file}")

@@ -1,5 +1,6 @@
 """Data sets: samples drawn from distributions, the formats that hold them, and the loader.
 
+`clsco.data.make(distribution, "DATA", count=100)` makes one of a distribution file, its content or a function.
 `clsco.data.open("DATA", "train")` opens one: `Dataset` has length, index, slices and iteration, and gives `Record`s.
 """
 
@@ -11,10 +12,18 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from clsco.data.dataset import Dataset as Dataset
     from clsco.data.dataset import open as open  # noqa: A004
+    from clsco.data.making import FailedSamplesError as FailedSamplesError
+    from clsco.data.making import make as make
     from clsco.data.record import Record as Record
 
-_HOME = {"open": "clsco.data.dataset", "Dataset": "clsco.data.dataset", "Record": "clsco.data.record"}
-__all__ = ["Dataset", "Record", "open"]
+_HOME = {
+    "make": "clsco.data.making",
+    "FailedSamplesError": "clsco.data.making",
+    "open": "clsco.data.dataset",
+    "Dataset": "clsco.data.dataset",
+    "Record": "clsco.data.record",
+}
+__all__ = ["Dataset", "FailedSamplesError", "Record", "make", "open"]
 
 
 def __getattr__(name: str) -> Any:

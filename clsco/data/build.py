@@ -171,12 +171,13 @@ def located(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """The content of a scene file with paths that start at a folder. Raises SceneError for those that leave it."""
     found: dict[str, Any] = copied(table)
     objects = found.get("object")
-    for number, item in enumerate(objects if isinstance(objects, list) else ()):
+    items = [(f"object[{k}]", item) for k, item in enumerate(objects if isinstance(objects, list) else ())]
+    for where, item in (*items, ("aperture", found.get("aperture"))):
         for key in FILE_KEYS:
             name = item.get(key) if isinstance(item, dict) else None
             if isinstance(name, str) and is_file(key, name):
                 if Path(name).is_absolute() or ".." in Path(name).parts:
-                    raise SceneError(f"object[{number}].{key}: must lie in {folder}; got {shown(name)}")
+                    raise SceneError(f"{where}.{key}: must lie in {folder}; got {shown(name)}")
                 item[key] = str(folder / name)
     return found
 

@@ -199,7 +199,7 @@ def readme(card: Mapping[str, Any]) -> str:
     for package, code in card["load"].items():
         lines += [f"{package}:", "", "```python", code, "```", ""]
     if card.get("recipe"):
-        lines += ["## Distribution", "", *_fenced(card["recipe"]), ""]
+        lines += ["## Distribution", "", *_fenced(card["recipe"], "python" if card.get("function") else "toml"), ""]
     lines += ["## How to cite", "", card["cite"], ""]
     return "\n".join(lines)
 
@@ -231,8 +231,8 @@ def _cell(text: str) -> str:
     return " ".join(str(text).split()).replace("|", "\\|")
 
 
-def _fenced(text: str) -> list[str]:
+def _fenced(text: str, language: str) -> list[str]:
     fence = "```"
     while fence in text:
         fence += "`"
-    return [f"{fence}toml", text.rstrip("\n"), fence]
+    return [f"{fence}{language}", text.rstrip("\n"), fence]

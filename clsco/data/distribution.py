@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,9 +23,12 @@ from clsco.data.splits import Splits, SplitsLike, of_samples, splits_of
 from clsco.data.tables import Tables, read_tables
 from clsco.data.values import Column, Draw
 from clsco.errors import SceneError
+from clsco.resources import read_regular
 from clsco.scene.faults import at_most
+from clsco.scene.file import MAX_FILE_BYTES
 from clsco.scene.model import Scene
 from clsco.scene.text import shown
+from clsco.scene.toml import toml_text
 
 VERSION = 1  # of how samples follow from a file: changed where the same file gives other samples
 MAX_ATTEMPTS = 100
@@ -99,6 +102,10 @@ class Distribution:
     parts : Parts
     accept : tuple of (str, float, float)
         Measures with the least and the largest value.
+    tables : Tables
+        Content of the file, joined with its base and overrides.
+    recipe : str
+        All of it as text: that of the file, where that has no base and there are no overrides.
     """
 
     where: str
@@ -107,6 +114,13 @@ class Distribution:
     splits: Splits
     parts: Parts
     accept: Bounds
+    tables: Tables
+    recipe: str
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """Entries of the card of a set: for people the text, and for programs all that makes the set again."""
+        return {"recipe": self.recipe, "distribution": self.tables.content()}
 
     def draw(self, seed: int, number: int) -> Sample:
         """Draw a sample.
@@ -128,7 +142,7 @@ class Distribution:
         SceneError
             The sample is no valid scene, or none of 100 attempts is accepted.
         """
-        numbers = _numbers(seed, number)
+        numbers = sample_numbers(seed, number)
         position = int(of_samples(self.splits, seed, numbers)[0])
         split = self.splits[position][0] if self.splits else ""
         reason = None
@@ -190,7 +204,8 @@ class Distribution:
         return Values(values, [int(column[0]) for column in drawn.rows], members)
 
 
-def _numbers(seed: Any, number: Any) -> Words:
+def sample_numbers(seed: Any, number: Any) -> Words:
+    """The number of a sample as an array. Raises SceneError where seed or number cannot be."""
     if type(seed) is not int or not 0 <= seed <= MAX_SEED:
         raise SceneError(f"seed: must be an integer between 0 and {MAX_SEED}; got {shown(seed)}")
     if type(number) is not int or not 0 <= number <= MAX_NUMBER:
@@ -212,18 +227,23 @@ def _columns(
 
 
 def load_distribution(
-    path: str | os.PathLike[str], overrides: Sequence[str] = (), splits: SplitsLike = None
+    distribution: str | os.PathLike[str] | Mapping[str, Any],
+    overrides: Sequence[str] = (),
+    splits: SplitsLike = None,
+    folder: Path | None = None,
 ) -> Distribution:
-    """Read a distribution file.
+    """Read a distribution.
 
     Parameters
     ----------
-    path : str or os.PathLike
-        A .toml or .json file of at most 1 MiB, see docs/datasets.md.
+    distribution : str, os.PathLike or mapping
+        A .toml or .json file of at most 1 MiB, see docs/datasets.md, or its content.
     overrides : sequence of str
         As for `clsco.load_scene`; a key that is given does not vary any more.
     splits : str, mapping, sequence of (str, float) or None
         Shares of the splits, such as "train=0.9,val=0.05,test=0.05".
+    folder : Path, optional
+        Start of the paths of a mapping; by default the current folder.
 
     Returns
     -------
@@ -234,21 +254,37 @@ def load_distribution(
     SceneError
         One message per fault, `file: key: rule; got value`. Scenes of extreme values are validated as well.
     """
-    where = os.fspath(path)
-    folder = Folder(Path(where).absolute().parent)
+    content = distribution if isinstance(distribution, Mapping) else None
+    where = "distribution" if isinstance(distribution, Mapping) else os.fspath(distribution)
+    inside = Folder((folder or Path()).absolute() if content is not None else Path(where).absolute().parent)
     shares = splits_of(splits)
-    tables = read_tables(where, overrides, folder)
-    reader = Reader(tables, folder, shares)
+    tables = read_tables(where, overrides, inside, content)
+    reader = Reader(tables, inside, shares)
     parts = reader.parts()
     accept, faults = bounds_of(tables.accept)
     faults = [*reader.faults, *faults]
     if not faults:
-        faults = corner_faults(parts, folder.path)
+        faults = corner_faults(parts, inside.path)
     if not faults and (accept or parts.derived):
         faults = _not_analytic(parts)
     if faults:
         raise SceneError(at_most(where, dict.fromkeys(faults)))
-    return Distribution(where, folder.path, _digest(tables, shares, folder), shares, parts, accept)
+    return Distribution(
+        where,
+        inside.path,
+        _digest(tables, shares, inside),
+        shares,
+        parts,
+        accept,
+        tables,
+        _recipe(where, content, tables, overrides),
+    )
+
+
+def _recipe(where: str, content: Mapping[str, Any] | None, tables: Tables, overrides: Sequence[str]) -> str:
+    if content is None and not overrides and not tables.is_joined:
+        return read_regular(where, MAX_FILE_BYTES, follow=True).decode("utf-8-sig")
+    return toml_text(tables.content())
 
 
 def _not_analytic(parts: Parts) -> list[str]:

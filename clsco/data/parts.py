@@ -18,7 +18,7 @@ from clsco.scene.text import key_name, shown
 from clsco.scene.texture_keys import SixSided, is_drawn
 
 Location = tuple[str | int, ...]
-FILE_KEYS = ("texture", "depth", *SixSided.__annotations__)
+FILE_KEYS = ("texture", "depth", *SixSided.__annotations__, "image")
 MAX_PARAMETERS = 1000
 MAX_SWEPT = 4096  # entries of a list
 VALUE_TABLES = frozenset(("axis", "angle", "quaternion", "from", "to", "steps"))  # of values that are tables
@@ -110,6 +110,7 @@ class Reader:
         derived = self._derived()
         parameters += [wanted for _, wanted in derived if isinstance(wanted, Parameter)]
         self._check_files(self._scene.get("object"), ("object",))
+        self._check_files([self._scene.get("aperture")], ("aperture",))
         for number, population in enumerate(populations):
             self._check_files([population.constants], ("vary", "object", populations[number].entry))
         if self._count > MAX_PARAMETERS:
@@ -332,7 +333,7 @@ class Reader:
         return None
 
     def _check_files(self, items: Any, key: Location) -> None:
-        """Take the files that objects name."""
+        """Take the files that tables name, as objects and the aperture do."""
         for index, item in enumerate(items) if isinstance(items, list) else ():
             for name in FILE_KEYS if isinstance(item, Mapping) else ():
                 if name in item and item[name] is not None:
@@ -350,12 +351,12 @@ class Reader:
 
 def _key_of_file(key: Location) -> str:
     """Key of FILE_KEYS that a place in the file belongs to."""
-    return "depth" if "depth" in key else "texture"
+    return next((name for name in ("depth", "image") if name in key), "texture")
 
 
 def is_file(key: str, name: str) -> bool:
-    """True if an object's value under one of FILE_KEYS names a file, and no pattern or color."""
-    return key == "depth" or not is_drawn(name)
+    """True if a value under one of FILE_KEYS names a file, and no pattern or color."""
+    return key in ("depth", "image") or not is_drawn(name)
 
 
 def _is_table(location: Location) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from clsco.data.card import CARD, write_card
@@ -26,11 +26,14 @@ class DataSet:
     storage : Storage
     identity : Identity
     samples : range
+    about : mapping
+        Entries of the card about what made the set, where it is there already.
     """
 
     storage: Storage
     identity: Identity
     samples: range
+    about: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def shards(self) -> range:
@@ -75,7 +78,7 @@ def open_set(storage: Storage) -> DataSet:
             raise ValueError(f"samples are {samples}")
     except (ValueError, TypeError, KeyError, AttributeError, ArithmeticError, RecursionError) as error:
         raise ImageError(f"{storage.where}/{CARD}: must describe a data set; got {error!r}") from None
-    return DataSet(storage, identity, samples)
+    return DataSet(storage, identity, samples, card)
 
 
 def known_license(storage: Storage) -> str:
@@ -117,7 +120,7 @@ def begun(wanted: DataSet, goes_on: bool) -> bool:
     return True
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Status:
     """Progress of a set.
 
@@ -138,6 +141,9 @@ class Status:
     done: Mapping[int, Part]
     faults: tuple[str, ...]
     rate: float | None
+
+    def __repr__(self) -> str:
+        return f"<Status: {self.made} of {self.samples} samples made, {self.failed} failed>"
 
     @property
     def is_whole(self) -> bool:

@@ -20,6 +20,7 @@ from clsco.data.containers import Container, container_named
 from clsco.data.distribution import Distribution, Sample
 from clsco.data.manifest import CONFLICT, LOG, UNSPLIT, Identity, line, numbers_of, parsed_part, part_bytes, part_key
 from clsco.data.record import Record, make_record
+from clsco.data.scripted import ScriptedDistribution
 from clsco.data.storage import Storage
 from clsco.engine.sequence import render_prepared
 from clsco.errors import ImageError, KernelError, SceneError
@@ -46,7 +47,7 @@ class Job:
 
     Attributes
     ----------
-    distribution : Distribution
+    distribution : Distribution or ScriptedDistribution
     identity : Identity
     samples : range
         Numbers of all samples of the set.
@@ -54,7 +55,7 @@ class Job:
         Folder or address of the set.
     """
 
-    distribution: Distribution
+    distribution: Distribution | ScriptedDistribution
     identity: Identity
     samples: range
     where: str

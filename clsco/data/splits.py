@@ -11,12 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.data.draws import Words, stream_words, unit
+from clsco.data.manifest import CONFLICT, LOG, PARTS, UNSPLIT
 from clsco.errors import SceneError
 from clsco.scene.text import shown
 
 Splits = tuple[tuple[str, float], ...]
 SplitsLike = Mapping[str, float] | Sequence[tuple[str, float]] | str | None
 MAX_SPLITS = 32
+TAKEN = (PARTS, LOG, UNSPLIT, CONFLICT)  # by folders that sets have besides
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 
@@ -53,6 +55,8 @@ def splits_of(given: SplitsLike) -> Splits:
             messages.append(f"split: a name must be 1 to 64 letters, digits, _ or -; got {shown(name)}")
         elif name.lower() in seen:
             messages.append(f"split: names must differ; got {shown(name)} twice")
+        elif name in TAKEN:
+            messages.append(f"split: names must be others than {', '.join(TAKEN)}; got {name}")
         else:
             seen.add(name.lower())
         if isinstance(share, bool) or not isinstance(share, int | float) or not 0.0 < share <= 1.0:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import json
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from clsco.data.folder import Folder, RefusedError
 from clsco.data.forms import is_form
@@ -27,11 +31,24 @@ class Tables:
     vary: dict[str, Any]
     accept: Any
     derive: Any
+    is_joined: bool = False  # with those of a base
+
+    def content(self) -> dict[str, Any]:
+        """All of it as one file has it, which gives the same samples."""
+        own = {"vary": self.vary, "accept": self.accept, "derive": self.derive}
+        return self.scene | {name: table for name, table in own.items() if table}
 
 
-def read_tables(where: str, overrides: Sequence[str], folder: Folder) -> Tables:
-    """Read a distribution file with its bases, and apply overrides. Raises SceneError."""
-    data = _joined_file(where, where, folder, [])
+def read_tables(
+    where: str, overrides: Sequence[str], folder: Folder, content: Mapping[str, Any] | None = None
+) -> Tables:
+    """Read a distribution file with its bases, and apply overrides; content: of the file, where it is known.
+
+    Raises SceneError.
+    """
+    data = read_mapping(where, ()) if content is None else _plain(content, where)
+    is_joined = "base" in data
+    data = _with_base(data, where, where, folder, [])
     if (deep := _deeper(data, MAX_DEPTH)) is not None:
         raise SceneError(f"{where}: {deep}: tables and lists must be at most {MAX_DEPTH} in each other")
     override(data, overrides, where)
@@ -43,12 +60,11 @@ def read_tables(where: str, overrides: Sequence[str], folder: Folder) -> Tables:
         parts = key_parts(text.partition("=")[0].strip())
         if parts[0] not in OWN:
             _unvaried(vary, parts, data)
-    return Tables(data, vary, accept, derive)
+    return Tables(data, vary, accept, derive, is_joined)
 
 
-def _joined_file(path: str, where: str, folder: Folder, names: list[str]) -> dict[str, Any]:
+def _with_base(data: dict[str, Any], path: str, where: str, folder: Folder, names: list[str]) -> dict[str, Any]:
     """Content of a file, joined with that of its base, and so on; names: of the files that lead to it."""
-    data = read_mapping(path, ())
     if "base" not in data:
         return data
     name = data.pop("base")
@@ -62,7 +78,25 @@ def _joined_file(path: str, where: str, folder: Folder, names: list[str]) -> dic
             raise RefusedError(f"must be at most {MAX_BASES} files one after the other")
     except RefusedError as error:
         raise SceneError(error.message(f"{path}: base", name)) from None
-    return joined(_joined_file(str(folder.path / name), where, folder, [*names, found.name]), data)
+    base = str(folder.path / name)
+    return joined(_with_base(read_mapping(base, ()), base, where, folder, [*names, found.name]), data)
+
+
+def _plain(content: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Content as a file would have it: NumPy's arrays and numbers become lists and numbers, tuples lists."""
+    try:
+        found: dict[str, Any] = json.loads(json.dumps(dict(content), default=_of_json))
+    except (TypeError, ValueError, RecursionError) as error:
+        raise SceneError(f"{where}: must hold tables, lists, numbers and texts; got {error}") from None
+    return found
+
+
+def _of_json(value: Any) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return dict(value)
+    return os.fspath(value)
 
 
 def joined(base: dict[str, Any], data: dict[str, Any]) -> dict[str, Any]:

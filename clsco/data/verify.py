@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from clsco.data.build import located
 from clsco.data.containers import container_named
 from clsco.data.distribution import Sample
 from clsco.data.manifest import FAILED, MERGED, Parts, parsed_part, part_key
+from clsco.data.parts import FILE_KEYS
 from clsco.data.record import Record, make_record
 from clsco.data.sets import DataSet
 from clsco.data.shards import Renderer, device_family
@@ -41,6 +42,18 @@ def chosen_samples(there: DataSet, count: int) -> list[int]:
     """Numbers of samples, spread over a set."""
     count = min(count, len(there.samples))
     return [there.samples[k * len(there.samples) // count] for k in range(count)]
+
+
+def hold_arrays(there: DataSet, numbers: Sequence[int]) -> list[int]:
+    """Samples whose scenes have arrays, which their function in Python alone makes again."""
+    found = []
+    for number in numbers if "function" in there.about else ():
+        with suppress(ClscoError):  # which is a finding of its own
+            table = scene_table(there, number)
+            items = [*table.get("object", ()), table.get("aperture", {})]
+            if any(isinstance(item.get(key), Mapping) for item in items for key in FILE_KEYS):
+                found.append(number)
+    return found
 
 
 def verify_files(there: DataSet, advance: Advance) -> list[str]:

@@ -18,6 +18,8 @@ from clsco.scene.model import Scene
 
 OPTIONS = ("float16", "compressed", "zstd")
 ATTRIBUTES = {in_file: name for name, in_file in FILE_NAMES.items()}
+OF_THE_IMAGE = frozenset({"color", "alpha", "subframes", "raw", "electrons", "noise_sigma", "saturated"})
+"""Arrays that are not made without color."""
 
 
 @dataclass(frozen=True)

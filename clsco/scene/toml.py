@@ -16,7 +16,7 @@ def toml_text(table: Mapping[str, Any]) -> str:
     Parameters
     ----------
     table : mapping
-        Content of a scene file: text, numbers, booleans, lists of them, tables, and lists of tables.
+        Content of a scene file: text, numbers, booleans, tables, and lists of any of them.
 
     Returns
     -------
@@ -42,7 +42,8 @@ def _parts(table: Mapping[str, Any], name: str, header: str) -> list[str]:
 
 def _is_table(value: Any) -> bool:
     """True if a value is a table, or a list of tables."""
-    return isinstance(value, Mapping) or (isinstance(value, list) and any(isinstance(v, Mapping) for v in value))
+    listed = isinstance(value, list) and value != [] and all(isinstance(v, Mapping) for v in value)
+    return isinstance(value, Mapping) or listed
 
 
 def _key(key: str) -> str:
@@ -59,6 +60,8 @@ def _text(text: str) -> str:
 def _value(value: Any) -> str:
     if isinstance(value, list):
         return f"[{', '.join(map(_value, value))}]"
+    if isinstance(value, Mapping):  # in a list with other values
+        return f"{{ {', '.join(f'{_key(key)} = {_value(entry)}' for key, entry in value.items())} }}"
     if isinstance(value, str):
         text = _text(value)
         return text.replace(".", "\\u002e") if value.count(".") > MAX_DOTS // 2 else text

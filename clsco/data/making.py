@@ -1,0 +1,351 @@
+"""Data sets made from Python: `clsco.data.make`, which the command calls as well."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack
+
+from clsco import __version__
+from clsco.data.containers import container_named
+from clsco.data.distribution import Distribution, load_distribution
+from clsco.data.manifest import Identity, shard_numbers
+from clsco.data.pool import Place, places, run_pool
+from clsco.data.record import parse_stored
+from clsco.data.scripted import DrawScene, ScriptedDistribution, scripted
+from clsco.data.sets import DataSet, Status, begun, finish, known_license, status_of
+from clsco.data.splits import SplitsLike
+from clsco.data.storage import open_storage
+from clsco.errors import ClscoError, DeviceError, SceneError
+from clsco.frame.truth_files import ATTRIBUTES, OF_THE_IMAGE
+from clsco.scene.text import shown
+
+if TYPE_CHECKING:
+    from clsco.data.shards import Job
+
+WORKER_SHARE = 0.5  # of the machine's memory, for all processes together
+TRUTH = ("sharp", "depth", "coc")
+MOST_SAMPLES = 10**12
+
+DistributionLike = str | os.PathLike[str] | Mapping[str, Any] | DrawScene
+"""A distribution file, its content, or a function that draws scenes."""
+Progress = Callable[[int], AbstractContextManager[Callable[[int], object]]]
+"""Takes the number of samples that are to be made; what it opens takes numbers of samples that are done."""
+
+
+class FailedSamplesError(ClscoError):
+    """More samples of a set failed than may; `status` says how far it is."""
+
+    def __init__(self, message: str, status: Status) -> None:
+        super().__init__(message)
+        self.status = status
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Makers of the shards of a set: processes of this machine, or the workers of a cluster.
+
+    Attributes
+    ----------
+    places : sequence of Place
+        Devices and threads of the processes.
+    family, precision : str
+        Family of the devices, and the precision that these have.
+    scheduler : str
+        Address of the cluster's scheduler, "" for none.
+    """
+
+    places: Sequence[Place]
+    family: str
+    precision: str
+    scheduler: str = ""
+
+
+class Options(TypedDict, total=False):
+    """Keywords of `make`, see there."""
+
+    truth: str | Iterable[str]
+    color: bool
+    types: str | Mapping[str, str]
+    splits: SplitsLike
+    format: str
+    shard_size: int
+    devices: str | Sequence[str]
+    workers: int | None
+    scheduler: str
+    precision: str | None
+    resume: bool
+    only: range | None
+    part: tuple[int, int] | None
+    overrides: Sequence[str]
+    folder: str | os.PathLike[str] | None
+    license: str
+    allow_failures: int
+    progress: Progress | None
+
+
+_DEFAULTS = Options(
+    truth=TRUTH, color=True, types="", splits=None, format="webdataset", shard_size=256, devices=(), workers=None,
+    scheduler="", precision=None, resume=False, only=None, part=None, overrides=(), folder=None, license="",
+    allow_failures=0, progress=None,
+)  # fmt: skip
+
+
+def make(
+    distribution: DistributionLike,
+    data: str | os.PathLike[str],
+    *,
+    count: int | None = None,
+    seed: int = 0,
+    **options: Unpack[Options],
+) -> Status:
+    """Make a data set of scenes drawn from a distribution.
+
+    Parameters
+    ----------
+    distribution : path, mapping or callable
+        A distribution file, the content of one, or a function `draw(rng, sample)` that gives the scene of a sample as
+        `clsco.render` takes it. It is handed a `numpy.random.Generator` of the seed and the number of the sample alone,
+        and must stand at the top of a module or script, as other processes import it.
+    data : path
+        Folder of the set, or an address like "s3://bucket/set".
+    count : int
+        Samples of the set.
+    seed : int
+        0 to 2^63 - 1.
+    truth : str or iterable of str
+        Names of the arrays besides color, as they are called in files.
+    color : bool
+        False for these arrays alone: no image is made, which is most of the work.
+    types : str or mapping
+        Such as {"color": "float32"}, linear instead of codes of 16 bits, or "depth=float16".
+    splits : str or mapping, optional
+        Shares of the splits, such as {"train": 0.9, "test": 0.1}.
+    format : str
+        Format of the files: "webdataset", "npz", "hdf5" and so on, see docs/datasets.md.
+    shard_size : int
+        Samples of a shard, which is one file.
+    devices : str or sequence of str
+        Devices that render, by parts of their names, or "all" of the best kind; by default the best one.
+    workers : int, optional
+        Processes; by default one for each graphics card, or for each core of a processor.
+    scheduler : str
+        Address of a dask.distributed cluster that renders instead, like "tcp://host:8786".
+    precision : {"double", "single"}, optional
+        Precision of the geometry; by default double where the devices have it.
+    resume : bool
+        Go on with the set in `data`.
+    only : range, optional
+        Numbers of the samples, instead of `count`.
+    part : (int, int), optional
+        (I, N): every N-th shard from I on alone, for array jobs.
+    overrides : sequence of str
+        Keys and values as for `clsco.load_scene`, of a distribution that is no function.
+    folder : path, optional
+        Start of the paths of textures, where the distribution is no file; by default the current folder.
+    license : str
+        Text for the data card.
+    allow_failures : int
+        Samples that may fail without an error.
+    progress : callable, optional
+        Takes the number of samples to be made, and opens what takes numbers of samples that are done.
+
+    Returns
+    -------
+    Status
+        Progress of the set: `made`, `failed`, `bytes`. `clsco.data.open(data)` opens it.
+
+    Raises
+    ------
+    SceneError, DeviceError
+        For arguments that cannot be; nothing is written then.
+    FailedSamplesError
+        More samples failed than may. What was made stays, as after any error from here on, and may be resumed.
+    ClscoError
+        The set cannot be written, or devices fail.
+
+    Notes
+    -----
+    The same distribution, seed and version give the same bytes on devices of a family, whatever makes them. Processes
+    are spawned: a script that calls this does so under `if __name__ == "__main__":`.
+
+    Examples
+    --------
+    >>> import clsco.data
+    >>> ball = {"shape": "sphere", "center": [0, 0, 280], "radius": 30}
+    >>> camera = {"resolution": [24, 16], "pixel_pitch": 0.2}
+    >>> vary = {"camera": {"focus_distance": {"uniform": [220, 320]}}}
+    >>> distribution = {"camera": camera, "object": [ball], "vary": vary}
+    >>> clsco.data.make(distribution, "BALLS", count=2, workers=1)  # doctest: +SKIP
+    <Status: 2 of 2 samples made, 0 failed>
+    """
+    from clsco.data.shards import Job
+
+    if unknown := sorted(options.keys() - _DEFAULTS.keys()):
+        raise TypeError(f"make() got an unexpected keyword argument {unknown[0]!r}")
+    given = _DEFAULTS | options
+    identity, drawn, samples, who = _identity(distribution, count, seed, given)
+    job = Job(drawn, identity, samples, open_storage(data).where)
+    status, failures = _make_shards(job, who, given)
+    if len(failures) > (allowed := given["allow_failures"]):
+        first = f"the first, sample {failures[0]['number']}: {failures[0]['error']}"
+        most = f"at most {allowed} samples may fail" if allowed else "every sample must be made"
+        of = sum(len(job.numbers(shard)) for shard in _own(job, given["part"]))
+        raise FailedSamplesError(f"{os.fspath(data)}: {most}; got {len(failures)} of {of} that failed; {first}", status)
+    return status
+
+
+def _identity(
+    distribution: DistributionLike, count: int | None, seed: int, given: Options
+) -> tuple[Identity, Distribution | ScriptedDistribution, range, Workers]:
+    """All that decides the bytes of a set, and who makes it. Raises SceneError or DeviceError."""
+    container_named(given["format"])
+    samples = numbers_wanted(count, given["only"])
+    arrays = stored_arrays(given["truth"], given["color"])
+    folder, types, devices = given["folder"], given["types"], given["devices"]
+    drawn = distribution_of(distribution, given["overrides"], given["splits"], None if folder is None else Path(folder))
+    text = types if isinstance(types, str) else ",".join(f"{name}={each}" for name, each in types.items())
+    stored = tuple(sorted(parse_stored(text).items()))
+    if given["scheduler"]:
+        who = _cluster(given["scheduler"])
+    else:
+        who = workers_of([devices] if isinstance(devices, str) else devices, given["workers"])
+    precision = given["precision"] or who.precision
+    if precision not in ("double", "single"):
+        raise SceneError(f'precision: must be "double" or "single"; got {shown(precision)}')
+    for name, value, least, most in (("seed", seed, 0, 2**63 - 1), ("shard_size", given["shard_size"], 1, 10**6)):
+        if type(value) is not int or not least <= value <= most:
+            raise SceneError(f"{name}: must be an integer between {least} and {most}; got {shown(value)}")
+    identity = Identity(
+        distribution=drawn.digest, seed=seed, first=samples.start, shard_size=given["shard_size"],
+        format=given["format"], arrays=arrays, precision=precision, splits=tuple(drawn.splits), version=__version__,
+        device_family=who.family, types=stored,
+    )  # fmt: skip
+    return identity, drawn, samples, who
+
+
+def distribution_of(
+    distribution: DistributionLike,
+    overrides: Sequence[str] = (),
+    splits: SplitsLike = None,
+    folder: Path | None = None,
+) -> Distribution | ScriptedDistribution:
+    """The distribution of a file, its content, or a function. Raises SceneError."""
+    if not callable(distribution):
+        return load_distribution(distribution, overrides, splits, folder)
+    if overrides:
+        raise SceneError(f"overrides: are for files and their content, not for a function; got {overrides[0]}")
+    return scripted(distribution, splits, folder)
+
+
+def stored_arrays(truth: str | Iterable[str], color: bool = True) -> tuple[str, ...]:
+    """Names of the arrays of a sample, in order. Raises SceneError."""
+    names = {*filter(None, truth.split(",") if isinstance(truth, str) else truth)}
+    if unknown := sorted(names - ATTRIBUTES.keys()):
+        raise SceneError(f"truth: must be some of {','.join(ATTRIBUTES)}; got {unknown[0]}")
+    if not color and (named := OF_THE_IMAGE.intersection(names) - {"color"}):
+        raise SceneError(f"truth: without color no image is made, so it must be without {min(named)}; got it")
+    wanted = names | {"color"} if color else names - {"color"}
+    if not wanted:
+        raise SceneError("truth: must name arrays, as without color nothing else is written; got none")
+    return tuple(name for name in ATTRIBUTES if name in wanted)
+
+
+def numbers_wanted(count: int | None, only: range | None) -> range:
+    """Numbers of the samples of a set. Raises SceneError."""
+    if only is None:
+        if type(count) is not int or not 0 < count <= MOST_SAMPLES:
+            got = "nothing" if count is None else shown(count)
+            raise SceneError(f"count: must be an integer between 1 and {MOST_SAMPLES}; got {got}")
+        return range(count)
+    if not only or only.step != 1 or only.start < 0:
+        raise SceneError(f"only: must be a range of numbers from 0 on, one by one; got {only}")
+    if count is not None and only.stop > count:
+        raise SceneError(f"only: must lie within 0:{count}; got {only.start}:{only.stop}")
+    return only
+
+
+def workers_of(names: Sequence[str] = (), count: int | None = None) -> Workers:
+    """Processes of this machine.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Parts of names of devices; ("all",) for all of the best kind, and none for the best one.
+    count : int, optional
+        Number of processes.
+
+    Returns
+    -------
+    Workers
+
+    Raises
+    ------
+    DeviceError
+        There is no such device, or they are of several families.
+    """
+    from clsco.data.shards import device_family
+    from clsco.opencl.device import choose, list_devices
+
+    found, _ = list_devices()
+    every = tuple(names) == ("all",)
+    best = choose(names[0] if names and not every else None, "device")
+    if every:
+        chosen = [k for k, device in enumerate(found) if (device.kind, device.platform) == (best.kind, best.platform)]
+    else:
+        chosen = [found.index(choose(name, "device")) for name in names] or [found.index(best)]
+    families = {device_family(found[k]): k for k in chosen}
+    if len(families) > 1:
+        raise DeviceError(f"device: all must be of one family, as bits are; got {' and '.join(families)}")
+    where = places([(k, found[k].kind == "cpu") for k in chosen], count)
+    return Workers(where, next(iter(families)), "double" if best.has_fp64 else "single")
+
+
+def _cluster(address: str) -> Workers:
+    from clsco.data.cluster import cluster_device
+
+    return Workers((), *cluster_device(address), address)
+
+
+def _own(job: Job, part: tuple[int, int] | None) -> list[int]:
+    """Shards of a set, or of one part of it."""
+    index, parts = part or (0, 1)
+    return [shard for shard in shard_numbers(job.samples, job.identity.shard_size) if shard % parts == index]
+
+
+def _make_shards(job: Job, who: Workers, given: Options) -> tuple[Status, list[dict[str, Any]]]:
+    """Make the shards of a set, or of its part, that are not there yet; lines of the samples in them that failed."""
+    part, progress = given["part"], given["progress"]
+    storage = open_storage(job.where)
+    storage.tidy()
+    wanted = DataSet(storage, job.identity, job.samples)
+    try:
+        begun(wanted, given["resume"] or part is not None)
+        wanted.write({"license": given["license"] or known_license(storage), **job.distribution.about})
+        own = _own(job, part)
+        done = wanted.done(own, storage.is_local, [])
+        left = [shard for shard in own if shard not in done]
+        opened = nullcontext(lambda _: None) if progress is None else progress(sum(map(len, map(job.numbers, left))))
+        with opened as advance:
+            if left and who.scheduler:
+                from clsco.data.cluster import run_cluster
+
+                run_cluster(job, left, who.scheduler, advance)
+            elif left:
+                run_pool(job, left, who.places, advance, _memory_limit(len(who.places)))
+        status = status_of(wanted)
+        finish(wanted, status)
+        failures = [row for shard in own if shard in status.done for row in wanted.lines(shard)[1]]
+    finally:
+        storage.tidy()  # what processes left that were still about to end before
+        storage.close()
+    return status, failures
+
+
+def _memory_limit(workers: int) -> int:
+    """Bytes beyond which a process is replaced."""
+    total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    return int(WORKER_SHARE * total / max(1, workers))
