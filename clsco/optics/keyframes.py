@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import acos, cos, fmod, hypot, radians, sin
+from math import acos, asin, atan2, cos, degrees, fmod, hypot, radians, sin
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +23,7 @@ from clsco.scene.quantities import Vector
 Array = NDArray[np.float64]
 Quaternion = tuple[float, float, float, float]
 """w, x, y, z; z away from the camera, and turns by the right-hand rule about these axes."""
+LOCKED = 1e-12  # of the sine of a turn about y from 1, where turns about x and z are alike: 1e-4 deg
 HALF_TURN = 1e-9  # least |w| of a turn whose direction is known: 1e-7 deg from 180
 
 
@@ -139,10 +140,17 @@ class Orientations:
 
     def at(self, time: float) -> Array:
         """Rotation matrix (3, 3) at a time in s, in the axes of the camera."""
+        return _matrix(self._quaternion_at(time))
+
+    def angles_at(self, time: float, rotation: str) -> Vector:
+        """Rotation at a time in s as a keyframe has it: Euler angles, or a vector of at most half a turn; deg."""
+        return _angles(self._quaternion_at(time), rotation)
+
+    def _quaternion_at(self, time: float) -> Quaternion:
         found = self.first
         for turn, share in zip(self.turns, self.shares.at(time).tolist(), strict=True):
             found = _product(found, _exponential(turn, share))
-        return _matrix(found)
+        return found
 
 
 def orientations_through(
@@ -193,6 +201,18 @@ def _quaternion(angles: Vector, rotation: str) -> Quaternion:
     x, y, z = (0.5 * radians(fmod(angle, 360.0)) for angle in angles)
     about_x, about_y, about_z = (cos(x), sin(x), 0.0, 0.0), (cos(y), 0.0, sin(y), 0.0), (cos(z), 0.0, 0.0, -sin(z))
     return _product(about_z, _product(about_y, about_x))
+
+
+def _angles(q: Quaternion, rotation: str) -> Vector:
+    """Angles in deg of an orientation, the inverse of `_quaternion`; at a quarter turn about y that about x is 0."""
+    if rotation == "axis":
+        x, y, z = _logarithm(q)
+        return degrees(x), degrees(y), -degrees(z)
+    m = _matrix(q)
+    sine = -float(m[2, 0])
+    if abs(sine) > 1.0 - LOCKED:
+        return 0.0, 90.0 if sine > 0.0 else -90.0, degrees(atan2(m[0, 1], m[1, 1]))
+    return degrees(atan2(m[2, 1], m[2, 2])), degrees(asin(sine)), -degrees(atan2(m[1, 0], m[0, 0]))
 
 
 def _exponential(turn: Vector, share: float) -> Quaternion:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from clsco.optics.keyframes import Orientations, Path, orientations_through, path_through
 from clsco.scene.groups import group_origin
 from clsco.scene.model import Group, Object, ObjectMotion, Scene
-from clsco.scene.motions import CameraShake
+from clsco.scene.motions import CameraShake, Keyframe
 from clsco.scene.quantities import Vector
 from clsco.scene.rotations import rotation_rows
 from clsco.scene.shapes import origin
@@ -111,6 +111,44 @@ def pose_at(motion: ObjectMotion, time: float, rotation: str) -> Pose:
     track = _track(motion, rotation)
     turned = track.turns.at(time)
     return Pose(turned if isinstance(track.turns, Orientations) else _turned(turned, rotation), track.shifts.at(time))
+
+
+def keyframe_at(motion: ObjectMotion, time: float, rotation: str) -> Keyframe:
+    """Keyframe with the pose of a motion at a time.
+
+    Parameters
+    ----------
+    motion : ObjectMotion
+    time : float
+        Seconds since the reference pose.
+    rotation : {"euler", "axis"}
+
+    Returns
+    -------
+    Keyframe
+        Rounded to 1e-9 mm and deg. Angles about one axis keep their whole turns.
+
+    Notes
+    -----
+    Validated: `pose_at` of a motion of this keyframe alone is that of the motion at the time.
+
+    Examples
+    --------
+    >>> from clsco.optics.motion import keyframe_at
+    >>> from clsco.scene.motions import ObjectMotion
+    >>> keyframe_at(ObjectMotion(velocity=(1, 0, 0), angular_velocity=(0, 90, 0)), 5.0, "euler")
+    Keyframe(time=5.0, position=(5.0, 0.0, 0.0), rotation=(0.0, 450.0, 0.0))
+    """
+    if motion.keyframe is None:
+        angles = _accelerated(motion.angular_velocity, motion.angular_acceleration, time).tolist()
+        shift = _accelerated(motion.velocity, motion.acceleration, time)
+    else:
+        track = _track(motion, rotation)
+        turns = track.turns
+        angles = turns.angles_at(time, rotation) if isinstance(turns, Orientations) else turns.at(time).tolist()
+        shift = track.shifts.at(time)
+    (x, y, z), (a, b, c) = ((round(part, 9) + 0.0 for part in each) for each in (shift.tolist(), angles))
+    return Keyframe(time=time, position=(x, y, z), rotation=(a, b, c))
 
 
 def _turned(degrees: NDArray[np.float64], rotation: str) -> NDArray[np.float64]:
@@ -218,7 +256,7 @@ def shake_pose(shake: CameraShake, time: float) -> Pose:
     Examples
     --------
     >>> from clsco.optics.motion import shake_pose
-    >>> from clsco.scene.motions import CameraShake
+    >>> from clsco.scene.motions import CameraShake, Keyframe
     >>> shake_pose(CameraShake(rotation_rms=0.0, translation_rms=0.5, seed=7), 0.25).shift.round(6).tolist()
     [0.17156, 0.29817, 0.241686]
     """

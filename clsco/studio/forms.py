@@ -100,7 +100,8 @@ class Field:
         part = f"{index // 2}.{index % 2}" if self.is_paired else str(index)
         default = flat(self.default)[index] if isinstance(self.default, list) else None
         symbol = f"{self.symbol}{label}" if self.symbol and len(label) == 1 else ""
-        slider = POINT.get(label, self.slider) if self.key in ("center", "apex", "position", "origin") else self.slider
+        is_point = self.key in ("center", "apex", "position", "origin") and ".keyframe." not in self.path
+        slider = POINT.get(label, self.slider) if is_point else self.slider
         return replace(
             self, path=f"{self.path}.{part}", label=f"{self.label} {label}", symbol=symbol, kind="number",
             default=default, components=(), fewest=0, slider=slider, step=_step(slider, self.is_integer),
@@ -191,7 +192,9 @@ def panels(session: Session, index: int = 0) -> tuple[Panel, ...]:
         ("Title and image", ("title", "image.")),
     )
     surface = taken([key for key in of_object if key.startswith("texture_")])
-    found += [Panel("Texture on the surface", surface), Panel("Name, pose and bounds", taken(list(of_object)))]
+    over_time = taken([key for key in of_object if key.startswith("motion.")])
+    found += [Panel("Texture on the surface", surface), Panel("Motion over time", over_time)]
+    found.append(Panel("Name, pose and bounds", taken(list(of_object))))
     for title, starts in rest:
         keys = [path for path in scene if path.startswith(starts)]
         found.append(Panel(title, tuple(scene.pop(path) for path in keys)))

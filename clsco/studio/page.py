@@ -26,6 +26,7 @@ KEYS = (
     ("B", "inpainting; there [ and ] make the brush smaller and larger, E erases, 0 fits, Ctrl Z takes a stroke back"),
     ("E", "the right eye's view of a stereo pair, and back"),
     ("P, Space", "pin the exact frame; see it while the key is down"),
+    ("Delete, Enter", "on the mark of a keyframe: remove it, go to its boxes; arrows move it in time"),
     ("Ctrl Z, Shift Ctrl Z", "undo, redo"),
     ("Ctrl S", "save"),
     ("Ctrl Enter", "generate"),
@@ -45,7 +46,10 @@ COMPARISONS = (
     ("8", "difference × 8"),
     ("64", "difference × 64"),
 )
-SCRIPTS = ("colors", "studio", "badge", "keep", "tools", "line", "compare", "progress", "inspect", "forms", "brush")
+SCRIPTS = (
+    "colors", "studio", "badge", "keep", "tools", "line", "keyframes", "compare", "progress", "inspect", "forms",
+    "brush",
+)  # fmt: skip
 MOST_UNSHOWN = 8  # pages
 STYLES = ("studio", "forms")
 _VIEW_FILTER = """<svg width="0" height="0" aria-hidden="true">
@@ -198,6 +202,27 @@ def _middle() -> None:
         say("button", "▶", id="play", aria_label="Play", aria_pressed="false")
         say("input", id="frame", type="range", min=0, max=0, value=0, step=1, aria_label="Frame")
         say("span", id="time")
+        say("button", "Whole frame", id="whole", hidden=True, title="The frame with all of its time samples")
+        say("button", "Keyframes", id="keyframes", aria_pressed="false", aria_controls="keyframes-part")
+    _keyframes()
+
+
+def _keyframes() -> None:
+    """Keyframes as marks on lines of time, which the page's script draws, and what adds and removes them."""
+    with say("div", id="keyframes-part", hidden=True, role="group", aria_label="Keyframes"):
+        with say("div", id="keyframes-row"):
+            say("select", id="track", aria_label="What has the keyframe")
+            say("label", "t", for_="key-time")
+            say(
+                "input", id="key-time", type="text", inputmode="decimal", data_kind="number", autocomplete="off",
+                aria_label="Time, s", title="Time of the time line; Enter goes there",
+            )  # fmt: skip
+            say("span", "s").classes("unit")
+            say("button", "Add", id="add-key", title="Add a keyframe with the pose, or the lens, at this time")
+            say("button", "Remove", id="remove-key", disabled=True, title="Remove the chosen keyframe (Delete)")
+            say("button", "Edit", id="edit-key", disabled=True, title="The boxes of the chosen keyframe (Enter)")
+            say("span", id="keyframes-about", role="status")
+        say("div", id="lanes")
 
 
 def _view_controls() -> None:

@@ -12,6 +12,7 @@ import traceback
 import webbrowser
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from clsco.studio.door import door
 from clsco.studio.generate import stack_scenes
 from clsco.studio.guard import MAX_MESSAGE, Guard
 from clsco.studio.jobs import Jobs
+from clsco.studio.keyframes import add_keyframe, remove_keyframe, tracks
 from clsco.studio.pointing import Pointer
 from clsco.studio.presets import choose_method
 from clsco.studio.preview import Preview
@@ -223,6 +225,10 @@ class Studio:
             case {"watch": list(paths)}:
                 tab.watched = tuple(path for path in paths[:MOST_WATCHED] if isinstance(path, str) and is_path(path))
                 tab.told.set()
+            case {"keyframe": str(path), "add": int() | float() as time}:
+                add_keyframe(tab.session, path, time)
+            case {"keyframe": str(path), "remove": int(index)}:
+                remove_keyframe(tab.session, path, index)
             case {"link": str(link)}:
                 tab.session.load_share(link)
             case {"do": "keep"}:
@@ -305,6 +311,7 @@ async def _tell(tab: Tab, preview: Preview) -> None:
     """Send what follows from a change, each time that there was one: values, messages at fields, length of the clip."""
     before: dict[str, Any] = {}
     values: dict[str, Any] = {}
+    keys: list[dict[str, Any]] = []
     while True:
         tab.told.clear()
         session = tab.session
@@ -319,9 +326,11 @@ async def _tell(tab: Tab, preview: Preview) -> None:
         }
         now = {path: session.shown(path) for path in tab.watched}
         changed = {path: value for path, value in now.items() if path not in values or values[path] != value}
-        if state != before or changed:
-            await preview.tell(**state, **({"values": changed} if changed else {}))
-        before, values = state, now
+        found = [asdict(track) for track in tracks(session)]
+        if state != before or changed or found != keys:
+            rest = ({"values": changed} if changed else {}) | ({"tracks": found} if found != keys else {})
+            await preview.tell(**state, **rest)
+        before, values, keys = state, now, found
         await tab.told.wait()
         await asyncio.sleep(0.03)  # what comes together is told together
 

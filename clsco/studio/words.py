@@ -68,7 +68,7 @@ SLIDERS = {  # where useful values are; what is typed may be beyond
     "radius": (1.0, 100.0), "center": (-100.0, 500.0), "apex": (-100.0, 500.0), "half_angle": (1.0, 89.0),
     "semi_axes": (1.0, 100.0), "axis": (-1.0, 1.0), "velocity": (-50.0, 50.0), "angular_velocity": (-90.0, 90.0),
     "frames": (1.0, 60.0), "interval": (0.01, 5.0), "shutter": (0.01, 5.0), "samples": (1.0, 64.0),
-    "direction": (-1.0, 1.0), "baseline": (0.1, 100.0), "sigma_ratio": (0.1, 2.0),
+    "direction": (-1.0, 1.0), "position": (-100.0, 100.0), "baseline": (0.1, 100.0), "sigma_ratio": (0.1, 2.0),
     "white_electrons": (100.0, 50000.0), "full_well": (100.0, 50000.0), "read_noise": (0.0, 20.0),
     "dark_current": (0.0, 100.0), "prnu": (0.0, 0.05), "dsnu": (0.0, 20.0), "hot_pixels": (0.0, 0.01),
     "iso": (50.0, 25600.0), "temperature": (-20.0, 60.0),

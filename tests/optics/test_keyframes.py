@@ -12,7 +12,7 @@ from scipy.interpolate import BSpline, CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
 
 from clsco.optics.keyframes import orientations_through, path_through
-from clsco.optics.motion import TOWARDS_CAMERA, eye_pose, pose_at, poses_at
+from clsco.optics.motion import TOWARDS_CAMERA, eye_pose, keyframe_at, pose_at, poses_at
 from clsco.scene.model import Camera, CameraMotion, Group, Motion, ObjectMotion, Plane, Scene, Sphere
 from clsco.scene.motions import Keyframe
 
@@ -231,3 +231,28 @@ def test_an_orbit_by_dense_keys_is_a_circle() -> None:
     for time in (0.11, 0.37, 0.68):
         expected = np.array([20 * cos(2 * pi * time) - 20, 20 * sin(2 * pi * time), 0.0])
         np.testing.assert_allclose(pose_at(motion, time, "euler").shift, expected, rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("rotation", ["euler", "axis"])
+@pytest.mark.parametrize("interpolation", ["step", "linear", "cubic", "bspline"])
+def test_a_keyframe_with_the_pose_at_a_time_has_that_pose(interpolation: Any, rotation: Any) -> None:
+    draws = np.random.default_rng(3)
+    for _ in range(20):
+        shifts, angles = draws.uniform(-9.0, 9.0, (4, 3)), draws.uniform(-300.0, 300.0, (4, 3))
+        keys = zip(range(4), shifts.tolist(), angles.tolist(), strict=True)
+        listed = tuple(Keyframe(time=t, position=tuple(shift), rotation=tuple(turn)) for t, shift, turn in keys)
+        motion = ObjectMotion(keyframe=listed, interpolation=interpolation)
+        time = draws.uniform(-0.5, 3.5)
+        alone = ObjectMotion(keyframe=(keyframe_at(motion, time, rotation),))
+        expected, found = pose_at(motion, time, rotation), pose_at(alone, 0.0, rotation)
+        np.testing.assert_allclose(found.rotation, expected.rotation, atol=1e-9)
+        np.testing.assert_allclose(found.shift, expected.shift, atol=1e-9)
+
+
+@pytest.mark.parametrize("about_y", [90.0, -90.0])
+def test_angles_where_two_axes_are_alike(about_y: float) -> None:
+    motion = ObjectMotion(keyframe=(Keyframe(time=0.0, rotation=(30.0, about_y, 20.0)),))
+    alone = ObjectMotion(keyframe=(keyframe_at(motion, 0.0, "euler"),))
+    np.testing.assert_allclose(
+        pose_at(alone, 0.0, "euler").rotation, pose_at(motion, 0.0, "euler").rotation, atol=1e-12
+    )

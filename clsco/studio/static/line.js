@@ -16,6 +16,15 @@
     ask();
   };
 
+  studio.seekTime = (time) => { // one moment; what is before or after the sequence is not shown
+    studio.index = Math.min(Math.max(Math.floor(time / interval), 0), frames - 1);
+    studio.moment = Math.min(Math.max(time, 0), frames * interval);
+    play(false);
+    ask();
+  };
+  studio.time = () => studio.moment ?? studio.index * interval;
+  studio.length = () => frames * interval;
+
   studio.wanted = () => ({ frame: studio.index, time: studio.moment, eye: studio.right ? "right" : "left" });
 
   const ask = () => {
@@ -34,8 +43,9 @@
     slider.max = frames - 1;
     slider.value = studio.index;
     slider.disabled = one("#play").disabled = frames < 2;
-    const time = studio.moment ?? studio.index * interval;
-    one("#time").textContent = `frame ${studio.index + 1} of ${frames}, ${studio.moment === null ? "" : "at "}t = ${digits(time)} s`;
+    one("#time").textContent = `frame ${studio.index + 1} of ${frames}, ${studio.moment === null ? "" : "at "}t = ${digits(studio.time())} s`;
+    one("#whole").hidden = studio.moment === null;
+    studio.timed();
     for (const tick of document.querySelectorAll("#exposed button")) {
       tick.setAttribute("aria-pressed", String(Number(tick.dataset.time) === studio.moment));
     }
@@ -178,6 +188,7 @@
   studio.parts.push(() => {
     one("#frame").addEventListener("input", (event) => studio.seek(Number(event.target.value)));
     one("#play").addEventListener("click", () => play(!player));
+    one("#whole").addEventListener("click", () => studio.seek(studio.index));
     one("#exposed").addEventListener("click", chosen);
     one("#step").addEventListener("input", turn);
     one("#render-stack").addEventListener("click", begin);

@@ -438,7 +438,7 @@
     connect();
   };
 
-  const begin = () => (one("#studio") && one("#canvas") && window.studioColors && studio.begin && studio.parts.length === 3
+  const begin = () => (one("#studio") && one("#canvas") && window.studioColors && studio.begin && studio.parts.length === 4
     ? studio.start(one("#studio").dataset.tab) : requestAnimationFrame(begin));
   begin();
 })();

@@ -15,6 +15,7 @@ from nicegui import ui
 
 from clsco.studio.folder import IMAGES, listed
 from clsco.studio.forms import Field, Panel, panels
+from clsco.studio.keyframes import tracks
 from clsco.studio.presets import choose_method, is_as_the_thesis
 from clsco.studio.session import Session
 from clsco.studio.tables import at
@@ -103,6 +104,7 @@ def _form(session: Session, chosen: Chosen) -> Any:
     path = f"object.{chosen.index}"
     moves = [is_chosen(session, f"{path}.motion.{key}") for key in _MOTIONS]
     counts = [len(session.table.get(key, ())) for key in ("object", "group")]
+    counts += [len(track.times) for track in tracks(session)]
     return chosen.index, session.shown(f"{path}.shape"), counts, moves
 
 

@@ -1,0 +1,193 @@
+"""Keyframes of the time line: which things have some, and how one is added or removed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+from clsco.errors import SceneError
+from clsco.optics.lens_path import camera_at
+from clsco.optics.motion import keyframe_at
+from clsco.scene.model import Scene
+from clsco.scene.motions import ObjectMotion
+from clsco.scene.text import brief, shown
+from clsco.studio.session import Session
+from clsco.studio.tables import Table, at, with_value, without
+from clsco.studio.words import SHAPE_LABELS, words
+
+LATEST = 1e9  # s, of a keyframe
+LENS = "lens.keyframe"
+_OF_LENS = {"focal_length": "focal_length", "focus_distance": "focused_distance", "f_number": "opening"}
+"""Quantities of a keyframe of the lens, and what the camera calls them."""
+_FIRST_OF_LENS = ("focus_distance", "f_number")
+_TURN = 90.0  # deg from key to key at most, where velocities that turn about several axes become keys
+
+
+@dataclass(frozen=True)
+class Track:
+    """A thing that can have keyframes.
+
+    Attributes
+    ----------
+    path : str
+        Path of its keyframes: "object.0.motion.keyframe".
+    name : str
+        Its name for users.
+    times : tuple of float or None
+        Times of its keyframes, s; None where a file has several values for one.
+    """
+
+    path: str
+    name: str
+    times: tuple[float | None, ...]
+
+
+def tracks(session: Session) -> tuple[Track, ...]:
+    """The camera, its lens, groups and objects of a scene, but for backgrounds, which cannot move."""
+    return tuple(Track(path, name, _times(session, path)) for path, name in _named(session))
+
+
+def add_keyframe(session: Session, path: str, time: float) -> None:
+    """Add a keyframe with the pose, or the lens, that there is at a time, as one step of undo.
+
+    Parameters
+    ----------
+    session : Session
+    path : str
+        Path of a `Track`.
+    time : float
+        s.
+
+    Raises
+    ------
+    SceneError
+        There is no such track; the time cannot be, or has a keyframe.
+
+    Notes
+    -----
+    Where the thing moves by velocities, these become keyframes at t = 0, at this time, and at the end of the sequence,
+    and closer ones where it turns about several axes, with the same pose at each.
+    """
+    _known(session, path)
+    if not abs(time) <= LATEST:
+        raise SceneError(f"keyframe: time must be within {LATEST:g} s; got {brief(str(time))}")
+    scene, (outer, _, _) = session.scene, path.rpartition(".")
+    table = session.table
+    old = at(table, path.split(".")) or []
+    if path == LENS:
+        new, table = [_lens_keyframe(scene, time)], table if old else with_value(table, ["lens"], {})
+    else:
+        motion = _motion(session, path)
+        times = [time]
+        if not old and motion.moves:
+            times = _moving_times(scene, motion, time)
+            given = at(table, outer.split("."))
+            table = with_value(table, outer.split("."), {"outside": "linear"} | _without_velocities(given))
+        new = [
+            {key: _plain(value) for key, value in keyframe_at(motion, t, scene.motion.rotation).model_dump().items()}
+            for t in times
+        ]
+    if any(_time(each) == time for each in old):
+        raise SceneError(f"keyframe: there must be none at this time; got one at {time:g} s")
+    keys = sorted([*old, *new], key=lambda each: math.inf if (t := _time(each)) is None else t)
+    session.take(replace(session.state, table=with_value(table, path.split("."), keys)))
+
+
+def remove_keyframe(session: Session, path: str, index: int) -> None:
+    """Remove a keyframe, as one step of undo. With the last one all keys that only keyframes have are gone.
+
+    Raises
+    ------
+    SceneError
+        There is no such keyframe, or the others cannot be without it.
+    """
+    _known(session, path)
+    keys = list(at(session.table, path.split(".")) or [])
+    if not 0 <= index < len(keys):
+        raise SceneError(f"keyframe: must be one of {len(keys)}, counted from 0; got {shown(index)}")
+    del keys[index]
+    if keys:
+        table = with_value(session.table, path.split("."), keys)
+    else:
+        table = session.table
+        *outer, _ = path.split(".")
+        for key in ("interpolation", "outside", "keyframe"):
+            table = without(table, [*outer, key])
+    session.take(replace(session.state, table=table))
+
+
+def _named(session: Session) -> Iterator[tuple[str, str]]:
+    yield "camera.motion.keyframe", "Camera"
+    yield LENS, "Lens"
+    for number, group in enumerate(session.table.get("group", ())):
+        yield f"group.{number}.motion.keyframe", f"Group {group.get('name', number + 1)}"
+    for number, item in enumerate(session.table["object"]):
+        if item["shape"] != "background":
+            name = item.get("name") or SHAPE_LABELS.get(item["shape"], words(item["shape"]))
+            yield f"object.{number}.motion.keyframe", f"{number + 1} {name}"
+
+
+def _known(session: Session, path: str) -> None:
+    if path not in (known for known, _ in _named(session)):
+        raise SceneError(f"keyframe: must be of the camera, its lens, a group or an object; got {brief(path)}")
+
+
+def _times(session: Session, path: str) -> tuple[float | None, ...]:
+    """Times of keyframes as they are in the boxes, if numbers are."""
+    keys = at(session.table, path.split("."))
+    if not isinstance(keys, list):
+        return ()
+    typed = [session.refused.get(f"{path}.{number}.time") for number in range(len(keys))]
+    return tuple(_number(new) if _number(new) is not None else _time(key) for new, key in zip(typed, keys, strict=True))
+
+
+def _time(key: Any) -> float | None:
+    """Time of the table of a keyframe, None where it has several values."""
+    return _number(key.get("time")) if isinstance(key, dict) else None
+
+
+def _number(value: Any) -> float | None:
+    is_one = isinstance(value, int | float) and not isinstance(value, bool)
+    return float(value) if is_one and abs(value) <= LATEST else None
+
+
+def _motion(session: Session, path: str) -> ObjectMotion:
+    """The motion in the scene that is shown."""
+    scene, parts = session.scene, path.split(".")
+    if parts[0] == "camera":
+        return scene.camera.motion
+    if parts[0] == "group":
+        return scene.groups[int(parts[1])].motion
+    return scene.objects[session.object_entries.index(int(parts[1]))].motion
+
+
+def _moving_times(scene: Scene, motion: ObjectMotion, time: float) -> list[float]:
+    """Times of the keyframes that velocities and accelerations become."""
+    end = scene.sequence.frames * scene.sequence.interval
+    times = {0.0, time, end}
+    if sum(motion.turns) > 1:
+        last = max(times)
+        angle = max(map(math.hypot, *zip(keyframe_at(motion, last, scene.motion.rotation).rotation, strict=True)))
+        count = math.ceil(angle / _TURN)
+        times |= {last * k / count for k in range(1, count)}
+    return sorted(times)
+
+
+def _without_velocities(motion: Table) -> Table:
+    return {key: value for key, value in motion.items() if not key.endswith(("velocity", "acceleration"))}
+
+
+def _lens_keyframe(scene: Scene, time: float) -> Table:
+    """Table of a keyframe of the lens, with the quantities that its keyframes have; of the first one, with all."""
+    camera = camera_at(scene, time)
+    names: Iterable[str] = _FIRST_OF_LENS
+    if scene.lens is not None:
+        names = {name for key in scene.lens.keyframe for name in key.model_fields_set}
+    values = {name: float(getattr(camera, of_camera)) for name, of_camera in _OF_LENS.items() if name in names}
+    return {"time": time} | {name: float(f"{value:.9g}") for name, value in values.items() if math.isfinite(value)}
+
+
+def _plain(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value
