@@ -23,6 +23,8 @@ render, render_frame, render_sweep
     All frames of a scene, one frame, the frames of several scenes.
 response
     The response of a frame to one source: its point spread function with occlusion, motion and border.
+psf
+    The point spread functions of a scene's lens over depth, as frames are made with them.
 defocus, inpaint
     Blur an image by its map of blur radii; fill its missing pixels.
 load_scene, parse_scene
@@ -48,6 +50,8 @@ Plane, Rectangle, Disc, Box, Sphere, Cylinder, Cone, Ellipsoid, Quadric, DepthMa
     The objects of a scene.
 Frame
     A rendered image with its ground truth.
+PsfStack
+    Weights of point spread functions with their axes.
 Live
     Renders scenes that differ in little one after the other, and keeps what is the same.
 MeanMedian
@@ -87,6 +91,8 @@ if TYPE_CHECKING:
     from clsco.inpainting.rules import MeanMedian as MeanMedian
     from clsco.inputs.dump import dump_scene as dump_scene
     from clsco.opencl.device import list_devices as list_devices
+    from clsco.plan.spreads import PsfStack as PsfStack
+    from clsco.plan.spreads import psf as psf
     from clsco.scene.file import load_scene as load_scene
     from clsco.scene.file import parse_scene as parse_scene
     from clsco.scene.model import Aperture as Aperture
@@ -137,6 +143,7 @@ _NAMES = {
     "clsco.scene.sweep": ("load_sweep", "parse_sweep"),
     "clsco.inputs.dump": ("dump_scene",),
     "clsco.opencl.device": ("list_devices",),
+    "clsco.plan.spreads": ("psf", "PsfStack"),
     "clsco.scene.model": (
         *(
             "Scene",
@@ -163,12 +170,12 @@ _NAMES = {
 }
 _HOME = {name: module for module, names in _NAMES.items() for name in names}
 __all__ = [  # noqa: RUF022, verbs and then types
-    "render", "render_frame", "render_sweep", "response", "defocus", "inpaint", "load_scene", "parse_scene",
+    "render", "render_frame", "render_sweep", "response", "psf", "defocus", "inpaint", "load_scene", "parse_scene",
     "load_sweep", "parse_sweep", "dump_scene", "write_video", "list_devices", "reference",
     "Scene", "Camera", "Aperture", "Psf", "Sequence", "Motion", "Fill", "ImageOptions", "Light", "Stereo", "Sensor",
     "Group", "ObjectMotion", "CameraMotion", "Keyframe", "CameraShake", "LensMotion", "LensKeyframe",
     "Plane", "Rectangle", "Disc", "Box", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap", "Background",
-    "Frame", "Live", "MeanMedian",
+    "Frame", "Live", "PsfStack", "MeanMedian",
     "ClscoError", "SceneError", "ImageError", "DeviceError", "KernelError", "CanceledError",
 ]  # fmt: skip
 

@@ -3,17 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from clsco.cli.output import echo
+from clsco.errors import SceneError
 
 if TYPE_CHECKING:
     from clsco.files.color import Color
+    from clsco.plan.buffers import DeviceFacts
     from clsco.plan.prepare import Prepared, PreparedFile
+    from clsco.plan.request import Request
     from clsco.scene.model import DepthMap
+
+
+def first_scene(
+    path: Path, overrides: tuple[str, ...], request: Request, device: DeviceFacts | None = None, aside: bool = False
+) -> Prepared:  # fmt: skip
+    """A file's only scene; of several the first one, whose label is printed; aside: on stderr."""
+    from clsco.plan.prepare import prepare_files
+    from clsco.scene.sweep import load_sweeps
+
+    ((path, sweep),) = load_sweeps([path], overrides)
+    if isinstance(sweep, SceneError):
+        raise sweep
+    alone = replace(sweep, labels=sweep.labels[:1], scenes=sweep.scenes[:1])
+    ((_, (label,), (first,)),) = prepare_files([(path, alone)], request, device)
+    if label:
+        echo(f"the first of {len(sweep.labels)} scenes, {label}:", err=aside)
+    return first
 
 
 def report_inputs(planned: Sequence[PreparedFile]) -> None:

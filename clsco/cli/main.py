@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +17,7 @@ from clsco import __version__
 from clsco.cli.batch import batch
 from clsco.cli.convert import convert
 from clsco.cli.focus import focus_at_option, focus_depth_option, focused_files, parsed_focus
-from clsco.cli.inputs import report_inputs, report_loss, report_notes, report_stretched
+from clsco.cli.inputs import first_scene, report_inputs, report_loss, report_notes, report_stretched
 from clsco.cli.options import (
     PATH,
     Commands,
@@ -39,6 +38,7 @@ from clsco.cli.options import (
     truth_option,
 )
 from clsco.cli.output import echo
+from clsco.cli.psf import psf
 from clsco.cli.render import render, render_to_folders, request_for, require_uncolored
 from clsco.cli.studio import studio
 from clsco.cli.video import video
@@ -46,9 +46,6 @@ from clsco.errors import ClscoError, DeviceError, SceneError
 
 if TYPE_CHECKING:
     from clsco.frame.truth_files import TruthFile
-    from clsco.plan.buffers import DeviceFacts
-    from clsco.plan.prepare import Prepared
-    from clsco.plan.request import Request
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
@@ -141,7 +138,7 @@ def plan(
 
     require_uncolored(files, no_color)
     device = ThisMachine(kind="gpu") if gpu else None
-    first = _first(scene, overrides, request_for(files, memory=memory, color=not no_color), device, machine)
+    first = first_scene(scene, overrides, request_for(files, memory=memory, color=not no_color), device, machine)
     report_stretched(scene, [first])
     from clsco.cli.plan_tables import plan_tables, planned_values
     from clsco.cli.tables import print_tables
@@ -167,7 +164,7 @@ def check(scene: Path, overrides: tuple[str, ...], device: str | None, precision
     Fails where color differs by more than 1e-5 of white; in single precision, by more than 1e-4 in more than 1 of
     500 pixels.
     """
-    first = _first(scene, overrides, request_for((), precision=precision))
+    first = first_scene(scene, overrides, request_for((), precision=precision))
     require_device(device)
     from clsco.cli.check import compare_frames
     from clsco.cli.tables import check_tables, print_tables
@@ -469,25 +466,9 @@ def inpaint(
         echo(f"no pixel is missing: {click.format_filename(out)} is a copy of {click.format_filename(image)}")
 
 
-def _first(
-    path: Path, overrides: tuple[str, ...], request: Request, device: DeviceFacts | None = None, aside: bool = False
-) -> Prepared:  # fmt: skip
-    """A file's only scene; of several the first one, whose label is printed; aside: on stderr."""
-    from clsco.plan.prepare import prepare_files
-    from clsco.scene.sweep import load_sweeps
-
-    ((path, sweep),) = load_sweeps([path], overrides)
-    if isinstance(sweep, SceneError):
-        raise sweep
-    alone = replace(sweep, labels=sweep.labels[:1], scenes=sweep.scenes[:1])
-    ((_, (label,), (first,)),) = prepare_files([(path, alone)], request, device)
-    if label:
-        echo(f"the first of {len(sweep.labels)} scenes, {label}:", err=aside)
-    return first
-
-
 main.add_command(batch)
 main.add_command(convert)
+main.add_command(psf)
 main.add_command(render)
 main.add_command(video)
 main.add_command(studio)

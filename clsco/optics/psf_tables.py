@@ -20,6 +20,7 @@ from clsco.optics.psf_grid import (
     octant_taps,
     row_lanes,
     span_of,
+    table_coordinate,
     table_radius,
 )
 
@@ -248,3 +249,49 @@ def _disc_table(psf: PointSpread, span: range) -> PsfTable:
     return PsfTable(
         span.start, span.start, span.stop, intervals, each, int(widths[-1]), len(span), each, roots
     )  # fmt: skip
+
+
+def table_weights(table: PsfTable, psf: PointSpread, radius: float) -> NDArray[np.float32]:
+    """Weights of a source as a device reads them from a main table.
+
+    Parameters
+    ----------
+    table : PsfTable
+        Of `psf_table` for a range with this |blur radius|, without sub-pixel sources.
+    psf : PointSpread
+    radius : float
+        Signed blur radius, px.
+
+    Returns
+    -------
+    ndarray of float32, (2 h + 1, 2 h + 1)
+        Weights of the pixels from h rows above to h below, and from h columns left to h right of the source.
+
+    Examples
+    --------
+    >>> from clsco.optics.point_spread import PointSpread
+    >>> from clsco.optics.psf_tables import psf_table, table_weights
+    >>> from clsco.optics.pupils.circle import Circle
+    >>> psf = PointSpread(Circle())
+    >>> weights = table_weights(psf_table(psf, 3.0, 3.0), psf, -3.0)
+    >>> weights.shape, round(float(weights.sum()), 5)
+    ((9, 9), 1.0)
+    """
+    coordinate = float(table_coordinate(psf, np.asarray(radius)))
+    whole = int(coordinate)
+    number = whole - table.first + (table.count if psf.signed and radius < 0.0 else 0)
+    start, half = (int(value) for value in table.intervals[number])
+    size = 2 * half + 1
+    if psf.layout == "disc":
+        across = np.abs(np.arange(-half, half + 1))
+        ends = table.outlines[whole - across**2]
+        return np.where(across <= ends[:, None], table.coefficients[start], np.float32(0.0))
+    rows = {"separable": 1, "symmetric": half + 1, "general": size}[psf.layout]
+    lanes = row_lanes(half)
+    cubics = table.coefficients[start : start + rows * POWERS * lanes].reshape(rows, POWERS, lanes)[..., :size]
+    found = np.polynomial.polynomial.polyval(coordinate - whole, cubics.astype(np.float64).swapaxes(0, 1))
+    if psf.layout == "separable":
+        found = found[0] * found[0][:, None]
+    elif psf.layout == "symmetric":
+        found = np.concatenate([found[:0:-1], found])
+    return np.asarray(found, np.float32)

@@ -401,7 +401,7 @@ def test_schema() -> None:
 
 def test_help_and_version() -> None:
     assert clsco_("--version").output == f"clsco, version {clsco.__version__}\n"
-    for name in ("render", "plan", "check", "demo", "devices", "schema", "thesis", "validate"):
+    for name in ("render", "plan", "psf", "check", "demo", "devices", "schema", "thesis", "validate"):
         assert name in clsco_("--help").output
         assert clsco_(name, "--help").exit_code == 0
     assert clsco_("paint").exit_code == 2

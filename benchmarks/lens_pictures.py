@@ -1,0 +1,91 @@
+"""docs/lenses/NAME.png, points of light behind and before the focus by a plain disc and by an effect: python -m
+benchmarks.lens_pictures [NAME ...] [-o FOLDER]"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+import clsco
+from benchmarks.apertures_picture import heart
+
+ROWS, COLUMNS, APART, GAP = 144, 208, 32, 4  # px
+BRIGHTNESS, DARKNESS = 120.0, 0.008  # of a point, and of all between
+CAMERA = {
+    "resolution": [COLUMNS, ROWS],
+    "focal_length": 20.0,
+    "f_number": 1.4,
+    "focus_distance": 100.0,
+    "pixel_pitch": 0.12,
+}
+FAR, NEAR = 1000.0, 53.0  # mm
+
+
+@dataclass(frozen=True)
+class Effect:
+    """An effect of a lens in a picture.
+
+    name: of the file; sections: of the scene file, beside a camera; depths: of the points, mm, from above to below;
+    color: of the points, linear.
+    """
+
+    name: str
+    sections: dict[str, Any]
+    depths: tuple[float, ...] = (FAR, NEAR)
+    color: tuple[float, ...] = field(default=(1.0,))
+
+
+EFFECTS = (
+    Effect("polygon", {"aperture": {"shape": "polygon", "blades": 5}}),
+    Effect("ring", {"aperture": {"shape": "ring", "obstruction": 0.5}}),
+    Effect("image", {"aperture": {"shape": "image", "image": heart()}}),
+    Effect("gaussian", {"psf": {"model": "gaussian"}}),
+)
+
+
+def points(color: tuple[float, ...]) -> NDArray[np.float32]:
+    """Texture (ROWS, COLUMNS[, 3]) with points APART px from each other, one of them on the axis."""
+    found = np.full((ROWS, COLUMNS, len(color)), DARKNESS, np.float32)
+    found[ROWS // 2 % APART :: APART, COLUMNS // 2 % APART :: APART] = BRIGHTNESS
+    colored = found * np.asarray(color, np.float32)
+    return colored if len(color) == 3 else colored[..., 0]
+
+
+def picture(effect: Effect) -> NDArray[np.uint8]:
+    """The plain disc on the left, the effect on the right; the farthest points above."""
+    shown = []
+    for depth in effect.depths:
+        plane = {"shape": "plane", "distance": depth, "texture": points(effect.color)}
+        plain = {"camera": CAMERA, "object": [plane]}
+        sections = {name: CAMERA | keys if name == "camera" else keys for name, keys in effect.sections.items()}
+        pair = [clsco.render_frame(clsco.parse_scene(scene), truth=()).color for scene in (plain, plain | sections)]
+        shown.append(np.concatenate([_framed(each) for each in pair], axis=1))
+    codes = np.clip(np.concatenate(shown)[GAP:, GAP:], 0.0, 1.0) ** (1 / 2.2)
+    return np.rint(255 * codes).astype(np.uint8)
+
+
+def _framed(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """An image with a white border above and on the left."""
+    return np.pad(image, [(GAP, 0), (GAP, 0)] + [(0, 0)] * (image.ndim - 2), constant_values=1.0)
+
+
+def main() -> None:
+    """Write pictures of all effects, or of some."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", metavar="NAME", nargs="*", help="Effects. Default: all.")
+    parser.add_argument("-o", dest="out", type=Path, default=Path(__file__).parents[1] / "docs" / "lenses")
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    for effect in EFFECTS:
+        if effect.name in (given.names or [each.name for each in EFFECTS]):
+            Image.fromarray(picture(effect)).save(given.out / f"{effect.name}.png", optimize=True)
+
+
+if __name__ == "__main__":
+    main()

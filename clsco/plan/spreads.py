@@ -1,0 +1,188 @@
+"""Weights of the point spread function of a scene, over depth, field and channel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.errors import SceneError
+from clsco.inputs.pupils import scene_point_spread
+from clsco.optics.exposure import middle_time
+from clsco.optics.lens import LARGEST_BLUR, Lens, blur_radius
+from clsco.optics.lens_path import camera_at
+from clsco.optics.point_spread import PointSpread
+from clsco.optics.psf_blocks import WeightBlock, weight_block
+from clsco.optics.psf_tables import psf_table, table_weights
+from clsco.plan.prepare import Prepared, prepare
+from clsco.scene.file import SceneLike, scene_of
+from clsco.scene.model import Camera
+from clsco.scene.text import shown
+
+Array = NDArray[np.float64]
+HALF = 4  # depths on each side of the focal surface by default
+LARGEST_STACK = 2**30  # bytes
+
+
+@dataclass(frozen=True, eq=False)
+class PsfStack:
+    """Point spread functions of a lens, as the tables have them that a frame is made with.
+
+    Attributes
+    ----------
+    weights : ndarray of float32, (channels, places, depths, rows, columns)
+        Share of a source's light that each pixel gets, from that above and left of the source to that below and right.
+    depth : ndarray of float64, (depths,)
+        Depth Z of the source, mm, from near to far.
+    radius : ndarray of float64, (channels, places, depths)
+        Signed blur radius R, px.
+    at : ndarray of float64, (places, 2)
+        Column and row of the source in the frame, px.
+    channels : tuple of str
+        "all", where all colors are blurred alike.
+    name : str
+        Name of the pupil, and how it is evaluated on pixels.
+    """
+
+    weights: NDArray[np.float32]
+    depth: Array
+    radius: Array
+    at: Array
+    channels: tuple[str, ...]
+    name: str
+
+    @property
+    def reach(self) -> int:
+        """Pixels from the source to the border of `weights`."""
+        return self.weights.shape[-1] // 2
+
+    def arrays(self) -> dict[str, NDArray[np.generic]]:
+        """Arrays of a file, with their units in their names."""
+        offset = np.arange(-self.reach, self.reach + 1)
+        return {
+            "weights": self.weights, "channel": np.array(self.channels), "at_px": self.at, "depth_mm": self.depth,
+            "inverse_depth_per_mm": 1.0 / self.depth, "blur_radius_px": self.radius, "offset_px": offset,
+        }  # fmt: skip
+
+
+def psf(
+    scene: SceneLike, at: Sequence[tuple[float, float]] | None = None, depths: Sequence[float] | None = None,
+    index: int = 0,
+) -> PsfStack:  # fmt: skip
+    """Point spread functions of a scene's lens: the weights that its frames are made with.
+
+    Parameters
+    ----------
+    scene : Scene, mapping or path
+        As for `clsco.render_frame`.
+    at : sequence of (column, row), optional
+        Places of sources in the frame, px. By default the middle.
+    depths : sequence of float, optional
+        Depths Z of sources, mm; infinity is one. By default nine from near to far at equal steps of 1/Z on each side of
+        the focal surface, as far as the blur radii go that are expected in the scene.
+    index : int
+        Number of the frame, whose lens is that of its middle time.
+
+    Returns
+    -------
+    PsfStack
+
+    Raises
+    ------
+    SceneError, ImageError
+        As `clsco.render_frame`; a place is not in the frame, a depth not before the lens, or its |R| too large.
+
+    Notes
+    -----
+    The weights are read from the same tables as on the device: for one source, all of it visible, on a surface that
+    faces the camera, in linear light. `clsco.response` has occlusion, motion, tilt and the border.
+    Validated: equal to the response of a source on such a plane.
+
+    Examples
+    --------
+    >>> import clsco
+    >>> camera = clsco.Camera(resolution=(32, 24), pixel_pitch=0.05)
+    >>> stack = clsco.psf(clsco.Scene(camera=camera, objects=(clsco.Plane(distance=300),)), depths=[200, 300])
+    >>> stack.weights.shape, stack.radius.round(2).tolist()
+    ((1, 1, 2, 9, 9), [[[-2.0, 1.33]]])
+    """
+    return psf_of(prepare(scene_of(scene)), at, depths, index)
+
+
+def psf_of(
+    prepared: Prepared, at: Sequence[tuple[float, float]] | None = None, depths: Sequence[float] | None = None,
+    index: int = 0,
+) -> PsfStack:  # fmt: skip
+    """`psf` of a scene that is prepared."""
+    scene = prepared.scene
+    if not 0 <= index < scene.sequence.frames:
+        raise SceneError(f"psf: frame must be between 0 and {scene.sequence.frames - 1}; got {index}")
+    camera = camera_at(scene, middle_time(scene.sequence, index))
+    places = _places(camera, at)
+    inverse = _inverse_depths(camera, prepared.plan.largest_blur) if depths is None else _given(depths)
+    spread = scene_point_spread(scene)
+    radius = np.broadcast_to(blur_radius(camera, inverse), (1, len(places), len(inverse)))
+    if (most := float(np.abs(radius).max())) > LARGEST_BLUR:
+        raise SceneError(f"psf: |R| must be at most {LARGEST_BLUR:g} px; got {most:.4g} px")
+    with np.errstate(divide="ignore"):
+        depth = 1.0 / inverse
+    return PsfStack(_stacked(spread, radius), depth, radius.copy(), places, ("all",), spread.name)
+
+
+def _places(camera: Camera, at: Sequence[tuple[float, float]] | None) -> Array:
+    columns, rows = camera.frame_size
+    if at is None:
+        return np.array([[(columns - 1) / 2, (rows - 1) / 2]])
+    found = np.array(at, dtype=np.float64).reshape(-1, 2)
+    for x, y in found.tolist():
+        if not (0.0 <= x <= columns - 1 and 0.0 <= y <= rows - 1):
+            rule = f"must be in the frame, columns 0 to {columns - 1} and rows 0 to {rows - 1}"
+            raise SceneError(f"psf: at: {rule}; got {shown([x, y])}")
+    return found
+
+
+def _given(depths: Sequence[float]) -> Array:
+    found = np.array(sorted(depths), dtype=np.float64)
+    if not found.size or not (found > 0.0).all():
+        raise SceneError(f"psf: depths must be one or more distances in mm, above 0; got {shown(list(depths))}")
+    return 1.0 / found
+
+
+def _inverse_depths(camera: Camera, largest: float) -> Array:
+    """Inverse depths, 1/mm, from near to far."""
+    lens = Lens.of(camera)
+    power, margin = lens.focus_power, largest / lens.blur_scale
+    near, far = power + margin, max(power - margin, 0.0)
+    if not far < power < near:
+        return np.linspace(max(near, far), far, 2 * HALF + 1) if near > far else np.array([far])
+    return np.concatenate([np.linspace(near, power, HALF + 1), np.linspace(power, far, HALF + 1)[1:]])
+
+
+def _stacked(spread: PointSpread, radius: Array) -> NDArray[np.float32]:
+    """Weights (..., n, n) at blur radii (...)."""
+    known = {r: spread_weights(spread, r) for r in dict.fromkeys(radius.ravel().tolist())}
+    reach = max(each.shape[0] // 2 for each in known.values())
+    size = 4 * radius.size * (2 * reach + 1) ** 2
+    if size > LARGEST_STACK:
+        raise SceneError(
+            f"psf: must take at most {LARGEST_STACK >> 20} MiB; got {size >> 20} MiB: ask for fewer depths"
+        )
+    found = np.zeros((radius.size, 2 * reach + 1, 2 * reach + 1), np.float32)
+    for square, r in zip(found, radius.ravel().tolist(), strict=True):
+        far = known[r].shape[0] // 2
+        square[reach - far : reach + far + 1, reach - far : reach + far + 1] = known[r]
+    return found.reshape(*radius.shape, *found.shape[1:])
+
+
+def spread_weights(spread: PointSpread, radius: float) -> NDArray[np.float32]:
+    """Weights (n, n) of a source of a signed blur radius, px, from the table that a device reads."""
+    table = psf_table(spread, abs(radius), abs(radius), blocks=_block)
+    return table_weights(table, spread, radius)
+
+
+@lru_cache(maxsize=64)
+def _block(spread: PointSpread, first: int, subpixel: int) -> WeightBlock:
+    return weight_block(spread, first, subpixel)

@@ -1,0 +1,137 @@
+"""Point spread functions of a scene's lens: the weights that frames are made with, and their axes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import clsco
+from clsco.errors import SceneError
+from clsco.inputs.pupils import scene_point_spread
+from clsco.optics.lens import Lens, blur_radius
+from clsco.passes.tables import shared_tables
+from clsco.plan import spreads
+from clsco.plan.prepare import prepare
+
+PENTAGON = {"aperture": {"shape": "polygon", "blades": 5, "rotation": 20.0}}
+RING = {"aperture": {"shape": "ring", "obstruction": 0.5}}
+KINDS: list[dict[str, Any]] = [
+    {}, {"psf": {"edge": "area"}}, {"psf": {"edge": "sampled"}}, {"psf": {"model": "gaussian"}},
+    {"psf": {"model": "gaussian", "edge": "sampled"}}, PENTAGON, RING,
+]  # fmt: skip
+
+
+def scene_of(distance: float = 300.0, **sections: Any) -> clsco.Scene:
+    camera = {"resolution": [40, 32], "pixel_pitch": 0.03} | sections.pop("camera", {})
+    return clsco.parse_scene({"camera": camera, "object": [{"shape": "plane", "distance": distance}], **sections})
+
+
+@pytest.mark.parametrize("sections", KINDS, ids=str)
+@pytest.mark.parametrize("distance", [205.0, 251.0, 340.0])
+def test_a_source_is_spread_by_them(sections: dict[str, Any], distance: float) -> None:
+    scene = scene_of(distance, **sections)
+    stack = clsco.psf(scene, at=[(19, 15)], depths=[distance])
+    far = stack.reach
+    spread = clsco.response(scene, 19, 15)
+    np.testing.assert_allclose(
+        spread[15 - far : 16 + far, 19 - far : 20 + far], stack.weights[0, 0, 0], atol=1e-6 * spread.max()
+    )
+    assert spread.sum() == pytest.approx(float(stack.weights.sum()), abs=1e-6)
+
+
+@pytest.mark.parametrize("sections", KINDS, ids=str)
+def test_they_are_those_of_the_tables(sections: dict[str, Any]) -> None:
+    spread = scene_point_spread(scene_of(**sections))
+    for radius in (-4.3, -0.2, 0.0, 0.7, 6.0):
+        table = shared_tables().table(spread, 0.0, 8.0)
+        np.testing.assert_array_equal(
+            spreads.spread_weights(spread, radius), spreads.table_weights(table, spread, radius)
+        )
+        found = spreads.spread_weights(spread, radius).astype(np.float64)
+        offset = np.arange(-(found.shape[0] // 2), found.shape[0] // 2 + 1.0)
+        expected = spread.weights(offset, offset[:, None], np.asarray(radius))
+        assert np.abs(found - expected).sum() < 1e-4
+
+
+def test_axes_of_the_default_go_through_the_focus_as_far_as_the_scene_does() -> None:
+    scene = scene_of(400.0)
+    stack, lens = clsco.psf(scene), Lens.of(scene.camera)
+    assert stack.weights.shape[:3] == (1, 1, 9)
+    np.testing.assert_array_equal(stack.at, [[19.5, 15.5]])
+    assert np.all(np.diff(stack.depth) > 0.0)
+    assert stack.radius[0, 0, 4] == pytest.approx(0.0, abs=1e-12)
+    assert stack.radius[0, 0, -1] == pytest.approx(prepare(scene).plan.largest_blur)
+    np.testing.assert_allclose(np.diff(1.0 / stack.depth), -stack.radius[0, 0, -1] / 4 / lens.blur_scale)
+    np.testing.assert_allclose(stack.radius[0, 0], blur_radius(scene.camera, 1.0 / stack.depth), atol=1e-12)
+    np.testing.assert_allclose(stack.weights.sum(axis=(3, 4)), 1.0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("camera", "last"),
+    [
+        ({"focus_distance": 2000.0}, 1.667),  # R of infinity, which is less out of focus than the plane
+        ({"sensor_distance": 20.0}, 0.0),
+        ({"sensor_distance": 19.0}, -8.772),  # nothing is in focus
+    ],
+)
+def test_depths_end_at_infinity(camera: dict[str, float], last: float) -> None:
+    scene = scene_of(700.0, camera=camera)
+    stack = clsco.psf(scene)
+    assert stack.radius[0, 0, 0] == pytest.approx(float(blur_radius(scene.camera, 1 / 700.0)))
+    assert stack.radius[0, 0, -1] == pytest.approx(last, abs=1e-3)
+    assert stack.depth[-1] == np.inf
+    assert len(stack.depth) == 9
+    assert np.all(np.diff(stack.depth) > 0.0)
+
+
+def test_far_and_near_are_turned_over() -> None:
+    scene = scene_of(**PENTAGON)
+    stack = clsco.psf(scene, depths=[1.0 / (2.0 / scene.camera.focused_distance - 1.0 / 300.0), 300.0])
+    near, far = stack.weights[0, 0]
+    assert stack.radius[0, 0, 0] == pytest.approx(-stack.radius[0, 0, 1])
+    np.testing.assert_allclose(near[::-1, ::-1], far, atol=1e-6)
+    assert np.abs(near - far).sum() > 0.1
+
+
+def test_the_lens_is_that_of_the_frame() -> None:
+    keys = [{"time": 0.0, "f_number": 2.0}, {"time": 2.0, "f_number": 4.0}]
+    scene = scene_of(lens={"keyframe": keys}, sequence={"frames": 2})
+    wide, narrow = (clsco.psf(scene, depths=[300.0], index=index).radius[0, 0, 0] for index in (0, 1))
+    assert narrow / wide == pytest.approx(0.3125 / 0.4375)  # 1 / f-number at 1.5 s and at 0.5 s
+
+
+def test_arrays_of_a_file_have_their_units_in_their_names() -> None:
+    arrays = clsco.psf(scene_of(), at=[(0, 0), (39, 31)], depths=[300.0, np.inf]).arrays()
+    assert {name: array.shape for name, array in arrays.items()} == {
+        "weights": (1, 2, 2, 29, 29), "channel": (1,), "at_px": (2, 2), "depth_mm": (2,), "inverse_depth_per_mm": (2,),
+        "blur_radius_px": (1, 2, 2), "offset_px": (29,),
+    }  # fmt: skip
+    assert arrays["inverse_depth_per_mm"][1] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"at": [(40, 0)]}, "psf: at: must be in the frame, columns 0 to 39 and rows 0 to 31; got [40.0, 0.0]"),
+        (
+            {"at": [(float("nan"), 0)]},
+            "psf: at: must be in the frame, columns 0 to 39 and rows 0 to 31; got [nan, 0.0]",
+        ),
+        ({"depths": []}, "psf: depths must be one or more distances in mm, above 0; got []"),
+        ({"depths": [0.0]}, "psf: depths must be one or more distances in mm, above 0; got [0.0]"),
+        ({"depths": [0.5]}, "psf: |R| must be at most 512 px; got 6653 px"),
+        ({"index": 1}, "psf: frame must be between 0 and 0; got 1"),
+    ],
+)
+def test_what_cannot_be(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(SceneError) as caught:
+        clsco.psf(scene_of(), **options)
+    assert str(caught.value) == message
+
+
+def test_a_stack_that_is_too_large_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(spreads, "LARGEST_STACK", 2**20)
+    with pytest.raises(SceneError, match="psf: must take at most 1 MiB; got 2 MiB: ask for fewer depths"):
+        clsco.psf(scene_of(camera={"pixel_pitch": 0.01}), depths=np.linspace(150.0, 200.0, 200).tolist())
