@@ -1,4 +1,4 @@
-"""docs/lenses/NAME.png, points of light behind and before the focus by a plain disc and by an effect: python -m
+"""Pictures of docs/lenses.md, points of light behind and before the focus by a plain disc and by an effect: python -m
 benchmarks.lens_pictures [NAME ...] [-o FOLDER]"""
 
 from __future__ import annotations

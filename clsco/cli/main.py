@@ -46,6 +46,7 @@ from clsco.errors import ClscoError, DeviceError, SceneError
 
 if TYPE_CHECKING:
     from clsco.frame.truth_files import TruthFile
+    from clsco.plan.prepare import Prepared
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})

@@ -257,7 +257,7 @@ def table_weights(table: PsfTable, psf: PointSpread, radius: float) -> NDArray[n
     Parameters
     ----------
     table : PsfTable
-        Of `psf_table` for a range with this |blur radius|, without sub-pixel sources.
+        Table by `psf_table` for a range with this |blur radius|, without sub-pixel sources.
     psf : PointSpread
     radius : float
         Signed blur radius, px.
@@ -289,7 +289,7 @@ def table_weights(table: PsfTable, psf: PointSpread, radius: float) -> NDArray[n
     rows = {"separable": 1, "symmetric": half + 1, "general": size}[psf.layout]
     lanes = row_lanes(half)
     cubics = table.coefficients[start : start + rows * POWERS * lanes].reshape(rows, POWERS, lanes)[..., :size]
-    found = np.polynomial.polynomial.polyval(coordinate - whole, cubics.astype(np.float64).swapaxes(0, 1))
+    found = np.tensordot((coordinate - whole) ** np.arange(POWERS), cubics.astype(np.float64), axes=(0, 1))
     if psf.layout == "separable":
         found = found[0] * found[0][:, None]
     elif psf.layout == "symmetric":

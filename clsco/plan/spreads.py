@@ -107,7 +107,7 @@ def psf(
     >>> camera = clsco.Camera(resolution=(32, 24), pixel_pitch=0.05)
     >>> stack = clsco.psf(clsco.Scene(camera=camera, objects=(clsco.Plane(distance=300),)), depths=[200, 300])
     >>> stack.weights.shape, stack.radius.round(2).tolist()
-    ((1, 1, 2, 9, 9), [[[-2.0, 1.33]]])
+    ((1, 1, 2, 7, 7), [[[-2.0, 1.33]]])
     """
     return psf_of(prepare(scene_of(scene)), at, depths, index)
 

@@ -11,12 +11,13 @@ import clsco
 from clsco.errors import SceneError
 from clsco.inputs.pupils import scene_point_spread
 from clsco.optics.lens import Lens, blur_radius
+from clsco.optics.psf_tables import table_weights
 from clsco.passes.tables import shared_tables
 from clsco.plan import spreads
 from clsco.plan.prepare import prepare
 
-PENTAGON = {"aperture": {"shape": "polygon", "blades": 5, "rotation": 20.0}}
-RING = {"aperture": {"shape": "ring", "obstruction": 0.5}}
+PENTAGON: dict[str, Any] = {"aperture": {"shape": "polygon", "blades": 5, "rotation": 20.0}}
+RING: dict[str, Any] = {"aperture": {"shape": "ring", "obstruction": 0.5}}
 KINDS: list[dict[str, Any]] = [
     {}, {"psf": {"edge": "area"}}, {"psf": {"edge": "sampled"}}, {"psf": {"model": "gaussian"}},
     {"psf": {"model": "gaussian", "edge": "sampled"}}, PENTAGON, RING,
@@ -46,9 +47,7 @@ def test_they_are_those_of_the_tables(sections: dict[str, Any]) -> None:
     spread = scene_point_spread(scene_of(**sections))
     for radius in (-4.3, -0.2, 0.0, 0.7, 6.0):
         table = shared_tables().table(spread, 0.0, 8.0)
-        np.testing.assert_array_equal(
-            spreads.spread_weights(spread, radius), spreads.table_weights(table, spread, radius)
-        )
+        np.testing.assert_array_equal(spreads.spread_weights(spread, radius), table_weights(table, spread, radius))
         found = spreads.spread_weights(spread, radius).astype(np.float64)
         offset = np.arange(-(found.shape[0] // 2), found.shape[0] // 2 + 1.0)
         expected = spread.weights(offset, offset[:, None], np.asarray(radius))
