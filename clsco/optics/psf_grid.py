@@ -85,6 +85,7 @@ def half_widths(psf: PointSpread, span: range, subpixel: bool) -> NDArray[np.int
     return psf.reaches(table_radius(psf, np.array(span) + 1.0, subpixel), subpixel)
 
 
+@lru_cache(maxsize=256)
 def half_width(psf: PointSpread, index: int, subpixel: bool) -> int:
     """Half-width in px of the rows of an interval."""
     return int(half_widths(psf, range(index, index + 1), subpixel)[0])
@@ -95,6 +96,7 @@ def block_intervals(psf: PointSpread, subpixel: bool) -> int:
     return BLOCK if psf.edge == "sampled" and not subpixel else table_steps(psf, subpixel) // 2
 
 
+@lru_cache(maxsize=256)
 def span_of(psf: PointSpread, smallest: float, largest: float, subpixel: bool) -> range:
     """Intervals that hold the |blur radii| from smallest to largest px, and those before them in their TAP_LANES.
 

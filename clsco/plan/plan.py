@@ -125,7 +125,7 @@ class Plan:
         """True where the image is made, and not ground truth alone."""
         return self.choices.image.value
 
-    @property
+    @cached_property
     def moves(self) -> bool:
         """True if anything moves."""
         return not self.choices.motion.left_out
@@ -227,7 +227,7 @@ class Plan:
         top = max(int(lit[0]) // BAND * BAND, strip.top)
         return part(self.rows, top, int(lit[-1]) + 1, self.guard_px, self.reach_px)
 
-    @property
+    @cached_property
     def grid(self) -> Grid:
         """Sizes of the frame, or of the tallest of its strips."""
         return Grid.of(self.strips, self.columns, self.guard_px, self.channels)
@@ -263,7 +263,7 @@ class Plan:
         """True if the frame is seen from elsewhere than the textures."""
         return displaced(self.scene, self.eye)
 
-    @property
+    @cached_property
     def averages(self) -> bool:
         """True if a frame is a weighted sum of time samples, and not the image of a single one."""
         return not frame_exposure(self.scene, 0, self.samples).is_one_image
