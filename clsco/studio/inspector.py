@@ -16,6 +16,7 @@ from clsco.optics.exposure import middle_time, pixel_time
 from clsco.optics.lens import SHARP, Lens, blur_radius, ray_step
 from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import poses_at, rest_center
+from clsco.plan.spreads import spread_weights
 from clsco.reference.blur.blur import tilt_factor
 from clsco.reference.common.geometry import pixel_tilt
 from clsco.scene.model import Scene
@@ -124,7 +125,7 @@ def radius_gradient(frame: Frame, scene: Scene, x: int, y: int) -> NDArray[np.fl
 
 
 def point_spread(scene: Scene, radius: float, gradient: NDArray[np.float64]) -> dict[str, Any]:
-    """The point spread function of the scene's lens at a signed blur radius.
+    """The point spread function of the scene's lens at a signed blur radius, by the weights of `clsco.psf`.
 
     Parameters
     ----------
@@ -139,12 +140,11 @@ def point_spread(scene: Scene, radius: float, gradient: NDArray[np.float64]) -> 
     dict
         As `figures_of`, and `radius`.
     """
-    psf = scene_point_spread(scene)
-    far = max(psf.reach(abs(radius)), 1)
-    offset = np.arange(-far, far + 1, dtype=np.float64)
     slope, spread = pixel_tilt(gradient, radius)
-    table = psf.weights(offset, offset[:, None], spread) * tilt_factor(offset, offset[:, None], slope)
-    return figures_of(table, far, far) | {"radius": radius}
+    weights = spread_weights(scene_point_spread(scene), float(spread))
+    far = weights.shape[0] // 2
+    offset = np.arange(-far, far + 1, dtype=np.float64)
+    return figures_of(weights * tilt_factor(offset, offset[:, None], slope), far, far) | {"radius": radius}
 
 
 def figures_of(spread: NDArray[np.floating], column: int, row: int) -> dict[str, Any]:

@@ -77,7 +77,7 @@ def add_keyframe(session: Session, path: str, time: float) -> None:
     table = session.table
     old = at(table, path.split(".")) or []
     if path == LENS:
-        new, table = [_lens_keyframe(scene, time)], table if old else with_value(table, ["lens"], {})
+        new = [_lens_keyframe(scene, time)]
     else:
         motion = _motion(session, path)
         times = [time]
@@ -182,9 +182,8 @@ def _without_velocities(motion: Table) -> Table:
 def _lens_keyframe(scene: Scene, time: float) -> Table:
     """Table of a keyframe of the lens, with the quantities that its keyframes have; of the first one, with all."""
     camera = camera_at(scene, time)
-    names: Iterable[str] = _FIRST_OF_LENS
-    if scene.lens is not None:
-        names = {name for key in scene.lens.keyframe for name in key.model_fields_set}
+    keys = () if scene.lens is None else scene.lens.keyframe
+    names: Iterable[str] = {name for key in keys for name in key.model_fields_set} or _FIRST_OF_LENS
     values = {name: float(getattr(camera, of_camera)) for name, of_camera in _OF_LENS.items() if name in names}
     return {"time": time} | {name: float(f"{value:.9g}") for name, value in values.items() if math.isfinite(value)}
 

@@ -275,14 +275,14 @@ def _inspector() -> None:
         with say("div", id="psf-part", hidden=True):
             say("h3", "Point spread function")
             with say("div").classes("row"):
-                for name, label in (("psf", "Model"), ("response", "Measured")):
+                for name, label in (("psf", "Weights"), ("response", "Measured")):
                     with say("figure"):
                         say("canvas", id=name, width=130, height=130, role="img", aria_label=f"{label} spread")
                         say("figcaption", label)
             say("p", id="psf-side").classes("quiet")
             with say("table"):
                 with say("thead"), say("tr"):
-                    for label in ("", "Model", "Measured"):
+                    for label in ("", "Weights", "Measured"):
                         say("th" if label else "td", label)
                 say("tbody", id="psf-values")
             say("p", id="psf-about").classes("quiet")

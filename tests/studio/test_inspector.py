@@ -29,6 +29,18 @@ def test_the_model_is_what_is_measured_where_nothing_is_in_the_way() -> None:
     assert np.allclose(point_spread(scene, found["psf"]["radius"], np.zeros(2))["centroid"], 0.0)
 
 
+@pytest.mark.parametrize("psf", [{}, {"model": "gaussian"}, {"edge": "sampled"}])
+def test_weights_are_those_of_the_command(psf: dict[str, Any]) -> None:
+    scene = scene_from(TABLES, WALL | {"slope_x": 0.0, "slope_y": 0.0}, psf=psf)
+    found = inspected(clsco.render_frame(scene), scene, 23, 19)
+    stack = clsco.psf(scene, depths=[found["values"]["depth"]])
+    figures = figures_of(stack.weights[0, 0, 0], stack.reach, stack.reach)
+    assert found["psf"]["radius"] == pytest.approx(stack.radius[0, 0, 0], rel=1e-6)
+    assert found["psf"]["plot"] == figures["plot"]
+    for name in ("sum", "largest", "rms"):
+        assert found["psf"][name] == pytest.approx(figures[name], rel=1e-6), name
+
+
 def test_the_gradient_of_the_radius_is_that_of_its_neighbors() -> None:
     scene = scene_from(TABLES, BALL)
     frame = clsco.render_frame(scene, truth="all")

@@ -44,6 +44,7 @@
     }));
     shownAt = [values.x, values.y];
     model = psf;
+    depth = values.depth;
     response = null;
     one("#psf-part").hidden = psf === undefined;
     if (psf !== undefined) spread();
@@ -54,7 +55,7 @@
   studio.notInspected = () => { asked = false; };
 
   // ---- the point spread function: that of the model, and as measured: a rendering with nothing else lit ------------
-  let model, response = null, shownAt = null, timer = 0;
+  let model, depth = null, response = null, shownAt = null, timer = 0;
 
   const measurable = (why, seconds) => {
     clearTimeout(timer);
@@ -96,7 +97,7 @@
       });
       return row;
     }));
-    one("#psf-about").textContent = `|R| ${number(Math.abs(model.radius))} px; of a wide disc RMS is |R| / 2 = ${rounded(Math.abs(model.radius) / 2)} px`;
+    one("#psf-about").textContent = `R ${number(model.radius)} px at Z ${number(depth)} mm; of a wide disc RMS is |R| / 2 = ${rounded(Math.abs(model.radius) / 2)} px`;
   };
 
   const rounded = (value) => (value === undefined ? "–" : Array.isArray(value) ? value.map(rounded).join(", ")
