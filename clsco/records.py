@@ -21,11 +21,12 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
 
     grid_t: rows, columns of the frame, or of a strip of it (`clsco.frame.strips`); frame_rows: of the frame; top:
     first row of the strip; guard: columns, above: rows of the grid before its own; width, height of the grid; step:
-    slope between neighboring rays. lens_t: see `clsco.optics.lens.Lens`. surface_t: see
-    `clsco.optics.quadrics.PlacedSurface`; texture: its number in the stack. texture_map_t: see
+    slope between neighboring rays, rest_step: in the reference pose. lens_t: see `clsco.optics.lens.Lens`. surface_t:
+    see `clsco.optics.quadrics.PlacedSurface`; texture: its number in the stack. texture_map_t: see
     `clsco.optics.texture_mapping.TextureMap`. light_t: see `clsco.optics.light.PlacedLight`. pose_t: see
-    `clsco.optics.motion.Pose`. exposure_t: see `clsco.optics.still.Exposed`; still: 1 where still sources are made, and
-    0 where the others are, in the window. group_t: see `clsco.optics.visibility.OcclusionGroup`; count: of all objects.
+    `clsco.optics.motion.Pose`; step: slope between neighboring rays then. exposure_t: see
+    `clsco.optics.still.Exposed`; still: 1 where still sources are made, and 0 where the others are, in the window.
+    group_t: see `clsco.optics.visibility.OcclusionGroup`; count: of all objects.
     psf_t:
     how a blur radius becomes a coordinate in the tables, which intervals they hold (first, count), and which of them
     radii are clamped to (low to end - 1), see `clsco.optics.psf_tables.PsfTable`; lens_extent: of the lens in
@@ -35,7 +36,7 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     grid: list[Any] = [
         (name, i) for name in ("rows", "columns", "frame_rows", "top", "guard", "above", "width", "height")
     ]
-    grid += _reals(real, step=())
+    grid += _reals(real, step=(), rest_step=())
     lens = _reals(real, blur_scale=(), focus_power=(), radius=())
     surface = _reals(real, turn=nine, body_turn=nine, own_turn=nine, offset=three, body_offset=three, own_offset=three)
     surface += _reals(real, rest=three, q=three, l=three)
@@ -45,7 +46,7 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     mapping += [(name, i) for name in ("kind", "wrap_x", "wrap_y", "columns", "rows", "levels")]
     mapping += _reals(real, frame=nine, scale=(4,), shift=two, slant=(), spread=(), outside=())
     light = [("members", "u8"), ("is_near", i), *_reals(real, x=(), y=(), z=(), ambient=())]
-    pose = _reals(real, rotation=nine, shift=three)
+    pose = _reals(real, rotation=nine, shift=three, step=())
     exposure = [("moving", "u8"), ("changing", "u8")]
     exposure += [(name, i) for name in ("samples", "still", "left", "top", "right", "bottom")]
     group = [("members", "u8"), ("occluders", "u8"), *((name, i) for name in ("count", "own", "root"))]

@@ -157,7 +157,7 @@ class Hits:
 
 
 def _hits(plan: Plan, view: View, group: OcclusionGroup, lattice: Lattice) -> Hits:
-    scene, camera = plan.scene, plan.scene.camera
+    scene, camera = plan.scene, view.scene.camera
     bounds = [cutting_bounds(item) for item in scene.objects]
     rays = pixel_ray(camera, lattice.row[:, None], lattice.column[None, :])
     w, label, number = nearest_surface(view.surfaces, bounds, group, rays)
@@ -298,7 +298,7 @@ def _parts(plan: Plan, view: View, hits: Hits) -> NDArray[np.intp]:
             continue
         placed = texture_map(item, *mapped_size(item.textures()))
         texture = MappedTexture((), placed, texture_spread(plan.psf), scene.motion.texture_filter)
-        point = mapped_point(view.surfaces[k], placed, scene.camera, hits.rays[here], hits.w[here])
+        point = mapped_point(view.surfaces[k], placed, view.scene.camera, hits.rays[here], hits.w[here])
         texels = np.zeros(len(point.at))
         sides = [partial(along_axis, axis=axis) for axis in range(REFLECTIONS)]
         for side in sides if placed.kind == MAP_TRIPLANAR else [np.asarray]:

@@ -108,17 +108,17 @@ def looks_of(scenes: Sequence[Scene]) -> list[Look]:
     return found
 
 
-def _slopes(scene: Scene) -> tuple[Array, Array]:
+def _slopes(scene: Scene, time: float) -> tuple[Array, Array]:
     assert scene.camera.resolution is not None
-    columns, rows = scene.camera.resolution
+    (columns, rows), step = scene.camera.resolution, ray_step(camera_at(scene, time))
     share = (np.arange(RAYS) + 0.5) / RAYS - 0.5
-    across, up = np.meshgrid(share * columns * ray_step(scene.camera), -share * rows * ray_step(scene.camera))
+    across, up = np.meshgrid(share * columns * step, -share * rows * step)
     return across, up
 
 
 def _seen(scene: Scene, number: int) -> _Seen:
     time = middle_time(scene.sequence, number) if scene.moves else 0.0
-    rays = _slopes(scene)
+    rays = _slopes(scene, time)
     placed = zip(scene.objects, poses_at(scene, time), strict=True)
     w = np.array([predict_inverse_depth(item, place(item, pose), *rays) for item, pose in placed])
     front = np.where(w.max(axis=0) > 0.0, w.argmax(axis=0), -1)
@@ -129,7 +129,8 @@ def _flow(scene: Scene, seen: _Seen, interval: float) -> Array:
     """Lengths (RAYS, RAYS) of the flow over an interval, px; 0 where there is nothing or it gets behind the lens."""
     time = middle_time(scene.sequence, seen.number)
     now, then = poses_at(scene, time), poses_at(scene, time + interval)
-    x, y = _slopes(scene)
+    x, y = _slopes(scene, time)
+    here, there = (ray_step(camera_at(scene, when)) for when in (time, time + interval))
     length = np.zeros(seen.w.shape)
     for number, item in enumerate(scene.objects):
         own = seen.front == number
@@ -140,7 +141,7 @@ def _flow(scene: Scene, seen: _Seen, interval: float) -> Array:
         body = before.rotation.T @ (rays / seen.w[own] - center - before.shift[:, None])
         point = center + after.shift[:, None] + after.rotation @ body
         ahead = point[2] > 0.0
-        way = (point[:2] / np.where(ahead, point[2], 1.0) - rays[:2]) / ray_step(scene.camera)
+        way = point[:2] / np.where(ahead, point[2], 1.0) / there - rays[:2] / here
         length[own] = np.where(ahead, np.sqrt((way * way).sum(axis=0)), 0.0)
     return length
 

@@ -24,6 +24,7 @@ from clsco.files.atomic import sha256
 from clsco.frame.frame import Frame
 from clsco.opencl.device import choose
 from clsco.optics.exposure import middle_time
+from clsco.optics.lens_path import camera_at
 from clsco.optics.line_truth import LinePoints, lines_of
 from clsco.optics.motion import Eye, poses_at, rest_center
 from clsco.reference.common.geometry import pixel_ray, project
@@ -139,10 +140,12 @@ def flow_error(scene: Scene, frame: Frame, depth: NDArray[np.float32], flow: NDA
     assert frame.object_id is not None
     rows, columns = depth.shape
     camera = scene.camera.model_copy(update={"resolution": (columns, rows)})
+    scene = scene.model_copy(update={"camera": camera})
     eye: Eye = "right" if frame.eye == "right" else "left"
     if scene.rolls:
-        return _line_flow_error(scene.model_copy(update={"camera": camera}), frame, depth, flow)
+        return _line_flow_error(scene, frame, depth, flow)
     now, then = (middle_time(scene.sequence, k) if scene.moves else 0.0 for k in (frame.index, frame.index + 1))
+    camera, later = (camera_at(scene, time) for time in (now, then))
     row, column = np.mgrid[:rows, :columns].astype(np.float64)
     points = pixel_ray(camera, row, column) * np.where(np.isfinite(depth), depth, 0.0)[..., None].astype(np.float64)
     worst = 0.0
@@ -154,7 +157,7 @@ def flow_error(scene: Scene, frame: Frame, depth: NDArray[np.float32], flow: NDA
         body = (points[own] - center - one.shift) @ one.rotation  # by the transpose
         moved = center + two.shift + body @ two.rotation.T
         seen = moved[:, 2] > NEAREST
-        at_row, at_column = project(camera, moved[seen])
+        at_row, at_column = project(later, moved[seen])
         expected = np.stack([at_column - column[own][seen], at_row - row[own][seen]], axis=-1)
         worst = max(worst, _excess(flow[own][seen], expected))
     return worst
@@ -172,7 +175,7 @@ def _line_flow_error(scene: Scene, frame: Frame, depth: NDArray[np.float32], flo
     assert frame.object_id is not None
     eye: Eye = "right" if frame.eye == "right" else "left"
     now, then = (lines_of(scene, number, eye) for number in (frame.index, frame.index + 1))
-    expected = LinePoints(scene.camera, scene.objects, depth, frame.object_id, now).flow(then)
+    expected = LinePoints(scene.objects, depth, frame.object_id, now).flow(then)
     known = np.isfinite(expected).all(axis=-1)
     if not np.array_equal(known, np.isfinite(flow).all(axis=-1)):
         return np.inf

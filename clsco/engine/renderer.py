@@ -22,6 +22,7 @@ from clsco.frame.strips import Strip
 from clsco.opencl.buffers import download
 from clsco.opencl.session import Progress, Session
 from clsco.optics.exposure import line_times, middle_time
+from clsco.optics.lens import ray_step
 from clsco.optics.lens_path import camera_at
 from clsco.optics.sensor import camera_word
 from clsco.passes.blur import Events
@@ -102,9 +103,13 @@ class Renderer:
         step, counts = film.steps[count], film.parts_of[strip]
         part, by_columns = counts[count], self.plan.scene.sequence.by_columns
         weights = step.weights if by_columns else step.weights[part.inside]
+        sample, grid = self.scene.at(film.times[step.number]), self._grid(part)
+        if self.plan.scene.zooms:
+            grid = grid.copy()
+            grid["step"] = ray_step(sample.camera)
         return Moment(
-            strip=part, grid=self._grid(part), events=film.events, bounds=film.bounds.get(step.number),
-            sample=self.scene.at(film.times[step.number]), weights=weights, first=count == next(iter(counts)),
+            strip=part, grid=grid, events=film.events, bounds=film.bounds.get(step.number),
+            sample=sample, weights=weights, first=count == next(iter(counts)),
             of=strip, camera=camera_word(film.index, self.plan.eye) if count == [*counts][-1] else None,
             part=film.parts.get(step.still),
         )  # fmt: skip

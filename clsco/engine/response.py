@@ -18,6 +18,7 @@ from clsco.inputs.focus import seen
 from clsco.opencl.session import DeviceLike
 from clsco.optics.exposure import shutter_span
 from clsco.optics.lens import ray_step
+from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import poses_at, rest_center, rest_poses
 from clsco.optics.quadrics import place, predict_inverse_depth
 from clsco.plan.prepare import Prepared, prepare
@@ -188,6 +189,6 @@ def _longest_way(scene: Scene, number: int, index: int) -> int:
     for time in np.linspace(*shutter_span(scene.sequence, index), TIMES).tolist():
         pose = poses_at(scene, time)[number]
         point = w[there] * (center + pose.shift[:, None]) + pose.rotation @ body
-        moved = point[:2] / np.maximum(point[2], 1e-3) - rays[:2]
-        longest = max(longest, float(np.hypot(*moved).max()) / step)
+        moved = point[:2] / np.maximum(point[2], 1e-3) / ray_step(camera_at(scene, time)) - rays[:2] / step
+        longest = max(longest, float(np.hypot(*moved).max()))
     return math.ceil(min(longest, max(scene.camera.frame_size)))

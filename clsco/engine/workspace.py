@@ -13,7 +13,6 @@ from clsco.frame.strips import Grid
 from clsco.opencl.buffers import allocate
 from clsco.opencl.session import Session
 from clsco.optics.depth_layers import LayerBounds
-from clsco.optics.lens_path import camera_at
 from clsco.optics.quadrics import axial_blur_radius
 from clsco.passes.accumulate import FrameSum
 from clsco.passes.blur import Area, Image, Maps, Plane, Sources, blur_target, padded_plane, prepare_sources
@@ -122,7 +121,7 @@ def _handed_on(plan: Plan) -> Callable[[Moment, Any], Any]:
 
     def sources(at: Moment, light: Image | Sources) -> Sources:
         surface = next(each for each in at.sample.placed if each is not None)  # one plane at one depth
-        return Sources(None, light.value, radius=abs(axial_blur_radius(camera_at(plan.scene, at.sample.time), surface)))
+        return Sources(None, light.value, radius=abs(axial_blur_radius(at.sample.camera, surface)))
 
     def itself(_: Moment, light: Image | Sources) -> Image | Sources:
         return light

@@ -43,14 +43,16 @@ def pinhole(scene: Scene, index: int, eye: Eye = "left") -> Pinhole:
 
     Notes
     -----
-    The focal length in px is s0 / p, `normalization_distance` over `pixel_pitch`, as x = s0 X / Z. Validated by points
+    The focal length in px is s0 / p, `normalization_distance` over `pixel_pitch`, as x = s0 X / Z; of a zoom, that of
+    the middle of the shutter. Validated by points
     of surfaces that it takes from a frame to the next one, and to the other view, where flow and disparity lead.
     """
     columns, rows = scene.camera.frame_size
-    pose = eye_pose(scene, eye, middle_time(scene.sequence, index))
+    time = middle_time(scene.sequence, index)
+    pose, step = eye_pose(scene, eye, time), ray_step(camera_at(scene, time))
     rotation = FLIP @ pose.rotation.T @ FLIP
     middle = (0.5 * (columns - 1), 0.5 * (rows - 1))
-    return Pinhole(columns, rows, 1.0 / ray_step(scene.camera), middle, rotation, -rotation @ (FLIP @ pose.shift))
+    return Pinhole(columns, rows, 1.0 / step, middle, rotation, -rotation @ (FLIP @ pose.shift))
 
 
 def eye_of(frame: Frame) -> Eye:
@@ -89,7 +91,8 @@ def gets_behind(scene: Scene, frame: Frame, step: int) -> NDArray[np.bool_]:
     for k, item in enumerate(scene.objects):
         row, column = np.nonzero((frame.object_id == k) & ~flow.any(axis=-1))
         middle = 0.5 * (np.array(frame.depth.shape) - 1)
-        across, up = (column - middle[1]) * ray_step(scene.camera), (middle[0] - row) * ray_step(scene.camera)
+        step_px = ray_step(camera_at(scene, middle_time(scene.sequence, frame.index)))
+        across, up = (column - middle[1]) * step_px, (middle[0] - row) * step_px
         point = np.stack([across, up, np.ones_like(across)], axis=-1) * frame.depth[row, column, None]
         center = rest_center(item)
         body = (point - center - now[k].shift) @ now[k].rotation  # turned back

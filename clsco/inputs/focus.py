@@ -12,6 +12,7 @@ from clsco.errors import SceneError
 from clsco.inputs.depth_maps import FARTHEST
 from clsco.inputs.files import InputFiles
 from clsco.optics.lens import SHARP, blur_radius, ray_step
+from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import poses_at
 from clsco.optics.quadrics import place, predict_inverse_depth
 from clsco.scene.model import Camera, DepthMap, Scene
@@ -136,7 +137,7 @@ def seen(
     `InputFiles.maps`, lie in the frame.
     """
     columns, rows = scene.camera.frame_size
-    step = ray_step(scene.camera)
+    step = ray_step(camera_at(scene, 0.0))
     x, y = np.meshgrid((j - (columns - 1) / 2) * step, ((rows - 1) / 2 - i) * step)
     behind = next((number for number, item in enumerate(scene.objects) if item.is_background), -1)
     nearest, whose = np.zeros(x.shape), np.full(x.shape, behind)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,22 +69,51 @@ def map_normal(camera: Camera, depth: NDArray[np.floating]) -> Floats:
     return np.where(known, np.where(size > 0, normal / np.maximum(size, 1e-300), towards), 0.0).astype(np.float32)
 
 
-def map_flow(
-    camera: Camera, items: Sequence[Object], depth: NDArray[np.floating], object_id: NDArray[np.int32],
-    now: Sequence[Pose], then: Sequence[Pose],
-) -> Floats:  # fmt: skip
-    """Optical flow of the visible surface from one pose to another.
+@dataclass(frozen=True, eq=False)
+class MapPoints:
+    """Surface points that the pixels of a depth map show.
 
-    Parameters
+    Attributes
     ----------
-    camera : Camera
     items : sequence of Object
     depth : ndarray of float, (rows, columns)
         mm, +inf where there is no surface.
     object_id : ndarray of int32, (rows, columns)
         -1 where there is no surface.
-    now, then : sequence of Pose
-        Poses of all objects.
+    camera : Camera
+        That sees them.
+    poses : sequence of Pose
+        Poses of all objects before it.
+    """
+
+    items: Sequence[Object]
+    depth: NDArray[np.floating]
+    object_id: NDArray[np.int32]
+    camera: Camera
+    poses: Sequence[Pose]
+
+    @cached_property
+    def points(self) -> Array:
+        """Points (rows, columns, 3), mm."""
+        return _points(self.camera, self.depth)
+
+    def moved(self, k: int, pose: Pose) -> Array:
+        """Points (rows, columns, 3) if all were of object k, in another pose of it, mm."""
+        center = rest_center(self.items[k])
+        body = (self.points - center - self.poses[k].shift) @ self.poses[k].rotation  # turned back
+        return np.asarray(center + pose.shift + body @ pose.rotation.T)
+
+
+def map_flow(seen: MapPoints, camera: Camera, then: Sequence[Pose]) -> Floats:
+    """Optical flow of the visible surface from one pose to another.
+
+    Parameters
+    ----------
+    seen : MapPoints
+    camera : Camera
+        That sees them then.
+    then : sequence of Pose
+        Poses of all objects before it.
 
     Returns
     -------
@@ -93,31 +124,28 @@ def map_flow(
     -----
     Validated against the flow of the surface that a depth map was made from.
     """
-    point, step = _points(camera, depth), ray_step(camera)
-    flow = np.zeros((*depth.shape, 2))
-    for k, item in enumerate(items):
-        center = rest_center(item)
-        body = (point - center - now[k].shift) @ now[k].rotation  # turned back
-        moved = center + then[k].shift + body @ then[k].rotation.T
-        seen = (object_id == k) & np.isfinite(depth) & (moved[..., 2] > 0)
-        ahead = np.where(seen, moved[..., 2], 1.0)
-        here = np.where(seen, point[..., 2], 1.0)
+    point, step, ratio = seen.points, ray_step(camera), ray_step(seen.camera) / ray_step(camera)
+    flow = np.zeros((*seen.depth.shape, 2))
+    for k in range(len(seen.items)):
+        moved = seen.moved(k, then[k])
+        own = (seen.object_id == k) & np.isfinite(seen.depth) & (moved[..., 2] > 0)
+        ahead = np.where(own, moved[..., 2], 1.0)
+        here = np.where(own, point[..., 2], 1.0) * ratio
         for axis, sign in ((0, 1.0), (1, -1.0)):
             shift = sign * (moved[..., axis] / ahead - point[..., axis] / here) / step
-            flow[..., axis] = np.where(seen, shift, flow[..., axis])
+            flow[..., axis] = np.where(own, shift, flow[..., axis])
     return flow.astype(np.float32)
 
 
 def map_stereo(
-    camera: Camera, items: Sequence[Object], depth: NDArray[np.floating], object_id: NDArray[np.int32],
-    now: Sequence[Pose], there: Sequence[Pose], opposite: NDArray[np.floating], eye: Eye,
-) -> tuple[Floats, NDArray[np.bool_]]:  # fmt: skip
+    seen: MapPoints, there: Sequence[Pose], opposite: NDArray[np.floating], eye: Eye
+) -> tuple[Floats, NDArray[np.bool_]]:
     """Disparity and occlusion of a view, from depth.
 
     Parameters
     ----------
-    camera, items, depth, object_id, now
-        As for `map_flow`, of this view.
+    seen : MapPoints
+        Points of this view.
     there : sequence of Pose
         Poses that the other view has.
     opposite : ndarray of float, (rows, columns)
@@ -132,41 +160,36 @@ def map_stereo(
     occluded : ndarray of bool, (rows, columns)
         As `map_occluded`.
     """
-    flow = map_flow(camera, items, depth, object_id, now, there)
-    occluded = map_occluded(camera, items, depth, object_id, now, there, opposite)
+    flow = map_flow(seen, seen.camera, there)
+    occluded = map_occluded(seen, seen.camera, there, opposite)
     return (flow[..., 0] * (1.0 if eye == "right" else -1.0)).astype(np.float32), occluded
 
 
 def map_occluded(
-    camera: Camera, items: Sequence[Object], depth: NDArray[np.floating], object_id: NDArray[np.int32],
-    now: Sequence[Pose], there: Sequence[Pose], opposite: NDArray[np.floating],
-) -> NDArray[np.bool_]:  # fmt: skip
+    seen: MapPoints, camera: Camera, there: Sequence[Pose], opposite: NDArray[np.floating]
+) -> NDArray[np.bool_]:
     """Mark points that are not visible in other poses, from depth.
 
     Parameters
     ----------
-    camera, items, depth, object_id, now
-        As for `map_flow`.
-    there : sequence of Pose
-        Other poses, such as those of the next frame.
+    seen : MapPoints
+    camera, there
+        As for `map_flow`, such as those of the next frame.
     opposite : ndarray of float, (rows, columns)
-        Depth in these, mm.
+        Depth there, mm.
 
     Returns
     -------
     ndarray of bool, (rows, columns)
         At the point's place there a surface is more than SAME_SURFACE times nearer, or the frame has ended.
     """
-    flow = map_flow(camera, items, depth, object_id, now, there)
-    rows, columns = depth.shape
-    i, j = np.indices(depth.shape)
+    flow = map_flow(seen, camera, there)
+    rows, columns = seen.depth.shape
+    i, j = np.indices(seen.depth.shape)
     row, column = (np.floor(at + flow[..., axis] + 0.5).astype(np.int64) for at, axis in ((i, 1), (j, 0)))
     inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-    seen = opposite[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)]
-    point, moved = _points(camera, depth), np.full(depth.shape, np.inf)
-    for k, item in enumerate(items):
-        center = rest_center(item)
-        body = (point - center - now[k].shift) @ now[k].rotation
-        z = (center + there[k].shift + body @ there[k].rotation.T)[..., 2]
-        moved = np.where(object_id == k, z, moved)
-    return np.asarray((object_id >= 0) & (~inside | (seen * SAME_SURFACE < moved)))
+    nearest = opposite[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)]
+    moved = np.full(seen.depth.shape, np.inf)
+    for k in range(len(seen.items)):
+        moved = np.where(seen.object_id == k, seen.moved(k, there[k])[..., 2], moved)
+    return np.asarray((seen.object_id >= 0) & (~inside | (nearest * SAME_SURFACE < moved)))

@@ -28,7 +28,9 @@ def camera_at(scene: Scene, time: float) -> Camera:
     Returns
     -------
     Camera
-        That of the scene where its lens does not change.
+        That of the scene where its lens does not change. Where it zooms, the image scale s0 is proportional to the
+        focal length; the focus distance and the f-number stay where they have no keyframes, so that sensor distance and
+        aperture follow.
 
     Raises
     ------
@@ -47,18 +49,30 @@ def camera_at(scene: Scene, time: float) -> Camera:
     if scene.lens is None:
         return scene.camera
     camera, changed = scene.camera, dict[str, float | None]()
-    f, (focus, opening) = camera.focal_length, _paths(scene.lens)
+    zoom, focus, opening = _paths(scene.lens)
+    f, power, share = camera.focal_length, 1.0 / camera.focused_distance, 1.0 / camera.opening
+    if zoom is not None:
+        f = float(zoom.at(time)[0])
+        if not f > 0.0:
+            raise SceneError(_rule("focal_length", "above 0 mm", f, time))
+        changed |= {
+            "focal_length": f,
+            "normalization_distance": camera.normalization_distance * f / camera.focal_length,
+        }
     if focus is not None:
         power = float(focus.at(time)[0])
+    if focus is not None or zoom is not None:
         if not power < 1.0 / f:
-            raise SceneError(_rule("focus_distance", f"greater than camera.focal_length = {f:g} mm", 1.0 / power, time))
+            raise SceneError(_rule("focus_distance", f"greater than the focal length, {f:g} mm", 1.0 / power, time))
         known = power > 0.0  # else the focus is beyond infinity
         changed |= {"focus_distance": 1.0 / power if known else None, "sensor_distance": 1.0 / (1.0 / f - power)}
     if opening is not None:
         share = float(opening.at(time)[0])
         if not share > 0.0:
             raise SceneError(_rule("f_number", "above 0", share and 1.0 / share, time))
-        changed |= {"f_number": 1.0 / share, "aperture_diameter": f * share}
+        changed |= {"f_number": 1.0 / share}
+    if opening is not None or zoom is not None:
+        changed |= {"aperture_diameter": f * share}
     return camera.model_copy(update=changed)
 
 
@@ -67,25 +81,26 @@ def _rule(key: str, rule: str, got: float, time: float) -> str:
 
 
 @lru_cache(maxsize=64)
-def _paths(lens: LensMotion) -> tuple[Path | None, Path | None]:
-    """Paths of the inverse focus distance in 1/mm, and of the aperture's diameter over the focal length; None where no
-    keyframe has one."""
+def _paths(lens: LensMotion) -> tuple[Path | None, Path | None, Path | None]:
+    """Paths of the focal length in mm, of the inverse focus distance in 1/mm, and of the aperture's diameter over the
+    focal length; None where no keyframe has one."""
 
-    def path(name: str) -> Path | None:
+    def path(name: str, power: int) -> Path | None:
         keys = [(key.time, getattr(key, name)) for key in lens.keyframe if getattr(key, name) is not None]
-        times, values = [time for time, _ in keys], [[1.0 / value] for _, value in keys]
+        times, values = [time for time, _ in keys], [[value**power] for _, value in keys]
         return path_through(times, values, lens.interpolation, lens.outside) if keys else None
 
-    return path("focus_distance"), path("f_number")
+    return path("focal_length", 1), path("focus_distance", -1), path("f_number", -1)
 
 
 def widest_camera(scene: Scene) -> Camera:
     """The camera with an aperture that is at least as wide as at any time of the sequence."""
-    opening = None if scene.lens is None else _paths(scene.lens)[1]
-    if opening is None:
+    zoom, _, opening = (None, None, None) if scene.lens is None else _paths(scene.lens)
+    keyed = [path.times for path in (zoom, opening) if path is not None]
+    if not keyed:
         return scene.camera
     times = sequence_times(scene)
-    ends = np.unique([*times, *(time for time in opening.times if times[0] < time < times[-1])])
-    places = (np.linspace(*pair, DENSE) for pair in pairwise(ends))
-    widest = max(float(opening.at(time)[0]) for time in [times[0], *chain.from_iterable(places)])
-    return scene.camera.model_copy(update={"aperture_diameter": WIDER * widest * scene.camera.focal_length})
+    ends = np.unique([*times, *(time for time in np.concatenate(keyed) if times[0] < time < times[-1])])
+    places = (np.linspace(*pair, DENSE).tolist() for pair in pairwise(ends))
+    widest = max(camera_at(scene, time).aperture_diameter for time in [times[0], *chain.from_iterable(places)])
+    return scene.camera.model_copy(update={"aperture_diameter": WIDER * widest})

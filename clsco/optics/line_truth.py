@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from clsco.optics.exposure import line_times
 from clsco.optics.lens import ray_step
+from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import Eye, Pose, poses_at, rest_center
 from clsco.optics.quadrics import place, predict_inverse_depth
-from clsco.scene.model import Camera, Object, Scene
+from clsco.scene.model import Object, Scene
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.intp]
@@ -39,12 +40,15 @@ class Lines:
         Lines are columns, not rows.
     times : ndarray of float64, (lines,)
         Seconds since the reference pose.
+    steps : ndarray of float64, (lines,)
+        Slopes between the rays of neighboring pixels.
     poses : tuple of tuple of Pose
         Poses of all objects at each of them.
     """
 
     by_columns: bool
     times: Array
+    steps: Array
     poses: tuple[tuple[Pose, ...], ...]
 
     def of_object(self, number: int) -> tuple[Array, Array]:
@@ -56,7 +60,8 @@ class Lines:
 def lines_of(scene: Scene, frame: int, eye: Eye) -> Lines:
     """Lines of a frame of a scene with its resolution, as an eye sees it."""
     times = line_times(scene, frame)
-    return Lines(scene.sequence.by_columns, times, tuple(poses_at(scene, time, eye) for time in times.tolist()))
+    steps = np.array([ray_step(camera_at(scene, time)) for time in times.tolist()])
+    return Lines(scene.sequence.by_columns, times, steps, tuple(poses_at(scene, time, eye) for time in times.tolist()))
 
 
 def _first_met(
@@ -86,8 +91,6 @@ class LinePoints:
 
     Parameters
     ----------
-    camera : Camera
-        With its resolution.
     items : sequence of Object
     depth : ndarray of float, (rows, columns)
         mm, +inf where there is no surface.
@@ -102,10 +105,9 @@ class LinePoints:
     """
 
     def __init__(
-        self, camera: Camera, items: Sequence[Object], depth: NDArray[np.floating], object_id: NDArray[np.int32],
-        now: Lines,
-    ) -> None:  # fmt: skip
-        self.camera, self.items, self.shape, self.step = camera, items, depth.shape, ray_step(camera)
+        self, items: Sequence[Object], depth: NDArray[np.floating], object_id: NDArray[np.int32], now: Lines
+    ) -> None:
+        self.items, self.shape = items, depth.shape
         self.number = np.where(np.isfinite(depth), object_id, -1)
         self.bodies = np.zeros((*depth.shape, 3))  # from their centers, in the axes of the reference pose, mm
         rows, columns = depth.shape
@@ -113,7 +115,8 @@ class LinePoints:
             row, column = np.nonzero(self.number == k)
             rotations, shifts = now.of_object(k)
             line = column if now.by_columns else row
-            across, up = (column - 0.5 * (columns - 1)) * self.step, (0.5 * (rows - 1) - row) * self.step
+            step = now.steps[line]
+            across, up = (column - 0.5 * (columns - 1)) * step, (0.5 * (rows - 1) - row) * step
             point = np.stack([across, up, np.ones(row.shape)], axis=-1) * depth[row, column, None].astype(np.float64)
             self.bodies[row, column] = np.einsum(
                 "nij,ni->nj", rotations[line], point - rest_center(item) - shifts[line]
@@ -146,7 +149,7 @@ class LinePoints:
 
         def at(line: Pixels | int, of: Any = ...) -> tuple[Array, NDArray[np.bool_]]:
             moved = np.einsum("...ij,...j->...i", rotations[line], body[of])
-            return self._project(center + shifts[line] + moved)
+            return self._project(center + shifts[line] + moved, then.steps[line])
 
         def fast(line: int, of: Any = ...) -> NDArray[np.bool_]:
             return np.asarray(np.abs((at(line + 1, of)[0] - at(line, of)[0])[:, axis]) > STEEP)
@@ -169,10 +172,11 @@ class LinePoints:
             shown[steep], found[steep] = _first_met(lambda line: at(line, steep), last, axis)
         return shown, found
 
-    def _project(self, point: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Places (points, 2) in px of points in mm, column and row, and which are before the lens."""
+    def _project(self, point: Array, step: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Places (points, 2) in px of points in mm, column and row, and which are before the lens; step: slope between
+        rays, of all or of each."""
         before, (rows, columns) = point[:, 2] > 0.0, self.shape
-        slopes = point[:, :2] / np.where(before, point[:, 2], 1.0)[:, None] / self.step
+        slopes = point[:, :2] / np.where(before, point[:, 2], 1.0)[:, None] / np.asarray(step)[..., None]
         return np.stack([0.5 * (columns - 1) + slopes[:, 0], 0.5 * (rows - 1) - slopes[:, 1]], axis=-1), before
 
     def occluded(self, then: Lines, flow: Array) -> NDArray[np.bool_]:

@@ -28,8 +28,9 @@ EVERYWHERE = ((-np.inf, np.inf),) * 3  # bounds of an object that has none, besi
 
 
 def grid_struct(
-    rows: int, columns: int, guard: int, real: Real, strip: Strip | None = None, step: float = 0.0
-) -> Struct:
+    rows: int, columns: int, guard: int, real: Real, strip: Strip | None = None, step: float = 0.0,
+    rest_step: float | None = None,
+) -> Struct:  # fmt: skip
     """grid_t of a frame with an apron.
 
     Parameters
@@ -43,6 +44,8 @@ def grid_struct(
         Rows of the frame that are worked on; all by default.
     step : float
         Slope between the rays of neighboring pixels, where rays are cast.
+    rest_step : float, optional
+        The same in the reference pose, if it is another one.
 
     Returns
     -------
@@ -51,13 +54,17 @@ def grid_struct(
     part = strip or Strip(0, rows, guard, guard)
     values = {"rows": part.rows, "columns": columns, "frame_rows": rows, "top": part.top, "guard": guard, "step": step}
     values |= {"above": part.above, "width": columns + 2 * guard, "height": part.height}
+    values["rest_step"] = step if rest_step is None else rest_step
     return filled("grid_t", real, values)
 
 
-def camera_grid(camera: Camera, guard: int, real: Real, strip: Strip | None = None) -> Struct:
-    """grid_t of a camera with a resolution, for a guard band of `guard` px; strip as for `grid_struct`."""
+def camera_grid(
+    camera: Camera, guard: int, real: Real, strip: Strip | None = None, reference: Camera | None = None
+) -> Struct:
+    """grid_t of a camera with a resolution, for a guard band of `guard` px; strip as for `grid_struct`; reference: the
+    camera of the reference pose, if it is another one."""
     columns, rows = camera.resolution or (0, 0)  # known once the textures are loaded
-    return grid_struct(rows, columns, guard, real, strip, ray_step(camera))
+    return grid_struct(rows, columns, guard, real, strip, ray_step(camera), ray_step(reference or camera))
 
 
 def lens_struct(lens: Lens, real: Real) -> Struct:
@@ -131,9 +138,9 @@ def texture_map_structs(
     return np.array(found_structs, structs(real)["texture_map_t"])
 
 
-def pose_structs(poses: Sequence[Pose], real: Real) -> NDArray[np.void]:
-    """pose_t of every pose, (poses,)."""
-    placed = [filled("pose_t", real, {"rotation": p.rotation.ravel(), "shift": p.shift}) for p in poses]
+def pose_structs(poses: Sequence[Pose], real: Real, step: float = 0.0) -> NDArray[np.void]:
+    """pose_t of every pose, (poses,); step: slope between rays then, where points are projected."""
+    placed = [filled("pose_t", real, {"rotation": p.rotation.ravel(), "shift": p.shift, "step": step}) for p in poses]
     return np.array(placed, structs(real)["pose_t"])
 
 

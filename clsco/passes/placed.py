@@ -16,6 +16,8 @@ from clsco.inputs.mipmaps import mipmap_floats
 from clsco.inputs.textures import Texture, empty_image
 from clsco.opencl.buffers import upload
 from clsco.opencl.session import Session
+from clsco.optics.lens import ray_step
+from clsco.optics.lens_path import camera_at
 from clsco.optics.light import place_light
 from clsco.optics.motion import Eye, Pose, poses_at, rest_center, rest_poses
 from clsco.optics.point_spread import PointSpread
@@ -25,7 +27,7 @@ from clsco.optics.texture_mapping import texture_map
 from clsco.passes.blur import Area
 from clsco.passes.pack import light_struct, pose_structs, surface_structs, texture_map_structs, texture_planes
 from clsco.records import REAL, Real, Struct, structs
-from clsco.scene.model import Scene
+from clsco.scene.model import Camera, Scene
 
 # A source is at most its mean and 4 c of it with c < 0.0901 (kernels/trace/footprint.clh).
 MOST_DETAIL = 1.37
@@ -40,6 +42,8 @@ class TimeSample:
     ----------
     time : float
         Seconds.
+    camera : Camera
+        With the lens that it has then.
     poses : tuple of Pose
         Pose of every object before the camera, wherever that is itself.
     placed : tuple of PlacedSurface or None
@@ -53,6 +57,7 @@ class TimeSample:
     """
 
     time: float
+    camera: Camera
     poses: tuple[Pose, ...]
     placed: Surfaces
     packed: NDArray[np.void]
@@ -217,7 +222,8 @@ class PlacedScene:
     def at(self, time: float, eye: Eye | None = None) -> TimeSample:
         """The objects at a time in s, as `eye` sees them."""
         eye = eye or self.eye
-        sample, light = self.posed(poses_at(self.scene, time, eye), time), place_light(self.scene, time, eye)
+        sample = self.posed(poses_at(self.scene, time, eye), time, camera_at(self.scene, time))
+        light = place_light(self.scene, time, eye)
         return sample if light is None else replace(sample, light=(light_struct(light, self.real),))
 
     def in_reference_pose(self) -> TimeSample:
@@ -235,15 +241,15 @@ class PlacedScene:
         pairs = zip(self.scene.objects, poses, strict=True)
         return tuple(place(item, pose) if item.is_analytic else None for item, pose in pairs)
 
-    def posed(self, poses: Sequence[Pose], time: float = 0.0) -> TimeSample:
-        """The objects in given poses."""
+    def posed(self, poses: Sequence[Pose], time: float = 0.0, camera: Camera | None = None) -> TimeSample:
+        """The objects in given poses; before the camera of the scene by default."""
         placed = self._placed(poses)
         packed = self._surface_structs(placed)
-        return TimeSample(time, tuple(poses), placed, packed, self.hold(packed))
+        return TimeSample(time, camera or self.scene.camera, tuple(poses), placed, packed, self.hold(packed))
 
     def poses(self, sample: TimeSample) -> cl.Buffer:
         """pose_t of every object."""
-        return self.hold(pose_structs(sample.poses, self.real))
+        return self.hold(pose_structs(sample.poses, self.real, ray_step(sample.camera)))
 
     def hold(self, array: NDArray[Any]) -> cl.Buffer:
         """An array on the device until `release`."""

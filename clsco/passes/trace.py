@@ -15,7 +15,6 @@ from clsco.opencl.buffers import allocate, download, upload
 from clsco.opencl.program import build
 from clsco.opencl.session import Session
 from clsco.optics.lens import Lens
-from clsco.optics.lens_path import camera_at
 from clsco.optics.quadrics import EVERYWHERE
 from clsco.optics.still import Window
 from clsco.optics.visibility import OcclusionGroup
@@ -134,7 +133,7 @@ class Tracer:
 
     def lens(self, at: Moment) -> Struct:
         """lens_t at a time sample."""
-        return lens_struct(Lens.of(camera_at(self.plan.scene, at.sample.time)), self.scene.real)
+        return lens_struct(Lens.of(at.sample.camera), self.scene.real)
 
     @cached_property
     def extents(self) -> tuple[cl.Buffer, ...]:

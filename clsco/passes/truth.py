@@ -13,20 +13,20 @@ from numpy.typing import NDArray
 from clsco.frame.frame import MOTION_NAMES, STEREO_NAMES
 from clsco.frame.strips import Strip
 from clsco.opencl.buffers import allocate, download_into
-from clsco.optics.depth_truth import map_flow, map_normal, map_occluded, map_stereo
+from clsco.optics.depth_truth import MapPoints, map_flow, map_normal, map_occluded, map_stereo
 from clsco.optics.exposure import line_times, middle_time
 from clsco.optics.lens import Lens
-from clsco.optics.lens_path import camera_at
 from clsco.optics.line_truth import LinePoints, lines_of
 from clsco.optics.motion import Eye
 from clsco.passes.blur import PIXELS, Events, Target
-from clsco.passes.pack import camera_grid, lens_struct, pose_structs
+from clsco.passes.pack import camera_grid, lens_struct
 from clsco.passes.placed import PlacedScene, TimeSample
 from clsco.passes.static_image import StaticMap
 from clsco.passes.trace import everything, ray_target
 from clsco.passes.warp import ForwardWarp
 from clsco.plan.buffers import OF_LINES, TRUTH_BUFFERS, truth_buffers
 from clsco.plan.plan import Plan
+from clsco.scene.model import Camera
 
 BOOLEAN = ("hidden", "occluded", "flow_occluded")
 # What outputs are where no surface is; the background keeps its radiance and its blur.
@@ -91,7 +91,7 @@ class GroundTruth:
         out = self._arrays(names)
         buffers = allocate(scene.session, truth_buffers(names, plan.grid))
         for strip in plan.strips:
-            self._cast(strip, arguments, buffers, events, (plan.columns, strip.rows))
+            self._cast(strip, sample.camera, arguments, buffers, events, (plan.columns, strip.rows))
             self._download(strip, buffers, out)
         self._take_out_background(out)
         if isinstance(self.pixels, ForwardWarp):
@@ -109,20 +109,25 @@ class GroundTruth:
         plan, scene = self.plan, self.scene
         poses = scene.poses(after)
         shown = (scene.texture, *scene.texture_maps, *sample.light)
-        lens = lens_struct(Lens.of(camera_at(plan.scene, sample.time)), scene.real)
-        head = (lens, sample.surfaces, reference.surfaces, poses, everything(plan), *shown)
+        head = (
+            lens_struct(Lens.of(sample.camera), scene.real),
+            sample.surfaces,
+            reference.surfaces,
+            poses,
+            everything(plan),
+            *shown,
+        )
         view: tuple[Any, ...] = (sample.surfaces, poses, np.int32(0))  # read for a stereo pair alone
         if there is not None:
-            poses_there = scene.hold(pose_structs(there.poses, scene.real))
-            view = there.surfaces, poses_there, np.int32(1 if plan.eye == "right" else -1)
+            view = there.surfaces, scene.poses(there), np.int32(1 if plan.eye == "right" else -1)
         return *head, *view, poses if earlier is None else scene.poses(earlier), after.surfaces
 
     def _cast(
-        self, strip: Strip, arguments: tuple[Any, ...], buffers: dict[str, Any], events: Events,
+        self, strip: Strip, camera: Camera, arguments: tuple[Any, ...], buffers: dict[str, Any], events: Events,
         size: tuple[int, int], origin: tuple[int, ...] = (),
     ) -> None:  # fmt: skip
         """Enqueue the rays of a strip, or of so many columns and rows of it from `origin` on."""
-        grid = camera_grid(self.plan.scene.camera, self.plan.guard_px, self.scene.real, strip)
+        grid = camera_grid(camera, self.plan.guard_px, self.scene.real, strip, self.plan.scene.camera)
         out = (buffers["mask"], *(buffers.get(name) for name in TRUTH_BUFFERS))
         local = PIXELS if size[0] > 1 else PIXELS[::-1]
         self.target.run("ground_truth", size, local, events, grid, *arguments, *out, origin=origin)
@@ -132,12 +137,12 @@ class GroundTruth:
         plan, scene, names = self.plan, self.scene, self.plan.device_truth
         times, by_columns = line_times(plan.scene, index), plan.scene.sequence.by_columns
         reference = scene.in_reference_pose()
-        samples = [self._arguments(reference, sample, sample) for sample in map(scene.at, times.tolist())]
+        samples = [(each.camera, self._arguments(reference, each, each)) for each in map(scene.at, times.tolist())]
         buffers, out = allocate(scene.session, truth_buffers(names, plan.grid)), self._arrays(names)
         for strip in plan.strips:
             size = (1, strip.rows) if by_columns else (plan.columns, 1)
-            for line, arguments in enumerate(samples if by_columns else samples[strip.inside]):
-                self._cast(strip, arguments, buffers, events, size, (line, 0) if by_columns else (0, line))
+            for line, sample in enumerate(samples if by_columns else samples[strip.inside]):
+                self._cast(strip, *sample, buffers, events, size, (line, 0) if by_columns else (0, line))
             self._download(strip, buffers, out)
         self._take_out_background(out)
         out |= {"row_time": times, "filled": np.zeros((plan.rows, plan.columns), np.uint8)}
@@ -146,8 +151,8 @@ class GroundTruth:
     def _between_lines(self, index: int, found: Arrays) -> Arrays:
         """Flow, disparity and what they hide, where each line has its own time."""
         plan, out = self.plan, Arrays()
-        camera, items, eye = plan.scene.camera, plan.scene.objects, plan.eye
-        points = LinePoints(camera, items, found["depth"], found["object_id"], lines_of(plan.scene, index, eye))
+        items, eye = plan.scene.objects, plan.eye
+        points = LinePoints(items, found["depth"], found["object_id"], lines_of(plan.scene, index, eye))
         others = {"flow": (1, eye), "flow_backward": (-1, eye), "disparity": (0, self._opposite)}
         for name, (step, other) in others.items():
             hides = {"flow": "flow_occluded", "disparity": "occluded"}.get(name)
@@ -187,7 +192,7 @@ class GroundTruth:
 
     def _of_maps(self, before: float, time: float, later: float, events: Events) -> Arrays:
         """Ground truth of a scene with depth maps, which no ray can be cast at: from the pixels in their new places."""
-        scene, plan, camera, pixels = self.scene, self.plan, self.plan.scene.camera, self.pixels
+        scene, plan, pixels = self.scene, self.plan, self.pixels
         now, then = scene.at(time), scene.at(later)
         out: Arrays = {}
         if isinstance(pixels, StaticMap):
@@ -195,16 +200,17 @@ class GroundTruth:
         elif isinstance(pixels, ForwardWarp):
             out = pixels.truth(now, {"depth", "object_id", "filled", *plan.truth}, events)  # three for the others
         beyond = self._take_out_background(out)
-        where = (camera, plan.scene.objects, out["depth"], out["object_id"])
-        out |= {"normal": map_normal(camera, out["depth"]), "flow": map_flow(*where, now.poses, then.poses)}
+        seen = MapPoints(plan.scene.objects, out["depth"], out["object_id"], now.camera, now.poses)
+        out |= {"normal": map_normal(now.camera, out["depth"]), "flow": map_flow(seen, then.camera, then.poses)}
         out["hidden"] = (out["filled"] > 0) & ~beyond
         if isinstance(pixels, ForwardWarp) and "flow_backward" in plan.truth:
-            out["flow_backward"] = map_flow(*where, now.poses, scene.at(before).poses)
+            earlier = scene.at(before)
+            out["flow_backward"] = map_flow(seen, earlier.camera, earlier.poses)
         if isinstance(pixels, ForwardWarp) and "flow_occluded" in plan.truth:
             following = pixels.truth(then, ("depth",), events)["depth"]
-            out["flow_occluded"] = map_occluded(*where, now.poses, then.poses, following)
+            out["flow_occluded"] = map_occluded(seen, then.camera, then.poses, following)
         if isinstance(pixels, ForwardWarp) and plan.scene.stereo is not None:
             there = scene.at(time, eye=self._opposite)
             opposite = pixels.truth(there, ("depth",), events)["depth"]
-            out["disparity"], out["occluded"] = map_stereo(*where, now.poses, there.poses, opposite, plan.eye)
+            out["disparity"], out["occluded"] = map_stereo(seen, there.poses, opposite, plan.eye)
         return out | {"depth": out["depth"].astype(np.float32)}

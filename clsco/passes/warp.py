@@ -14,7 +14,6 @@ from clsco.constants import NO_WINNER, OWNED_PIXELS
 from clsco.opencl.buffers import download, empty, upload
 from clsco.opencl.program import build
 from clsco.optics.lens import Lens
-from clsco.optics.lens_path import camera_at
 from clsco.passes.blur import PIXELS, Events, Target
 from clsco.passes.fill import LINES, LISTED, OWNERS, ZERO, Filler
 from clsco.passes.pack import camera_grid, lens_struct
@@ -160,8 +159,9 @@ class ForwardWarp:
         """Enqueue the depth test: where each pixel of the reference pose moves, and which one is the nearest that
         comes to a pixel. Arguments as for `warp`."""
         if self.plan.scene.lens is not None:
-            lens = lens_struct(Lens.of(camera_at(self.plan.scene, sample.time)), self.scene.real)
-            self.lens = self.filler.lens = lens
+            camera, real = self.plan.scene.camera, self.scene.real
+            self.lens = self.filler.lens = lens_struct(Lens.of(sample.camera), real)
+            self.grid = self.filler.grid = camera_grid(sample.camera, self.plan.guard_px, real, reference=camera)
         poses = self.scene.poses(sample)
         args = (self.grid, self.rest_surfaces, poses, self.rest, self.target, self.moved, *self.object)
         if self.owned:

@@ -225,19 +225,20 @@ def image_paths(scene: Scene, maps: Maps, frame: int, guard: int = 0) -> list[Im
     opens, closes = shutter_span(scene.sequence, frame)
 
     @cache
-    def poses(steps: int) -> list[tuple[Pose, ...]]:
-        return [poses_at(scene, opens + share * (closes - opens)) for share in _times(steps).tolist()]
+    def views(steps: int) -> list[tuple[Camera, tuple[Pose, ...]]]:
+        times = [opens + share * (closes - opens) for share in _times(steps).tolist()]
+        return [(camera_at(scene, time), poses_at(scene, time)) for time in times]
 
     def path(number: int, item: Object) -> ImagePath:
-        first = [each[number] for each in poses(FIRST_STEPS)]
+        first = [(camera, poses[number]) for camera, poses in views(FIRST_STEPS)]
         looks = [first[k] for k in np.linspace(0, FIRST_STEPS, LOOKS).astype(np.intp).tolist()]
-        if all(map(_same(first[0]), first[1:])):
+        if not scene.zooms and all(map(_same(first[0][1]), [pose for _, pose in first[1:]])):
             body = np.empty((3, 0))
         else:
-            body = np.concatenate([_body_points(scene.camera, item, pose, maps[number]) for pose in looks], axis=1)
+            body = np.concatenate([_body_points(camera, item, pose, maps[number]) for camera, pose in looks], axis=1)
         steps = FIRST_STEPS
         while True:
-            found = _followed(scene.camera, item, body, [each[number] for each in poses(steps)], guard)
+            found = _followed(item, body, [(camera, poses[number]) for camera, poses in views(steps)], guard)
             longest = found.longest
             coarse = ImagePath(found.times[::2], found.places[::2], found.seen[::2] | found.seen[1::2]).longest
             if longest <= SETTLED[0] * coarse + SETTLED[1] or steps >= MOST_STEPS:
@@ -287,14 +288,15 @@ def _slopes(ends: Sequence[tuple[float, float]]) -> tuple[Array, Array]:
     return x, y
 
 
-def _followed(camera: Camera, item: Object, body: Array, poses: Sequence[Pose], guard: int) -> ImagePath:
-    """Way of points `body` (3, points) of an object that takes poses one after another."""
-    turns, shifts = np.stack([pose.rotation for pose in poses]), np.stack([pose.shift for pose in poses])
+def _followed(item: Object, body: Array, views: Sequence[tuple[Camera, Pose]], guard: int) -> ImagePath:
+    """Way of points `body` (3, points) of an object that takes poses before cameras one after another."""
+    turns, shifts = (np.stack([getattr(pose, name) for _, pose in views]) for name in ("rotation", "shift"))
+    camera, steps = views[0][0], np.array([ray_step(camera) for camera, _ in views])[:, None, None]
     points = turns @ body + (rest_center(item) + shifts)[:, :, None]
     ahead = np.maximum(points[:, 2:], NEAREST)
-    xy = points[:, :2] / ahead / ray_step(camera)
+    xy = points[:, :2] / ahead / steps
     size = 0.5 * (np.array(camera.frame_size)[:, None] - 1.0) + guard
     near, far = np.minimum(xy[1:], xy[:-1]), np.maximum(xy[1:], xy[:-1])
     visible = points[:, 2] > NEAREST
     seen = ((near <= size) & (far >= -size)).all(axis=1) & visible[1:] & visible[:-1]
-    return ImagePath(_times(len(poses) - 1), np.concatenate([xy, 1.0 / ahead], axis=1), seen)
+    return ImagePath(_times(len(views) - 1), np.concatenate([xy, 1.0 / ahead], axis=1), seen)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +17,12 @@ from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import Eye, Pose, poses_at, rest_center, static_rotation
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import cutting_bounds, place, predict_inverse_depth
-from clsco.scene.model import Disc, LensMotion, Object, ObjectMotion, Plane, Rectangle, Scene
+from clsco.scene.model import Camera, Disc, LensMotion, Object, ObjectMotion, Plane, Rectangle, Scene
 
 Array = NDArray[np.float64]
 Maps = Sequence[Array | None]
+Sample = tuple[Camera, tuple[Pose, ...]]
+"""The camera and all objects at a time."""
 GRID = 65  # rays per axis that predict the range of the blur radius
 # Keys of the camera that change what a lens makes of a hit, and not what a ray hits.
 LENS_KEYS = ("f_number", "aperture_diameter", "focus_distance", "sensor_distance")
@@ -55,12 +57,13 @@ def check_keyframes(scene: Scene) -> None:
         raise SceneError(faults)
 
 
-def _grid(scene: Scene, guard: int) -> tuple[Array, Array]:
-    """Slopes (GRID, GRID) of rays over frame and guard band, the outermost pixels included."""
+def _grid(scene: Scene, step: float, guard: int) -> tuple[Array, Array]:
+    """Slopes (GRID, GRID) of rays over frame and guard band, the outermost pixels included; step: between those of
+    neighboring pixels."""
     columns, rows = scene.camera.frame_size
     x = np.linspace(-0.5 * (columns - 1) - guard, 0.5 * (columns - 1) + guard, GRID)
     y = np.linspace(-0.5 * (rows - 1) - guard, 0.5 * (rows - 1) + guard, GRID)
-    across, up = np.meshgrid(x * ray_step(scene.camera), y * ray_step(scene.camera))
+    across, up = np.meshgrid(x * step, y * step)
     return across, up
 
 
@@ -83,13 +86,13 @@ def is_forward(scene: Scene, eye: Eye) -> bool:
     return scene.motion.warp == "forward" and (scene.is_displaced or displaced(scene, eye))
 
 
-def _inverse_depths(scene: Scene, samples: list[tuple[Pose, ...]], maps: Maps, guard: int) -> Array:
+def _inverse_depths(scene: Scene, samples: Sequence[Sample], maps: Maps, guard: int) -> Array:
     """Predicted inverse depths (objects, times, GRID, GRID) in 1/mm, 0 where nothing is hit."""
-    grid, found = _grid(scene, guard), np.empty((len(scene.objects), len(samples), GRID, GRID))
+    found, grid = np.empty((len(scene.objects), len(samples), GRID, GRID)), cache(partial(_grid, scene, guard=guard))
     for k, (item, depth) in enumerate(zip(scene.objects, maps, strict=True)):
-        for time, poses in enumerate(samples):
+        for time, (camera, poses) in enumerate(samples):
             if depth is None:
-                found[k, time] = predict_inverse_depth(item, place(item, poses[k]), *grid)
+                found[k, time] = predict_inverse_depth(item, place(item, poses[k]), *grid(ray_step(camera)))
             else:
                 found[k, time] = _moved_map(scene, item, depth, poses[k])
     return found
@@ -98,7 +101,7 @@ def _inverse_depths(scene: Scene, samples: list[tuple[Pose, ...]], maps: Maps, g
 @lru_cache(maxsize=8)
 def _static_depths(scene: Scene, eye: Eye, guard: int) -> Array:
     """`_inverse_depths` of a scene without a lens whose objects are all analytic, and stay where they are."""
-    found = _inverse_depths(scene, [poses_at(scene, 0.0, eye)], (None,) * len(scene.objects), guard)
+    found = _inverse_depths(scene, [(scene.camera, poses_at(scene, 0.0, eye))], (None,) * len(scene.objects), guard)
     found.flags.writeable = False
     return found
 
@@ -126,7 +129,7 @@ def _moved_map(scene: Scene, item: Object, depth: Array, pose: Pose) -> Array:
 def seen_depths(scene: Scene, maps: Maps) -> Array:
     """Predicted inverse depths (objects, GRID, GRID) in 1/mm in the middle of the sequence, 0 where nothing is hit."""
     time = middle_time(scene.sequence, scene.sequence.frames // 2) if scene.moves else 0.0
-    return np.asarray(_inverse_depths(scene, [poses_at(scene, time)], maps, 0)[:, 0])
+    return np.asarray(_inverse_depths(scene, [(camera_at(scene, time), poses_at(scene, time))], maps, 0)[:, 0])
 
 
 def fills_view(scene: Scene, w: Array) -> bool:
@@ -190,9 +193,10 @@ def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
     check_keyframes(scene)
     times = sequence_times(scene)
     poses, cameras, guard = [poses_at(scene, t, eye) for t in times], [camera_at(scene, t) for t in times], 0
+    samples = [*zip(cameras, poses, strict=True)]
     seen = None if scene.moves or not scene.is_analytic else without_lens(scene)
     for _ in range(2):  # the second time with the guard band that the first asked for
-        w = _inverse_depths(scene, poses, maps, guard) if seen is None else _static_depths(seen, eye, guard)
+        w = _inverse_depths(scene, samples, maps, guard) if seen is None else _static_depths(seen, eye, guard)
         each = (blur_radius(camera, w[:, k][w[:, k] > 0]) for k, camera in enumerate(cameras))
         radii = np.abs(blur_radius(cameras[0], w[w > 0]) if scene.lens is None else np.concatenate([*each]))
         largest, smallest = (float(radii.max()), float(radii.min())) if radii.size else (0.0, 0.0)

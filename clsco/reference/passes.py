@@ -193,7 +193,8 @@ def reprojected(
 ) -> Reprojected:  # fmt: skip
     """The pixels of the reference pose at their places at a time."""
     reference_pose = _placed(scene, rest_poses(scene))
-    return reproject(scene, _images(textures), reference_pose, maps, poses_at(scene, time, eye), guard)
+    poses, camera = poses_at(scene, time, eye), camera_at(scene, time)
+    return reproject(scene, _images(textures), reference_pose, maps, poses, guard, camera)
 
 
 def filled(

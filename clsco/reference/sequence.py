@@ -14,7 +14,7 @@ from clsco.inputs.depth_maps import load_scene_depths
 from clsco.inputs.pupils import scene_point_spread
 from clsco.inputs.textures import Texture as TextureImage
 from clsco.inputs.textures import load_scene_textures
-from clsco.optics.depth_truth import map_flow, map_normal, map_occluded, map_stereo
+from clsco.optics.depth_truth import MapPoints, map_flow, map_normal, map_occluded, map_stereo
 from clsco.optics.exposure import frame_exposure, middle_time
 from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import Eye, poses_at
@@ -141,27 +141,27 @@ def _map_truth(plan: Plan, textures: tuple[Texture, ...], maps: Maps, middle: Wa
     number = np.where(surface, seen, -1).astype(np.int32)
     depth = np.where(surface, 1.0 / np.where(surface, w, 1.0), np.inf)
     times = [middle_time(scene.sequence, k) if plan.moves else 0.0 for k in (index, index + 1, index - 1)]
-    now, then, before = (poses_at(scene, time, plan.eye) for time in times)
+    now, then, before = ((camera_at(scene, time), poses_at(scene, time, plan.eye)) for time in times)
+    shown = MapPoints(scene.objects, depth, number, *now)
     stereo: dict[str, Any] = {}
     moving: dict[str, Any] = {}
     if plan.moves:
         following = _depth(warped_image(scene, textures, maps, guard, times[1], plan.eye).sources)
-        where = (scene.camera, scene.objects, depth, number, now)
-        moving["flow_backward"] = map_flow(*where, before)
-        moving["flow_occluded"] = map_occluded(*where, then, crop(following, guard))
+        moving["flow_backward"] = map_flow(shown, *before)
+        moving["flow_occluded"] = map_occluded(shown, *then, crop(following, guard))
     if scene.stereo is not None:
         opposite: Eye = "left" if plan.eye == "right" else "right"
         there = poses_at(scene, times[0], opposite)
         other = warped_image(scene, textures, maps, guard, times[0], opposite).sources
-        args = (scene.camera, scene.objects, depth, number, now, there, crop(_depth(other), guard), plan.eye)
-        stereo = dict(zip(("disparity", "occluded"), map_stereo(*args), strict=True))
+        found_there = map_stereo(shown, there, crop(_depth(other), guard), plan.eye)
+        stereo = dict(zip(("disparity", "occluded"), found_there, strict=True))
     found = {
         "depth": depth,
         "blur_radius": crop(middle.sources.radius, guard),
         "mask": surface,
         "object_id": number,
-        "normal": map_normal(scene.camera, depth),
-        "flow": map_flow(scene.camera, scene.objects, depth, number, now, then),
+        "normal": map_normal(now[0], depth),
+        "flow": map_flow(shown, *then),
         "hidden": (crop(middle.status, guard) > 0) & (surface | ~valid),
     }
     return found | stereo | moving

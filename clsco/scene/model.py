@@ -298,9 +298,13 @@ class Scene(Strict):
         if value is None or camera is None:
             return value
         for k, key in enumerate(value.keyframe):
-            f, u, number = camera.focal_length, key.focus_distance, key.f_number
+            f, u, number = key.focal_length, key.focus_distance, key.f_number
+            name = "camera.focal_length" if f is None else "its focal_length"
+            if f is None and value.zooms:
+                continue  # known between keyframes alone
+            f = camera.focal_length if f is None else f
             if u is not None and not (u > f and f * u / (u - f) <= MAX_LENGTH_MM):
-                rule = fault(f"must be greater than camera.focal_length = {f:g} mm")
+                rule = fault(f"must be greater than {name} = {f:g} mm")
                 found.append((("keyframe", k, "focus_distance"), rule, u))
             if number is not None and not MIN_LENGTH_MM <= f / number <= MAX_LENGTH_MM:
                 rule = fault(f"must leave an aperture between {MIN_LENGTH_MM:g} and {MAX_LENGTH_MM:g} mm")
@@ -402,9 +406,15 @@ class Scene(Strict):
 
     @property
     def is_displaced(self) -> bool:
-        """True if an object, its group or the camera moves."""
+        """True if the image of a point changes its place: an object, its group or the camera moves, or the lens
+        zooms."""
         motions = (motion for item in self.objects for motion in self.motions(item))
-        return self.camera.moves or any(motion.moves for motion in motions)
+        return self.zooms or self.camera.moves or any(motion.moves for motion in motions)
+
+    @property
+    def zooms(self) -> bool:
+        """True if the focal length of the lens changes."""
+        return self.lens is not None and self.lens.zooms
 
     @property
     def moves_evenly(self) -> bool:

@@ -175,15 +175,17 @@ class LensKeyframe(Strict):
 
     time: Time
     """Time, s; later than that of the keyframe before."""
+    focal_length: Length | None = None
+    """Focal length, mm: a zoom, by which the image grows in proportion; by the keyframes beside if not given."""
     focus_distance: Length | None = None
-    """Distance in focus, mm, greater than camera.focal_length; by the keyframes beside if not given."""
+    """Distance in focus, mm, greater than the focal length; by the keyframes beside if not given."""
     f_number: FNumber | None = None
-    """camera.focal_length / aperture diameter; by the keyframes beside if not given."""
+    """Focal length / aperture diameter; by the keyframes beside if not given."""
 
     @model_validator(mode="after")
     def _something(self) -> Self:
-        if self.focus_distance is None and self.f_number is None:
-            raise fault("must have focus_distance or f_number", got="neither")
+        if self.focal_length is None and self.focus_distance is None and self.f_number is None:
+            raise fault("must have focal_length, focus_distance or f_number", got="none")
         return self
 
 
@@ -191,15 +193,20 @@ LensKeyframes = Annotated[tuple[LensKeyframe, ...], SCHEMA, AfterValidator(in_or
 
 
 class LensMotion(Strict):
-    """Changes of the lens over time: its focus is pulled, or its aperture opens and closes."""
+    """Changes of the lens over time: it zooms, its focus is pulled, or its aperture opens and closes."""
 
     keyframe: LensKeyframes
-    """Lenses at 1 to 256 times, instead of the focus distance or the f-number of the camera."""
+    """Lenses at 1 to 256 times, instead of the focal length, the focus distance or the f-number of the camera."""
     interpolation: Interpolation = "linear"
-    """Path of 1 / focus_distance and of 1 / f_number, to which the blur radius is proportional, as between keyframes of
-    a motion."""
+    """Path of focal_length, to which the image is proportional, and of 1 / focus_distance and 1 / f_number, to which
+    the blur radius is, as between keyframes of a motion."""
     outside: Outside = "hold"
     """Path before the first and after the last keyframe, as of a motion."""
+
+    @property
+    def zooms(self) -> bool:
+        """True if the focal length has keyframes."""
+        return any(key.focal_length is not None for key in self.keyframe)
 
     @field_validator("interpolation")
     @classmethod

@@ -63,6 +63,7 @@ def inspected(frame: Frame, scene: Scene, x: int, y: int, is_tilted: bool = Fals
         lengths = scene_point_spread(scene).pupil.lengths
         values |= {name: length * abs(radius) for name, length in lengths.items()}
     found: dict[str, Any] = {"index": frame.index, "eye": eye_of(frame), "values": values}
+    whole = scene
     if scene.lens is not None:
         lens = camera_at(scene, middle_time(scene.sequence, frame.index))
         scene = scene.model_copy(update={"camera": lens, "lens": None})
@@ -70,7 +71,7 @@ def inspected(frame: Frame, scene: Scene, x: int, y: int, is_tilted: bool = Fals
     if radius is not None and values["mask"]:
         gradient = radius_gradient(frame, scene, x, y) if is_tilted else np.zeros(2)
         found["psf"] = point_spread(scene, radius, gradient)
-        source = source_of(frame, scene, x, y)
+        source = source_of(frame, whole, x, y)
         if isinstance(source, str):
             found["unmeasured"] = source
     return found
@@ -96,15 +97,16 @@ def source_of(frame: Frame, scene: Scene, x: int, y: int) -> tuple[int, int, int
     if not scene.moves:
         return x, y, number
     rows, columns = frame.depth.shape
-    step, middle = ray_step(scene.camera), np.array([(columns - 1) / 2, (rows - 1) / 2])
+    middle = np.array([(columns - 1) / 2, (rows - 1) / 2])
     sized = scene.model_copy(update={"camera": scene.camera.model_copy(update={"resolution": (columns, rows)})})
-    pose = poses_at(scene, pixel_time(sized, frame.index, x, y))[number]
+    time = pixel_time(sized, frame.index, x, y)
+    pose, step = poses_at(scene, time)[number], ray_step(camera_at(scene, time))
     center = rest_center(scene.objects[number])
     point = depth * np.array([(x - middle[0]) * step, (middle[1] - y) * step, 1.0])
     rest = center + (point - center - pose.shift) @ pose.rotation
     if rest[2] <= 0:
         return "the point is behind the lens at t = 0"
-    column, row = np.rint(middle + rest[:2] / rest[2] / step * (1, -1)).astype(int).tolist()
+    column, row = np.rint(middle + rest[:2] / rest[2] / ray_step(scene.camera) * (1, -1)).astype(int).tolist()
     if not (0 <= column < columns and 0 <= row < rows):
         return "the point is beside the frame at t = 0"
     return column, row, number

@@ -6,6 +6,9 @@ import math
 from typing import Any
 
 from clsco.errors import SceneError
+from clsco.optics.exposure import middle_time
+from clsco.optics.lens_path import camera_at
+from clsco.scene.model import Camera
 from clsco.studio.moving import Grip, grip
 from clsco.studio.preview import MEASURE, Preview
 from clsco.studio.session import Session
@@ -25,7 +28,7 @@ class Pointer:
 
     def __init__(self, session: Session, preview: Preview) -> None:
         self._session, self._preview = session, preview
-        self._held: tuple[int, Grip] | None = None  # by the drag of this number
+        self._held: tuple[int, Grip, Camera] | None = None  # by the drag of this number
 
     def ask(self, x: int, y: int) -> None:
         """Report the figures of a pixel."""
@@ -61,8 +64,9 @@ class Pointer:
         async def take(found: dict[str, Any]) -> None:
             values = found["values"]
             try:
-                depth = math.inf if values["depth"] is None else values["depth"]
-                self._held = drag, grip(self._session, found["index"], values["object_id"], depth, found["eye"])
+                scene, depth = self._session.scene, math.inf if values["depth"] is None else values["depth"]
+                held = grip(self._session, found["index"], values["object_id"], depth, found["eye"])
+                self._held = drag, held, camera_at(scene, middle_time(scene.sequence, found["index"]))
             except SceneError as error:
                 self._held = None
                 await self._preview.tell(error=error.messages, grabbed={"drag": drag, "name": None})
@@ -74,6 +78,6 @@ class Pointer:
     def pull(self, across: float, down: float, is_along: bool, drag: int) -> None:
         """Move the object that a drag holds so many pixels from where it was; all of it is one step of undo."""
         if self._held is not None and self._held[0] == drag and max(abs(across), abs(down)) <= MOST_PX:
-            held = self._held[1]
-            value = held.value(self._session.scene.camera, across, down, is_along)
+            _, held, camera = self._held
+            value = held.value(camera, across, down, is_along)
             self._session.patch(held.path, value, drag)

@@ -7,7 +7,7 @@ static real3 moved_pixel(__constant surface_t *surface, const grid_t grid, __con
 {
     const real3 rest = load3(surface->rest) + load3(other->shift);
     const real3 turned_point = turned(other->rotation, body_point(surface, ray, w));
-    return project(grid, rest * w + turned_point);
+    return project(grid, other->step, rest * w + turned_point);
 }
 
 static bool outside_frame(const grid_t grid, real3 at)
@@ -22,12 +22,14 @@ static bool covered(real seen, real ratio, real w)
     return w * (1 + (REAL_IS_DOUBLE ? (real)1e-6 : (real)1e-5)) < seen * ratio;
 }
 
-// True if a point at inverse depth w is not visible in the pixel `there`, between other surfaces.
-static bool occluded_among(__constant surface_t *surfaces, const grid_t grid, const group_t group, real3 there, real w)
+// True if a point at inverse depth w is not visible in the pixel `there`, between other surfaces; step: between rays.
+static bool occluded_among(__constant surface_t *surfaces, const grid_t grid, real step, const group_t group,
+                           real3 there, real w)
 {
     uchar any;
     int nearest;
-    const real seen = nearest_surface(surfaces, group, pixel_ray(grid, there.y, there.x), &any, &nearest);
+    const real3 ray = ray_through(grid, step, there.y, there.x);
+    const real seen = nearest_surface(surfaces, group, ray, &any, &nearest);
     return outside_frame(grid, there) || covered(seen, there.z, w);
 }
 
@@ -86,7 +88,8 @@ __kernel void ground_truth(const grid_t grid, const lens_t lens, __constant surf
             const real3 from = rest_pixel(surface, grid, ray, w);
             // 1 / depth in the reference pose of this point, against the depth in that pixel of the pinhole image
             uchar other;
-            const real seen = solve_quadric(still + object, pixel_ray(grid, from.y, from.x), &other);
+            const real3 rest_ray = ray_through(grid, grid.rest_step, from.y, from.x);
+            const real seen = solve_quadric(still + object, rest_ray, &other);
             hidden[at] = outside_frame(grid, from) || covered(seen, from.z, w);
         }
     }
@@ -121,7 +124,7 @@ __kernel void ground_truth(const grid_t grid, const lens_t lens, __constant surf
             disparity[at] = root && other.z > 0 ? (float)(to_left * (other.x - column))
                                                         : 0;
         if (occluded)
-            occluded[at] = root ? occluded_among(opposite, grid, group, other, w) : 0;
+            occluded[at] = root ? occluded_among(opposite, grid, there->step, group, other, w) : 0;
     }
     if (flow_backward) {
         const real3 earlier = moved_pixel(surface, grid, previous + MAX(object, 0), ray, w);
@@ -131,6 +134,6 @@ __kernel void ground_truth(const grid_t grid, const lens_t lens, __constant surf
     }
     if (flow_occluded) {
         const real3 later = moved_pixel(surface, grid, next + MAX(object, 0), ray, w);
-        flow_occluded[at] = root ? occluded_among(following, grid, group, later, w) : 0;
+        flow_occluded[at] = root ? occluded_among(following, grid, next->step, group, later, w) : 0;
     }
 }

@@ -90,13 +90,13 @@ static inline int2 move_sources(const grid_t grid, __constant surface_t *surface
     const real3 turn = turned(R, load3(center)), shifted = load3(center) + load3(pose->shift);
     const real across = shifted.x - turn.x, up = shifted.y - turn.y;
     const real away = shifted.z - turn.z;
-    const real step = grid.step, y = pixel_ray(grid, row, 0).y;
+    const real step = grid.rest_step, y = ray_through(grid, step, row, 0).y;
     const real line_x = R[1] * y + R[2];
     const real line_y = R[4] * y + R[5];
     const real line_z = R[7] * y + R[8];
     const real R_x = R[0], R_y = R[3], R_z = R[6];
     const real middle = (real)0.5 * (grid.columns - 1);
-    const real inverse_step = 1 / step;
+    const real inverse_step = 1 / grid.step;
     // Where a position is 0 on the padded grid, and one more, so that what is negative is below 1.
     const real right = middle + (grid.guard + 1) + ROUNDING;
     const real down = (real)0.5 * (grid.rows - 1) + (grid.guard + 1) + ROUNDING;

@@ -59,6 +59,7 @@ WITHOUT_TWIN = {
     "texture": dict.fromkeys(("texture_point", "radiance"), "parts of cast, for all pixels at once"),
     "geometry": {
         "note_radius": "the largest and the smallest of an array",
+        "ray_through": "pixel_ray before another lens",
         **dict.fromkeys(("load3", "row3", "column3", "inner_product"), "arrays of NumPy, and their products"),
     },
     "warp": {"note_radii": "the largest and the smallest of an array"},
@@ -137,6 +138,7 @@ OTHERWISE = {
     "outside_frame": "column and row are in one vector",
     "labels_around": "all pixels at once",
     "share_square": "a coverage_t is changed in place",
+    "project": "a camera of another time has another slope between rays",
     "occluded_among": "objects and their bounds are in surface_t",
 }
 

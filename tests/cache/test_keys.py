@@ -157,7 +157,7 @@ def test_rays_of_a_prediction_depend_on_the_camera_and_not_on_its_lens() -> None
     items = (Sphere(), Plane(distance=400.0))
 
     def rays(scene: Scene) -> bytes:
-        return _inverse_depths(scene, [poses_at(scene, 1.0)], (None, None), 8).tobytes()
+        return _inverse_depths(scene, [(scene.camera, poses_at(scene, 1.0))], (None, None), 8).tobytes()
 
     base = scene_of(*items)
     for key, keys in OTHER_CAMERAS.items():

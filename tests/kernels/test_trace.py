@@ -16,7 +16,7 @@ from clsco.opencl.buffers import copied, download, empty, upload
 from clsco.opencl.program import build
 from clsco.opencl.session import Program, Session
 from clsco.optics.exposure import middle_time
-from clsco.optics.lens import Lens
+from clsco.optics.lens import Lens, ray_step
 from clsco.optics.motion import Eye, Pose, poses_at, rest_poses
 from clsco.optics.point_spread import point_spread
 from clsco.optics.psf_tables import psf_table
@@ -404,7 +404,9 @@ def truth_arguments(session: Session, plan: Plan, frame: int, strip: Strip | Non
     other: Eye = "left" if plan.eye == "right" else "right"
     before, now, then = (middle_time(wanted.sequence, k) for k in (frame - 1, frame, frame + 1))
     seen = {"next": (then, plan.eye), "previous": (before, plan.eye), "there": (now, other)}
-    return {name: pose_structs(poses_at(wanted, *each), "double") for name, each in seen.items()} | {
+    return {
+        name: pose_structs(poses_at(wanted, *each), "double", ray_step(wanted.camera)) for name, each in seen.items()
+    } | {
         "grid": camera_grid(wanted.camera, plan.guard_px, "double", strip),
         "lens": lens_struct(Lens.of(wanted.camera), "double"),
         "surfaces": on_device(session, plan, now, "double"),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clsco.optics.depth_truth import map_flow, map_normal, map_occluded, map_stereo
+from clsco.optics.depth_truth import MapPoints, map_flow, map_normal, map_occluded, map_stereo
 from clsco.optics.exposure import middle_time
 from clsco.optics.motion import Eye, Pose, poses_at
 from clsco.reference.trace.truth import Truth, ground_truth
@@ -34,6 +34,10 @@ def truth_of(wanted: Scene, eye: Eye = "left") -> Truth:
 
 def poses(wanted: Scene, frame: int, eye: Eye = "left") -> tuple[Pose, ...]:
     return poses_at(wanted, middle_time(wanted.sequence, frame), eye)
+
+
+def points(wanted: Scene, depth: Array, number: Array, frame: int, eye: Eye = "left") -> MapPoints:
+    return MapPoints(wanted.objects, depth, number, CAMERA, poses(wanted, frame, eye))
 
 
 def test_normals_of_planes_are_exact_up_to_their_edges() -> None:
@@ -74,7 +78,7 @@ def test_a_normal_without_neighbors_points_to_the_lens() -> None:
 def test_flow_is_that_of_the_surfaces(camera: CameraMotion) -> None:
     wanted = scene(BALL, WALL, camera=LENS | {"motion": camera})
     truth = truth_of(wanted)
-    found = map_flow(CAMERA, wanted.objects, truth.depth, truth.object_id, poses(wanted, 0), poses(wanted, 1))
+    found = map_flow(points(wanted, truth.depth, truth.object_id, 0), CAMERA, poses(wanted, 1))
     assert np.abs(truth.flow[truth.object_id == 0]).max() > 3.0
     assert (np.abs(truth.flow[truth.object_id == 1]).max() > 1.0) == (camera.velocity[2] > 0)
     np.testing.assert_allclose(found, truth.flow, rtol=2e-7, atol=1e-9)  # rounded to float32
@@ -85,11 +89,16 @@ def test_nothing_flows_to_behind_the_lens_or_where_nothing_is() -> None:
     depth[:, :20] = np.inf
     number = np.where(np.isfinite(depth), 0, -1).astype(np.int32)
     forth = (Pose(np.eye(3), np.array([3.0, 0.0, 0.0])),)
-    flow = map_flow(CAMERA, (BALL,), depth, number, (STILL,), forth)
+    shown = MapPoints((BALL,), depth, number, CAMERA, (STILL,))
+    flow = map_flow(shown, CAMERA, forth)
     assert not flow[:, :20].any()
     np.testing.assert_allclose(flow[:, 20:], np.broadcast_to([3.0, 0.0], (40, 32, 2)), atol=1e-6)  # 20 / 200 / 0.1
     behind = (Pose(np.eye(3), np.array([0.0, 0.0, -250.0])),)
-    assert not map_flow(CAMERA, (BALL,), depth, number, (STILL,), behind).any()
+    assert not map_flow(shown, CAMERA, behind).any()
+    longer = CAMERA.model_copy(update={"normalization_distance": 2.0 * CAMERA.normalization_distance})
+    column = np.arange(52) - 25.5  # a zoom to twice the focal length takes each point twice as far from the axis
+    zoomed = map_flow(shown, longer, (STILL,))[:, 20:]
+    np.testing.assert_allclose(zoomed[..., 0], np.broadcast_to(column[20:], (40, 32)), atol=1e-6)
 
 
 @pytest.mark.parametrize("eye", ["left", "right"])
@@ -100,8 +109,8 @@ def test_stereo_is_that_of_the_surfaces(toe_in: float, eye: Eye) -> None:
     truth, opposite = truth_of(wanted, eye), truth_of(wanted, other)
     assert truth.disparity is not None
     assert truth.occluded is not None
-    where = (CAMERA, wanted.objects, truth.depth, truth.object_id, poses(wanted, 0, eye), poses(wanted, 0, other))
-    disparity, occluded = map_stereo(*where, opposite.depth, eye)
+    shown = points(wanted, truth.depth, truth.object_id, 0, eye)
+    disparity, occluded = map_stereo(shown, poses(wanted, 0, other), opposite.depth, eye)
     np.testing.assert_allclose(disparity, truth.disparity, rtol=2e-7, atol=1e-9)
     assert np.abs(disparity).max() > 3.0
     # The other view is looked at in its pixel centers: what is hidden may differ where that rounds over an outline.
@@ -112,24 +121,24 @@ def test_stereo_is_that_of_the_surfaces(toe_in: float, eye: Eye) -> None:
 def test_occlusion_in_the_next_frame_is_that_of_the_surfaces() -> None:
     wanted = scene(BALL, WALL)
     now, then = (ground_truth(wanted, (np.zeros((*SHAPE, 1)),) * 2, k) for k in (0, 1))
-    where = (CAMERA, wanted.objects, now.depth, now.object_id, poses(wanted, 0), poses(wanted, 1))
-    found = map_occluded(*where, then.depth)
+    shown = points(wanted, now.depth, now.object_id, 0)
+    found = map_occluded(shown, CAMERA, poses(wanted, 1), then.depth)
     assert found.dtype == np.bool_
     assert 0.01 < now.flow_occluded.mean() < 0.5
     assert (found != now.flow_occluded).mean() < 0.02  # pixel centers, as of the other view
-    back = map_flow(*where[:4], poses(wanted, 0), poses(wanted, -1))
+    back = map_flow(shown, CAMERA, poses(wanted, -1))
     np.testing.assert_allclose(back, now.flow_backward, rtol=2e-7, atol=1e-9)
 
 
 def test_a_point_outside_of_the_other_frame_is_occluded() -> None:
     depth, number = np.full(SHAPE, 200.0), np.zeros(SHAPE, np.int32)
     there = (Pose(np.eye(3), np.array([-5.0, 0.0, 0.0])),)  # 5 px to the left
-    disparity, occluded = map_stereo(CAMERA, (BALL,), depth, number, (STILL,), there, depth, "left")
+    disparity, occluded = map_stereo(MapPoints((BALL,), depth, number, CAMERA, (STILL,)), there, depth, "left")
     np.testing.assert_allclose(disparity, 5.0, atol=1e-6)
     assert occluded[:, :5].all()
     assert not occluded[:, 5:].any()
     near = depth.copy()
     near[:, 10] = 190.0  # more than 2 percent nearer
     near[:, 20] = 199.0
-    _, occluded = map_stereo(CAMERA, (BALL,), depth, number, (STILL,), there, near, "left")
+    _, occluded = map_stereo(MapPoints((BALL,), depth, number, CAMERA, (STILL,)), there, near, "left")
     assert np.flatnonzero(occluded[0]).tolist() == [0, 1, 2, 3, 4, 15]

@@ -80,7 +80,7 @@ def test_a_path_that_no_lens_can_have_is_refused() -> None:
         [camera_at(scene(*keys, interpolation="cubic"), t) for t in np.linspace(0.0, 1.0, 99)]
     near = [{"time": t, "focus_distance": u} for t, u in ((0.0, 1e3), (0.3, 1e3), (0.4, 20.5), (0.8, 20.5))]
     with pytest.raises(
-        SceneError, match=r"lens.keyframe: focus_distance must stay greater than camera.focal_length = 20 mm"
+        SceneError, match=r"lens.keyframe: focus_distance must stay greater than the focal length, 20 mm"
     ):
         [camera_at(scene(*near, interpolation="cubic"), t) for t in np.linspace(0.0, 1.0, 99)]
     # Beyond infinity a focus may be, as where the detector is within the focal length.

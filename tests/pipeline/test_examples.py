@@ -76,6 +76,7 @@ LONG |= {"rolling_fan", "rolling_train"}  # see tests/pipeline/test_rolling_shut
 LONG |= {"background"}  # see tests/pipeline/test_background.py
 LONG |= {"night"}  # see tests/pipeline/test_sensor.py
 LONG |= {"focus_pull", "hand_held"}  # see tests/pipeline/test_lens_path.py and test_keyframes.py
+LONG |= {"dolly_zoom"}  # see tests/pipeline/test_zoom.py
 LONG |= {"disc"}  # see tests/pipeline/test_rotated.py
 LONG |= {"lit"}  # see tests/pipeline/test_surface_textures.py and test_light.py
 LONG |= {"card", "ellipsoid"}  # see tests/pipeline/test_occlusion.py

@@ -91,7 +91,7 @@ BAD_LENSES = [
     ("lens = 3", ": must be a table; got 3"),
     ("lens = {}", ".keyframe: must be given; got nothing"),
     ("lens.keyframe = []", ".keyframe: must hold 1 to 256 keyframes; got 0"),
-    ("lens.keyframe = [{time = 0}]", ".keyframe[0]: must have focus_distance or f_number; got neither"),
+    ("lens.keyframe = [{time = 0}]", ".keyframe[0]: must have focal_length, focus_distance or f_number; got none"),
     ("lens.keyframe = [{f_number = 2}]", ".keyframe[0].time: must be given; got nothing"),
     (
         "lens.keyframe = [{time = 0, f_number = 2}, {time = 0, f_number = 4}]",
@@ -100,6 +100,15 @@ BAD_LENSES = [
     (
         "lens.keyframe = [{time = 0, focus_distance = 20.0}]",
         ".keyframe[0].focus_distance: must be greater than camera.focal_length = 20 mm; got 20.0",
+    ),
+    (
+        "lens.keyframe = [{time = 0, focal_length = 300.0, focus_distance = 250.0}]",
+        ".keyframe[0].focus_distance: must be greater than its focal_length = 300 mm; got 250.0",
+    ),
+    ("lens.keyframe = [{time = 0, focal_length = 0}]", ".keyframe[0].focal_length: must be greater than 0 mm; got 0"),
+    (
+        "lens.keyframe = [{time = 0, focal_length = 1e-3, f_number = 1e4}]",
+        ".keyframe[0].f_number: must leave an aperture between 1e-06 and 1e+09 mm; got 10000.0",
     ),
     (
         "lens.keyframe = [{time = 0, focus_distance = -1}]",

@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.optics.exposure import line_times
+from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import Eye, Pose, poses_at, rest_center, rest_poses
 from clsco.optics.quadrics import cutting_bounds, place
 from clsco.reference.common.geometry import Array, body_point, nearest_surface, pixel_ray, project, turned
 from clsco.reference.trace.trace import Texture, everything, padded_grid, view_at
 from clsco.reference.trace.truth import Shown, Truth, outside_frame, surface_truth
-from clsco.scene.model import Scene
+from clsco.scene.model import Camera, Scene
 
 NEARER = 1.0 + 1e-5  # as in clsco.optics.line_truth: a depth that is nearer by this factor is that of another point
 
@@ -63,13 +64,14 @@ class _Points:
     number: NDArray[np.int32]
     body: Array
 
-    def _places(self, poses: tuple[Pose, ...]) -> Array:
-        """Row, column and depth in parts of that now (3, m, n), 0 behind the lens, of all points in other poses."""
+    def _places(self, camera: Camera, poses: tuple[Pose, ...]) -> Array:
+        """Row, column and depth in parts of that now (3, m, n), 0 behind the lens, of all points in other poses before
+        a camera."""
         found = np.zeros((3, *self.w.shape))
         for k, (item, pose) in enumerate(zip(self.scene.objects, poses, strict=True)):
             position = (rest_center(item) + pose.shift) * self.w[..., None] + turned(pose.rotation, self.body)
             before = (position[..., 2] > 0.0) & (self.number == k)
-            row, column = project(self.scene.camera, np.where(before[..., None], position, 1.0))
+            row, column = project(camera, np.where(before[..., None], position, 1.0))
             found = np.where(before, np.stack([row, column, position[..., 2]]), found)
         return found
 
@@ -79,13 +81,13 @@ class _Points:
         The first line that a point does not lie beyond when it is exposed, and the one before, have it between them.
         """
         scene, axis, surface = self.scene, int(self.scene.sequence.by_columns), self.number >= 0
-        poses = [poses_at(scene, time, eye) for time in line_times(scene, frame).tolist()]
-        last = len(poses) - 1
-        one = two = self._places(poses[0])
+        views = [(camera_at(scene, time), poses_at(scene, time, eye)) for time in line_times(scene, frame).tolist()]
+        last = len(views) - 1
+        one = two = self._places(*views[0])
         low, waiting = np.zeros(self.w.shape, np.intp), np.ones(self.w.shape, np.bool_)
         before = one
         for line in range(1, last + 1):
-            now = self._places(poses[line])
+            now = self._places(*views[line])
             reached = waiting & ((now[axis] <= line) | (line == last))
             one, two = np.where(reached, before, one), np.where(reached, now, two)
             low, waiting, before = np.where(reached, line - 1, low), waiting & ~reached, now
@@ -99,10 +101,10 @@ class _Points:
         hidden = ~valid | outside_frame(scene.camera, row, column)
         place_at = np.where(np.rint(low + share) == low, one, two)
         nearest = np.rint(low + share).astype(np.intp)
-        for line, each in enumerate(poses):
+        for line, (camera, each) in enumerate(views):
             i, j = np.nonzero(valid & (nearest == line))
             surfaces = tuple(place(item, pose) for item, pose in zip(scene.objects, each, strict=True))
-            rays = pixel_ray(scene.camera, *place_at[:2, i, j])
+            rays = pixel_ray(camera, *place_at[:2, i, j])
             found, _, _ = nearest_surface(surfaces, [*map(cutting_bounds, scene.objects)], everything(scene), rays)
             hidden[i, j] |= found * place_at[2, i, j] > self.w[i, j] * NEARER
         return np.where(surface[..., None], flow, 0.0), hidden & surface

@@ -101,7 +101,8 @@ class View:
     """All objects at one time, in the frame of the camera.
 
     surfaces: one per object; textures: one per object, with so many channels; moved: an
-    object or the camera is not exactly in its reference pose; light: of the scene, if it has one; psf: of the lens.
+    object or the camera is not exactly in its reference pose, or zooms; light: of the scene, if it has one; psf: of the
+    lens; reference: the camera in its reference pose.
     """
 
     scene: Scene
@@ -110,6 +111,7 @@ class View:
     moved: bool
     light: PlacedLight | None
     psf: PointSpread
+    reference: Camera
 
     @property
     def lens(self) -> Lens:
@@ -127,11 +129,13 @@ def view_at(
     scene: Scene, textures: tuple[Texture, ...], time: float, eye: Eye, moved: bool, psf: PointSpread | None = None
 ) -> View:
     """The objects after `time` seconds, and the lens; other arguments as for `View`."""
+    reference = scene.camera
     if scene.lens is not None:
         scene = scene.model_copy(update={"camera": camera_at(scene, time), "lens": None})
     placed = zip(scene.objects, poses_at(scene, time, eye), strict=True)
     surfaces = tuple(place(item, pose) for item, pose in placed)
-    return View(scene, surfaces, textures, moved, place_light(scene, time, eye), psf or scene_point_spread(scene))
+    light, lens = place_light(scene, time, eye), psf or scene_point_spread(scene)
+    return View(scene, surfaces, textures, moved, light, lens, reference)
 
 
 def everything(scene: Scene) -> OcclusionGroup:
@@ -185,7 +189,7 @@ def cast(
             parts = np.where(own[..., 0], cut, parts)
             share = np.where(own[..., 0], sharpening(texture, size), share)
         elif view.moved:
-            shown = _moved_radiance(scene, surface, texture, rays, w)
+            shown = _moved_radiance(view, surface, texture, rays, w)
         else:
             shown = np.broadcast_to(_texels(texture, *texels), radiance.shape)
         if view.light is not None:
@@ -205,10 +209,10 @@ def _mapped_radiance(
     return found, texels
 
 
-def _moved_radiance(scene: Scene, surface: PlacedSurface, texture: Array, rays: Array, w: Array) -> Array:
+def _moved_radiance(view: View, surface: PlacedSurface, texture: Array, rays: Array, w: Array) -> Array:
     """Texture at the projections of the surface points in the reference pose; 0 where they were behind the lens."""
-    row, column, valid = rest_pixel(surface, scene.camera, rays, w)
-    radiance = sample_texture(texture, row, column, scene.motion.texture_filter)
+    row, column, valid = rest_pixel(surface, view.reference, rays, w)
+    radiance = sample_texture(texture, row, column, view.scene.motion.texture_filter)
     return np.where(valid[..., None], radiance, 0.0)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.optics.exposure import middle_time
+from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import Eye, Pose, poses_at, rest_poses
 from clsco.optics.quadrics import PlacedSurface, cutting_bounds, place
 from clsco.plan.predict import displaced
@@ -58,8 +59,8 @@ def outside_frame(camera: Camera, row: Array, column: Array) -> NDArray[np.bool_
 def _hidden(view: View, rest: PlacedSurface, number: int, rays: Array, w: Array) -> NDArray[np.bool_]:
     """Points of an object's surface that were not visible in its reference pose."""
     scene, surface = view.scene, view.surfaces[number]
-    row, column, valid = rest_pixel(surface, scene.camera, rays, w)
-    w_rest, _ = solve_quadric(rest, cutting_bounds(scene.objects[number]), pixel_ray(scene.camera, row, column))
+    row, column, valid = rest_pixel(surface, view.reference, rays, w)
+    w_rest, _ = solve_quadric(rest, cutting_bounds(scene.objects[number]), pixel_ray(view.reference, row, column))
     depth_ratio = np.where(valid, rest_position(surface, rays, w)[..., 2], 1.0)
     covered = w_rest * depth_ratio > w * (1.0 + 1e-6)
     return np.asarray((w > 0.0) & (~valid | outside_frame(scene.camera, row, column) | covered))
@@ -68,7 +69,8 @@ def _hidden(view: View, rest: PlacedSurface, number: int, rays: Array, w: Array)
 def moved_pixel(
     surface: PlacedSurface, camera: Camera, other: Pose, rays: Array, w: Array
 ) -> tuple[Array, Array, Array]:
-    """Row and column in px of hits in the pose `other`, and their depth there over that here (0 behind the lens)."""
+    """Row and column in px of hits in the pose `other` before a camera, and their depth there over that here (0 behind
+    the lens)."""
     body = turned(other.rotation, body_point(surface, rays, w))
     position = (surface.rest + other.shift) * w[..., None] + body
     before_lens = (w > 0.0) & (position[..., 2] > 0.0)
@@ -82,12 +84,13 @@ def moved_pixel(
 
 
 def occluded_among(
-    scene: Scene, surfaces: tuple[PlacedSurface, ...], pixel: tuple[Array, Array, Array], w: Array
+    scene: Scene, camera: Camera, surfaces: tuple[PlacedSurface, ...], pixel: tuple[Array, Array, Array], w: Array
 ) -> NDArray[np.bool_]:
-    """Mark points at inverse depth w that are not visible, between surfaces, in the pixels that `moved_pixel` gives."""
+    """Mark points at inverse depth w that are not visible, between surfaces, in the pixels that `moved_pixel` gives of
+    a camera."""
     row, column, ratio = pixel
     bounds = [cutting_bounds(item) for item in scene.objects]
-    seen, _, _ = nearest_surface(surfaces, bounds, everything(scene), pixel_ray(scene.camera, row, column))
+    seen, _, _ = nearest_surface(surfaces, bounds, everything(scene), pixel_ray(camera, row, column))
     covered = seen * ratio > w * (1.0 + 1e-6)
     return np.asarray(covered | (ratio <= 0.0) | outside_frame(scene.camera, row, column))
 
@@ -99,7 +102,7 @@ def _texture_coordinates(view: View, number: int, rays: Array, w: Array) -> Arra
     if isinstance(texture, MappedTexture):
         found[hit] = texture_coordinates(surface, texture, camera, rays[hit], w[hit])
         return found
-    row, column, valid = rest_pixel(surface, camera, rays, w)
+    row, column, valid = rest_pixel(surface, view.reference, rays, w)
     if not view.moved:
         row, column = (np.broadcast_to(n, w.shape).astype(np.float64) for n in padded_grid(camera, 0))
     rows, columns = texture.shape[:2]
@@ -116,10 +119,10 @@ def _stereo(
     disparity, occluded = np.zeros(hit.w.shape), np.zeros(hit.w.shape, dtype=bool)
     _, at_column = padded_grid(scene.camera, 0)
     for k, surface in enumerate(view.surfaces):
-        pixel = moved_pixel(surface, scene.camera, poses[k], rays, hit.w)
+        pixel = moved_pixel(surface, other.scene.camera, poses[k], rays, hit.w)
         own = hit.number == k
         disparity = np.where(own, (1.0 if eye == "right" else -1.0) * (pixel[1] - at_column), disparity)
-        occluded = np.where(own, occluded_among(scene, other.surfaces, pixel, hit.w), occluded)
+        occluded = np.where(own, occluded_among(scene, other.scene.camera, other.surfaces, pixel, hit.w), occluded)
     return disparity, occluded
 
 
@@ -173,18 +176,18 @@ def ground_truth(scene: Scene, textures: tuple[Texture, ...], frame: int, eye: E
     moves, camera = scene.moves, scene.camera
     before, now, then = (middle_time(scene.sequence, k) if moves else 0.0 for k in (frame - 1, frame, frame + 1))
     view = view_at(scene, textures, now, eye, scene.is_displaced or displaced(scene, eye))
-    earlier, later = (poses_at(scene, time, eye) for time in (before, then))
-    following = tuple(place(item, pose) for item, pose in zip(scene.objects, later, strict=True))
+    earlier, later = ((camera_at(scene, time), poses_at(scene, time, eye)) for time in (before, then))
+    following = tuple(place(item, pose) for item, pose in zip(scene.objects, later[1], strict=True))
     row, column = padded_grid(camera, 0)
     shown = surface_truth(view, rest, row, column)
     hit, rays, w, mask = shown.hit, shown.rays, shown.hit.w, shown.arrays["mask"]
     flow, backward, flow_occluded = np.zeros((*w.shape, 2)), np.zeros((*w.shape, 2)), np.zeros(w.shape, dtype=bool)
     for k, surface in enumerate(view.surfaces):
         own = hit.number == k
-        pixel, last = (moved_pixel(surface, camera, poses[k], rays, w) for poses in (later, earlier))
+        pixel, last = (moved_pixel(surface, seen, poses[k], rays, w) for seen, poses in (later, earlier))
         flow = np.where(own[..., None], np.stack([pixel[1] - column, pixel[0] - row], axis=-1), flow)
         backward = np.where(own[..., None], np.stack([last[1] - column, last[0] - row], axis=-1), backward)
-        flow_occluded = np.where(own, occluded_among(scene, following, pixel, w), flow_occluded)
+        flow_occluded = np.where(own, occluded_among(scene, later[0], following, pixel, w), flow_occluded)
     disparity, occluded = None, None
     if scene.stereo is not None:
         disparity, occluded = _stereo(scene, textures, view, eye, now, hit, rays)

@@ -13,7 +13,7 @@ from clsco.optics.motion import Pose, rest_center
 from clsco.optics.quadrics import PlacedSurface, cutting_bounds
 from clsco.reference.common.geometry import Array, mirror_index, pixel_ray, project, solve_quadric
 from clsco.reference.trace.trace import padded_grid
-from clsco.scene.model import Scene
+from clsco.scene.model import Camera, Scene
 
 NO_OBJECT = np.uint8(255)
 SAME_DEPTH = np.float32(1.02)  # relative: neighbors in the reference pose that differ by less are one surface
@@ -66,13 +66,13 @@ def reproject_rest(scene: Scene, surfaces: Surfaces, maps: Maps) -> tuple[Array,
 
 
 def reproject_targets(
-    scene: Scene, poses: Sequence[Pose], w: Array, whose: NDArray[np.uint8], guard: int
+    scene: Scene, poses: Sequence[Pose], w: Array, whose: NDArray[np.uint8], guard: int, camera: Camera | None = None
 ) -> tuple[NDArray[np.int64], Array]:
     """Target (sources,) on the padded grid and inverse depth (sources,) in 1/mm after the objects' move to `poses`.
 
     Each object turns about its center and is then shifted, both in any way. w, whose: (rows, columns) from
-    `reproject_rest`; guard: px. Targets are numbers of pixels in row order; -1, and inverse depth 0, for what has
-    none: no surface, behind the lens, outside.
+    `reproject_rest`; guard: px; camera: that of the scene by default. Targets are numbers of pixels in row order; -1,
+    and inverse depth 0, for what has none: no surface, behind the lens, outside.
     """
     rays = pixel_ray(scene.camera, *padded_grid(scene.camera, 0))
     point = rays / np.where(w > 0.0, w, 1.0)[..., None]
@@ -81,7 +81,7 @@ def reproject_targets(
         own, center = whose == k, rest_center(item)
         moved[own] = center + pose.shift + (point[own] - center) @ pose.rotation.T
     usable = (w > 0.0) & (moved[..., 2] > 0.0)
-    row, column = project(scene.camera, np.where(usable[..., None], moved, 1.0))
+    row, column = project(camera or scene.camera, np.where(usable[..., None], moved, 1.0))
     target_row, target_column = nearest_pixel(row) + guard, nearest_pixel(column) + guard
     height, width = (n + 2 * guard for n in w.shape)
     usable &= (target_row >= 0) & (target_row < height) & (target_column >= 0) & (target_column < width)
@@ -166,20 +166,21 @@ def reproject_gather(winner: NDArray[np.int64], values: Array) -> tuple[NDArray[
 
 
 def reproject(
-    scene: Scene, textures: Sequence[Array], surfaces: Surfaces, maps: Maps, poses: Sequence[Pose], guard: int
-) -> Reprojected:
+    scene: Scene, textures: Sequence[Array], surfaces: Surfaces, maps: Maps, poses: Sequence[Pose], guard: int,
+    camera: Camera | None = None,
+) -> Reprojected:  # fmt: skip
     """Forward warp: move the pixels of the reference pose to `poses` on the padded grid.
 
-    textures: (rows, columns, C) of the frame's size, one per object; surfaces, maps: as for `reproject_rest`; guard:
-    px. Sources are the pixels of the frame itself, with its pinhole image; the nearest wins, of equals the
-    first in row order. With several objects, or a depth map, what only shows through a surface that has grown is not
-    known. Validated: a shift by half a pixel leaves no holes; 19680 and 36993 missing pixels (thesis,
+    textures: (rows, columns, C) of the frame's size, one per object; surfaces, maps: as for `reproject_rest`; guard,
+    camera: as for `reproject_targets`. Sources are the pixels of the frame itself, with its pinhole image; the nearest
+    wins, of equals the first in row order. With several objects, or a depth map, what only shows through a surface that
+    has grown is not known. Validated: a shift by half a pixel leaves no holes; 19680 and 36993 missing pixels (thesis,
     figures 4.14 and 4.15); a depth map made from a surface moves as the surface does.
     """
     rows, columns, channels = textures[0].shape
     height, width = rows + 2 * guard, columns + 2 * guard
     rest, whose = reproject_rest(scene, surfaces, maps)
-    target, moved_w = reproject_targets(scene, poses, rest, whose, guard)
+    target, moved_w = reproject_targets(scene, poses, rest, whose, guard, camera)
     key = moved_w.astype(np.float32)
     depth = reproject_depth(target, key, height * width)
     winner = reproject_winner(target, key, depth)

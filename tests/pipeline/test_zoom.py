@@ -1,0 +1,160 @@
+"""A lens that zooms, from scene to frame: device against reference, and closed forms."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import clsco
+from clsco.data.verify import flow_error
+from clsco.errors import SceneError
+from clsco.frame.cameras import pinhole
+from clsco.inputs.pupils import scene_point_spread
+from clsco.optics.lens_path import camera_at
+from clsco.plan.image_motion import motion_needs
+from clsco.plan.prepare import prepare
+from clsco.scene.model import Scene
+from clsco.studio.inspector import source_of
+from tests.scenes import assert_agree, reference_frames, rendered, scene_from
+from tests.slow import mostly_slow
+
+CAMERA: dict[str, Any] = {"resolution": [48, 36], "pixel_pitch": 0.1, "f_number": 1.0, "focus_distance": 250.0}
+PLAIN = {"silhouette_samples": 1, "tilt": False, "edge": "sampled"}  # compiled in a third of the time
+BALL: dict[str, Any] = {"shape": "sphere", "center": [3.0, 4.0, 265.0], "radius": 9.0, "texture": "bricks"}
+WALL: dict[str, Any] = {"shape": "plane", "distance": 330.0, "texture": "checkerboard"}
+NEARER = {"keyframe": [{"time": 0.0, "focal_length": 20.0}, {"time": 1.0, "focal_length": 35.0, "f_number": 2.0}]}
+WIDER = {"keyframe": [{"time": 0.0, "focal_length": 20.0}, {"time": 1.0, "focal_length": 9.0}]}
+DOLLY = [{"time": 0.0, "focal_length": 20.0}, {"time": 1.0, "focal_length": 14.0, "focus_distance": 180.0}]
+GOING = {"motion": {"velocity": [8.0, 3.0, -4.0]}}
+scene = partial(
+    scene_from, {"camera": CAMERA, "lens": NEARER, "sequence": {"samples": 3, "frames": 2, "interval": 0.5}}
+)
+SCENES: dict[str, Scene] = {
+    "plain": scene(BALL, WALL, psf=PLAIN),
+    "moving": scene(BALL | GOING, WALL),
+    "wider": scene(BALL, WALL, lens=WIDER, psf={"model": "gaussian"}),
+    "dolly": scene(BALL, WALL, lens={"keyframe": DOLLY}, camera=CAMERA | {"motion": {"velocity": [0.0, 0.0, 75.0]}}),
+    "one radius": scene(WALL),
+    "forward": scene(BALL, WALL, psf=PLAIN, motion={"warp": "forward"}),
+    "rolling": scene(BALL, WALL, psf=PLAIN, sequence={"shutter": 0.2, "readout": 0.2}),
+    "columns": scene(BALL, WALL, psf=PLAIN, sequence={"shutter": 0.2, "readout": 0.2, "scan": "right_to_left"}),
+    "stereo": scene(BALL, WALL, psf=PLAIN, stereo={"baseline": 20.0, "toe_in": 1.0}),
+    "on surfaces": scene(BALL | {"texture_mapping": "surface"}, WALL, psf=PLAIN),
+    "background": scene(BALL, {"shape": "background", "texture": "checkerboard"}, psf=PLAIN),
+    "layered": scene(BALL, WALL, psf={"occlusion": "layered"}),
+}
+
+
+@pytest.mark.parametrize("name", mostly_slow(SCENES, ("plain", "moving", "dolly", "one radius", "rolling", "stereo")))
+def test_device_against_reference(name: str) -> None:
+    frames = rendered(SCENES[name])
+    assert_agree(frames, reference_frames(SCENES[name]))
+    assert frames[0].flow is not None
+    assert np.abs(frames[0].flow).max() > 1.0
+
+
+def test_a_depth_map_zooms(tmp_path: Path) -> None:
+    depth = np.full((36, 48), 330.0)
+    depth[10:26, 12:30] = 240.0
+    np.save(tmp_path / "depth.npy", depth)
+    wanted = scene({"shape": "depth_map", "depth": str(tmp_path / "depth.npy"), "texture": "checkerboard"}, psf=PLAIN)
+    frames = rendered(wanted)
+    assert_agree(frames, reference_frames(wanted))
+    assert (frames[0].filled == 1).any()  # gaps that the growth leaves
+
+
+def still(wanted: Scene, time: float) -> Scene:
+    """The scene before a camera that has the lens of a time for good."""
+    lens = camera_at(wanted, time)
+    changed = {name: getattr(lens, name) for name in ("focal_length", "focus_distance", "f_number")}
+    camera = clsco.Camera(**(wanted.camera.model_dump(exclude_unset=True) | changed))
+    return wanted.model_copy(update={"lens": None, "camera": camera})
+
+
+def test_textures_on_surfaces_look_as_through_a_camera_of_that_focal_length() -> None:
+    """They do not depend on the reference pose, so that each time sample is a frame of a scene without a zoom."""
+    on = {"texture_mapping": "surface"}
+    wanted = scene(BALL | on, WALL | on | {"texture_size": [90.0, 70.0]}, sequence={"frames": 1, "interval": 1.0})
+    (frame,), (middle,) = rendered(wanted), rendered(still(wanted, 0.5))
+    each = [rendered(still(wanted, time), truth=())[0].color for time in (1 / 6, 0.5, 5 / 6)]
+    assert np.abs(each[0] - each[2]).max() > 0.1
+    np.testing.assert_allclose(frame.color, np.mean(each, axis=0), rtol=0, atol=1e-5)
+    for name in ("sharp", "depth", "blur_radius", "object_id", "normal", "uv"):
+        np.testing.assert_allclose(getattr(frame, name), getattr(middle, name), rtol=1e-6, atol=1e-5)
+
+
+def test_a_plane_that_faces_the_lens_is_magnified() -> None:
+    """The radiance of a point goes outwards along a line from the middle, in proportion to the focal length."""
+    rows, columns = np.indices((36, 48)) - np.array([17.5, 23.5])[:, None, None]
+    waves = 0.5 + 0.25 * np.sin(0.1 * columns + 0.05 * rows) + 0.2 * np.cos(0.07 * columns - 0.12 * rows)
+    plane = clsco.Plane(distance=250.0, texture=waves.astype(np.float32))
+    wanted = scene(sequence={"samples": 1, "interval": 1.0}, object=[WALL]).model_copy(update={"objects": (plane,)})
+    frame, after = rendered(wanted)
+    grown, later = 27.5 / 20.0, 35.0 / 20.0  # at the middles of the exposures, of which the second comes after the keys
+    x, y = columns / grown, rows / grown
+    expected = 0.5 + 0.25 * np.sin(0.1 * x + 0.05 * y) + 0.2 * np.cos(0.07 * x - 0.12 * y)
+    np.testing.assert_allclose(frame.sharp, expected, rtol=0, atol=1e-3)  # the bicubic filter
+    flow = np.stack([columns, rows], axis=-1) * (later / grown - 1.0)
+    np.testing.assert_allclose(frame.flow, flow, rtol=0, atol=1e-5)
+    back = np.stack([columns, rows], axis=-1) * (1.0 / grown - 1.0)
+    np.testing.assert_allclose(frame.flow_backward, back, rtol=0, atol=1e-5)
+    assert after.hidden is not None
+    assert not after.hidden.any()
+    # What is behind the frame's edge by then is occluded, and comes into view as long as the image shrinks.
+    assert frame.flow_occluded is not None
+    outside = (np.abs(columns * later / grown) > 24.0) | (np.abs(rows * later / grown) > 18.0)
+    np.testing.assert_array_equal(frame.flow_occluded, outside)
+
+
+def test_what_a_wider_view_shows_beside_the_reference_pose_is_hidden_there() -> None:
+    (frame, _) = rendered(scene(WALL, lens=WIDER, sequence={"interval": 1.0}))
+    rows, columns = np.indices((36, 48)) - np.array([17.5, 23.5])[:, None, None]
+    beside = (np.abs(columns) * 20.0 / 14.5 > 24.0) | (np.abs(rows) * 20.0 / 14.5 > 18.0)
+    np.testing.assert_array_equal(frame.hidden, beside)
+
+
+def test_samples_follow_the_way_over_the_image() -> None:
+    wanted = scene(WALL, sequence={"samples": "auto", "frames": 1, "interval": 1.0})
+    (need,) = motion_needs(wanted, scene_point_spread(wanted), guard=1)
+    corner = np.hypot(23.5, 17.5)
+    assert need.speed == pytest.approx(corner * 0.75, rel=0.02)
+    assert prepare(wanted).plan.samples >= need.speed
+    assert (
+        motion_needs(scene(WALL, lens={"keyframe": [{"time": 0.0, "f_number": 2.0}]}), scene_point_spread(wanted)) == []
+    )
+
+
+def test_nothing_is_still_under_a_zoom() -> None:
+    plan = prepare(SCENES["moving"]).plan
+    assert not plan.divided
+    assert plan.choices.still_sources.reason == "the lens changes"
+    assert plan.features()["MOVED"]
+
+
+def test_cameras_of_frames_have_their_focal_lengths() -> None:
+    wanted = SCENES["plain"]
+    for index, focal in enumerate((23.75, 31.25)):
+        assert pinhole(wanted, index).focal == pytest.approx(focal / 0.1)
+    for name in ("plain", "rolling", "dolly"):
+        frame = rendered(SCENES[name])[0]
+        assert frame.depth is not None
+        assert frame.flow is not None
+        assert flow_error(SCENES[name], frame, frame.depth, frame.flow) <= 0.0
+
+
+def test_a_pixel_leads_back_to_its_texel() -> None:
+    wanted = SCENES["one radius"]
+    frame, _ = rendered(wanted)
+    column, row = np.rint(np.array([23.5, 17.5]) + (np.array([40, 30]) - [23.5, 17.5]) * 20.0 / 23.75).astype(int)
+    assert source_of(frame, wanted, 40, 30) == (column, row, 0)
+
+
+def test_focus_within_the_focal_length_on_the_way_is_refused() -> None:
+    with pytest.raises(
+        SceneError, match=r"lens.keyframe: focus_distance must stay greater than the focal length, 2\d\d.\d mm, as with"
+    ):
+        prepare(scene(WALL, lens={"keyframe": [{"time": 0.0, "focal_length": 20.0}, {"time": 1, "focal_length": 400}]}))
