@@ -73,8 +73,11 @@ SCENES: dict[str, dict[str, Any]] = {
     },
     "sphere_spinning": {**BALL, "motion": {"angular_velocity": [0.0, 0.0, 60.0]}},
     "sphere_shaken": BALL,
+    # Behind the focus: a zoom moves points near its middle little, where texels in focus look as they are interpolated.
+    "sphere_zoom": {"shape": "sphere", "center": [4.0, 3.0, 290.0], "radius": 24.0},
 }
 SHAKEN = {"shake": {"rotation_rms": 0.2, "translation_rms": 0.1, "band": [0.5, 3.0], "seed": 2}}
+ZOOM = {"keyframe": [{"time": 0.0, "focal_length": 20.0}, {"time": 1.0, "focal_length": 21.0}]}
 
 PLAIN = {"tilt": False, "silhouette_samples": 1}
 AUTO = {"sequence": {"samples": "auto"}}
@@ -138,12 +141,13 @@ def scene_of(name: str, settings: Options, size: int) -> Any:
     ratio = FULL_SIZE / size
     camera = {"resolution": [size, size], "pixel_pitch": 0.01 * ratio, "aperture_diameter": 10.0 * ratio}
     camera |= SHAKEN if name == "sphere_shaken" else {}
-    return clsco.parse_scene({"camera": camera, "object": [{**item, "texture": "bricks"}], **settings})
+    lens = {"lens": ZOOM} if name == "sphere_zoom" else {}
+    return clsco.parse_scene({"camera": camera, "object": [{**item, "texture": "bricks"}], **lens, **settings})
 
 
 def moves(name: str) -> bool:
-    """True if the object or the camera of the scene `name` moves."""
-    return "motion" in SCENES[name] or name == "sphere_shaken"
+    """True if the object or the camera of the scene `name` moves, or its lens zooms."""
+    return "motion" in SCENES[name] or name in ("sphere_shaken", "sphere_zoom")
 
 
 def settings_of(name: str) -> dict[str, dict[str, Any]]:

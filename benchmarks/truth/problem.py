@@ -32,7 +32,8 @@ class Problem:
     (texels, channels) of these (`surface_images.py`); `accelerations` and `angular_accelerations` (objects, 3) of
     the objects' own motions; `shake` (6, sines, 3) of the camera: amplitude in rad or mm, frequency in Hz, phase in
     turns, of its rotation vector and then of its shift; `light` (5,): where it is in mm, or three numbers towards it,
-    whether the former, and the share of the texture that is seen without it; None without a light.
+    whether the former, and the share of the texture that is seen without it; None without a light; `zoom` (keys, 2):
+    times, and focal lengths in those of the camera, linear between and constant outside; None without any.
     """
 
     pitch_ratio: float
@@ -57,6 +58,7 @@ class Problem:
     mappings: Array
     images: Array
     light: Array | None
+    zoom: Array | None
 
 
 def _shape(item: Any) -> tuple[Array, Any, tuple[float, float]]:
@@ -178,7 +180,30 @@ def prepare(scene: Any, textures: Textures, rows: int, columns: int, frame: int 
         mappings=mappings,
         images=flat,
         light=_light(getattr(scene, "light", None)),
+        zoom=_zoom(getattr(scene, "lens", None), camera.focal_length),
     )
+
+
+def _zoom(lens: Any, focal_length: float) -> Array | None:
+    """See `Problem.zoom`. Raises ValueError for other changes of a lens."""
+    if lens is None:
+        return None
+    others = any(key.focal_length is None or key.focus_distance or key.f_number for key in lens.keyframe)
+    if others or lens.interpolation != "linear" or lens.outside != "hold":
+        raise ValueError("raytracer: a lens must zoom alone, linearly; got other keyframes")
+    return np.array([[key.time, key.focal_length / focal_length] for key in lens.keyframe])
+
+
+def lenses(problem: Problem, times: Array) -> Array:
+    """Ratio of pitch and s0, radius of the lens and K at some times, (3, times).
+
+    The image grows as the focal length, the f-number and the distance in focus stay: s0 ~ f, D ~ f, and K = 1/u.
+    """
+    found = np.array([problem.pitch_ratio, problem.lens_radius, problem.focus_term])[:, None] * np.ones(len(times))
+    if problem.zoom is not None:
+        grown = np.interp(times, *problem.zoom.T)
+        found *= np.stack([1.0 / grown, grown, np.ones(len(times))])
+    return found
 
 
 def _gains(objects: Any, key: str) -> Array:

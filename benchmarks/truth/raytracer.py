@@ -30,7 +30,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from benchmarks.truth.problem import Array, Problem, Textures, inverse_poses, prepare
+from benchmarks.truth.problem import Array, Problem, Textures, inverse_poses, lenses, prepare
 from benchmarks.truth.surface_images import shade
 
 CACHE_FORMAT = 2  # part of the key of cached images; a change of what is computed must change it
@@ -115,12 +115,12 @@ def _cast(hits, rays, count, turn, corner, optics, surface, texture):  # type: i
     """Keep the hits of one pixel's rays with one surface where they are nearer than those before.
 
     `hits` (5 x BLOCK): depth in mm; index of the texel, -1 for none, or -2 - n for object n where an image lies on it;
-    and the point in the frame of the object. `rays` (16 x BLOCK): sample set (4) and
-    poses (12). One loop without branches over flat arrays: the compiler computes eight rays at once.
+    and the point in the frame of the object. `rays` (18 x BLOCK): sample set (4), poses (12), and of the lens the ratio
+    of pitch and s0, and K. One loop without branches over flat arrays: the compiler computes eight rays at once.
     """
     cosine, sine = turn
     left, top, shift_x, shift_y = corner
-    pitch_ratio, _, focus_term = optics
+    pitch_ratio, _ = optics
     coefficients, bounds, center, rotation = surface
     # Scalars, so that the compiler need not fear that a store changes them.
     k0, k1, k2, k3, k4, k5, k6, k7, k8, k9 = coefficients
@@ -136,8 +136,9 @@ def _cast(hits, rays, count, turn, corner, optics, surface, texture):  # type: i
         sub_y = sub_y - 1.0 if sub_y >= 1.0 else sub_y
         u, v = rays[s + 2 * BLOCK], rays[s + 3 * BLOCK]
         lens_x, lens_y = cosine * u - sine * v, sine * u + cosine * v
-        slope_x = (left + sub_x) * pitch_ratio - focus_term * lens_x
-        slope_y = (top - sub_y) * pitch_ratio - focus_term * lens_y
+        step, focus_term = rays[s + 16 * BLOCK], rays[s + 17 * BLOCK]
+        slope_x = (left + sub_x) * step - focus_term * lens_x
+        slope_y = (top - sub_y) * step - focus_term * lens_y
         m = (
             rays[s + 4 * BLOCK], rays[s + 5 * BLOCK], rays[s + 6 * BLOCK], rays[s + 7 * BLOCK],
             rays[s + 8 * BLOCK], rays[s + 9 * BLOCK], rays[s + 10 * BLOCK], rays[s + 11 * BLOCK],
@@ -209,23 +210,23 @@ def _accumulate(  # type: ignore[no-untyped-def]
 ):
     """Add samples first..last (rows, columns) of every pixel to `sums` and, over all channels, `squares`.
 
-    `points` (4, n): position in the pixel, [0, 1), and on the unit disc; `poses` (objects, 12, n or 1);
-    `light` (5,), or empty.
+    `points` (6, n): position in the pixel, [0, 1), on the disc of the lens in radii of `optics`, ratio of pitch and s0,
+    and K; `poses` (objects, 12, n or 1); `light` (5,), or empty.
     """
     rows, columns, channels = sums.shape
-    _, lens_radius, _ = optics
+    _, lens_radius = optics
     flat = textures.reshape(-1, channels)
     for position in prange(rows):
         row = order[position]
-        rays = np.empty((len(poses), 16 * BLOCK))
+        rays = np.empty((len(poses), 18 * BLOCK))
         hits = np.zeros(5 * BLOCK)
         total, normal = np.empty(channels), np.empty(3)
         for block in range(first[row].min(), last[row].max(), BLOCK):
             stop = min(block + BLOCK, points.shape[1])
             for n in range(len(poses)):  # loops instead of slices: the compiler takes a quarter of the time
                 for s in range(block, stop):
-                    for k in range(4):
-                        rays[n, s - block + k * BLOCK] = points[k, s]
+                    for k in range(6):
+                        rays[n, s - block + (k if k < 4 else 12 + k) * BLOCK] = points[k, s]
                     for k in range(12):
                         rays[n, s - block + (4 + k) * BLOCK] = poses[n, k, s if poses.shape[2] > 1 else 0]
             for column in range(columns):
@@ -306,17 +307,19 @@ def extend(halves: Halves, counts: NDArray[np.int64]) -> Halves:
     sums, squares = halves.sums.copy(), halves.squares.copy()
     own = "velocities", "angular_velocities", "accelerations", "angular_accelerations", "shake"
     group = "group_velocities", "group_angular_velocities"
-    moving = any(np.any(getattr(problem, name)) for name in (*own, *group))
+    moving = problem.zoom is not None or any(np.any(getattr(problem, name)) for name in (*own, *group))
     # Rows in random order, so that threads with a block of rows each have the same work.
     order = np.random.default_rng(0).permutation(len(counts))
     for half in range(2):
         times = problem.start + problem.shutter * (points[half][:, 4] if moving else np.zeros(1))
-        lens = np.ascontiguousarray(np.column_stack([points[half][:, :2], _disc(points[half][:, 2:4])]).T)
+        ratio, radius, focus = lenses(problem, np.broadcast_to(times, len(points[half])))
+        disc = _disc(points[half][:, 2:4]) * (radius / problem.lens_radius)[:, None]
+        lens = np.ascontiguousarray(np.column_stack([points[half][:, :2], disc, ratio, focus]).T)
         rotations = problem.rotations.reshape(-1, 9)
         shape = problem.coefficients, problem.bounds, problem.centers, rotations
         light = np.zeros(0) if problem.light is None else problem.light
         looks = problem.textures, problem.mappings, problem.images, light
-        optics = problem.pitch_ratio, problem.lens_radius, problem.focus_term
+        optics = problem.pitch_ratio, problem.lens_radius
         span, poses = (
             (halves.counts, counts),
             np.ascontiguousarray(np.moveaxis(inverse_poses(problem, times), 0, -1)),
@@ -434,19 +437,21 @@ def pinhole_depth(scene: Any, rows: int, columns: int, times: Sequence[float]) -
     """Depth (mm) at the pixel centers at `times` (s): (times, rows, columns), inf where nothing is."""
     problem = prepare(scene, np.zeros((rows, columns)), rows, columns)
     x, y = np.arange(columns) - 0.5 * (columns - 1), 0.5 * (rows - 1) - np.arange(rows)
-    poses, ratio = inverse_poses(problem, np.asarray(times, float)), problem.pitch_ratio
-    return _pinhole(x * ratio, y * ratio, poses, problem.coefficients, problem.bounds)
+    poses, (ratios, _, _) = inverse_poses(problem, np.asarray(times, float)), lenses(problem, np.asarray(times, float))
+    return _pinhole(x, y, ratios, poses, problem.coefficients, problem.bounds)
 
 
 @njit(cache=True, error_model="numpy")
-def _pinhole(x, y, poses, coefficients, bounds):  # type: ignore[no-untyped-def]
-    """Depth of the nearest hit along (x, y, 1) for x (columns,), y (rows,) and poses (times, objects, 12)."""
+def _pinhole(x, y, ratios, poses, coefficients, bounds):  # type: ignore[no-untyped-def]
+    """Depth of the nearest hit along (x ratio, y ratio, 1) for x (columns,), y (rows,), ratios (times,) and poses
+    (times, objects, 12)."""
     depth = np.full((len(poses), len(y), len(x)), np.inf)
     for sample in range(len(poses)):
         for row in range(len(y)):
             for column in range(len(x)):
                 for n in range(len(coefficients)):
-                    hit = _meet(0.0, 0.0, x[column], y[row], poses[sample, n], coefficients[n], bounds[n])
+                    slope_x, slope_y = x[column] * ratios[sample], y[row] * ratios[sample]
+                    hit = _meet(0.0, 0.0, slope_x, slope_y, poses[sample, n], coefficients[n], bounds[n])
                     if 0.0 < hit[0] < depth[sample, row, column]:
                         depth[sample, row, column] = hit[0]
     return depth

@@ -64,7 +64,7 @@ def test_a_depth_map_zooms(tmp_path: Path) -> None:
     wanted = scene({"shape": "depth_map", "depth": str(tmp_path / "depth.npy"), "texture": "checkerboard"}, psf=PLAIN)
     frames = rendered(wanted)
     assert_agree(frames, reference_frames(wanted))
-    assert (frames[0].filled == 1).any()  # gaps that the growth leaves
+    assert np.any(frames[0].filled == 1)  # gaps that the growth leaves
 
 
 def still(wanted: Scene, time: float) -> Scene:
@@ -94,6 +94,9 @@ def test_a_plane_that_faces_the_lens_is_magnified() -> None:
     plane = clsco.Plane(distance=250.0, texture=waves.astype(np.float32))
     wanted = scene(sequence={"samples": 1, "interval": 1.0}, object=[WALL]).model_copy(update={"objects": (plane,)})
     frame, after = rendered(wanted)
+    assert frame.sharp is not None
+    assert frame.flow is not None
+    assert frame.flow_backward is not None
     grown, later = 27.5 / 20.0, 35.0 / 20.0  # at the middles of the exposures, of which the second comes after the keys
     x, y = columns / grown, rows / grown
     expected = 0.5 + 0.25 * np.sin(0.1 * x + 0.05 * y) + 0.2 * np.cos(0.07 * x - 0.12 * y)
@@ -114,6 +117,7 @@ def test_what_a_wider_view_shows_beside_the_reference_pose_is_hidden_there() -> 
     (frame, _) = rendered(scene(WALL, lens=WIDER, sequence={"interval": 1.0}))
     rows, columns = np.indices((36, 48)) - np.array([17.5, 23.5])[:, None, None]
     beside = (np.abs(columns) * 20.0 / 14.5 > 24.0) | (np.abs(rows) * 20.0 / 14.5 > 18.0)
+    assert frame.hidden is not None
     np.testing.assert_array_equal(frame.hidden, beside)
 
 
