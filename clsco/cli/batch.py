@@ -173,8 +173,8 @@ def _size(count: int) -> str:
 @batch.command()
 @data_argument
 def status(data: str) -> None:
-    """Tell how far a set has come, and put its manifest together where it is whole."""
-    from clsco.data.sets import finish, open_set, ranges, status_of
+    """Tell how far a set has come; nothing is written."""
+    from clsco.data.sets import open_set, ranges, status_of
     from clsco.data.storage import open_storage
 
     there = open_set(open_storage(data))
@@ -187,7 +187,6 @@ def status(data: str) -> None:
         echo(f"missing: {ranges(missing)}")
     for fault in found.faults:
         echo(f"incomplete: {fault}")
-    finish(there, found)
 
 
 def _duration(seconds: float) -> str:

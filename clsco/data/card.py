@@ -9,7 +9,7 @@ from typing import Any
 
 from clsco.data.containers import CONTAINERS
 from clsco.data.encoding import is_png
-from clsco.data.manifest import UNSPLIT, Identity, Parts, parsed_part, rows_of
+from clsco.data.manifest import UNSPLIT, Identity, Parts, files_of, parsed_part
 from clsco.data.storage import Storage
 
 CARD, README = "dataset.json", "README.md"
@@ -41,20 +41,12 @@ def split_files(storage: Storage) -> dict[str, list[tuple[str, int]]]:
     """
     found: dict[str, list[tuple[str, int]]] = {}
     for _, data in Parts(storage).read():
-        part = parsed_part(data)
-        counts: dict[str, int] = {}
-        if len(part.files) == 1 and (only := next(iter(part.files))).count("/") == 1:
-            counts[only] = part.made
-        else:
-            for row in rows_of(data)[0]:
-                counts[row["file"]] = counts.get(row["file"], 0) + 1
-        for file, count in sorted(counts.items()):
-            split = file.partition("/")[0]
-            found.setdefault("" if split == UNSPLIT else split, []).append((file, count))
+        for split, listed in files_of(parsed_part(data), data).items():
+            found.setdefault(split, []).extend(listed)
     return {split: found[split] for split in sorted(found)}
 
 
-def write_card(storage: Storage, identity: Identity) -> None:
+def write_card(storage: Storage, identity: Identity, listed: Mapping[str, list[tuple[str, int]]]) -> None:
     """Complete the card of a set whose shards are all done, and write README.md.
 
     Parameters
@@ -64,6 +56,8 @@ def write_card(storage: Storage, identity: Identity) -> None:
         counts, how to load it and how to cite it.
     identity : Identity
         Identity of the set.
+    listed : mapping
+        Split to its files, with the number of samples in them.
 
     Raises
     ------
@@ -71,7 +65,7 @@ def write_card(storage: Storage, identity: Identity) -> None:
         The set cannot be read or written.
     """
     card = json.loads(storage.read(CARD) or b"{}")
-    files = split_files(storage)
+    files = {split: listed[split] for split in sorted(listed)}
     counts = {split: sum(count for _, count in listed) for split, listed in files.items()}
     samples = range(*card["samples"])
     total = sum(counts.values())

@@ -72,9 +72,7 @@ def convert(
     for shard in left:
         _convert_shard(there, made, shard)
         advance()
-    status = status_of(made)
-    finish(made, status)
-    return made, status
+    return made, finish(made)
 
 
 def _convert_shard(there: DataSet, made: DataSet, shard: int) -> None:

@@ -16,7 +16,7 @@ from clsco.data.manifest import Identity, shard_numbers
 from clsco.data.pool import Place, places, run_pool
 from clsco.data.record import parse_stored
 from clsco.data.scripted import DrawScene, ScriptedDistribution, scripted
-from clsco.data.sets import DataSet, Status, begun, finish, known_license, status_of
+from clsco.data.sets import DataSet, Status, begun, finish, known_license
 from clsco.data.splits import SplitsLike
 from clsco.data.storage import open_storage
 from clsco.errors import ClscoError, DeviceError, SceneError
@@ -336,8 +336,7 @@ def _make_shards(job: Job, who: Workers, given: Options) -> tuple[Status, list[d
                 run_cluster(job, left, who.scheduler, advance)
             elif left:
                 run_pool(job, left, who.places, advance, _memory_limit(len(who.places)))
-        status = status_of(wanted)
-        finish(wanted, status)
+        status = finish(wanted, own)
         failures = [row for shard in own if shard in status.done for row in wanted.lines(shard)[1]]
     finally:
         storage.tidy()  # what processes left that were still about to end before

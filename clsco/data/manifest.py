@@ -11,7 +11,6 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 from clsco.data.storage import Storage, checked_key
@@ -213,6 +212,7 @@ class Parts:
     def __init__(self, storage: Storage) -> None:
         self.storage = storage
         self.keys = sorted(key for key in storage.sizes(PARTS) if key.endswith(".jsonl"))
+        self._sizes: dict[str, dict[str, int]] = {}  # of files, by folder
 
     def read(self, wanted: Iterable[str] | None = None) -> Iterator[tuple[str, bytes]]:
         """Content of parts, in order; several are read at a time."""
@@ -225,24 +225,25 @@ class Parts:
                         yield key, data
 
     def done(
-        self, identity: str, samples: range, size: int, shards: Iterable[int], hashes: bool, faults: list[str]
-    ) -> dict[int, Part]:
+        self, identity: Identity, samples: range, shards: Iterable[int], hashes: bool, faults: list[str],
+        merged: Merged | None = None,
+    ) -> dict[int, Part]:  # fmt: skip
         """Shards whose part is there, of this set, with all of their samples, and whose files are whole.
 
         Parameters
         ----------
-        identity : str
-            Digest of that of the set.
+        identity : Identity
+            That of the set.
         samples : range
             Samples of the set.
-        size : int
-            Samples of a shard.
         shards : iterable of int
             Shards to look at.
         hashes : bool
             Files must have the SHA-256 that their part names; else their sizes are compared.
         faults : list of str
             A line is added for each part that is there, but whose shard is not whole.
+        merged : Merged, optional
+            Takes the lines of all shards that are done.
 
         Returns
         -------
@@ -250,17 +251,16 @@ class Parts:
             Number to part.
         """
         there, found = set(self.keys), dict[int, Part]()
-        keys = {part_key(shard): shard for shard in shards}
-        sizes = None if hashes else self._all_sizes()
+        keys, digest = {part_key(shard): shard for shard in shards}, identity.digest
         for key, data in self.read(key for key in keys if key in there):
-            wanted = numbers_of(keys[key], samples, size)
+            wanted = numbers_of(keys[key], samples, identity.shard_size)
             try:
                 part = parsed_part(data)
-                fault = self._fault(part, data, sizes, hashes)
+                fault = self._fault(part, data, hashes)
             except ImageError as error:
                 faults.append(f"{key}: {str(error).partition(': ')[2]}")
                 continue
-            if part.shard != keys[key] or part.identity != identity:
+            if part.shard != keys[key] or part.identity != digest:
                 faults.append(f"{key}: must be of shard {keys[key]} of this set; got another one's")
             elif part.numbers != wanted:
                 rule = f"must have the samples {wanted.start} to {wanted.stop - 1}"
@@ -269,51 +269,77 @@ class Parts:
                 faults.append(fault)
             else:
                 found[keys[key]] = part
+                if merged is not None:
+                    merged.add(part, data)
         return found
 
-    def _fault(self, part: Part, data: bytes, sizes: Mapping[str, int] | None, hashes: bool) -> str:
+    def _fault(self, part: Part, data: bytes, hashes: bool) -> str:
         """Message on the first fault of a part's files, "" for none."""
         if hashes:
             require_rows(part, data)
         for name, (size, digest) in part.files.items():
-            got = self.storage.digest(name) if sizes is None else sizes.get(name)
+            got = self.storage.digest(name) if hashes else self._size(name)
             if got is None:
                 return f"{name}: must be there, as {part_key(part.shard)} names it; got no such file"
-            if got != (digest if sizes is None else size):
-                what = "SHA-256" if sizes is None else "size"
+            if got != (digest if hashes else size):
+                what = "SHA-256" if hashes else "size"
                 return f"{name}: must have the {what} that {part_key(part.shard)} names; got another"
         return ""
 
-    def _all_sizes(self) -> dict[str, int]:
-        folders = {name.partition("/")[0] for _, data in self.read() for name in _files_of(data)}
-        return {key: size for folder in sorted(folders) for key, size in self.storage.sizes(folder).items()}
+    def _size(self, name: str) -> int | None:
+        """Bytes of a file; its folder is listed once."""
+        folder = name.partition("/")[0]
+        if folder not in self._sizes:
+            self._sizes[folder] = self.storage.sizes(folder)
+        return self._sizes[folder].get(name)
 
-    def merged(self) -> tuple[Path, Path]:
-        """Files in the scratch folder with the lines of all samples, and of those that failed."""
-        folder = self.storage.scratch()
-        merged, failed = folder / MERGED, folder / FAILED
-        with open(merged, "wb") as rows, open(failed, "wb") as failures:
-            for _, data in self.read():
-                part, (_, _, body) = parsed_part(data), data.partition(b"\n")
-                if not part.failed:
-                    rows.write(body)
-                    continue
-                lines = body.splitlines(keepends=True)
-                rows.writelines(lines[: part.made])
-                failures.writelines(lines[part.made :])
-        return merged, failed
 
-    def merge(self) -> None:
+class Merged:
+    """Lines of all parts of a set, one after the other, and the files of its splits. Parts are added in order.
+
+    Parameters
+    ----------
+    storage : Storage
+        Lines are in its scratch folder until `put`.
+    """
+
+    def __init__(self, storage: Storage) -> None:
+        self.storage = storage
+        self.files: dict[str, list[tuple[str, int]]] = {}
+        """Split to files with the number of samples in them; "" of a set without splits."""
+        self.paths = {key: storage.scratch() / key for key in (MERGED, FAILED)}
+        for path in self.paths.values():
+            path.write_bytes(b"")
+
+    def add(self, part: Part, data: bytes) -> None:
+        """Add a part."""
+        lines = data.partition(b"\n")[2].splitlines(keepends=True)
+        for key, own in ((MERGED, lines[: part.made]), (FAILED, lines[part.made :])):
+            if own:
+                with open(self.paths[key], "ab") as file:
+                    file.writelines(own)
+        for split, listed in files_of(part, data).items():
+            self.files.setdefault(split, []).extend(listed)
+
+    def put(self) -> None:
         """Write `manifest.jsonl` and `failed.jsonl`."""
-        for key, path in zip((MERGED, FAILED), self.merged(), strict=True):
+        for key, path in self.paths.items():
             self.storage.put(key, path)
 
 
-def _files_of(data: bytes) -> Sequence[str]:
-    try:
-        return tuple(parsed_part(data).files)
-    except ImageError:
-        return ()
+def files_of(part: Part, data: bytes) -> dict[str, list[tuple[str, int]]]:
+    """Files of a part by their splits, with the number of samples in them. Raises ImageError where it is damaged."""
+    counts: dict[str, int] = {}
+    if len(part.files) == 1 and (only := next(iter(part.files))).count("/") == 1:
+        counts[only] = part.made
+    else:
+        for row in rows_of(data)[0]:
+            counts[row["file"]] = counts.get(row["file"], 0) + 1
+    found: dict[str, list[tuple[str, int]]] = {}
+    for file, count in sorted(counts.items()):
+        split = file.partition("/")[0]
+        found.setdefault("" if split == UNSPLIT else split, []).append((file, count))
+    return found
 
 
 def _shortened(value: Any) -> str:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from clsco.data.card import CARD, write_card
-from clsco.data.manifest import LOG, Identity, Part, Parts, numbers_of, part_key, rows_of, shard_numbers
+from clsco.data.manifest import LOG, Identity, Merged, Part, Parts, numbers_of, part_key, rows_of, shard_numbers
 from clsco.data.storage import Storage
 from clsco.data.strict import strict_json
 from clsco.errors import ImageError, SceneError
@@ -40,14 +40,19 @@ class DataSet:
         """Numbers of all shards."""
         return shard_numbers(self.samples, self.identity.shard_size)
 
+    def listed(self) -> frozenset[str]:
+        """Keys of the parts that are there."""
+        return frozenset(Parts(self.storage).keys)
+
     def numbers(self, shard: int) -> range:
         """Numbers of the samples of a shard."""
         return numbers_of(shard, self.samples, self.identity.shard_size)
 
-    def done(self, shards: Iterable[int], hashes: bool, faults: list[str]) -> dict[int, Part]:
+    def done(
+        self, shards: Iterable[int], hashes: bool, faults: list[str], merged: Merged | None = None
+    ) -> dict[int, Part]:
         """`Parts.done` of this set."""
-        identity = self.identity
-        return Parts(self.storage).done(identity.digest, self.samples, identity.shard_size, shards, hashes, faults)
+        return Parts(self.storage).done(self.identity, self.samples, shards, hashes, faults, merged)
 
     def lines(self, shard: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
         """Rows of the manifest about the samples of a shard, and about those that failed; none without a part."""
@@ -171,19 +176,46 @@ class Status:
         return None if not self.rate else (self.samples - self.made - self.failed) / self.rate
 
 
-def status_of(there: DataSet, hashes: bool = False) -> Status:
-    """Measure the progress of a set, by the parts of its manifest and the sizes of its files, or their hashes."""
+def status_of(
+    there: DataSet, hashes: bool = False, shards: Sequence[int] | None = None, merged: Merged | None = None
+) -> Status:
+    """Measure the progress of a set.
+
+    Parameters
+    ----------
+    there : DataSet
+    hashes : bool
+        Files must have the SHA-256 that the parts of the manifest name; else their sizes are compared.
+    shards : sequence of int, optional
+        Shards that are looked at; by default all.
+    merged : Merged, optional
+        Takes the lines of those that are done.
+
+    Returns
+    -------
+    Status
+    """
     faults: list[str] = []
-    done = there.done(there.shards, hashes, faults)
+    done = there.done(there.shards if shards is None else shards, hashes, faults, merged)
     return Status(len(there.shards), len(there.samples), done, tuple(faults), _rate(there, done))
 
 
-def finish(there: DataSet, status: Status) -> None:
-    """Put the manifest of a whole set together, and complete its card."""
+def finish(there: DataSet, own: Sequence[int] | None = None) -> Status:
+    """Measure the progress of a set; where it is whole, put its manifest together and complete its card.
+
+    Each part is read once. While some are missing only those of the shards `own` are read, so that the work of many
+    jobs grows with the number of shards, and not with its product with theirs.
+    """
+    listed = there.listed()
+    if any(part_key(shard) not in listed for shard in there.shards):
+        return status_of(there, shards=own)
+    merged = Merged(there.storage)
+    status = status_of(there, merged=merged)
     if status.is_whole:
-        Parts(there.storage).merge()
-        write_card(there.storage, there.identity)
+        merged.put()
+        write_card(there.storage, there.identity, merged.files)
         there.storage.close()
+    return status
 
 
 def _rate(there: DataSet, done: Iterable[int]) -> float | None:

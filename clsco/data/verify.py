@@ -14,7 +14,7 @@ from clsco import __version__
 from clsco.data.build import located
 from clsco.data.containers import container_named
 from clsco.data.distribution import Sample
-from clsco.data.manifest import FAILED, MERGED, Parts, parsed_part, part_key
+from clsco.data.manifest import Merged, Parts, parsed_part, part_key
 from clsco.data.parts import FILE_KEYS
 from clsco.data.record import Record, make_record
 from clsco.data.sets import DataSet
@@ -267,8 +267,10 @@ def _strays(there: DataSet) -> list[str]:
 
 def _merged(there: DataSet) -> list[str]:
     """Differences of the manifest of all shards, where it is there, from the parts."""
-    findings = []
-    for key, path in zip((MERGED, FAILED), Parts(there.storage).merged(), strict=True):
+    merged, findings = Merged(there.storage), []
+    for _, data in Parts(there.storage).read():
+        merged.add(parsed_part(data), data)
+    for key, path in merged.paths.items():
         got = there.storage.digest(key)
         if got is not None and got != sha256(path):
             findings.append(f"{key}: must hold the lines of all parts; got others")

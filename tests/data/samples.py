@@ -13,7 +13,7 @@ from clsco.data.convert import _digests
 from clsco.data.distribution import Sample
 from clsco.data.manifest import Identity, part_bytes, part_key
 from clsco.data.record import Record, make_record
-from clsco.data.sets import DataSet, finish, status_of
+from clsco.data.sets import DataSet, finish
 from clsco.data.storage import open_storage
 from clsco.frame.frame import FILE_NAMES, Frame
 from clsco.scene.file import parse_scene
@@ -101,7 +101,7 @@ def make_set(
         storage.write(
             part_key(shard), part_bytes(shard, identity.digest, made.numbers(shard), described, rows, failures)
         )
-    finish(made, status_of(made))
+    finish(made)
     return folder
 
 

@@ -13,6 +13,7 @@ import pytest
 
 from clsco.data.manifest import (
     Identity,
+    Merged,
     Part,
     Parts,
     line,
@@ -23,7 +24,8 @@ from clsco.data.manifest import (
     rows_of,
     shard_numbers,
 )
-from clsco.data.storage import open_storage
+from clsco.data.sets import DataSet, finish
+from clsco.data.storage import Storage, _Folder, open_storage
 from clsco.errors import ImageError
 
 IDENTITY = Identity("d", 1, 0, 4, "webdataset", ("color",), "double", (("train", 0.5), ("test", 0.5)), "1.0", "cpu")
@@ -77,17 +79,68 @@ def test_a_part_is_read_as_it_was_written_and_damage_is_found() -> None:
             parsed_part(damaged)
 
 
+def merge(storage: Storage) -> Merged:
+    merged = Merged(storage)
+    for _, data in Parts(storage).read():
+        merged.add(parsed_part(data), data)
+    merged.put()
+    return merged
+
+
 def test_parts_are_merged_in_order_with_failures_apart(tmp_path: Path) -> None:
     storage = open_storage(tmp_path)
     for shard in (1, 0):
-        rows = [{"number": 2 * shard}]
-        storage.write(
-            part_key(shard),
-            part_bytes(shard, "id", range(2 * shard, 2 * shard + 2), {}, rows, [{"number": 2 * shard + 1}]),
-        )
-    Parts(storage).merge()
+        numbers, file = range(2 * shard, 2 * shard + 2), f"data/{shard:06d}.tar"
+        row = {"number": numbers[0], "offset": 0, "file": file, "split": "", "parameters": {}, "arrays": {}}
+        failure = {"number": numbers[1], "error": "none", "scene": None}
+        storage.write(part_key(shard), part_bytes(shard, "id", numbers, {file: (1, "0")}, [row], [failure]))
+    assert merge(storage).files == {"": [("data/000000.tar", 1), ("data/000001.tar", 1)]}
     assert [json.loads(text)["number"] for text in (tmp_path / "manifest.jsonl").read_text().splitlines()] == [0, 2]
     assert [json.loads(text)["number"] for text in (tmp_path / "failed.jsonl").read_text().splitlines()] == [1, 3]
+
+
+class CountingFolder(_Folder):
+    """A folder that counts how often files are read and folders are listed."""
+
+    reads = lists = 0
+
+    def read(self, key: str) -> bytes | None:
+        """Content of a key."""
+        self.reads += 1
+        return super().read(key)
+
+    def sizes(self, prefix: str) -> dict[str, int]:
+        """Keys in a folder."""
+        self.lists += 1
+        return super().sizes(prefix)
+
+
+@pytest.mark.parametrize(("shards", "jobs"), [(400, 10), pytest.param(40_000, 1000, marks=pytest.mark.slow)])
+def test_jobs_read_their_own_parts_and_the_last_one_all_of_them_once(tmp_path: Path, shards: int, jobs: int) -> None:
+    storage, size = CountingFolder(tmp_path), 2
+    identity = Identity("d", 1, 0, size, "webdataset", ("depth",), "double", (), "0.1.0", "cpu")
+    there = DataSet(storage, identity, range(shards * size))
+    there.write({})
+    for shard in there.shards:
+        failures = [{"number": number, "error": "none", "scene": None} for number in there.numbers(shard)]
+        data = part_bytes(shard, identity.digest, there.numbers(shard), {}, [], failures)
+        (tmp_path / part_key(shard)).parent.mkdir(exist_ok=True)
+        (tmp_path / part_key(shard)).write_bytes(data)
+    missing = (tmp_path / part_key(shards - 1)).rename(tmp_path / "missing")
+    latest = 64  # entries of the log for the rate
+    for job in range(0, jobs, max(1, jobs // 10)):
+        own = range(job, shards, jobs)
+        storage.reads = storage.lists = 0
+        status = finish(there, own)
+        assert (len(status.done), status.is_whole) == (len(own) - (shards - 1 in own), False)
+        assert storage.reads <= len(own) + latest
+        assert storage.lists <= 3
+    missing.rename(tmp_path / part_key(shards - 1))
+    storage.reads = storage.lists = 0
+    assert finish(there, range(jobs - 1, shards, jobs)).is_whole
+    assert storage.reads <= shards + latest + 2
+    assert storage.lists <= 3
+    assert len((tmp_path / "failed.jsonl").read_text().splitlines()) == shards * size
 
 
 @pytest.mark.slow
@@ -99,10 +152,11 @@ def test_a_million_rows_of_a_thousand_parts_are_merged_in_seconds(tmp_path: Path
     text = f"{line(row)}\n".replace('"NUMBER"', "%d")
     for shard in range(1000):
         body = "".join(text % number for number in range(1000 * shard, 1000 * shard + 1000)).encode()
-        head = Part(shard, "id", 1000 * shard, 1000, 1000, 0, {}, hashlib.sha256(body).hexdigest())
+        files = {f"data/{shard:06d}.tar": (1, "0")}
+        head = Part(shard, "id", 1000 * shard, 1000, 1000, 0, files, hashlib.sha256(body).hexdigest())
         storage.write(part_key(shard), f"{line(asdict(head))}\n".encode() + body)
     start = time.perf_counter()
-    Parts(storage).merge()
+    merge(storage)
     assert time.perf_counter() - start < 10.0
     with open(tmp_path / "manifest.jsonl", "rb") as file:
         assert sum(1 for _ in file) == 10**6

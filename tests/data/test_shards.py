@@ -167,7 +167,7 @@ def test_a_set_in_a_store_has_the_bytes_of_one_in_a_folder(tmp_path: Path) -> No
         begun(there, goes_on=False)
         there.write({})
         make_here(job)
-        finish(there, status_of(there))
+        finish(there)
     stored = {path.removeprefix("/bucket/set/"): memory.cat_file(path) for path in memory.find("/bucket/set")}
     assert {key: data for key, data in stored.items() if not key.startswith("log/")} == files(tmp_path)
 

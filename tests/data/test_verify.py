@@ -12,7 +12,7 @@ import pytest
 import clsco
 from clsco.data.distribution import Sample
 from clsco.data.manifest import Parts, part_key
-from clsco.data.sets import DataSet, finish, status_of
+from clsco.data.sets import DataSet, finish
 from clsco.data.shards import Renderer
 from clsco.data.storage import open_storage
 from clsco.data.verify import chosen_samples, flow_error, scene_table, verify_files, verify_samples
@@ -27,7 +27,7 @@ def there(tmp_path: Path) -> DataSet:
     make_here(job)
     found = DataSet(open_storage(job.where), job.identity, job.samples)
     found.write({})
-    finish(found, status_of(found))
+    finish(found)
     return found
 
 
