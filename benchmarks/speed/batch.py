@@ -1,4 +1,4 @@
-"""Data sets by `clsco batch` against loops: samples per second, in turns.
+"""Data sets by `clsco dataset make` against loops: samples per second, in turns.
 
 Run it with this version's Python; the old version renders the same scenes, from a file that both read:
     .venv/bin/python benchmarks/speed/batch.py --old OLD/.venv/bin/python
@@ -93,7 +93,17 @@ def measured(chosen: argparse.Namespace, base: Path, seed: int) -> dict[str, Any
         words = [str(python), str(Path(__file__).resolve()), "--loop", loop, "--scenes", str(scenes)]
         answer = subprocess.run(words, check=True, capture_output=True, text=True).stdout
         found[name], found["spent"][name] = json.loads(answer)
-    words = ["batch", str(base / "set.toml"), "-o", str(out), "--count", str(chosen.count), "--seed", str(seed)]
+    words = [
+        "dataset",
+        "make",
+        str(base / "set.toml"),
+        "-o",
+        str(out),
+        "--count",
+        str(chosen.count),
+        "--seed",
+        str(seed),
+    ]
     words += ["--shard-size", "50", *(["--workers", chosen.workers] if chosen.workers else [])]
     start, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
     subprocess.run([str(Path(sys.executable).parent / "clsco"), *words], check=True, stdout=subprocess.DEVNULL)

@@ -1,4 +1,4 @@
-"""The command `clsco convert`: a data set in another format."""
+"""The command `clsco dataset convert`: a data set in another format."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tables of `clsco batch --dry-run`."""
+"""Tables of `clsco dataset make --dry-run`."""
 
 from __future__ import annotations
 

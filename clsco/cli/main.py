@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from clsco import __version__
-from clsco.cli.batch import batch
-from clsco.cli.convert import convert
+from clsco.cli.dataset import batch, dataset, former_convert
 from clsco.cli.focus import focus_at_option, focus_depth_option, focused_files, parsed_focus
 from clsco.cli.inputs import first_scene, report_inputs, report_loss, report_notes, report_stretched
 from clsco.cli.options import (
@@ -467,8 +466,9 @@ def inpaint(
         echo(f"no pixel is missing: {click.format_filename(out)} is a copy of {click.format_filename(image)}")
 
 
+main.add_command(dataset)
 main.add_command(batch)
-main.add_command(convert)
+main.add_command(former_convert)
 main.add_command(psf)
 main.add_command(render)
 main.add_command(video)

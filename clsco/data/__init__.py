@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from clsco.data.making import FailedSamplesError as FailedSamplesError
     from clsco.data.making import make as make
     from clsco.data.record import Record as Record
+    from clsco.data.remaking import remake as remake
 
 _HOME = {
     "make": "clsco.data.making",
@@ -22,8 +23,9 @@ _HOME = {
     "open": "clsco.data.dataset",
     "Dataset": "clsco.data.dataset",
     "Record": "clsco.data.record",
+    "remake": "clsco.data.remaking",
 }
-__all__ = ["Dataset", "FailedSamplesError", "Record", "make", "open"]
+__all__ = ["Dataset", "FailedSamplesError", "Record", "make", "open", "remake"]
 
 
 def __getattr__(name: str) -> Any:

@@ -52,8 +52,8 @@ def convert(
 
     Notes
     -----
-    What comes out is what `clsco batch --format` would have made, byte by byte, so that `batch status`, `verify` and
-    `--resume` take it.
+    What comes out is what `clsco dataset make --format` would have made, byte by byte, so that `dataset status`,
+    `verify` and `--resume` take it.
     """
     container_named(form)
     there = open_set(source)

@@ -144,7 +144,7 @@ class Dataset(Sequence[Record]):
 
 
 def open(data: str | os.PathLike[str], split: str | None = None, arrays: Iterable[str] | None = None) -> Dataset:  # noqa: A001
-    """Open a data set that `clsco batch` or `clsco convert` made.
+    """Open a data set that `clsco dataset make` or `clsco dataset convert` made.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ def open(data: str | os.PathLike[str], split: str | None = None, arrays: Iterabl
     Examples
     --------
     >>> import clsco.data
-    >>> clsco.data.open("DATA", "train", arrays=("color", "depth"))  # made by clsco batch -o DATA
+    >>> clsco.data.open("DATA", "train", arrays=("color", "depth"))  # made by clsco dataset make -o DATA
     <Dataset of 7 samples, npz: color, depth>
     """
     folder = Path(data)

@@ -18,6 +18,7 @@ from clsco.data.acceptance import Look, looks_of
 from clsco.data.build import located
 from clsco.data.distribution import Distribution, Drawn, Sample
 from clsco.data.parts import Parameter
+from clsco.data.sheet import TILE, contact_sheet
 from clsco.data.splits import of_samples
 from clsco.data.values import Choice, Column, Files, Frustum, Turned
 from clsco.errors import ClscoError, DeviceError, SceneError
@@ -38,7 +39,6 @@ SHOWN = 16  # on the contact sheet
 TIMED = 2  # samples of which a frame is rendered, twice: the first time to compile
 LONG = 20.0  # s, after which once is enough
 TIME_SAMPLES = 8  # of a frame with motion blur on the contact sheet, at most
-TILE = 200  # px, the longer side of a picture
 BINS = 12
 VALUES = 8  # of a choice that are listed
 BYTES = {"color": 2, "sharp": 2, "alpha": 2, "normal": 12, "flow": 8, "flow_backward": 8, "uv": 8}
@@ -157,7 +157,7 @@ def dry_run(
     seconds, basis = _seconds(samples[:TIMED], wanted)
     sheet = None
     if sheet_path is not None and seconds is not None:
-        write_png(sheet_path, contact_sheet(samples[:SHOWN]))
+        write_png(sheet_path, sample_sheet(samples[:SHOWN]))
         sheet = sheet_path
     return DryRun(
         count=count,
@@ -306,26 +306,15 @@ def _seconds(samples: Sequence[Sample], wanted: Sequence[str]) -> tuple[float | 
     return seconds / made, f"{made} frames rendered by one process on {device.name}, without writing files"
 
 
-def contact_sheet(samples: Sequence[Sample]) -> NDArray[np.uint8]:
+def sample_sheet(samples: Sequence[Sample]) -> NDArray[np.uint8]:
     """Pictures of samples, rendered small: first frame, left view, first and last variant; (rows, columns, 3)."""
-    from PIL import Image, ImageDraw, ImageFont
-
     tiles = []
     for sample in samples:
         ends = [sample.scenes[0], sample.scenes[-1]] if len(sample.scenes) > 1 else [sample.scenes[0]]
-        tiles.append(np.concatenate([_picture(scene) for scene in ends], axis=1))
-    height, width = (max(tile.shape[axis] for tile in tiles) for axis in (0, 1))
-    gap, line, across = 8, 18, 4
-    rows = -(-len(tiles) // across)
-    sheet = Image.new("RGB", (gap + across * (width + gap), gap + rows * (height + line + gap)), (250, 250, 248))
-    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(12)
-    for number, (sample, tile) in enumerate(zip(samples, tiles, strict=True)):
-        x, y = gap + number % across * (width + gap), gap + number // across * (height + line + gap)
-        sheet.paste(Image.fromarray(tile), (x, y))
         variants = f", {len(sample.scenes)} variants" if len(sample.scenes) > 1 else ""
         label = f"{sample.number} {sample.split}".rstrip() + variants
-        draw.text((x, y + height + 2), label, fill=(20, 20, 20), font=font)
-    return np.asarray(sheet)
+        tiles.append((np.concatenate([_picture(scene) for scene in ends], axis=1), label))
+    return contact_sheet(tiles)
 
 
 def _picture(scene: Scene) -> NDArray[np.uint8]:

@@ -69,7 +69,7 @@ def open_set(storage: Storage) -> DataSet:
     """The set in a storage. Raises ImageError where there is none, or its card is damaged."""
     data = storage.read(CARD)
     if data is None:
-        raise ImageError(f"{storage.where}: must hold a data set that clsco batch made; got no {CARD}")
+        raise ImageError(f"{storage.where}: must hold a data set that clsco dataset make made; got no {CARD}")
     try:
         card = strict_json(data)
         if not all(isinstance(card.get(name, ""), str) for name in ("license", "recipe")):

@@ -251,7 +251,7 @@ def _stored(there: DataSet, row: Mapping[str, Any]) -> Record:
     kinds = {"scene": dict, "frames": list, "split": str, "attempts": int, "parameters": dict}
     for name, kind in kinds.items():
         if not isinstance(record.meta.get(name), kind):
-            rule = f"{row['file']}: sample {row['number']}: {name} must be there, as clsco batch writes it"
+            rule = f"{row['file']}: sample {row['number']}: {name} must be there, as clsco dataset make writes it"
             raise ImageError(f"{rule}; got {shown(record.meta.get(name))}")
     return record
 

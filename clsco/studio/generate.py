@@ -23,7 +23,7 @@ from clsco.studio.tables import Table, sparse, with_value
 
 SCENE_FILE = "scene.toml"
 MOST_LOOKED_AT = 64  # frames of a stack
-LARGEST_SHARD = 256  # samples, as of `clsco batch`
+LARGEST_SHARD = 256  # samples, as of `clsco dataset make`
 STEPS = 16  # at which the progress of a data set is seen, at least
 
 
@@ -120,7 +120,7 @@ def data_set(
     session: Session, jobs: Jobs, distribution: str, folder: str, count: int, seed: int = 0, form: str = DEFAULT,
     device: str = "",
 ) -> Job:  # fmt: skip
-    """Make a data set from a distribution file, by `clsco batch`.
+    """Make a data set from a distribution file, by `clsco dataset make`.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def data_set(
         For the set.
     count, seed : int
     form : str
-        As for `clsco batch --format`.
+        As for `clsco dataset make --format`.
     device : str
 
     Returns
@@ -152,7 +152,19 @@ def data_set(
     if not (session.root / source).is_file():
         raise ClscoError(f"distribution: must be an existing file; got {distribution!r}")
     shard = min(LARGEST_SHARD, -(-count // STEPS))
-    arguments = ["batch", source, "-o", name, "--count", str(count), "--seed", str(seed), "--shard-size", str(shard)]
+    arguments = [
+        "dataset",
+        "make",
+        source,
+        "-o",
+        name,
+        "--count",
+        str(count),
+        "--seed",
+        str(seed),
+        "--shard-size",
+        str(shard),
+    ]
     arguments += ["--format", form]
     arguments += ["--device", device] if device else []
     return jobs.add(f"Data set of {count}", [*arguments, "--resume", "--quiet"], name, "", count)

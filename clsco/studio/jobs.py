@@ -87,7 +87,7 @@ class Job:
 
     @property
     def command(self) -> str:
-        """Command of `clsco`: "render", "video", "batch", "inpaint"."""
+        """Command of `clsco`: "render", "video", "dataset", "inpaint"."""
         return self.arguments[0]
 
     @property
@@ -278,7 +278,7 @@ class Jobs:
 
     def _count(self, job: Job, is_over: bool) -> int:
         """Files that were made since the job began, or that it need not make again; samples of a data set."""
-        if job.command == "batch":
+        if job.command == "dataset":
             return self._count_samples(job, is_over)
         folder, since = self.root / job.folder, 0.0 if "--resume" in job.arguments else job.began - 1.0
         count = 0

@@ -34,7 +34,7 @@ def clip_name(preset: str) -> str:
 
 
 def set_formats() -> dict[str, str]:
-    """Formats of `clsco batch --format`, likewise."""
+    """Formats of `clsco dataset make --format`, likewise."""
     return {name: _missing(container.needs) for name, container in CONTAINERS.items()}
 
 

@@ -1,1 +1,1 @@
-"""Distribution files of data sets: `clsco batch FILE -o DATA --count N`."""
+"""Distribution files of data sets: `clsco dataset make FILE -o DATA --count N`."""

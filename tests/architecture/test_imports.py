@@ -39,7 +39,7 @@ OUTSIDE = {
         "cli.demo",
         "cli.psf_sheet",
         "cli.thesis",
-        "data.dryrun",
+        "data.sheet",
         "studio.pictures",
         "studio.removals",
     ),

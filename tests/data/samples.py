@@ -71,7 +71,7 @@ def same(one: Record, other: Record) -> bool:
 def make_set(
     folder: Path, form: str = "webdataset", count: int = 10, size: int = 4, splits: bool = True, variants: int = 1
 ) -> Path:
-    """A whole set of small records, as `clsco batch` makes it but for the rendering. Sample 5 failed."""
+    """A whole set of small records, as `clsco dataset make` makes it but for the rendering. Sample 5 failed."""
     storage, container = open_storage(folder), CONTAINERS[form]
     shares = (("train", 0.7), ("val", 0.3)) if splits else ()
     identity = Identity(

@@ -1,4 +1,4 @@
-"""`clsco convert` and data cards."""
+"""`clsco dataset convert` and data cards."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.data.samples import contents, make_set, record, same
 
 
 def convert(source: Path, target: Path, form: str, *more: str) -> Result:
-    return CliRunner().invoke(main, ["convert", str(source), "-o", str(target), "--format", form, *more])
+    return CliRunner().invoke(main, ["dataset", "convert", str(source), "-o", str(target), "--format", form, *more])
 
 
 @pytest.mark.parametrize(("one", "other"), [("hdf5", "webdataset"), ("parquet", "folders"), ("tfrecord", "npz+raw")])
@@ -140,7 +140,7 @@ def test_types_are_part_of_what_a_set_is(tmp_path: Path) -> None:
     assert there.identity.types == (("color", "uint16"),)
     assert there.identity.digest != replace(there.identity, types=()).digest
     run = CliRunner().invoke(
-        main, ["batch", "a.toml", "-o", str(tmp_path / "b"), "--count", "1", "--types", "color=int,x=1"]
+        main, ["dataset", "make", "a.toml", "-o", str(tmp_path / "b"), "--count", "1", "--types", "color=int,x=1"]
     )
     assert run.exit_code == 2
     message = "types: color must be one of float32, float16, uint8, uint16; got color=int; types: must name arrays"

@@ -21,7 +21,7 @@ from clsco.data.scripted import scripted
 from clsco.errors import SceneError
 from clsco.files.images import save_image
 from clsco.scene.toml import toml_text
-from tests.cli.test_batch import DISTRIBUTION, HerePool
+from tests.cli.test_dataset import DISTRIBUTION, HerePool
 from tests.data.test_shards import files
 
 CONTENT: dict[str, Any] = {
@@ -58,7 +58,9 @@ def test_a_file_its_content_and_its_command_make_one_set(place: Path) -> None:
     Path("set.toml").write_text(DISTRIBUTION)
     status = clsco.data.make("set.toml", "file", **SMALL)
     assert (repr(status), status.made) == ("<Status: 4 of 4 samples made, 0 failed>", 4)
-    run = CliRunner().invoke(main, ["batch", "set.toml", "-o", "command", "--count", "4", "--shard-size", "2"])
+    run = CliRunner().invoke(
+        main, ["dataset", "make", "set.toml", "-o", "command", "--count", "4", "--shard-size", "2"]
+    )
     assert run.exit_code == 0, run.output
     assert files(place / "file") == files(place / "command")
     clsco.data.make(CONTENT, "content", **SMALL)
@@ -97,7 +99,7 @@ def test_a_function_draws_scenes(place: Path) -> None:
         texture = record.meta["scene"]["object"][0]["texture"]
         assert texture == ("dots.png", "bricks", texture)[number % 3]
         assert isinstance(texture, dict) == (number % 3 == 2)
-    run = CliRunner().invoke(main, ["batch", "verify", "one"])
+    run = CliRunner().invoke(main, ["dataset", "verify", "one"])
     said = "one: 6 samples as recorded, 4 rendered again, not 2 with arrays that their function alone makes\n"
     assert run.output == said
 

@@ -55,7 +55,7 @@ def test_what_cannot_be_is_told_with_its_key(load: Load) -> None:
 def test_codes_need_an_image(name: str, tmp_path_factory: pytest.TempPathFactory) -> None:
     folder = tmp_path_factory.mktemp("sensor")
     (folder / "set.toml").write_text(SCENE + TEXT)
-    command = ["batch", "make", str(folder / "set.toml"), "-o", str(folder / "out"), "--truth", name, "--no-color"]
+    command = ["dataset", "make", str(folder / "set.toml"), "-o", str(folder / "out"), "--truth", name, "--no-color"]
     found = CliRunner().invoke(main, [*command, "--count", "1"])
     assert found.exit_code == 2
     assert f"without color no image is made, so it must be without {name}" in found.output

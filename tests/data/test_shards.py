@@ -149,7 +149,7 @@ def test_other_files_and_damaged_cards_are_refused(tmp_path: Path) -> None:
     wanted = set_of(job_of(tmp_path, 8))
     with pytest.raises(SceneError, match="must be an empty folder, or hold a data set; got other files"):
         begun(wanted, goes_on=True)
-    with pytest.raises(ImageError, match=r"must hold a data set that clsco batch made; got no dataset\.json"):
+    with pytest.raises(ImageError, match=r"must hold a data set that clsco dataset make made; got no dataset\.json"):
         open_set(wanted.storage)
     for text in ("", "[]", '{"identity": {}}', json.dumps({"identity": wanted.identity.record(), "samples": [5, 2]})):
         (tmp_path / "dataset.json").write_text(text)

@@ -1,4 +1,4 @@
-"""Findings of `clsco batch verify`."""
+"""Findings of `clsco dataset verify`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""kill -9 at random moments of `clsco batch`, and resume: python -m tests.faults.batch_kills --kills 100
+"""kill -9 at random moments of `clsco dataset make`, and resume: python -m tests.faults.batch_kills --kills 100
 
 A set of small frames is made by processes of one machine (1, 2 and 4 of them), by two parts of an array job at the same
 time, and by workers of a dask cluster. A worker, the command, all of its processes at once, or the scheduler of the
@@ -75,8 +75,18 @@ def main() -> int:
 
 
 def command(base: Path, out: Path, *options: str) -> subprocess.Popen[bytes]:
-    """Start `clsco batch`, in a group of processes of its own."""
-    words = ["batch", str(base / "set.toml"), "-o", str(out), "--count", str(COUNT), "--shard-size", str(SIZE)]
+    """Start `clsco dataset make`, in a group of processes of its own."""
+    words = [
+        "dataset",
+        "make",
+        str(base / "set.toml"),
+        "-o",
+        str(out),
+        "--count",
+        str(COUNT),
+        "--shard-size",
+        str(SIZE),
+    ]
     return started([sys.executable, "-c", "from clsco.cli.process import run; run()", *words, "--resume", *options])
 
 

@@ -91,8 +91,9 @@ class TestTerminal:
         assert shown.count("\\x1b[2J") == 4
 
     @pytest.mark.parametrize("words", [
-        "batch status SET", "batch verify SET --sample 0", "batch show SET 0", "batch show SET 5", "validate SCENE",
-        "plan SCENE", "validate NAME", "convert SET OUT --format npz", "batch verify NAME", "NAME",
+        "dataset status SET", "dataset verify SET --sample 0", "dataset show SET 0", "dataset show SET 5",
+        "validate SCENE",
+        "plan SCENE", "validate NAME", "dataset convert SET OUT --format npz", "dataset verify NAME", "NAME",
         "render SCENE -o OUT --NAME", "plan SCENE --set NAME=1",
     ])  # fmt: skip
     def test_commands(self, words: str, tmp_path: Path) -> None:

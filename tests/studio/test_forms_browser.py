@@ -190,8 +190,8 @@ def test_a_data_set_is_made_and_survives_a_reload(page: Any, root: Path) -> None
     rest(page)
     page.locator(".job.done").wait_for(timeout=60000)
     assert page.locator(".job code").inner_text() == (
-        "clsco batch mine.toml -o sets/scene --count 18 --seed 0 --shard-size 2 --format webdataset --device pocl "
-        "--resume --quiet"
+        "clsco dataset make mine.toml -o sets/scene --count 18 --seed 0 --shard-size 2 --format webdataset "
+        "--device pocl --resume --quiet"
     )
     page.wait_for_function(
         "[...document.querySelectorAll('.job img')].filter((image) => image.naturalWidth === 24).length === 12"

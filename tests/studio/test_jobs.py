@@ -330,7 +330,7 @@ def test_command_lines(jobs: Jobs, slow: None) -> None:
         "clsco render ./-o/x/scene.toml -o ./-o/x --truth npz --subframes --video mp4 --device pocl",
         "clsco render stack/scene.toml -o stack",
         "clsco video stack -o 'clips/a b.mp4' --view depth --preset mp4",
-        "clsco batch d.toml -o data --count 100 --seed 7 --shard-size 7 --format npz --resume --quiet",
+        "clsco dataset make d.toml -o data --count 100 --seed 7 --shard-size 7 --format npz --resume --quiet",
     ]
     assert made[1].total == 5
     stack = tomllib.loads((jobs.root / "stack/scene.toml").read_text())
@@ -365,7 +365,7 @@ def test_a_data_set_counts_its_samples_and_goes_on_after_a_cancel(jobs: Jobs) ->
     done = jobs.job(again.number)
     assert (done.status, done.done) == ("done", 40), done.message
     assert sample_picture(jobs.root / "data", 11, 12).startswith(b"\x89PNG")
-    result = CliRunner().invoke(main, ["batch", "verify", str(jobs.root / "data"), "--sample", "2", "--quiet"])
+    result = CliRunner().invoke(main, ["dataset", "verify", str(jobs.root / "data"), "--sample", "2", "--quiet"])
     assert result.exit_code == 0, result.output
 
 
@@ -380,7 +380,7 @@ def test_distributions_of_the_folder_and_of_the_package_are_offered(jobs: Jobs, 
     work(jobs, "busy", 1, 30.0)
     session = Session(jobs.root)
     job = data_set(session, jobs, names[1], "data", 5)
-    assert job.arguments[1] == names[1]
+    assert job.arguments[2] == names[1]
     copied = jobs.root / names[1]
     assert copied.read_bytes() == shipped_distributions()[names[1]].read_bytes()
     copied.write_text(DISTRIBUTION)  # what is there is not overwritten

@@ -265,7 +265,7 @@ def _how_far(job: Job) -> str:
 
 def _pictures(jobs: Jobs, job: Job) -> int:
     """Show a job's results as small pictures and clips; returns the number of pictures."""
-    if job.command == "batch":
+    if job.command == "dataset":
         parts = min(job.done, SHOWN) if job.status == "done" else 0
         with say("div").classes("pictures"):
             for part in range(parts):

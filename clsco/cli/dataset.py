@@ -1,44 +1,59 @@
-"""The command `clsco batch`: data sets made from a distribution, looked at, and checked."""
+"""The command `clsco dataset`: data sets made from a distribution, looked at, and checked."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from copy import copy
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from clsco.cli.convert import convert
 from clsco.cli.options import PATH, precision_option, quiet_option, require_opencl, set_option
 from clsco.cli.output import echo
 from clsco.cli.progress import progress
 from clsco.errors import ClscoError, SceneError
 
 if TYPE_CHECKING:
+    from clsco.data.making import Progress
     from clsco.data.sets import Status
 
+SHOWN = 16  # samples on a sheet
 
-class _WithDefault(click.Group):
-    """A group of which `batch FILE` is `batch make FILE`."""
+
+@click.group()
+def dataset() -> None:
+    """Make data sets of many scenes drawn from distributions, look at them, and check them."""
+
+
+class _Former(click.Group):
+    """The command `batch`, of which `batch FILE` was `batch make FILE`; says what it is called now."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Put the default command first where none is named."""
         if not args or args[0] not in self.commands:
             args = ["make", *(args or ["--help"])]
+        _tell_new_name("batch", args[0])
         return super().parse_args(ctx, args)
 
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Show `clsco batch FILE` in usage, without `make`."""
-        name, command, rest = super().resolve_command(ctx, args)
-        return (None if name == "make" else name), command, rest
+
+def _tell_new_name(former: str, name: str) -> None:
+    echo(f"clsco {former}: is called clsco dataset {name} now; the former name goes in the next version", err=True)
 
 
-@click.group(cls=_WithDefault, name="batch", short_help="Make a data set of many scenes drawn from distributions.")
-def batch() -> None:
-    """Make, look at and check data sets."""
+def _told(callback: Callable[..., Any] | None) -> Callable[..., Any]:
+    def told(**options: Any) -> None:
+        _tell_new_name("convert", "convert")
+        assert callback is not None
+        callback(**options)
+
+    return told
+
+
+batch = _Former("batch", hidden=True, help="Former name of clsco dataset.")
 
 
 def _parse_numbers(text: str) -> range:
@@ -62,7 +77,7 @@ base_option = click.option(
 )  # fmt: skip
 
 
-@batch.command(epilog="clsco batch status DATA, verify DATA, show DATA NUMBER: of a set that is there.")
+@dataset.command()
 @click.argument("distribution", type=PATH)
 @click.option("-o", "out", metavar="DATA", required=True, help="Folder of the set, or an address like s3://bucket/set.")
 @click.option("--count", metavar="N", type=click.IntRange(1, 10**12), help="Samples of the set.")
@@ -131,17 +146,21 @@ def make(distribution: Path, out: str, devices: tuple[str, ...], quiet: bool, **
         require_opencl()
     chosen = ("all",) if options.pop("every") else devices
 
+    try:
+        status = making.make(distribution, out, color=color, devices=chosen, progress=_bar(quiet), **options)
+    except making.FailedSamplesError as error:
+        echo(_line(out, error.status))
+        raise
+    echo(_line(out, status))
+
+
+def _bar(quiet: bool) -> Progress:
     @contextmanager
     def shown(total: int) -> Iterator[Callable[[int], object]]:
         with progress(total, quiet, "samples") as bar:
             yield lambda count: [bar() for _ in range(count)]
 
-    try:
-        status = making.make(distribution, out, color=color, devices=chosen, progress=shown, **options)
-    except making.FailedSamplesError as error:
-        echo(_line(out, error.status))
-        raise
-    echo(_line(out, status))
+    return shown
 
 
 def _dry_run(distribution: Path, out: str, samples: range, arrays: tuple[str, ...], options: dict[str, Any]) -> None:
@@ -170,7 +189,7 @@ def _size(count: int) -> str:
     return f"{count:.1f} TiB"
 
 
-@batch.command()
+@dataset.command()
 @data_argument
 def status(data: str) -> None:
     """Tell how far a set has come; nothing is written."""
@@ -194,7 +213,7 @@ def _duration(seconds: float) -> str:
     return f"{hours} h {rest // 60} min" if hours else f"{rest // 60} min {rest % 60} s"
 
 
-@batch.command()
+@dataset.command()
 @data_argument
 @click.option(
     "--sample", metavar="N", type=click.IntRange(0), default=16, show_default=True,
@@ -233,7 +252,56 @@ def verify(data: str, sample: int, device: str | None, base: Path, quiet: bool) 
     echo(f"{name}: {len(there.samples)} samples as recorded, {len(chosen)} rendered again{more}")
 
 
-@batch.command()
+@dataset.command()
+@data_argument
+@click.option("-o", "out", metavar="DATA", help="Folder or address of the new set; by default it is removed again.")
+@click.option("--device", "devices", metavar="NAME", multiple=True, help="Where to render; may be given again.")
+@click.option("--workers", metavar="N", type=click.IntRange(1, 1024), help="Processes, as of clsco dataset make.")
+@base_option
+@quiet_option
+def remake(data: str, out: str | None, devices: tuple[str, ...], workers: int | None, base: Path, quiet: bool) -> None:
+    """Make a set again by what its card says, and compare. Exit status 1 and a line for each difference."""
+    from clsco.data import remaking
+
+    require_opencl()
+    found = remaking.remake(data, out, folder=base, devices=devices, workers=workers, progress=_bar(quiet))
+    for line in found:
+        echo(line)
+    if found:
+        raise ClscoError(f"{data}: must be what is made again; got {len(found)} differences")
+    echo(f"{click.format_filename(data)}: made again, all bytes are the same")
+
+
+@dataset.command(name="open")
+@data_argument
+@click.option("--sheet", metavar="FILE", type=PATH, help="Also write pictures of the first samples, as PNG.")
+def open_data(data: str, sheet: Path | None) -> None:
+    """Tell what is in a set: samples, splits, arrays, and how to load it."""
+    from clsco.cli.tables import print_tables, table
+    from clsco.data.dataset import open as opened
+    from clsco.data.sheet import record_sheet
+    from clsco.files.images import write_png
+
+    found = opened(data)
+    card = found.card
+    rows = [
+        (name, about["dtype"], " x ".join(map(str, about["shape"])), about["unit"], about["convention"])
+        for name, about in card.get("arrays", {}).items()
+    ]
+    splits = ", ".join(f"{sum(count for _, count in files)} of {name}" for name, files in card["files"].items() if name)
+    about = f"{len(found)} samples{f' ({splits})' if splits else ''}, {card['identity']['format']}"
+    print_tables(
+        f"{click.format_filename(data)}: {about}",
+        table("Arrays", ("array", "type", "shape", "unit", "what it is"), rows),
+        *(f"{package}: {code}" for package, code in card.get("load", {}).items()),
+    )
+    if sheet is not None:
+        write_png(sheet, record_sheet(found[:SHOWN]))
+        echo(f"{click.format_filename(sheet)}: pictures of {min(SHOWN, len(found))} samples")
+    found.close()
+
+
+@dataset.command()
 @data_argument
 @click.argument("number", type=click.IntRange(0))
 @base_option
@@ -242,11 +310,21 @@ def show(data: str, number: int, base: Path) -> None:
     from clsco.data.build import located
     from clsco.data.sets import open_set
     from clsco.data.storage import open_storage
-    from clsco.data.verify import scene_table
+    from clsco.data.verify import hold_arrays, scene_table
     from clsco.scene.toml import toml_text
 
     storage = open_storage(data)
     try:
-        echo(toml_text(located(scene_table(open_set(storage), number), base.absolute())), nl=False)
+        there = open_set(storage)
+        if hold_arrays(there, [number]):
+            raise SceneError(f"sample {number}: must be a scene of files; got arrays, which its function alone makes")
+        echo(toml_text(located(scene_table(there, number), base.absolute())), nl=False)
     finally:
         storage.close()
+
+
+dataset.add_command(convert)
+batch.commands = {name: dataset.commands[name] for name in ("make", "status", "verify", "show")}
+former_convert = copy(convert)
+former_convert.hidden = True
+former_convert.callback = _told(convert.callback)

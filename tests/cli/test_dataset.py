@@ -1,4 +1,4 @@
-"""`clsco batch`: sets made, gone on with, in parts, looked at and checked; one line for what is wrong."""
+"""`clsco dataset make`: sets made, gone on with, in parts, looked at and checked; one line for what is wrong."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from clsco.data import pool
 from clsco.data.shards import ShardMaker
 from clsco.data.storage import open_storage
 from clsco.data.worker import perform
+from clsco.files.images import read_image
 from clsco.opencl.device import choose
 from tests.data.test_shards import files
 
@@ -60,12 +61,12 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def batch(*words: object) -> Result:
-    return CliRunner().invoke(main, ["batch", *map(str, words)])
+def dataset(*words: object) -> Result:
+    return CliRunner().invoke(main, ["dataset", *map(str, words)])
 
 
 def make(*words: object) -> Result:
-    return batch("set.toml", "--shard-size", 4, *words)
+    return dataset("make", "set.toml", "--shard-size", 4, *words)
 
 
 def fault(result: Result, status: int = 1) -> list[str]:
@@ -81,20 +82,20 @@ def test_a_set_is_made_looked_at_and_checked(place: Path) -> None:
         assert result.exit_code == 0
         if k == 2:
             assert result.stdout.startswith("parts: 2 samples in 1 shards of 3, as far as it is made, ")
-            shown = batch("status", "parts").stdout.splitlines()
+            shown = dataset("status", "parts").stdout.splitlines()
             assert shown[:2] == ["shards: 1 of 3", f"samples: 2 made, 0 failed, of 10; {size(place / 'parts')}"]
             assert shown[2].startswith("rate: ")
             assert shown[3:] == ["missing: 0-1"]
     assert files(place / "one") == files(place / "parts")
     assert not list(place.glob("*/.*"))
-    assert batch("status", "one").stdout.startswith("shards: 3 of 3\nsamples: 10 made, 0 failed, of 10; ")
-    assert batch("verify", "one", "--sample", 2).stdout == "one: 10 samples as recorded, 2 rendered again\n"
-    assert clsco.parse_scene(batch("show", "one", 7).stdout).camera.resolution == (24, 16)
+    assert dataset("status", "one").stdout.startswith("shards: 3 of 3\nsamples: 10 made, 0 failed, of 10; ")
+    assert dataset("verify", "one", "--sample", 2).stdout == "one: 10 samples as recorded, 2 rendered again\n"
+    assert clsco.parse_scene(dataset("show", "one", 7).stdout).camera.resolution == (24, 16)
     (place / "one" / "data" / "000002.tar").unlink()
-    result = batch("verify", "one", "--sample", 0)
+    result = dataset("verify", "one", "--sample", 0)
     assert result.exit_code == 1
     assert result.stdout == "data/000002.tar: must be there, as manifest/000002.jsonl names it; got no such file\n"
-    assert "incomplete: data/000002.tar: must be there" in batch("status", "one").stdout
+    assert "incomplete: data/000002.tar: must be there" in dataset("status", "one").stdout
 
 
 def size(folder: Path) -> str:
@@ -149,7 +150,7 @@ def test_a_set_is_gone_on_with_and_grows(place: Path) -> None:
     (line,) = fault(make("-o", "grown", "--count", 10, "--resume"))
     assert "distribution must be " in line
     assert make("-o", "some", "--count", 10, "--only", "3:6").stdout.startswith("some: 3 samples in 2 shards, ")
-    assert batch("verify", "some", "--sample", 1).exit_code == 0
+    assert dataset("verify", "some", "--sample", 1).exit_code == 0
 
 
 @pytest.mark.parametrize(
@@ -182,7 +183,7 @@ def test_a_set_can_have_truth_alone(place: Path) -> None:
     (alone, _), (both, _) = (clsco.data.open(str(place / name)) for name in ("alone", "both"))
     assert (list(alone.arrays), list(both.arrays)) == (["depth"], ["color", "depth"])
     np.testing.assert_array_equal(alone["depth"], both["depth"], strict=True)
-    assert batch("verify", "alone", "--sample", 2).stdout == "alone: 2 samples as recorded, 2 rendered again\n"
+    assert dataset("verify", "alone", "--sample", 2).stdout == "alone: 2 samples as recorded, 2 rendered again\n"
     for words, message in (("alpha", "must be without alpha"), ("", "truth: must name arrays")):
         result = make("-o", "none", "--count", 2, "--no-color", "--truth", words)
         assert result.exit_code == 2
@@ -191,24 +192,76 @@ def test_a_set_can_have_truth_alone(place: Path) -> None:
 
 def test_a_folder_without_a_set_is_no_set(place: Path) -> None:
     for words in (("status", "no"), ("verify", "no"), ("show", "no", 1)):
-        assert fault(batch(*words)) == [
-            f"error: {place}/no: must hold a data set that clsco batch made; got no dataset.json"
+        assert fault(dataset(*words)) == [
+            f"error: {place}/no: must hold a data set that clsco dataset make made; got no dataset.json"
         ]
     assert sorted(path.name for path in place.iterdir()) == ["set.toml"]
 
 
-def test_help_has_the_options_and_the_other_commands() -> None:
-    shown = batch("--help").stdout
-    assert "--shard-size" in shown
-    assert "status DATA" in shown
-    assert batch().stdout == shown
+def test_help_has_the_commands() -> None:
+    shown = dataset("--help").stdout
+    for name in ("make", "status", "verify", "show", "convert", "open", "remake"):
+        assert f"\n  {name} " in shown
+    assert "--shard-size" in dataset("make", "--help").stdout
+
+
+def test_former_names_work_for_one_version(place: Path) -> None:
+    result = CliRunner().invoke(main, ["batch", "set.toml", "-o", "one", "--count", "2"])
+    assert (result.exit_code, result.stdout) == (0, f"one: 2 samples in 1 shards, {size(place / 'one')}\n")
+    said = "clsco batch: is called clsco dataset make now; the former name goes in the next version\n"
+    assert result.stderr == said
+    result = CliRunner().invoke(main, ["batch", "status", "one"])
+    assert result.stderr == said.replace("make", "status")
+    result = CliRunner().invoke(main, ["convert", "one", "-o", "two", "--format", "npz"])
+    assert (result.exit_code, result.stderr) == (0, said.replace("batch", "convert").replace("make", "convert"))
+    assert not {"batch", "convert"} & set(CliRunner().invoke(main, ["--help"]).stdout.split())
+
+
+def test_a_set_is_made_again_from_its_card(place: Path) -> None:
+    Path("base.toml").write_text(DISTRIBUTION)
+    Path("set.toml").write_text('base = "base.toml"\n[vary.camera]\nf_number = { choice = [2, 4] }\n')
+    words = ("--set", "object.0.radius=25", "--split", "a=0.5,b=0.5", "--truth", "depth", "--types", "color=uint8")
+    assert make("-o", "one", "--count", 6, "--seed", 3, "--license", "MIT", *words).exit_code == 0
+    for name in ("set.toml", "base.toml"):
+        (place / name).unlink()
+    result = dataset("remake", "one", "-o", "two")
+    assert (result.exit_code, result.stdout) == (0, "one: made again, all bytes are the same\n")
+    assert files(place / "one") == files(place / "two")
+    card = (place / "one" / "dataset.json").read_text()
+    (place / "one" / "dataset.json").write_text(card.replace('"radius": 25', '"radius": 24'))
+    result = dataset("remake", "one")
+    lines = result.stdout.splitlines()
+    assert result.exit_code == 1
+    assert lines[0].startswith("distribution must be ")
+    assert "sample 0: depth must be what is made again; got another" in lines
+    assert result.stderr == f"error: one: must be what is made again; got {len(lines)} differences\n"
+
+
+def test_a_set_is_opened(place: Path) -> None:
+    make("-o", "one", "--count", 5, "--split", "a=0.5,b=0.5")
+    result = dataset("open", "one", "--sheet", "sheet.png")
+    assert result.exit_code == 0
+    assert result.stdout.startswith("one: 5 samples (")
+    for text in ("depth", "float32", "16 x 24", "mm", 'clsco.data.open("DATA", ', "sheet.png: pictures of 5 samples"):
+        assert text in result.stdout
+    assert read_image(Path("sheet.png")).data.ndim == 3
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_command_that_is_asked_to_end_leaves_no_stray_files(tmp_path: Path, number: signal.Signals) -> None:
     (tmp_path / "set.toml").write_text(DISTRIBUTION)
-    words = ["batch", str(tmp_path / "set.toml"), "-o", str(tmp_path / "out"), "--count", "4000", "--shard-size", "4"]
+    words = [
+        "dataset",
+        "make",
+        str(tmp_path / "set.toml"),
+        "-o",
+        str(tmp_path / "out"),
+        "--count",
+        "4000",
+        "--shard-size",
+        "4",
+    ]
     process = subprocess.Popen(
         [sys.executable, "-c", "from clsco.cli.process import run; run()", *words, "--workers", "2"],
         stderr=subprocess.PIPE, text=True, start_new_session=True,
