@@ -26,6 +26,6 @@ def run() -> None:
     gc.set_threshold(_OBJECTS)
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     try:
-        main()
+        main(prog_name="clsco")
     finally:
         gc.freeze()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +13,7 @@ from clsco.data.containers import CONTAINERS, container_named
 from clsco.data.manifest import part_bytes, part_key
 from clsco.data.record import Record
 from clsco.data.sets import DataSet, Status, begun, finish, open_set, status_of
-from clsco.data.storage import Storage
+from clsco.data.storage import Storage, remove_path
 from clsco.data.strict import strict_json
 from clsco.errors import ImageError
 
@@ -87,7 +86,7 @@ def _convert_shard(there: DataSet, made: DataSet, shard: int) -> None:
     for file, own in by_file.items():
         key = f"{file.removesuffix(old.suffix)}{new.suffix}"
         path, local = scratch / key.replace("/", "_"), there.storage.local(file)
-        _remove(path)
+        remove_path(path)
         reader = old.read(local)
         try:
             if len(reader) != len(own):
@@ -96,7 +95,7 @@ def _convert_shard(there: DataSet, made: DataSet, shard: int) -> None:
         finally:
             reader.close()
             if not there.storage.is_local:
-                _remove(local)
+                remove_path(local)
         files[key] = path
         described |= _digests(key, path)
         for row in own:
@@ -124,10 +123,3 @@ def _digests(key: str, path: Path) -> dict[str, tuple[int, str]]:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
         found[key if each == path else f"{key}/{each.relative_to(path).as_posix()}"] = (each.stat().st_size, digest)
     return found
-
-
-def _remove(path: Path) -> None:
-    if path.is_dir():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)

@@ -2,47 +2,55 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import threading
 from bisect import bisect_right
 from collections import OrderedDict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from importlib import import_module
+from importlib.util import find_spec
 from itertools import accumulate
-from pathlib import Path
 from typing import Any, overload
+
+import numpy as np
 
 from clsco.data.card import CARD, split_files
 from clsco.data.containers import ShardReader, container_named
-from clsco.data.record import ABOUT, Record, is_wanted
-from clsco.data.storage import checked_key, open_storage
+from clsco.data.draws import shuffled
+from clsco.data.record import ABOUT, PICTURES, Record, is_wanted
+from clsco.data.storage import Storage, checked_key, open_storage, remove_path
 from clsco.data.strict import strict_json
 from clsco.errors import ImageError, SceneError
 from clsco.files.atomic import refuse
 from clsco.frame.shown import html_to_show
-from clsco.resources import read_regular
 
 MOST_OPEN = 16  # shards, of the formats that keep a file or a row group
 LARGEST_CARD = 2**26
 
 
 class _Shards:
-    """The shards of a set, each opened when it is first read. Threads and processes may share it."""
+    """The shards of a set, each opened when it is first read. Threads and processes may share it.
 
-    def __init__(self, folder: Path, form: str, files: Sequence[tuple[str, int]]) -> None:
-        self.folder, self.form, self.files = folder, form, tuple(files)
+    From a store a shard is copied when it is opened, and the copy is removed when it is closed.
+    """
+
+    def __init__(self, where: str, form: str, files: Sequence[tuple[str, int]]) -> None:
+        self.where, self.form, self.files = where, form, tuple(files)
         self.ends = list(accumulate(count for _, count in files))
         self._begin()
 
     def _begin(self) -> None:
         self._process = os.getpid()
         self._lock = threading.Lock()
+        self._storage: Storage | None = None
         self._readers: dict[int, tuple[ShardReader, threading.Lock]] = {}
         self._open: OrderedDict[int, None] = OrderedDict()
 
-    def __getstate__(self) -> tuple[Path, str, tuple[tuple[str, int], ...]]:
-        return self.folder, self.form, self.files
+    def __getstate__(self) -> tuple[str, str, tuple[tuple[str, int], ...]]:
+        return self.where, self.form, self.files
 
-    def __setstate__(self, state: tuple[Path, str, tuple[tuple[str, int], ...]]) -> None:
+    def __setstate__(self, state: tuple[str, str, tuple[tuple[str, int], ...]]) -> None:
         self.__init__(*state)  # type: ignore[misc]
 
     def record(self, place: int, wanted: frozenset[str] | None) -> Record:
@@ -64,15 +72,23 @@ class _Shards:
             self._open[number] = None
             self._open.move_to_end(number)
             if len(self._open) > MOST_OPEN:
-                oldest, lock = self._readers[self._open.popitem(last=False)[0]]
+                oldest = self._open.popitem(last=False)[0]
+                reader, lock = self._readers[oldest]
                 with lock:
-                    oldest.close()
+                    reader.close()
+                    if not self._stored.is_local:
+                        del self._readers[oldest]
+                        remove_path(reader.path)
             return self._readers[number]
 
+    @property
+    def _stored(self) -> Storage:
+        if self._storage is None:
+            self._storage = open_storage(self.where)
+        return self._storage
+
     def _opened(self, file: str, count: int) -> ShardReader:
-        path = self.folder / file
-        if not path.resolve().is_relative_to(self.folder.resolve()):
-            refuse(path, "must lie in the folder of the data set", "a link that leaves it")
+        path = self._stored.local(file)
         reader = container_named(self.form).read(path)
         if len(reader) != count:
             refuse(path, f"must hold {count} samples, as {CARD} says", len(reader))
@@ -81,6 +97,8 @@ class _Shards:
     def close(self) -> None:
         for reader, _ in self._readers.values():
             reader.close()
+            if not self._stored.is_local:
+                remove_path(reader.path)
         self._begin()
 
 
@@ -103,9 +121,16 @@ class Dataset(Sequence[Record]):
     (9, 4, '000000000')
     """
 
-    def __init__(self, card: dict[str, Any], shards: _Shards, wanted: frozenset[str] | None, span: range) -> None:
+    def __init__(
+        self,
+        card: dict[str, Any],
+        shards: _Shards,
+        wanted: frozenset[str] | None,
+        span: Sequence[int],
+        functions: tuple[Callable[[Any], Any], ...] = (),
+    ) -> None:
         self.card = card
-        self._shards, self._wanted, self._span = shards, wanted, span
+        self._shards, self._wanted, self._span, self._functions = shards, wanted, span, functions
 
     def __len__(self) -> int:
         return len(self._span)
@@ -117,20 +142,106 @@ class Dataset(Sequence[Record]):
     def __getitem__(self, index: int | slice) -> Record | Dataset:
         """One record; a view of several. Raises IndexError beyond the end, ImageError where a shard is damaged."""
         if isinstance(index, slice):
-            return Dataset(self.card, self._shards, self._wanted, self._span[index])
-        return self._shards.record(self._span[index], self._wanted)
+            return self._view(span=self._span[index])
+        return self._record(self._span[index])
 
     def __iter__(self) -> Iterator[Record]:
-        return (self._shards.record(place, self._wanted) for place in self._span)
+        return (self._record(place) for place in self._span)
+
+    def _record(self, place: int) -> Any:
+        found: Any = self._shards.record(int(place), self._wanted)
+        for function in self._functions:
+            found = function(found)
+        return found
+
+    def _view(self, **other: Any) -> Dataset:
+        given = {"span": self._span, "functions": self._functions} | other
+        return Dataset(self.card, self._shards, self._wanted, **given)
+
+    def map(self, function: Callable[[Any], Any]) -> Dataset:
+        """A view whose records go through a function when they are read.
+
+        Parameters
+        ----------
+        function : callable
+            Takes a `Record`, or what the function before it gave. Workers of a DataLoader that are spawned import it.
+
+        Returns
+        -------
+        Dataset
+
+        Examples
+        --------
+        >>> import clsco.data
+        >>> depths = clsco.data.open("DATA").map(lambda record: record["depth"])
+        >>> depths[0].shape
+        (9, 12)
+        """
+        return self._view(functions=(*self._functions, function))
+
+    def shuffle(self, seed: int, epoch: int = 0) -> Dataset:
+        """A view in a random order, which follows from seed and epoch alone.
+
+        Shards come in a random order, and so do the samples of each: what is read one after the other lies together.
+
+        Parameters
+        ----------
+        seed : int
+            0 to 2^64 - 1.
+        epoch : int
+            Number of the pass over the set, from 0.
+
+        Returns
+        -------
+        Dataset
+
+        Examples
+        --------
+        >>> import clsco.data
+        >>> records = clsco.data.open("DATA").shuffle(seed=1)
+        >>> sorted(record.key for record in records) == sorted(clsco.data.open("DATA").keys)
+        True
+        """
+        span = np.asarray(self._span, np.int64)
+        shard = np.searchsorted(self._shards.ends, span, side="right")
+        order = shuffled(seed, "samples", len(span), epoch)
+        rank = np.empty(len(self._shards.ends), np.int64)
+        rank[shuffled(seed, "shards", len(rank), epoch)] = np.arange(len(rank))
+        return self._view(span=span[order][np.argsort(rank[shard[order]], kind="stable")])
+
+    def to_torch(self) -> Dataset:
+        """A view of dictionaries of PyTorch tensors.
+
+        Returns
+        -------
+        Dataset
+            Images are linear float32 (3, rows, columns), or (1, rows, columns) of gray ones; other arrays float32, bool
+            or int64 as they are stored, vectors with their components first as well.
+
+        Raises
+        ------
+        ImageError
+            There is no PyTorch.
+
+        Examples
+        --------
+        >>> import clsco.data
+        >>> clsco.data.open("DATA").to_torch()[0]["color"].shape  # doctest: +SKIP
+        torch.Size([3, 9, 12])
+        """
+        if find_spec("torch") is None:
+            raise ImageError("to_torch: needs PyTorch: pip install torch; got no such module")
+        return self.map(tensors_of)
 
     def __repr__(self) -> str:
         arrays = [name for name in self.card.get("arrays", ()) if is_wanted(name, self._wanted)]
         named = f": {', '.join(map(str, arrays))}" if arrays else ""
+        named += f", through {len(self._functions)} functions" if self._functions else ""
         return f"<Dataset of {len(self)} samples, {self._shards.form}{named}>"
 
     def _repr_html_(self) -> str:
         """The line of `print` with the images of the first samples, for notebooks."""
-        pictures = [radiance for record in self[:4] for radiance in record.pictures().values()]
+        pictures = [radiance for record in self._view(functions=())[:4] for radiance in record.pictures().values()]
         return html_to_show(repr(self), pictures[:8])
 
     @property
@@ -143,13 +254,29 @@ class Dataset(Sequence[Record]):
         self._shards.close()
 
 
+def tensors_of(record: Record) -> dict[str, Any]:
+    """Arrays of a record as PyTorch tensors, see `Dataset.to_torch`."""
+    torch = import_module("torch")
+    found = {}
+    for name, array in record.items():
+        if name.rpartition(".")[2] in PICTURES:
+            array = record.radiance(name)
+            array = array[..., None] if array.ndim == 2 else array
+        elif array.dtype.kind in "iu":
+            array = array.astype(np.int64)
+        elif array.dtype.kind == "f":
+            array = array.astype(np.float32)
+        found[name] = torch.from_numpy(np.ascontiguousarray(np.moveaxis(array, -1, 0) if array.ndim == 3 else array))
+    return found
+
+
 def open(data: str | os.PathLike[str], split: str | None = None, arrays: Iterable[str] | None = None) -> Dataset:  # noqa: A001
     """Open a data set that `clsco dataset make` or `clsco dataset convert` made.
 
     Parameters
     ----------
     data : path
-        Its folder.
+        Its folder, or an address like "s3://bucket/set", of which shards are copied one by one when they are read.
     split : str, optional
         Such as "train"; by default all.
     arrays : iterable of str, optional
@@ -177,10 +304,8 @@ def open(data: str | os.PathLike[str], split: str | None = None, arrays: Iterabl
     >>> clsco.data.open("DATA", "train", arrays=("color", "depth"))  # made by clsco dataset make -o DATA
     <Dataset of 7 samples, npz: color, depth>
     """
-    folder = Path(data)
-    if "://" in os.fspath(data):
-        refuse(folder, "must be a folder", "an address; webdataset and datasets read from stores")
-    card = _read_card(folder)
+    storage = open_storage(data)
+    card = _read_card(storage)
     files = card["files"]
     if split is not None and split not in files:
         raise SceneError(f"split: must be one of {', '.join(files)}; got {split}")
@@ -188,7 +313,7 @@ def open(data: str | os.PathLike[str], split: str | None = None, arrays: Iterabl
     wanted = None if arrays is None else frozenset([arrays] if isinstance(arrays, str) else arrays)
     if unknown := sorted(name for name in wanted or () if name.rpartition(".")[2] not in ABOUT):
         raise SceneError(f"arrays: must be some of {', '.join(ABOUT)}; got {unknown[0]}")
-    shards = _Shards(folder.absolute(), card["identity"]["format"], sorted(chosen, key=_shard))
+    shards = _Shards(storage.where, card["identity"]["format"], sorted(chosen, key=_shard))
     return Dataset(card, shards, wanted, range(sum(count for _, count in chosen)))
 
 
@@ -198,13 +323,18 @@ def _shard(file: tuple[str, int]) -> tuple[str, str]:
     return name, split
 
 
-def _read_card(folder: Path) -> dict[str, Any]:
+def _read_card(storage: Storage) -> dict[str, Any]:
     """The card with the `files` of each split, which are checked. Raises ImageError."""
-    path = folder / CARD
+    path = f"{storage.where}/{CARD}"
     try:
-        card = strict_json(read_regular(path, LARGEST_CARD))
+        data = storage.read(CARD)
+        if data is None:
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
+        if len(data) > LARGEST_CARD:
+            raise ValueError(f"{len(data)} bytes")
+        card = strict_json(data)
         form = card["identity"]["format"]
-        listed = card["files"] if "files" in card else split_files(open_storage(folder))
+        listed = card["files"] if "files" in card else split_files(storage)
         files = {
             str(split): [(checked_key(str(file)), _count(count)) for file, count in each]
             for split, each in dict(listed).items()

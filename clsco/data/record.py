@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -56,8 +56,8 @@ _OF_FRAMES = ("frame", "samples", "intermediate", "bits", "precision", "blur_met
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Record:
-    """One sample.
+class Record(Mapping[str, NDArray[Any]]):
+    """One sample: a mapping of its arrays by name, which the default collation of PyTorch takes.
 
     Attributes
     ----------
@@ -77,6 +77,8 @@ class Record:
     >>> record = clsco.data.open("DATA")[0]
     >>> record["depth"].dtype, record.radiance("color").shape, record.image("color").dtype
     (dtype('float32'), (9, 12, 3), dtype('uint8'))
+    >>> "color" in record, len(record) == len(record.arrays)
+    (True, True)
     """
 
     key: str
@@ -90,6 +92,14 @@ class Record:
         except KeyError:
             known = ", ".join(self.arrays) or "none"
             raise KeyError(f"record {self.key}: must be one of {known}; got {name}") from None
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.arrays)
+
+    def __len__(self) -> int:
+        return len(self.arrays)
+
+    __eq__, __hash__ = object.__eq__, object.__hash__  # by identity: arrays have no truth
 
     def __repr__(self) -> str:
         arrays = (f"{name} {'x'.join(map(str, array.shape))} {array.dtype}" for name, array in self.arrays.items())

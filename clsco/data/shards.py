@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import shutil
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
@@ -21,7 +20,7 @@ from clsco.data.distribution import Distribution, Sample
 from clsco.data.manifest import CONFLICT, LOG, UNSPLIT, Identity, line, numbers_of, parsed_part, part_bytes, part_key
 from clsco.data.record import Record, make_record
 from clsco.data.scripted import ScriptedDistribution
-from clsco.data.storage import Storage
+from clsco.data.storage import Storage, remove_path
 from clsco.engine.sequence import render_prepared
 from clsco.errors import ImageError, KernelError, SceneError
 from clsco.frame.frame import Frame
@@ -216,7 +215,7 @@ class ShardMaker:
                 first = next(source, None)
                 if first is None:
                     continue
-                _remove(path)
+                remove_path(path)
                 self.container.write(path, _chained(first, source))
             files[key] = path
         for offsets in _by_file(rows.values()):
@@ -282,7 +281,7 @@ class ShardMaker:
     def drop(self, made: Made) -> None:
         """Remove the files of a shard from the scratch folder."""
         for path in made.files.values():
-            _remove(path)
+            remove_path(path)
 
 
 def _chained(first: Record, rest: Iterator[Record]) -> Iterator[Record]:
@@ -339,10 +338,3 @@ def _described(key: str, path: Path) -> Iterator[tuple[str, tuple[int, str]]]:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
         name = key if each == path else f"{key}/{each.relative_to(path).as_posix()}"
         yield name, (each.stat().st_size, digest)
-
-
-def _remove(path: Path) -> None:
-    if path.is_dir():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)

@@ -71,6 +71,14 @@ class Storage(Protocol):
         """Remove those of this process."""
 
 
+def remove_path(path: Path) -> None:
+    """Remove a file or a folder, if it is there."""
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
 def open_storage(where: str | os.PathLike[str]) -> Storage:
     """The storage of a data set: a folder, or an address such as s3://bucket/set. Raises ImageError for neither."""
     text = os.fspath(where)
@@ -174,7 +182,10 @@ class _Folder:
             return None
 
     def local(self, key: str) -> Path:
-        return self._path(key)
+        path = self._path(key)
+        if not path.resolve().is_relative_to(self.root.resolve()):
+            refuse(path, "must lie in the folder of the data set", "a link that leaves it")
+        return path
 
     @_failing
     def sizes(self, prefix: str) -> dict[str, int]:
@@ -267,7 +278,8 @@ class _Remote:
 
     @_failing
     def local(self, key: str) -> Path:
-        target = self.scratch() / "read" / checked_key(key)
+        address = hashlib.sha256(self.where.encode()).hexdigest()[:16]
+        target = self.scratch() / "read" / address / checked_key(key)
         if not target.exists():
             target.parent.mkdir(parents=True, exist_ok=True)
             self.system.get(self._path(key), str(target), recursive=self.system.isdir(self._path(key)))

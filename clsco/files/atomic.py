@@ -18,12 +18,12 @@ _BLOCK = 2**18  # bytes that are read at once
 _RUN = secrets.token_hex(4)  # differs from that of an earlier process of the same number: in a container it is always 1
 
 
-def refuse(path: Path, rule: str, got: object, cause: Exception | None = None) -> NoReturn:
+def refuse(path: Path | str, rule: str, got: object, cause: Exception | None = None) -> NoReturn:
     """Raise ImageError with the one line `path: rule; got value`.
 
     Parameters
     ----------
-    path : Path
+    path : Path or str
     rule : str
     got : object
         The value; of an OSError its reason.

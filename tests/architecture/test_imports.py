@@ -17,6 +17,7 @@ PACKAGE = Path(__file__).resolve().parents[2] / "clsco"
 ORDER = (
     "cache", "constants", "errors", "resources", "records", "scene", "optics", "files", "frame", "inputs", "plan",
     "opencl", "inpainting", "passes", "engine", "reference", "cost", "data", "studio", "cli",
+    "__main__",
 )  # fmt: skip
 # Narrower than the order: what knows OpenCL knows no scenes, and codecs know none either.
 ONLY = {
@@ -126,7 +127,7 @@ def test_the_package_keeps_the_rules() -> None:
 
 def test_the_top_of_the_package_is_small() -> None:
     modules = [path.stem for path in PACKAGE.glob("*.py")]
-    assert len(modules) <= 6
+    assert len(modules) <= 7  # with __main__
     assert {path.parent.name for path in PACKAGE.glob("*/__init__.py")} | set(modules) == {*ORDER, "__init__"}
 
 

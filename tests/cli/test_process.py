@@ -68,3 +68,11 @@ def test_what_an_output_has_no_letters_for_is_printed_as_escapes(encoding: str, 
     process = ended("plan", "\u2603", capture_output=True, encoding=encoding, env=environ)
     assert (process.returncode, process.stdout) == (1, "at the end\n")
     assert process.stderr.startswith(f"error: {snow}: ")
+
+
+def test_the_package_runs_as_the_command() -> None:
+    words = [sys.executable, "-m", "clsco", "--version"]
+    assert subprocess.run(words, check=True, text=True, capture_output=True, timeout=60).stdout.startswith("clsco, ver")
+    words[-1] = "no such command"
+    run = subprocess.run(words, check=False, text=True, capture_output=True, timeout=60)
+    assert (run.returncode, run.stderr.startswith("Usage: clsco ")) == (2, True)

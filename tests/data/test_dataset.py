@@ -8,14 +8,20 @@ import pickle
 import re
 import time
 import tracemalloc
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
+from importlib.util import find_spec
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 import clsco.data
 from clsco.data.record import Record
+from clsco.data.storage import open_storage
 from clsco.errors import ImageError, SceneError
 from tests.data.samples import make_set, record, same
 
@@ -27,7 +33,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_set(tmp_path_factory.mktemp("set") / "data")
 
 
-def numbers(records: clsco.data.Dataset) -> list[int]:
+def numbers(records: Iterable[Record]) -> list[int]:
     return [each.meta["number"] for each in records]
 
 
@@ -63,8 +69,6 @@ def test_splits_and_arrays(folder: Path) -> None:
 def test_what_is_no_set(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(ImageError, match=r"dataset\.json: must be the card of a data set; got No such file"):
         clsco.data.open(tmp_path)
-    with pytest.raises(ImageError, match="must be a folder; got an address"):
-        clsco.data.open("s3://bucket/set")
     with pytest.raises(AttributeError):
         clsco.data.load  # noqa: B018
 
@@ -151,3 +155,96 @@ def test_a_set_prints_as_one_line_and_shows_its_images(folder: Path) -> None:
     opened = clsco.data.open(folder, "train", ("color", "depth"))
     assert repr(opened) == "<Dataset of 7 samples, webdataset: color, depth>"
     assert opened._repr_html_().count("<img") == 4
+
+
+def test_a_record_is_a_mapping_of_its_arrays(folder: Path) -> None:
+    one = clsco.data.open(folder)[0]
+    assert dict(one) == one.arrays
+    assert list(one.keys()) == list(one.arrays)
+    assert ("color" in one, "nothing" in one, one.get("nothing"), len(one)) == (True, False, None, len(one.arrays))
+    assert one != clsco.data.open(folder)[0]
+    assert len({one, one}) == 1
+
+
+def test_functions_are_called_when_records_are_read(folder: Path) -> None:
+    called: list[str] = []
+
+    def depth_of(record: Record) -> Any:
+        called.append(record.key)
+        return record["depth"]
+
+    opened = clsco.data.open(folder)
+    mapped = opened.map(depth_of).map(np.nanmax)
+    assert called == []
+    assert mapped[1:][0] == np.nanmax(opened[1]["depth"])
+    assert called == [opened[1].key]
+    assert (len(mapped), repr(mapped).endswith(", through 2 functions>")) == (len(opened), True)
+    assert "<img" in mapped._repr_html_()
+
+
+def test_an_order_follows_from_seed_and_epoch(folder: Path) -> None:
+    """Samples of a shard lie together, so that it is opened once."""
+    opened = clsco.data.open(folder)
+    orders = [numbers(opened.shuffle(seed, epoch)) for seed, epoch in ((1, 0), (1, 1), (2, 0), (1, 0))]
+    assert all(sorted(order) == sorted(ORDER) for order in orders)
+    assert orders[0] == orders[3]
+    assert len(set(map(tuple, orders))) == 3
+    for order in orders:
+        files = [(number // 4, number % 3 == 2) for number in order]
+        assert sum(one != two for one, two in pairwise(files)) + 1 == len(set(files))
+    assert sorted(numbers(opened[2:5].shuffle(3))) == sorted(ORDER[2:5])
+    assert numbers(opened.shuffle(1)[:3]) == orders[0][:3]
+    assert numbers(pickle.loads(pickle.dumps(opened.shuffle(1)))) == orders[0]
+
+
+@pytest.mark.parametrize("form", ["webdataset", "folders", "zarr"])
+def test_a_set_in_a_store_is_read_by_copies_of_its_shards(
+    form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fsspec = pytest.importorskip("fsspec")
+    monkeypatch.setattr("clsco.data.dataset.MOST_OPEN", 1)
+    memory, folders = fsspec.filesystem("memory"), [make_set(tmp_path / name, form) for name in ("one", "two")]
+    memory.store.clear()
+    memory.pseudo_dirs[:] = [""]
+    for folder in folders:
+        memory.put(str(folder), f"/bucket/{folder.name}", recursive=True)
+    one, two = (clsco.data.open(f"memory://bucket/{name}", arrays="depth") for name in ("one", "two"))
+    local = clsco.data.open(folders[0])
+    for index in (8, 0, 4, 8):
+        assert numbers([one[index], two[index]]) == [ORDER[index]] * 2
+        np.testing.assert_array_equal(one[index]["depth"], local[index]["depth"])
+        copies = list((open_storage("memory://bucket/one").scratch() / "read").glob("*/*/*"))
+        assert len(copies) == 2
+    assert numbers(pickle.loads(pickle.dumps(one))) == ORDER
+    one.close()
+    two.close()
+    assert not list((open_storage("memory://bucket/one").scratch() / "read").glob("*/*/*"))
+    with pytest.raises(ImageError, match=r"dataset\.json: must be the card of a data set; got No such file"):
+        clsco.data.open("memory://bucket/three")
+
+
+def test_tensors(folder: Path) -> None:
+    opened = clsco.data.open(folder)
+    if find_spec("torch") is None:
+        with pytest.raises(ImageError, match="to_torch: needs PyTorch: pip install torch; got no such module"):
+            opened.to_torch()
+        return
+    torch = import_module("torch")
+    first: Any = opened.to_torch()[0]
+    shapes = {name: (tuple(array.shape), array.dtype) for name, array in first.items()}
+    assert shapes["color"] == ((3, 9, 12), torch.float32)
+    assert shapes["depth"] == ((9, 12), torch.float32)
+    assert shapes["flow"] == ((2, 9, 12), torch.float32)
+    assert shapes["mask"] == ((9, 12), torch.bool)
+    assert shapes["object_id"] == ((9, 12), torch.int64)
+    np.testing.assert_array_equal(np.moveaxis(first["color"].numpy(), 0, -1), opened[0].radiance("color"))
+    loader = torch.utils.data.DataLoader(opened.to_torch().shuffle(1), batch_size=3, num_workers=2)
+    assert [tuple(batch["color"].shape) for batch in loader] == [(3, 3, 9, 12)] * 3
+
+
+def test_the_default_collation_of_torch_takes_records(folder: Path) -> None:
+    torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install torch")
+    records = clsco.data.open(folder, arrays=("depth", "mask"))
+    batch = next(iter(torch.utils.data.DataLoader(records, batch_size=2)))
+    assert {name: tuple(array.shape) for name, array in batch.items()} == {"depth": (2, 9, 12), "mask": (2, 9, 12)}
+    np.testing.assert_array_equal(batch["depth"][1].numpy(), records[1]["depth"])
