@@ -3,13 +3,16 @@
 Shutter curves, and lines (rows or columns) that are exposed one after another, change `frame_exposure` alone: all that
 renders, predicts and reports takes times and weights from here. A curve is sampled at the middles of equal shares of
 the exposure, each with the light of its share: with a sample for a px of motion and more that is closer than times at
-equal light.
+equal light. Where keyframes make something jump while the shutter is open, a share ends: before and after it shares are
+equal each.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from math import ceil
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +22,7 @@ from clsco.scene.sequence import CURVES, ShutterCurve
 
 Array = NDArray[np.float64]
 PREDICTED_TIMES = 33  # of the whole sequence at most
+AT_AN_END = 1e-9  # of an exposure: a jump that is as near to its end is there
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +92,14 @@ def frame_exposure(scene: Scene, frame: int, samples: int) -> Exposure:
     sequence = scene.sequence
     if sequence.rolls:
         return _rolling_exposure(scene, frame, samples)
+    span = shutter_span(sequence, frame)
+    if sequence.sampling == "midpoint" and (jumps := jump_times(scene, frame)).size:
+        ends = share_ends((0.0, 1.0), (jumps - span[0]) / sequence.shutter, subframes_of(scene, samples))
+        times = span[0] + 0.5 * sequence.shutter * (ends[1:] + ends[:-1])
+        return Exposure(times, _differences(curve_integral(sequence.shutter_curve, ends)))
+    samples = subframes_of(scene, samples)
     steps = np.arange(samples, dtype=np.float64) + (0.5 if sequence.sampling == "midpoint" else 1.0)
-    times = shutter_span(sequence, frame)[0] + steps * (sequence.shutter / samples)
+    times = span[0] + steps * (sequence.shutter / samples)
     if sequence.shutter_curve == "box":
         return Exposure(times, np.full(samples, 1.0 / samples))
     return Exposure(times, _differences(curve_integral(sequence.shutter_curve, np.linspace(0.0, 1.0, samples + 1))))
@@ -103,20 +113,76 @@ def _rolling_exposure(scene: Scene, frame: int, samples: int) -> Exposure:
     """
     sequence, opens = scene.sequence, line_openings(scene)
     (begins, _), curve, shutter = shutter_span(sequence, frame), sequence.shutter_curve, sequence.shutter
-    count = subframes_of(scene, samples)
+    count, jumps = subframes_of(scene, samples), jump_times(scene, frame) - begins
     if lines_overlap(scene):
-        ends = np.linspace(0.0, sequence.readout + shutter, count + 1)
+        ends = share_ends((0.0, sequence.readout + shutter), jumps, count)
         passed = curve_integral(curve, (ends[:, None] - opens) / shutter)
         passed[-1] = 1.0  # for the last line, whatever rounding is
         weights = _differences(passed)
         return Exposure(begins + 0.5 * (ends[1:] + ends[:-1]), weights, sequence.by_columns)
-    ends = np.linspace(0.0, 1.0, samples + 1)
-    times = (np.sort(opens)[:, None] + 0.5 * shutter * (ends[1:] + ends[:-1])).ravel()
+    count //= len(opens)
+    shares = [(jumps - each) / shutter for each in np.sort(opens)]  # of the exposure of each line
+    ends = np.stack([share_ends((0.0, 1.0), own[(own > 0.0) & (own < 1.0)], count) for own in shares])
+    times = (np.sort(opens)[:, None] + 0.5 * shutter * (ends[:, 1:] + ends[:, :-1])).ravel()
     in_turn = np.eye(len(opens))[np.argsort(opens)]
-    own = _differences(curve_integral(curve, ends))
-    return Exposure(
-        begins + times, np.repeat(in_turn, samples, axis=0) * np.tile(own, len(opens))[:, None], sequence.by_columns
-    )
+    own = _differences(curve_integral(curve, ends).T).T
+    return Exposure(begins + times, np.repeat(in_turn, count, axis=0) * own.reshape(-1, 1), sequence.by_columns)
+
+
+def jump_times(scene: Scene, frame: int) -> Array:
+    """Times (n,) at which keyframes with steps make something jump while a frame's shutter is open, in order, s."""
+    jumps = _all_jumps(scene)
+    if not jumps.size:
+        return jumps
+    begin, end = _inside(scene.sequence, frame)
+    return jumps[(jumps > begin) & (jumps < end)]
+
+
+def _all_jumps(scene: Scene) -> Array:
+    """Times (n,) of all jumps, in order."""
+    moved = (scene.camera.motion, *(each.motion for each in (*scene.groups, *scene.objects)), scene.lens)
+    keys = [each.keyframe or () for each in moved if each is not None and each.interpolation == "step"]
+    return np.unique(np.array([key.time for each in keys for key in each[1:]], dtype=np.float64))
+
+
+def _inside(sequence: Sequence, frame: NDArray[np.int64] | int) -> tuple[Any, Any]:
+    """Times between which a jump is in the exposure of a frame, or of each of several, and not at one of its ends."""
+    begin = frame * sequence.interval + sequence.shutter_start
+    slack = AT_AN_END * (sequence.shutter + sequence.readout)
+    return begin + slack, begin + sequence.shutter + sequence.readout - slack
+
+
+def share_ends(span: tuple[float, float], jumps: Array, count: int) -> Array:
+    """Ends (count + 1,) of the shares of an exposure.
+
+    Parameters
+    ----------
+    span : (float, float)
+        Begin and end of the exposure.
+    jumps : ndarray of float64, (n,)
+        Between these, in order: what is between two of them has equal shares, the longest pieces more of them.
+    count : int
+        More than n.
+
+    Returns
+    -------
+    ndarray of float64
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from clsco.optics.exposure import share_ends
+    >>> share_ends((0.0, 1.0), np.array([0.7]), 4).round(3).tolist()
+    [0.0, 0.233, 0.467, 0.7, 1.0]
+    """
+    if not jumps.size:
+        return np.linspace(*span, count + 1)
+    ends = np.array([span[0], *jumps, span[1]])
+    lengths, counts = np.diff(ends), np.ones(len(ends) - 1, np.intp)
+    for _ in range(count - len(counts)):
+        counts[np.argmax(lengths / counts)] += 1
+    pieces = [np.linspace(*each, int(number) + 1)[:-1] for each, number in zip(pairwise(ends), counts, strict=True)]
+    return np.concatenate([*pieces, ends[-1:]])
 
 
 def lines_overlap(scene: Scene) -> bool:
@@ -125,13 +191,24 @@ def lines_overlap(scene: Scene) -> bool:
 
 
 def subframes_of(scene: Scene, samples: int) -> int:
-    """Number of time samples of a frame, of which each line has about `samples` while it is exposed."""
-    sequence = scene.sequence
+    """Number of time samples of a frame, of which each line has about `samples` while it is exposed: in all frames as
+    many as are one for each part between jumps in any."""
+    sequence, least = scene.sequence, _most_parts(scene)
     if not sequence.rolls:
-        return samples
+        return max(samples, least)
     if not lines_overlap(scene):
-        return samples * frame_lines(scene)
-    return ceil(samples * (1.0 + sequence.readout / sequence.shutter) * (1.0 - 1e-12))
+        return max(samples, least) * frame_lines(scene)
+    return max(ceil(samples * (1.0 + sequence.readout / sequence.shutter) * (1.0 - 1e-12)), least)
+
+
+def _most_parts(scene: Scene) -> int:
+    """Largest number of parts into which jumps divide the exposure of a frame."""
+    jumps = _all_jumps(scene)
+    if not jumps.size or scene.sequence.sampling == "endpoint":
+        return 1
+    begins, ends = _inside(scene.sequence, np.arange(scene.sequence.frames))
+    inside = np.searchsorted(jumps, ends) - np.searchsorted(jumps, begins, side="right")
+    return 1 + int(inside.max())
 
 
 def frame_lines(scene: Scene) -> int:

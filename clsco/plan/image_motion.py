@@ -22,7 +22,7 @@ from math import ceil, isfinite, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.optics.exposure import lines_overlap, shutter_span, subframes_of
+from clsco.optics.exposure import jump_times, lines_overlap, shutter_span, subframes_of
 from clsco.optics.lens import blur_radius, ray_step
 from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import Pose, poses_at, rest_center
@@ -191,7 +191,9 @@ def lens_samples(scene: Scene, maps: Maps) -> int:
     for frame in some_frames(scene):
         times = np.linspace(*shutter_span(scene.sequence, frame), LENS_TIMES)
         radii = np.array([blur_radius(camera_at(scene, time), w[w > 0]) for time in times.tolist()])
-        way = max(way, float(np.abs(np.diff(radii, axis=0)).sum(axis=0).max(initial=0.0)))
+        changes = np.abs(np.diff(radii, axis=0))
+        changes[np.searchsorted(times, jump_times(scene, frame)) - 1] = 0.0  # jumps have time samples of their own
+        way = max(way, float(changes.sum(axis=0).max(initial=0.0)))
     own = scene.sequence.shutter / (scene.sequence.shutter + scene.sequence.readout)
     return min(ceil(way * own / PIXELS_PER_SAMPLE) | 1, MOST_SAMPLES)
 
@@ -223,6 +225,7 @@ def image_paths(scene: Scene, maps: Maps, frame: int, guard: int = 0) -> list[Im
         One for each object, without points where it stands still.
     """
     opens, closes = shutter_span(scene.sequence, frame)
+    jumps = (jump_times(scene, frame) - opens) / (closes - opens)
 
     @cache
     def views(steps: int) -> list[tuple[Camera, tuple[Pose, ...]]]:
@@ -239,6 +242,7 @@ def image_paths(scene: Scene, maps: Maps, frame: int, guard: int = 0) -> list[Im
         steps = FIRST_STEPS
         while True:
             found = _followed(item, body, [(camera, poses[number]) for camera, poses in views(steps)], guard)
+            found.seen[np.searchsorted(found.times, jumps) - 1] = False  # no way, and no time sample is across a jump
             longest = found.longest
             coarse = ImagePath(found.times[::2], found.places[::2], found.seen[::2] | found.seen[1::2]).longest
             if longest <= SETTLED[0] * coarse + SETTLED[1] or steps >= MOST_STEPS:

@@ -7,15 +7,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clsco import ObjectMotion, Scene, Sphere
+from clsco import Camera, Keyframe, ObjectMotion, Scene, Sphere
 from clsco.optics import exposure
 from clsco.optics.exposure import (
     PREDICTED_TIMES,
     Exposure,
     frame_exposure,
+    jump_times,
     line_times,
     middle_time,
     sequence_times,
+    share_ends,
     shutter_span,
     subframes_of,
 )
@@ -213,3 +215,57 @@ def test_an_edge_under_a_rolling_shutter(
     error = np.concatenate(errors)
     assert np.sqrt(np.mean(error**2)) <= rms
     assert np.abs(error).max() <= largest
+
+
+def jumping(*times: float, **sequence: Any) -> Scene:
+    """A ball that jumps at some times, and is where it begins before them."""
+    keys = tuple(Keyframe(time=time, position=(float(k), 0.0, 0.0)) for k, time in enumerate((-1.0, *times)))
+    ball = Sphere(motion=ObjectMotion(keyframe=keys, interpolation="step"))
+    return Scene(camera=Camera(resolution=(8, 12)), objects=(ball,), sequence=Sequence(**sequence))
+
+
+@pytest.mark.parametrize("samples", [1, 2, 5, 8])
+@pytest.mark.parametrize("curve", ["box", "triangle"])
+def test_shares_end_where_something_jumps(samples: int, curve: ShutterCurve) -> None:
+    """Poses before and after a jump have the light of their times, however few samples there are."""
+    wanted = jumping(2.31, 2.9, frames=3, shutter=0.8, shutter_curve=curve)
+    found = frame_exposure(wanted, 2, samples)
+    assert len(found.times) == subframes_of(wanted, samples) == max(samples, 2)
+    assert sum(found.weights.tolist()) == 1.0
+    before = found.weights[found.times < 2.31].sum()
+    assert before == pytest.approx(float(exposure.curve_integral(curve, np.array(0.31 / 0.8))), rel=1e-12)
+    assert (np.diff(found.times) > 0.0).all()
+    # All frames have as many samples, but those without a jump equal shares.
+    plain = frame_exposure(wanted, 1, samples)
+    assert len(plain.times) == len(found.times)
+    np.testing.assert_allclose(np.diff(plain.times), 0.8 / len(plain.times), rtol=1e-12)
+
+
+def test_jumps_at_the_ends_of_an_exposure_are_in_none() -> None:
+    """Frame 2 closes at 0.30000000000000004 s, and frame 3 opens then."""
+    wanted = jumping(0.3, 0.6, frames=9, interval=0.1)
+    assert [jump_times(wanted, frame).size for frame in range(9)] == [0] * 9
+    assert subframes_of(wanted, 1) == 1
+    assert subframes_of(jumping(0.35, 0.36, 0.37, frames=9, interval=0.1), 1) == 4
+    assert subframes_of(jumping(0.35, frames=9, interval=0.1, sampling="endpoint"), 1) == 1
+    assert jump_times(scene_of(Sequence()), 0).size == 0
+
+
+def test_pieces_between_jumps_have_shares_by_their_lengths() -> None:
+    ends = share_ends((0.0, 1.0), np.array([0.1, 0.5]), 10)
+    assert [int(((ends >= low) & (ends < high)).sum()) for low, high in ((0.0, 0.1), (0.1, 0.5), (0.5, 1.0))] == [
+        1,
+        4,
+        5,
+    ]
+    np.testing.assert_array_equal(share_ends((0.0, 1.0), np.array([]), 3), np.linspace(0.0, 1.0, 4))
+
+
+@pytest.mark.parametrize("readout", [0.4, 30.0])
+def test_lines_have_the_light_of_their_own_times_before_a_jump(readout: float) -> None:
+    wanted = jumping(0.31, shutter=0.6, interval=40.0, readout=readout)
+    found, times = frame_exposure(wanted, 0, 3), line_times(wanted, 0)
+    weights = found.of_lines(12)
+    np.testing.assert_allclose(weights.sum(axis=0), 1.0, rtol=0, atol=1e-12)
+    before = (weights * (found.times < 0.31)[:, None]).sum(axis=0)
+    np.testing.assert_allclose(before, np.clip((0.31 - times + 0.3) / 0.6, 0.0, 1.0), rtol=0, atol=1e-12)

@@ -88,6 +88,20 @@ def test_keys_that_must_cover_all_exposures() -> None:
     assert prepare(scene(BALL | {"motion": keys})).plan.moves
 
 
+def test_a_jump_has_the_light_of_the_times_before_and_after() -> None:
+    keys = [{"time": 0.0}, {"time": 0.3, "position": [9.0, 0.0, 0.0]}]
+    jumps = scene(
+        BALL | {"motion": {"keyframe": keys, "interpolation": "step"}}, WALL,
+        sequence={"samples": "auto", "frames": 1, "interval": 1.0},
+    )  # fmt: skip
+    there = scene(BALL | {"motion": {"keyframe": [keys[1]]}}, WALL, sequence={"frames": 1})
+    (frame,), (first,), (then,) = rendered(jumps), rendered(scene(BALL, WALL, sequence={"frames": 1})), rendered(there)
+    assert frame.metadata["samples"] == 2
+    assert np.abs(first.color - then.color).max() > 0.1
+    np.testing.assert_allclose(frame.color, 0.3 * first.color + 0.7 * then.color, rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(frame.object_id, then.object_id)  # in the middle of the exposure
+
+
 def orbit(radius: float, count: int = 12) -> list[dict[str, Any]]:
     """Keys of a circle in a second, from x = 0 away from the camera and back."""
     turns = [2.0 * pi * k / count for k in range(count + 1)]
