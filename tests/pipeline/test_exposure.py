@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -48,6 +49,7 @@ def exposed(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[int], Array]
             times = frame_exposure(scene, frame, samples).times
             return Exposure(times, weights(len(times)))
 
+        import_module("clsco.reference.sequence")  # imported later, it would keep what is changed for this test
         for name, module in list(sys.modules.items()):
             if name.startswith("clsco.") and vars(module).get("frame_exposure") is frame_exposure:
                 monkeypatch.setattr(module, "frame_exposure", changed)
