@@ -15,6 +15,7 @@ import click
 
 from clsco import __version__
 from clsco.cli.dataset import batch, dataset, former_convert
+from clsco.cli.examples import examples
 from clsco.cli.focus import focus_at_option, focus_depth_option, focused_files, parsed_focus
 from clsco.cli.inputs import first_scene, report_inputs, report_loss, report_notes, report_stretched
 from clsco.cli.options import (
@@ -467,6 +468,7 @@ def inpaint(
 
 
 main.add_command(dataset)
+main.add_command(examples)
 main.add_command(batch)
 main.add_command(former_convert)
 main.add_command(psf)

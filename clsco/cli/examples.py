@@ -1,0 +1,77 @@
+"""The command `clsco examples`: example scenes and distributions as files, for users without a checkout."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator, Mapping
+from importlib.resources import as_file
+from pathlib import Path
+from typing import Any
+
+import click
+
+from clsco.cli.options import PATH
+from clsco.cli.output import echo
+from clsco.errors import SceneError
+
+
+@click.command()
+@click.argument("names", metavar="[NAME]...", nargs=-1)
+@click.option("-o", "out", metavar="DIR", type=PATH, help="Folder for copies of these examples, with their images.")
+def examples(names: tuple[str, ...], out: Path | None) -> None:
+    """List the example files, or copy some: scenes for clsco render, and sets/NAME for clsco dataset make."""
+    from clsco.cli.tables import print_tables, table
+    from clsco.resources import folder
+    from clsco.scene.text import shown
+
+    with as_file(folder("examples")) as place:
+        files = {str(path.relative_to(place).with_suffix("")): path for path in sorted(place.rglob("*.toml"))}
+        known = {name: path for name, path in files.items() if not name.startswith("thesis/")}
+        if unknown := [name for name in names if name not in files]:
+            raise SceneError(f"examples: must be some of {', '.join(known)}; got {shown(unknown[0])}")
+        if out is None:
+            wanted = {name: files[name] for name in names} if names else known
+            rows = [(name, _title(path)) for name, path in wanted.items()]
+            print_tables(table("Examples", ("name", "title"), rows))
+            echo("clsco examples NAME... -o DIR: copies of the files")
+            return
+        if not names:
+            raise click.UsageError("-o: needs names of examples; got none")
+        for name in dict.fromkeys(names):
+            for path in (files[name], *_named(files[name])):
+                _copy(path, out / path.name)
+            echo(f"{click.format_filename(out / files[name].name)}: {_title(files[name])}")
+
+
+def _content(path: Path) -> dict[str, Any]:
+    return tomllib.loads(path.read_text("utf-8"))
+
+
+def _title(path: Path) -> str:
+    return str(_content(path).get("title", ""))
+
+
+def _named(path: Path) -> list[Path]:
+    """Files that a file names, beside it."""
+    names = {text for text in _texts(_content(path)) if "/" not in text}
+    return sorted(each for name in names if (each := path.parent / name).is_file())
+
+
+def _texts(value: Any) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, Mapping | list):
+        for entry in value.values() if isinstance(value, Mapping) else value:
+            yield from _texts(entry)
+
+
+def _copy(source: Path, target: Path) -> None:
+    """Copy a file; one that is there must be the same."""
+    from clsco.files.atomic import refuse, whole_file
+
+    data = source.read_bytes()
+    if target.exists() and target.read_bytes() != data:
+        refuse(target, "must not be there, or be the same file", "another one")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(target) as file:
+        file.write(data)

@@ -1,0 +1,47 @@
+"""`clsco examples`: all that is listed can be copied, and is valid where it lies then."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from click.testing import CliRunner, Result
+
+from clsco.cli.main import main
+from clsco.data.distribution import load_distribution
+from clsco.scene.sweep import load_sweeps
+
+ROOT = Path(__file__).resolve().parents[2] / "examples"
+
+
+def examples(*words: object) -> Result:
+    return CliRunner().invoke(main, ["examples", *map(str, words)])
+
+
+def test_all_are_listed_and_copied(tmp_path: Path) -> None:
+    listed = examples().stdout
+    scenes = sorted(path.stem for path in ROOT.glob("*.toml"))
+    sets = sorted(path.stem for path in (ROOT / "sets").glob("*.toml"))
+    assert all(f"{name} " in listed for name in [*scenes, *(f"sets/{name}" for name in sets)])
+    assert "thesis/" not in listed
+    result = examples(*scenes, "thesis/fig_4_10", "-o", tmp_path / "scenes")
+    assert result.exit_code == 0, result.output
+    for _, sweep in load_sweeps(sorted((tmp_path / "scenes").glob("*.toml")), ()):
+        assert not isinstance(sweep, Exception), sweep
+    assert (tmp_path / "scenes" / "depth_map_depth.png").read_bytes() == (ROOT / "depth_map_depth.png").read_bytes()
+    assert examples(*(f"sets/{name}" for name in sets), "-o", tmp_path / "sets").exit_code == 0
+    for name in sets:
+        load_distribution(tmp_path / "sets" / f"{name}.toml")
+
+
+def test_what_cannot_be(tmp_path: Path) -> None:
+    assert examples("sphere", "-o", tmp_path).stdout == f"{tmp_path}/sphere.toml: Sphere\n"
+    assert examples("sphere", "-o", tmp_path).exit_code == 0
+    (tmp_path / "sphere.toml").write_text("other")
+    result = examples("sphere", "-o", tmp_path)
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert result.stderr == f"error: {tmp_path}/sphere.toml: must not be there, or be the same file; got another one\n"
+    assert (tmp_path / "sphere.toml").read_text() == "other"
+    result = examples("nothing", "-o", tmp_path)
+    assert result.exit_code == 1
+    assert result.stderr.startswith("error: examples: must be some of background, bowl")
+    assert examples("-o", tmp_path).exit_code == 2
