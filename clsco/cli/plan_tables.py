@@ -10,6 +10,7 @@ from rich.console import RenderableType
 from clsco.cli.tables import table
 from clsco.cost.cheaper import Setting, cores
 from clsco.cost.predict import Cost, duration
+from clsco.optics.point_spread import exposure_factor
 from clsco.plan.buffers import Sizes
 from clsco.plan.memory import device_bytes
 from clsco.plan.passes import ONCE_A_FRAME, Kind, Pass
@@ -131,11 +132,20 @@ def _figures(plan: Plan) -> list[tuple[str, str]]:
     return [
         ("blur radius |R|", f"{plan.smallest_blur:.2f} to {plan.largest_blur:.2f} px, predicted with a margin"),
         ("guard band", f"{plan.guard_px} px on every side"),
+        *_exposure(plan),
         ("blur method", plan.blur if plan.color else "none, as there is no image"),
         ("memory on the device", memory + (" for each view" if plan.scene.stereo else "")),
         ("strips", _strips(plan)),
         ("predicted work", f"{plan.taps:.3g} weights per frame"),
     ]
+
+
+def _exposure(plan: Plan) -> list[tuple[str, str]]:
+    """The light of the frame, where it goes by the aperture's area."""
+    aperture = plan.scene.aperture
+    if aperture.exposure == "normalized":
+        return []
+    return [("exposure", f"{exposure_factor(aperture, plan.psf):.4g} of the light through an open circle")]
 
 
 def _strips(plan: Plan) -> str:

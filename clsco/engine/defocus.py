@@ -22,7 +22,7 @@ from clsco.inputs.soft_edges import assign_soft_edges
 from clsco.opencl.arrays import check_image, on_host, without_mask
 from clsco.opencl.session import DeviceLike, Session
 from clsco.optics.lens import LARGEST_BLUR
-from clsco.optics.point_spread import PointSpread
+from clsco.optics.point_spread import PointSpread, exposure_factor
 from clsco.passes.blur import Area, Image, Maps, Sources
 from clsco.passes.pack import grid_struct
 from clsco.passes.static_image import GivenImage
@@ -160,11 +160,14 @@ def defocus(
     (True, 1.0)
     """
     asked, how = psf_of(psf).of_images(), _Asked(**options)
-    spread = load_point_spread(asked, aperture_of(how.aperture, asked))
+    aperture = aperture_of(how.aperture, asked)
+    spread = load_point_spread(asked, aperture)
     session, (picture, radii), as_given = on_host(how.device, image=image, blur_radius=blur_radius)
     picture, radii = without_mask("image", picture), without_mask("blur_radius", radii)
     codes = picture.dtype in (np.uint8, np.uint16)
     linear = decode(picture, "srgb").astype(np.float32) if codes else picture
+    if aperture.exposure == "area":
+        linear = linear * np.float32(exposure_factor(aperture, spread))
     given = _checked(linear, radii, how.outside == "mirror" and asked.border == "lose")
     given, soft = _with_hard_edges(given) if how.soft_edges == "assign" else (given, 0)
     with session.reporting():

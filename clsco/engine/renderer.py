@@ -24,6 +24,7 @@ from clsco.opencl.session import Progress, Session
 from clsco.optics.exposure import line_times, middle_time
 from clsco.optics.lens import ray_step
 from clsco.optics.lens_path import camera_at
+from clsco.optics.point_spread import exposure_factor
 from clsco.optics.sensor import camera_word
 from clsco.passes.blur import Events
 from clsco.passes.pack import camera_grid
@@ -173,21 +174,34 @@ class Renderer:
 
     def _metadata(self, film: Film) -> dict[str, Any]:
         device, report, plan = self.session.device, self.prepared.approximation, self.plan
-        return {
-            "frame": film.index,
-            "intermediate": [*film.reports.values()],
-            "samples": len(film.reports),
-            "guard_px": self.plan.guard_px,
-            "strips": len(self.plan.strips),
-            "blur_method": self.plan.blur,
-            "approximation": None if report is None else asdict(report),
-            "bits": self.scene.bits,
-            "f_number": camera_at(plan.scene, middle_time(plan.scene.sequence, film.index)).opening,
-            "device": str(device),
-            "precision": "double" if self.scene.real == "double" else "single",
-            "version": __version__,
-            "seconds": film.seconds(),
-        } | self._line_times(film.index)
+        return (
+            {
+                "frame": film.index,
+                "intermediate": [*film.reports.values()],
+                "samples": len(film.reports),
+                "guard_px": self.plan.guard_px,
+                "strips": len(self.plan.strips),
+                "blur_method": self.plan.blur,
+                "approximation": None if report is None else asdict(report),
+                "bits": self.scene.bits,
+                "f_number": camera_at(plan.scene, middle_time(plan.scene.sequence, film.index)).opening,
+                "device": str(device),
+                "precision": "double" if self.scene.real == "double" else "single",
+                "version": __version__,
+                "seconds": film.seconds(),
+            }
+            | self._exposure()
+            | self._line_times(film.index)
+        )
+
+    def _exposure(self) -> dict[str, Any]:
+        """The light of the frame as a part of that through an open circle, where it goes by the aperture's area."""
+        scene = self.plan.scene
+        return (
+            {}
+            if scene.aperture.exposure == "normalized"
+            else {"exposure": exposure_factor(scene.aperture, self.plan.psf)}
+        )
 
     def _line_times(self, index: int) -> dict[str, Any]:
         """Times of the ground truth of the first and the last line, where lines are exposed in turn."""

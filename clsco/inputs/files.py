@@ -26,13 +26,14 @@ from clsco.inputs.textures import (
     PATTERNS,
     Texture,
     aligned,
+    dimmed,
     load_scene_textures,
     load_texture,
     picture_of,
     radiance_of,
     require_suffix,
 )
-from clsco.optics.point_spread import PointSpread
+from clsco.optics.point_spread import PointSpread, exposure_factor
 from clsco.resources import code_digest
 from clsco.scene.arrays import ArrayInput, Input, LayerInput
 from clsco.scene.model import DepthMap, Scene
@@ -72,14 +73,18 @@ class InputFiles:
         self._digests: dict[str, tuple[tuple[int, ...], str]] = {}
 
     def textures(self, scene: Scene) -> tuple[Texture, ...]:
-        """The textures of all objects in the size of the frame, each with the radiance of its file or pattern.
+        """The textures of all objects in the size of the frame, each with the radiance of its file or pattern, times
+        the light of the aperture.
 
         Raises
         ------
         ImageError
             As `clsco.inputs.textures.load_texture`.
         """
-        return load_scene_textures(scene, self.texture, lambda image: self.about(image).color)[1]
+        found = load_scene_textures(scene, self.texture, lambda image: self.about(image).color)[1]
+        if scene.aperture.exposure == "normalized":
+            return found
+        return dimmed(found, exposure_factor(scene.aperture, self.point_spread(scene)))
 
     def maps(self, scene: Scene) -> Maps:
         """Inverse depth (rows, columns) in 1/mm of every object that is a depth map, None for others.

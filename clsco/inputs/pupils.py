@@ -47,7 +47,7 @@ def load_point_spread(psf: Psf, aperture: Aperture, transfer: str = "srgb", load
     if isinstance(source, str) and not PurePath(source).suffix:
         raise ImageError(f"aperture.image: must be an image file; got {source!r}")
     try:
-        return point_spread(psf, aperture, _pupil(load(source), transfer))
+        return point_spread(psf, aperture, _pupil(load(source), transfer, aperture))
     except ImageError as error:
         raise ImageError(f"aperture.image: {error}") from None
 
@@ -57,7 +57,7 @@ def scene_point_spread(scene: Scene, load: Load = picture_of) -> PointSpread:
     return load_point_spread(scene.psf, scene.aperture, scene.image.transfer, load)
 
 
-def _pupil(picture: Picture, transfer: str) -> Image:
+def _pupil(picture: Picture, transfer: str, aperture: Aperture) -> Image:
     """Pupil of a picture, of at most MOST_CELLS a side."""
     rows, columns = picture.data.shape[:2]
     if rows != columns:
@@ -74,4 +74,4 @@ def _pupil(picture: Picture, transfer: str) -> Image:
     at = (np.arange(side) + 0.5) / side - 0.5
     if not cells[at[:, None] ** 2 + at**2 < 0.25].any():
         raise ImageError("must let light pass inside its circle; got black")
-    return image_pupil(cells)
+    return image_pupil(cells, aperture.rotation, aperture.squeeze)

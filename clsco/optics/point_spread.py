@@ -223,6 +223,20 @@ def point_spread(psf: Psf, aperture: Aperture | None = None, image: Pupil | None
     return PointSpread(image or FORMULAS[aperture.shape](aperture), psf.edge)
 
 
+def exposure_factor(aperture: Aperture, psf: PointSpread) -> float:
+    """Light of a frame through an aperture, as a part of that through the open circle: 1, or by its area.
+
+    Examples
+    --------
+    >>> from clsco.optics.point_spread import exposure_factor, point_spread
+    >>> from clsco.scene.model import Aperture, Psf
+    >>> ring = Aperture(shape="ring", obstruction=0.5, exposure="area")
+    >>> exposure_factor(ring, point_spread(Psf(), ring))
+    0.75
+    """
+    return psf.pupil.light if aperture.exposure == "area" else 1.0
+
+
 def subpixel_offsets(samples: int) -> Array:
     """Positions (samples,) of sub-pixel sources along one axis, in px from the pixel's center."""
     return (np.arange(samples) + 0.5) / samples - 0.5

@@ -36,7 +36,7 @@ EXPOSURE_KEYS = ("samples", "sampling", "shutter", "shutter_curve", "shutter_sta
 MOTION_KEYS = (*(f"sequence.{key}" for key in EXPOSURE_KEYS), "motion.rotation")
 FILL_KEYS = tuple(f"fill.{key}" for key in Fill.model_fields)
 SPREAD_KEYS = ("psf.tilt", "psf.occlusion", "psf.border")  # of light that leaves its pixel
-OPENING_KEYS = tuple(f"aperture.{key}" for key in Aperture.model_fields)
+OPENING_KEYS = tuple(f"aperture.{key}" for key in Aperture.model_fields if key != "exposure")
 POSSIBLE = (
     (STEREO_NAMES, lambda scene: scene.stereo is not None, "there is one view"),
     (MOTION_NAMES, lambda scene: scene.moves, "nothing moves"),

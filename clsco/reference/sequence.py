@@ -13,12 +13,12 @@ from clsco.frame.frame import ALL_TRUTH, MAPPING_NAMES, MOTION_NAMES, Frame
 from clsco.inputs.depth_maps import load_scene_depths
 from clsco.inputs.pupils import scene_point_spread
 from clsco.inputs.textures import Texture as TextureImage
-from clsco.inputs.textures import load_scene_textures
+from clsco.inputs.textures import dimmed, load_scene_textures
 from clsco.optics.depth_truth import MapPoints, map_flow, map_normal, map_occluded, map_stereo
 from clsco.optics.exposure import frame_exposure, middle_time
 from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import Eye, poses_at
-from clsco.optics.point_spread import PointSpread
+from clsco.optics.point_spread import PointSpread, exposure_factor
 from clsco.optics.sensor import camera_word
 from clsco.optics.texture_mapping import texture_map
 from clsco.plan.plan import Plan, make_plan
@@ -59,6 +59,7 @@ def render(scene: Scene, *, subframes: bool = False, frames: Iterable[int] | Non
     scene, loaded = load_scene_textures(scene)
     images = [image for texture in loaded for image in texture.images]
     psf = scene_point_spread(scene)
+    loaded = dimmed(loaded, exposure_factor(scene.aperture, psf))
     channels = max(image.shape[2] if image.ndim == 3 else 1 for image in images)
     textures = tuple(_texture(scene, psf, *pair, channels) for pair in zip(scene.objects, loaded, strict=True))
     maps = load_scene_depths(scene)

@@ -30,7 +30,7 @@ _DISPLACED: tuple[tuple[str, str | None, str], ...] = (
         ("aperture.shape", shape, f"aperture.{key}")
         for key, own in APERTURE_KEYS.items()
         for shape in get_args(ApertureShape)
-        if shape != own
+        if shape not in own
     ),
     ("psf.model", "pillbox", "psf.sigma_ratio"),
     ("psf.model", "pillbox", "psf.truncation"),

@@ -289,8 +289,9 @@ def aperture_of(aperture: ApertureLike, psf: Psf) -> Aperture:
         As `parse_scene`, for other types, and where they do not go together.
     """
     found = _section(Aperture, aperture, "aperture", "shape")
-    if rule := misfit(psf, found):
-        raise SceneError(f"aperture.shape: {rule}; got {found.shape}")
+    if fault := misfit(psf, found):
+        key, rule, value = fault
+        raise SceneError(f"aperture.{key}: {rule}; got {value}")
     return found
 
 

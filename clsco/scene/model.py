@@ -334,8 +334,9 @@ class Scene(Strict):
 
     @model_validator(mode="after")
     def _psf_fits_the_aperture(self) -> Self:
-        if rule := misfit(self.psf, self.aperture):
-            raise at_keys([(("aperture", "shape"), fault(rule), self.aperture.shape)])
+        if found := misfit(self.psf, self.aperture):
+            key, rule, value = found
+            raise at_keys([(("aperture", key), fault(rule), value)])
         return self
 
     @model_validator(mode="after")

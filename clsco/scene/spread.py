@@ -15,32 +15,46 @@ NEEDS_RAYS = '"visibility" needs analytic surfaces, which rays can be cast at; u
 
 
 ApertureShape = Literal["circle", "polygon", "ring", "image"]
-APERTURE_KEYS = {"blades": "polygon", "rotation": "polygon", "obstruction": "ring", "image": "image"}
-"""Keys of [aperture] that belong to one shape."""
+APERTURE_KEYS: dict[str, tuple[ApertureShape, ...]] = {
+    "blades": ("polygon",),
+    "blade_curvature": ("polygon",),
+    "rotation": ("polygon", "image"),
+    "obstruction": ("ring",),
+    "image": ("image",),
+}
+"""Keys of [aperture] that belong to some shapes."""
 
 
 class Aperture(HasInputs, Strict):
-    """Opening of the lens: a circle, or a polygon, ring or image inscribed in it; the light through it is the same."""
+    """Opening of the lens: a circle, or a polygon, ring or image inscribed in it."""
 
     shape: ApertureShape = "circle"
-    """A circle, straight blades, a circle whose middle is covered, or what an image shows."""
+    """A circle, blades, a circle whose middle is covered, or what an image shows."""
     blades: Annotated[int, Within(3, 32)] = 6
     """Number of blades; only with shape = "polygon"."""
-    rotation: Annotated[float, Within(-360.0, 360.0, "deg")] = 0.0
-    """Turn, counter-clockwise in the image of a far light, deg; at 0 an edge faces right; only with
+    blade_curvature: Annotated[float, Within(-1.0, 1.0)] = 0.0
+    """Bulge of the blades: 0 straight, 1 the circle through the corners, negative concave; only with
     shape = "polygon"."""
+    rotation: Annotated[float, Within(-360.0, 360.0, "deg")] = 0.0
+    """Turn, counter-clockwise in the image of a far light, deg; at 0 an edge of a polygon faces right; only with
+    shape = "polygon" or "image"."""
     obstruction: Annotated[float, Within(0.01, 0.99)] = 0.5
     """Radius of what is covered, in radii of the aperture; only with shape = "ring"."""
     image: TextureInput | None = None
     """Square gray image of the transmission, as a far light's blur shows it; the circle in it is the rim of the lens;
     only with shape = "image"."""
+    squeeze: Annotated[float, Within(0.25, 4.0)] = 1.0
+    """Height over width of the blur, as of an anamorphic lens: the height stays."""
+    exposure: Literal["normalized", "area"] = "normalized"
+    """The light through any shape is that of the open circle, or less by its area and transmission."""
 
     @field_validator(*APERTURE_KEYS)
     @classmethod
     def _of_its_shape(cls, value: Any, info: ValidationInfo) -> Any:
-        shape = APERTURE_KEYS[str(info.field_name)]
-        if info.data.get("shape", shape) != shape:
-            raise fault(f'belongs to aperture.shape = "{shape}", not "{info.data["shape"]}"')
+        shapes = APERTURE_KEYS[str(info.field_name)]
+        if info.data.get("shape", shapes[0]) not in shapes:
+            wanted = " or ".join(f'"{shape}"' for shape in shapes)
+            raise fault(f'belongs to aperture.shape = {wanted}, not "{info.data["shape"]}"')
         return value
 
     @model_validator(mode="after")
@@ -96,10 +110,16 @@ class Psf(Strict):
         return self.model_copy(update={"occlusion": "layered"}) if self.occlusion == "visibility" else self
 
 
-def misfit(psf: Psf, aperture: Aperture) -> str | None:
-    """Rule that a PSF and an aperture break together; None if they can be."""
-    if aperture.shape != "circle" and psf.model == "gaussian":
-        return f'"{aperture.shape}" needs psf.model = "pillbox"'
-    if aperture.shape != "circle" and psf.edge == "sampled":
-        return f'"{aperture.shape}" needs psf.edge = "integrated" or "area"'
+def misfit(psf: Psf, aperture: Aperture) -> tuple[str, str, Any] | None:
+    """Key of [aperture], the rule that it and a PSF break together, and its value; None if they go together."""
+    found: list[tuple[str, str, Any]] = []
+    if aperture.shape != "circle":
+        found.append(("shape", f'"{aperture.shape}"', aperture.shape))
+    if aperture.squeeze != 1.0:
+        found.append(("squeeze", "an aperture that is squeezed", aperture.squeeze))
+    for key, about, value in found:
+        if psf.model == "gaussian":
+            return key, f'{about} needs psf.model = "pillbox"', value
+        if psf.edge == "sampled":
+            return key, f'{about} needs psf.edge = "integrated" or "area"', value
     return None

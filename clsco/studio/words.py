@@ -25,7 +25,8 @@ LABELS = {  # words of the thesis
 }  # fmt: skip
 LABELS_AT = {
     "aperture.shape": "Aperture", "aperture.rotation": "Turn of the aperture", "aperture.obstruction": "Covered middle",
-    "aperture.image": "Image of the aperture", "motion.rotation": "Kind of rotation",
+    "aperture.image": "Image of the aperture", "aperture.exposure": "Light through the aperture",
+    "motion.rotation": "Kind of rotation",
     "camera.motion.velocity": "Translation of the camera", "camera.motion.angular_velocity": "Rotation of the camera",
     "camera.shake.rotation_rms": "Shake by turning", "camera.shake.translation_rms": "Shake by moving",
     "camera.shake.band": "Frequencies of the shake", "camera.shake.seed": "Seed of the shake",
@@ -71,6 +72,7 @@ SLIDERS = {  # where useful values are; what is typed may be beyond
     "direction": (-1.0, 1.0), "position": (-100.0, 100.0), "baseline": (0.1, 100.0), "sigma_ratio": (0.1, 2.0),
     "white_electrons": (100.0, 50000.0), "full_well": (100.0, 50000.0), "read_noise": (0.0, 20.0),
     "dark_current": (0.0, 100.0), "prnu": (0.0, 0.05), "dsnu": (0.0, 20.0), "hot_pixels": (0.0, 0.01),
+    "blade_curvature": (-1.0, 1.0), "squeeze": (0.25, 4.0),
     "iso": (50.0, 25600.0), "temperature": (-20.0, 60.0),
 }  # fmt: skip
 POINT = {"x": (-100.0, 100.0), "y": (-100.0, 100.0), "z": (50.0, 1000.0)}

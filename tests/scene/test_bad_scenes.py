@@ -57,13 +57,6 @@ SCENES: list[tuple[str, str]] = [
         "camera.focus_distance = 20.00000001",
         "camera.focus_distance: too close to focal_length = 20 mm: detector beyond 1e+09 mm; got 20.00000001",
     ),
-    (
-        "aperture = {shape = 'ring', blades = 5}",
-        'aperture.blades: belongs to aperture.shape = "polygon", not "ring"; got 5',
-    ),
-    ("aperture.obstruction = 0.5", 'aperture.obstruction: belongs to aperture.shape = "ring", not "circle"; got 0.5'),
-    ("aperture = {shape = 'ring', obstruction = 1}", "aperture.obstruction: must be between 0.01 and 0.99; got 1"),
-    ("aperture.shape = 'image'", 'aperture.image: is needed by aperture.shape = "image"; got none'),
     ("camera.aperture_diameter = 0.0", "camera.aperture_diameter: must be greater than 0 mm; got 0.0"),
     ("camera.sensor_distance = -21.739", "camera.sensor_distance: must be greater than 0 mm; got -21.739"),
     (

@@ -28,6 +28,10 @@ class Circle(Pupil):
         return "circle"
 
     @property
+    def light(self) -> float:
+        return 1.0
+
+    @property
     def second_moment(self) -> float:
         return 0.25
 

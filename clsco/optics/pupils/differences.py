@@ -11,6 +11,7 @@ from clsco.optics.pupils.pupil import Array
 
 # px: weights of smaller radii follow from those of this one, where differences are exact to 1e-14.
 SMALL = 0.25
+ROUNDING = 1e-14  # of an integral over all of a pupil: a share that is less than that of it is none
 SMALL_POINT = 1e-2  # px: a smaller source within a pixel is a point; pixel edges are at least 1 / 32 px away
 
 
@@ -32,6 +33,26 @@ def share_at(share: Callable[[Array, Array, Array], Array], dx: Array, dy: Array
     return found
 
 
+def corner_share(
+    running_integral: Callable[[Array, Array, Array], Array], dx: Array, dy: Array, radius: Array, tent: bool,
+    extent: float = 1.0,
+) -> Array:  # fmt: skip
+    """Shares in pixels at any (dx, dy) px, from the integral of `grid_share` at the corners of each.
+
+    extent: of the blur of R = 1 px; beyond it there is nothing but rounding. A negative radius mirrors the pupil in its
+    center.
+    """
+    turn, size = np.where(radius < 0.0, -1.0, 1.0), np.abs(radius)
+    steps = ((-1.0, 1.0), (0.0, -2.0), (1.0, 1.0)) if tent else ((-0.5, -1.0), (0.5, 1.0))
+    found = np.zeros(dx.shape)
+    for y, factor_y in steps:
+        for x, factor_x in steps:
+            found += factor_x * factor_y * running_integral(size, turn * dx + x, turn * dy + y)
+    far = size * extent + 1.0
+    beyond = np.maximum(np.abs(dx), np.abs(dy)) >= far
+    return np.where(beyond | (found < ROUNDING * far * far), 0.0, found)
+
+
 def grid_share(
     running_integral: Callable[[Array, Array, Array], Array], radii: Array, dx: Array, dy: Array, tent: bool
 ) -> Array:
@@ -45,7 +66,8 @@ def grid_share(
     at, part = _held(radii[:, None, None], tent)
     x, y = (axis[0] - half + np.arange(len(axis) + order) for axis in (dx, dy))
     whole = running_integral(at, x[None, None, :], y[None, :, None])
-    share = np.maximum(np.diff(np.diff(whole, order, axis=1), order, axis=2), 0.0)
+    share = np.diff(np.diff(whole, order, axis=1), order, axis=2)
+    share = np.where(share < ROUNDING * whole.max(axis=(1, 2), keepdims=True), 0.0, share)
     if tent:
         sums = share.sum(axis=1, keepdims=True), share.sum(axis=2, keepdims=True)
         share = np.where(part < 1.0, _shrunk(share, *sums, 1.0 * (dx == 0), 1.0 * (dy == 0)[:, None], part), share)

@@ -50,6 +50,12 @@ class Gaussian(Pupil):
         return "gaussian"
 
     @property
+    def light(self) -> float:
+        """Its own, whatever part of it is beyond the circle; 1 for sigma = sqrt(1 / 2), but for the cut."""
+        tail = exp(-0.5 * self.cut * self.cut)
+        return 2.0 * self.sigma**2 * (1.0 - tail if self.round else erf(self.cut / sqrt(2.0)) ** 2)
+
+    @property
     def second_moment(self) -> float:
         tail = exp(-0.5 * self.cut * self.cut)
         if self.round:

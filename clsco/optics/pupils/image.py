@@ -11,10 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.optics.pupils.circle import disc_coverage
-from clsco.optics.pupils.differences import grid_share, share_at
-from clsco.optics.pupils.pupil import Array, Pupil
+from clsco.optics.pupils.differences import corner_share, grid_share, share_at
+from clsco.optics.pupils.ellipse import Ellipse
+from clsco.optics.pupils.pupil import Array, Edges, Pupil
 
 MOST_CELLS = 512  # a side
+TURNED_PARTS = 4  # of a cell, a side, of an image that is turned
 KEPT = 4  # pupils, whose sums are kept
 
 
@@ -30,17 +32,34 @@ class Image(Pupil):
         Digest of the cells, which tells pupils apart in reports and files.
     data : bytes
         float32, row after row, row 0 on top.
+    squeeze : float
+        Height over width of the blur.
     """
 
     count: int
     digest: str
     data: bytes = field(repr=False)
+    squeeze: float = 1.0
 
     symmetry = "none"
 
     @property
     def name(self) -> str:
-        return f"image of {self.count} x {self.count}"
+        image = f"image of {self.count} x {self.count}"
+        return image if self.squeeze == 1.0 else f"{image}, squeezed {self.squeeze:g} times"
+
+    @property
+    def extent(self) -> float:
+        return max(1.0, 1.0 / self.squeeze)
+
+    @property
+    def edges(self) -> Edges:
+        """None of a circle's rim; of an ellipse's those that stand for it."""
+        return () if self.squeeze == 1.0 else Ellipse(self.squeeze).edges
+
+    @property
+    def light(self) -> float:
+        return float(self.image.mean()) * 4.0 / (np.pi * self.squeeze)
 
     @property
     def image(self) -> Array:
@@ -51,45 +70,36 @@ class Image(Pupil):
     def second_moment(self) -> float:
         cells, size = self.image, 2.0 / self.count
         at = (np.arange(self.count) + 0.5) * size - 1.0
-        along_x, along_y = cells.sum(axis=0) @ (at * at), cells.sum(axis=1) @ (at * at)
-        return float(0.5 * (along_x + along_y) / cells.sum() + size * size / 12.0)
+        along_x, along_y = (float(cells.sum(axis=k) @ (at * at) / cells.sum()) + size * size / 12.0 for k in (0, 1))
+        return 0.5 * (along_x / self.squeeze**2 + along_y)
 
     def transmission(self, x: Array, y: Array) -> Array:
-        column, row = (np.floor(0.5 * self.count * (v + 1.0)).astype(np.int64) for v in np.broadcast_arrays(x, y))
+        places = np.broadcast_arrays(x * self.squeeze, y)
+        column, row = (np.floor(0.5 * self.count * (v + 1.0)).astype(np.int64) for v in places)
         inside = (np.minimum(row, column) >= 0) & (np.maximum(row, column) < self.count)
         return np.where(inside, self.image[np.where(inside, row, 0), np.where(inside, column, 0)], 0.0)
 
     def share(self, dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
-        return share_at(partial(self._share, tent=tent), dx, dy, radius, tent)
+        running = partial(self._running_integral, tent=tent)
+        return share_at(partial(corner_share, running, tent=tent, extent=self.extent), dx, dy, radius, tent)
 
     def rows(self, radii: Array, dx: Array, dy: Array, tent: bool) -> Array:
         return grid_share(partial(self._running_integral, tent=tent), radii, dx, dy, tent)
 
-    def _share(self, dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
-        turn = np.where(radius < 0.0, -1.0, 1.0)  # a negative radius mirrors the image in its center
-        steps = ((-1.0, 1.0), (0.0, -2.0), (1.0, 1.0)) if tent else ((-0.5, -1.0), (0.5, 1.0))
-        found = np.zeros(dx.shape)
-        for y, factor_y in steps:
-            for x, factor_x in steps:
-                corner = self._running_integral(np.abs(radius), turn * dx + x, turn * dy + y, tent)
-                found += factor_x * factor_y * corner
-        beyond = np.maximum(np.abs(dx), np.abs(dy)) >= np.abs(radius) + 1.0  # where there is nothing but rounding
-        return np.where(beyond, 0.0, np.maximum(found, 0.0))
-
     def _running_integral(self, radius: Array, x: Array, y: Array, tent: bool) -> Array:
         """Integral for `grid_share`: a polynomial in each cell, from the sums over all cells left of and above it."""
-        scale = 0.5 * self.count / radius  # cells per px
-        column, across = _cell(0.5 * self.count + x * scale, self.count)
+        scale = 0.5 * self.count / radius  # cells per px, down
+        column, across = _cell(0.5 * self.count + x * (scale * self.squeeze), self.count)
         row, down = _cell(0.5 * self.count + y * scale, self.count)
         order = 2 if tent else 1
         sums, found = _running_sums(self), np.zeros(np.broadcast_shapes(row.shape, column.shape, scale.shape))
         for i, factor_y in enumerate(_powers(down, order)):
             for j, factor_x in enumerate(_powers(across, order)):
                 found += sums[i][j][row, column] * (factor_y * factor_x)
-        return np.asarray(found / (sums[1][1][-1, -1] * (scale * scale if tent else 1.0)))
+        return np.asarray(found / (sums[1][1][-1, -1] * (scale * scale * self.squeeze if tent else 1.0)))
 
 
-def image_pupil(picture: Array) -> Image:
+def image_pupil(picture: Array, rotation: float = 0.0, squeeze: float = 1.0) -> Image:
     """Pupil of a picture, whose inscribed circle is the rim of the lens.
 
     Parameters
@@ -97,6 +107,10 @@ def image_pupil(picture: Array) -> Image:
     picture : ndarray (n, n)
         Transmission, at least 0 and somewhere in the circle more; row 0 on top. It stands as the blur of a far light
         shows it. n at most MOST_CELLS.
+    rotation : float
+        deg that it is turned by before, counter-clockwise.
+    squeeze : float
+        Height over width of the blur.
 
     Returns
     -------
@@ -112,12 +126,28 @@ def image_pupil(picture: Array) -> Image:
     >>> image_pupil(half).name
     'image of 64 x 64'
     """
-    count = len(picture)
+    picture, count = turned(picture, rotation), len(picture)
     at = np.arange(float(count)) + 0.5 - 0.5 * count
     inside = disc_coverage(at[None, :], at[:, None], np.asarray(0.5 * count), tent=False)
     cells = (picture * inside / (picture * inside).max()).astype(np.float32)
     data = cells.tobytes()
-    return Image(count, hashlib.sha256(data).hexdigest()[:16], data)
+    return Image(count, hashlib.sha256(data).hexdigest()[:16], data, squeeze)
+
+
+def turned(picture: Array, rotation: float) -> Array:
+    """Square picture (n, n) turned around its middle by so many degrees, counter-clockwise; exactly by right angles,
+    else each cell is the mean of TURNED_PARTS^2 places, and beyond the picture it is dark."""
+    quarters = rotation / 90.0
+    if quarters.is_integer():
+        return np.rot90(picture, int(quarters))
+    count, angle = len(picture), np.deg2rad(rotation)
+    at = (np.arange(float(count * TURNED_PARTS)) + 0.5) / TURNED_PARTS - 0.5 * count
+    right = np.cos(angle) * at[None, :] - np.sin(angle) * at[:, None]
+    down = np.sin(angle) * at[None, :] + np.cos(angle) * at[:, None]
+    row, column = (np.floor(v + 0.5 * count).astype(np.int64) for v in (down, right))
+    inside = (np.minimum(row, column) >= 0) & (np.maximum(row, column) < count)
+    found = np.where(inside, picture[np.where(inside, row, 0), np.where(inside, column, 0)], 0.0)
+    return np.asarray(found.reshape(count, TURNED_PARTS, count, TURNED_PARTS).mean(axis=(1, 3)))
 
 
 def _cell(at: Array, count: int) -> tuple[NDArray[np.int64], Array]:

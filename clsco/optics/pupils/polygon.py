@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, partial
-from math import cos, pi
+from math import cos, pi, sin
 
 import numpy as np
 
@@ -27,6 +27,8 @@ class Polygon(Pupil):
         Number of edges.
     rotation : float
         deg, counter-clockwise in the image; at 0 an edge faces to the right.
+    squeeze : float
+        Height over width of the blur: x of the corners is divided by it.
 
     Examples
     --------
@@ -38,26 +40,38 @@ class Polygon(Pupil):
 
     blades: int = 6
     rotation: float = 0.0
+    squeeze: float = 1.0
 
     symmetry = "none"
     uniform = True
 
     @property
     def name(self) -> str:
-        return f"{self.blades} blades"
+        return f"{self.blades} blades" + ("" if self.squeeze == 1.0 else f", squeezed {self.squeeze:g} times")
+
+    @property
+    def extent(self) -> float:
+        return max(1.0, 1.0 / self.squeeze)
+
+    @property
+    def light(self) -> float:
+        return self.blades * sin(2.0 * pi / self.blades) / (2.0 * pi * self.squeeze)
 
     @property
     def second_moment(self) -> float:
-        return (2.0 + cos(2.0 * pi / self.blades)) / 12.0
+        """Closed form, for either axis the same before it is squeezed."""
+        return (2.0 + cos(2.0 * pi / self.blades)) / 12.0 * 0.5 * (1.0 + self.squeeze**-2)
 
     @cached_property
     def edges(self) -> Edges:
-        return tuple((float(x), float(y), float(distance)) for x, y, distance in lens_mask(self.blades, self.rotation))
+        mask = lens_mask(self.blades, self.rotation) * (self.squeeze, 1.0, 1.0)
+        mask /= np.hypot(mask[:, 0], mask[:, 1])[:, None] if self.squeeze != 1.0 else 1.0
+        return tuple((float(x), float(y), float(distance)) for x, y, distance in mask)
 
     @cached_property
     def corners(self) -> Array:
         """Corners (blades, 2), each at the end of its edge."""
-        return vertices(self.blades, self.rotation)
+        return vertices(self.blades, self.rotation) / (self.squeeze, 1.0)
 
     def transmission(self, x: Array, y: Array) -> Array:
         inside = [nx * x + ny * y <= distance for nx, ny, distance in self.edges]

@@ -62,6 +62,11 @@ class Pupil(ABC):
 
     @property
     @abstractmethod
+    def light(self) -> float:
+        """Light that passes, as a part of what an open circle of radius 1 lets through."""
+
+    @property
+    @abstractmethod
     def second_moment(self) -> float:
         """Mean of l_x^2 and l_y^2 over the light that passes."""
 

@@ -34,6 +34,10 @@ class Ring(Pupil):
         return f"ring, {self.obstruction:g} covered"
 
     @property
+    def light(self) -> float:
+        return 1.0 - self.obstruction**2
+
+    @property
     def second_moment(self) -> float:
         return 0.25 * (1.0 + self.obstruction**2)
 

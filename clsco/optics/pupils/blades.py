@@ -1,0 +1,73 @@
+"""Pupil of curved blades: arcs through neighboring corners of a polygon (float64, pure)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import ceil, cos, pi
+
+from clsco.optics.pupils.outline import Arc, Outline, bulging
+from clsco.optics.pupils.polygon import vertices
+
+FACETS = 16  # straight edges, at least, that stand for all blades in visibility tests
+
+
+@dataclass(frozen=True)
+class CurvedPolygon(Outline):
+    """Opening of curved blades, with corners on the unit circle.
+
+    Attributes
+    ----------
+    blades : int
+        Number of arcs.
+    rotation : float
+        deg, counter-clockwise in the image; at 0 an arc faces to the right.
+    curvature : float
+        Height of an arc over its chord, as a part of that of the unit circle: near 0 straight, 1 the circle, negative
+        concave.
+    squeeze : float
+        Height over width of the blur.
+
+    Examples
+    --------
+    >>> from clsco.optics.pupils.blades import CurvedPolygon
+    >>> [round(CurvedPolygon(6, 0.0, curvature).light, 4) for curvature in (-1.0, 0.0, 0.5, 1.0)]
+    [0.654, 0.827, 0.9126, 1.0]
+    """
+
+    blades: int
+    rotation: float
+    curvature: float
+    squeeze: float = 1.0
+
+    @property
+    def label(self) -> str:
+        return f"{self.blades} blades, curved by {self.curvature:g}"
+
+    @cached_property
+    def _blades(self) -> list[list[Arc]]:
+        corners = [(float(x), float(y)) for x, y in vertices(self.blades, self.rotation)]
+        sagitta = self.curvature * (1.0 - cos(pi / self.blades))
+        return [bulging(corners[k - 1], corners[k], sagitta) for k in range(self.blades)]
+
+    @cached_property
+    def arcs(self) -> tuple[Arc, ...]:
+        return tuple(each for blade in self._blades for each in blade)
+
+    @cached_property
+    def corners(self) -> tuple[tuple[float, float], ...]:
+        if self.curvature <= 0.0:
+            return tuple(blade[0].start for blade in self._blades)
+        return tuple(place for blade in self._blades for place in _tangents(blade, ceil(FACETS / self.blades)))
+
+
+def _tangents(blade: list[Arc], parts: int) -> list[tuple[float, float]]:
+    """Corners of tangents to a convex arc in the middle of each of so many parts, from its start to before its end."""
+    (x, y), radius, first, last = blade[0].center, blade[0].radius, blade[0].angles[0], blade[-1].angles[1]
+    if not radius:
+        return [blade[0].start]
+    step = (last - first) / parts
+    out = radius / cos(0.5 * step)
+    angles = [first + (k + 0.5) * step for k in range(parts)]
+    corners = [angle + 0.5 * step for angle in angles[:-1]]
+    return [blade[0].start, *((x + out * cos(angle), y + out * cos(angle - 0.5 * pi)) for angle in corners)]

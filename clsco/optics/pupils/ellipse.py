@@ -1,0 +1,47 @@
+"""Elliptic pupil, as an anamorphic lens has it, open or covered in the middle (float64, pure)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import cos, pi, sin
+
+from clsco.optics.pupils.outline import Arc, Outline, arc
+
+FACETS = 16  # straight edges that stand for the ellipse in visibility tests
+
+
+@dataclass(frozen=True)
+class Ellipse(Outline):
+    """Ellipse as high as the unit circle.
+
+    Attributes
+    ----------
+    squeeze : float
+        Height over width.
+    obstruction : float
+        Part of it that is covered in the middle, 0 for none.
+
+    Examples
+    --------
+    >>> from clsco.optics.pupils.ellipse import Ellipse
+    >>> Ellipse(2.0).name, round(Ellipse(2.0).light, 12)
+    ('circle, squeezed 2 times', 0.5)
+    """
+
+    squeeze: float
+    obstruction: float = 0.0
+
+    @property
+    def label(self) -> str:
+        return f"ring, {self.obstruction:g} covered" if self.obstruction else "circle"
+
+    @cached_property
+    def arcs(self) -> tuple[Arc, ...]:
+        hole = arc((0.0, 0.0), self.obstruction, 2.0 * pi, 0.0) if self.obstruction else []
+        return (*arc((0.0, 0.0), 1.0, 0.0, 2.0 * pi), *hole)
+
+    @cached_property
+    def corners(self) -> tuple[tuple[float, float], ...]:
+        out, angles = 1.0 / cos(pi / FACETS), [2.0 * pi * (k + 0.5) / FACETS for k in range(FACETS)]
+        return tuple((out * cos(angle), out * sin(angle)) for angle in angles)

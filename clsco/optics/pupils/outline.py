@@ -1,0 +1,227 @@
+"""Base of pupils that have an outline of straight edges and arcs: areas by Green's theorem along them (float64, pure).
+
+Axes of an image: x to the right, y down. A negative blur radius mirrors the outline in its center.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from itertools import pairwise
+from math import atan2, ceil, cos, floor, hypot, pi, sin
+
+import numpy as np
+
+from clsco.optics.pupils.differences import corner_share, grid_share, share_at
+from clsco.optics.pupils.pupil import Array, Edges, Pupil
+
+_NODES, _WEIGHTS = (0.5 * v for v in np.polynomial.legendre.leggauss(8))
+NODES, WEIGHTS = _NODES + 0.5, _WEIGHTS  # on [0, 1]; along arcs of LONGEST_ARC, cubics of both places to 1e-14
+LONGEST_ARC = pi / 4.0
+STRAIGHT = 1e-6  # arcs of a smaller angle are straight
+
+
+@dataclass(frozen=True)
+class Arc:
+    """Part of an outline that neither turns back along x nor along y, and is walked with the inside on one side.
+
+    Attributes
+    ----------
+    start, end : tuple of float
+        Ends, in aperture radii.
+    center : tuple of float
+        Center of the circle; unused where `radius` is 0.
+    radius : float
+        Its radius, 0 for a straight edge.
+    angles : tuple of float
+        Angles of the ends as seen from the center, from x towards y; within one quadrant.
+    """
+
+    start: tuple[float, float]
+    end: tuple[float, float]
+    center: tuple[float, float] = (0.0, 0.0)
+    radius: float = 0.0
+    angles: tuple[float, float] = (0.0, 0.0)
+
+    def at(self, t: Array) -> tuple[Array, Array]:
+        """Places (x, y) at t, from 0 at the start to 1 at the end."""
+        if not self.radius:
+            (x0, y0), (x1, y1) = self.start, self.end
+            return x0 + t * (x1 - x0), y0 + t * (y1 - y0)
+        angle = self.angles[0] + t * (self.angles[1] - self.angles[0])
+        return self.center[0] + self.radius * np.cos(angle), self.center[1] + self.radius * np.sin(angle)
+
+    def slope(self, t: Array) -> tuple[Array, Array]:
+        """Changes of x and y by t."""
+        if not self.radius:
+            return np.full_like(t, self.end[0] - self.start[0]), np.full_like(t, self.end[1] - self.start[1])
+        first, last = self.angles
+        angle, size = first + t * (last - first), self.radius * (last - first)
+        return -size * np.sin(angle), size * np.cos(angle)
+
+    def until(self, axis: int, limit: Array) -> tuple[Array, Array]:
+        """Bounds of t between which the place along an axis (0: x) is below a limit."""
+        low, high = self.start[axis], self.end[axis]
+        if low == high:
+            return np.where(low < limit, 0.0, 1.0), np.ones_like(limit)
+        crossing = self._crossing(axis, limit) if self.radius else (limit - low) / (high - low)
+        crossing = np.clip(crossing, 0.0, 1.0)
+        return (np.zeros_like(limit), crossing) if high > low else (crossing, np.ones_like(limit))
+
+    def _crossing(self, axis: int, limit: Array) -> Array:
+        first, last = self.angles
+        turn, quadrant = divmod(floor((first + last) / pi), 4)
+        ratio = np.clip((limit - self.center[axis]) / self.radius, -1.0, 1.0)
+        if axis == 0:
+            angle = np.arccos(ratio) if quadrant < 2 else 2.0 * pi - np.arccos(ratio)
+        else:
+            angle = pi - np.arcsin(ratio) if quadrant in (1, 2) else np.arcsin(ratio) + (2.0 * pi if quadrant else 0.0)
+        return np.asarray((angle + 2.0 * pi * turn - first) / (last - first))
+
+
+def edge(start: tuple[float, float], end: tuple[float, float]) -> list[Arc]:
+    """Straight edge."""
+    return [Arc(start, end)]
+
+
+def arc(center: tuple[float, float], radius: float, first: float, last: float) -> list[Arc]:
+    """Arc of a circle from one angle to another, in parts that do not turn back and are no longer than LONGEST_ARC."""
+    low, high = min(first, last), max(first, last)
+    quarters = [k * pi / 2.0 for k in range(ceil(low / (pi / 2.0)), floor(high / (pi / 2.0)) + 1)]
+    stops = [low, *(q for q in quarters if low + STRAIGHT < q < high - STRAIGHT), high]
+    parts = []
+    for begin, end in pairwise(stops):
+        parts += np.linspace(begin, end, ceil((end - begin) / LONGEST_ARC) + 1)[:-1].tolist()
+    angles = [*parts, high] if first <= last else [*parts, high][::-1]
+    places = [(center[0] + radius * cos(angle), center[1] + radius * sin(angle)) for angle in angles]
+    ends = zip(pairwise(places), pairwise(angles), strict=True)
+    return [Arc(start, end, center, radius, turns) for (start, end), turns in ends]
+
+
+def bulging(start: tuple[float, float], end: tuple[float, float], sagitta: float) -> list[Arc]:
+    """Arc between two places, `sagitta` from their chord at most, away from the origin where it is positive."""
+    half = 0.5 * hypot(end[0] - start[0], end[1] - start[1])
+    if abs(sagitta) < STRAIGHT * half:
+        return edge(start, end)
+    middle = 0.5 * (start[0] + end[0]), 0.5 * (start[1] + end[1])
+    away = hypot(*middle)
+    radius = (half * half + sagitta * sagitta) / (2.0 * abs(sagitta))
+    shift = sagitta - radius if sagitta > 0.0 else sagitta + radius
+    center = middle[0] * (1.0 + shift / away), middle[1] * (1.0 + shift / away)
+    first, last = (atan2(y - center[1], x - center[0]) for x, y in (start, end))
+    last += 2.0 * pi * round((first - last) / (2.0 * pi))
+    return arc(center, radius, first, last)
+
+
+class Outline(Pupil):
+    """Opening with an outline of arcs, all of it open inside, and narrower or wider by a squeeze.
+
+    Attributes
+    ----------
+    squeeze : float
+        Height over width: x of the outline is divided by it.
+    """
+
+    squeeze: float
+
+    symmetry = "none"
+
+    @property
+    @abstractmethod
+    def label(self) -> str:
+        """Name without the squeeze."""
+
+    @cached_property
+    @abstractmethod
+    def arcs(self) -> tuple[Arc, ...]:
+        """Closed outlines, with the inside on the same side of each: holes are walked the other way."""
+
+    @cached_property
+    @abstractmethod
+    def corners(self) -> tuple[tuple[float, float], ...]:
+        """Corners of a convex polygon around the outline, which stands for it in visibility tests."""
+
+    @property
+    def name(self) -> str:
+        return self.label if self.squeeze == 1.0 else f"{self.label}, squeezed {self.squeeze:g} times"
+
+    @property
+    def extent(self) -> float:
+        return max(1.0, 1.0 / self.squeeze)
+
+    @cached_property
+    def edges(self) -> Edges:
+        return edges_of([(x / self.squeeze, y) for x, y in self.corners])
+
+    @cached_property
+    def area(self) -> float:
+        """Area of the outline that is not squeezed; negative where it is walked with the inside on the right."""
+        return float(sum((WEIGHTS * x * dy).sum() for x, _, _, dy in self._walked()))
+
+    @property
+    def light(self) -> float:
+        return abs(self.area) / (pi * self.squeeze)
+
+    @property
+    def second_moment(self) -> float:
+        along_x = sum((WEIGHTS * x**3 * dy).sum() for x, _, _, dy in self._walked()) / 3.0
+        along_y = -sum((WEIGHTS * y**3 * dx).sum() for _, y, dx, _ in self._walked()) / 3.0
+        return float(0.5 * (along_x / self.squeeze**2 + along_y) / self.area)
+
+    def _walked(self) -> Iterable[tuple[Array, Array, Array, Array]]:
+        """Places x, y at the nodes of each arc, and their changes."""
+        for each in self.arcs:
+            yield *each.at(NODES), *each.slope(NODES)
+
+    def transmission(self, x: Array, y: Array) -> Array:
+        """By how often outlines are to the left."""
+        x, y = np.broadcast_arrays(np.asarray(x, np.float64) * self.squeeze, np.asarray(y, np.float64))
+        inside = np.zeros(x.shape, bool)
+        for each in self.arcs:
+            low, high = sorted((each.start[1], each.end[1]))
+            if low == high:
+                continue
+            first, last = each.until(1, y)
+            at = last if each.end[1] > each.start[1] else first
+            inside ^= (y > low) & (y <= high) & (each.at(at)[0] < x)
+        return inside.astype(np.float64)
+
+    def share(self, dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
+        running = partial(self._running_integral, tent=tent)
+        return share_at(partial(corner_share, running, tent=tent, extent=self.extent), dx, dy, radius, tent)
+
+    def rows(self, radii: Array, dx: Array, dy: Array, tent: bool) -> Array:
+        return grid_share(partial(self._running_integral, tent=tent), radii, dx, dy, tent)
+
+    def _running_integral(self, radius: Array, x: Array, y: Array, tent: bool) -> Array:
+        """Integral for `grid_share`, along all arcs: of (x - u)^2 (y - v) / 2 for the tent, else of x - u, by dv."""
+        x, y = x * self.squeeze / radius, y / radius
+        total = np.zeros(np.broadcast_shapes(x.shape, y.shape))
+        for each in self.arcs:
+            if each.start[1] == each.end[1]:
+                continue
+            (first_x, last_x), (first_y, last_y) = each.until(0, x), each.until(1, y)
+            first = np.maximum(first_x, first_y)
+            length = np.maximum(np.minimum(last_x, last_y) - first, 0.0)
+            found = np.zeros_like(total)
+            for node, weight in zip(NODES, WEIGHTS, strict=True):
+                t = first + node * length
+                (u, v), (_, change) = each.at(t), each.slope(t)
+                left = x - u
+                found += (weight * change) * (0.5 * left * left * (y - v) if tent else left)
+            total -= found * length
+        scale = radius * radius / self.squeeze if tent else 1.0
+        return np.asarray(total / self.area * scale)
+
+
+def edges_of(corners: Sequence[tuple[float, float]]) -> Edges:
+    """Edges (x, y, distance) of a convex polygon around the origin, with normals of length 1."""
+    found = []
+    for (x0, y0), (x1, y1) in zip(corners, [*corners[1:], *corners[:1]], strict=True):
+        length = hypot(x1 - x0, y1 - y0)
+        nx, ny = (y1 - y0) / length, (x0 - x1) / length
+        distance = nx * x0 + ny * y0
+        found.append((nx, ny, distance) if distance > 0.0 else (-nx, -ny, -distance))
+    return tuple(found)

@@ -1,0 +1,153 @@
+"""Weights of curved blades, ellipses and squeezed openings: light, moments, orientation, and areas by brute force."""
+
+from __future__ import annotations
+
+from math import ceil, cos, pi, sin, tau
+from typing import Any
+
+import numpy as np
+import pytest
+
+from clsco.optics.point_spread import PointSpread, point_spread
+from clsco.optics.psf_grid import table_coordinate
+from clsco.optics.psf_tables import psf_table, table_bytes
+from clsco.optics.pupils.image import image_pupil, turned
+from clsco.scene.model import Aperture, Psf
+from tests.optics.test_point_spread import Array
+
+CURVED: dict[str, Any] = {"shape": "polygon", "blades": 5, "rotation": 11.0}
+OPENINGS: dict[str, dict[str, Any]] = {
+    "bulging": CURVED | {"blade_curvature": 0.6},
+    "concave": CURVED | {"blade_curvature": -0.7},
+    "bulging, narrow": CURVED | {"blade_curvature": 0.4, "squeeze": 1.9},
+    "pentagon, wide": CURVED | {"squeeze": 0.6},
+    "ellipse": {"squeeze": 2.5},
+    "flat ellipse": {"squeeze": 0.5},
+    "elliptic ring": {"shape": "ring", "obstruction": 0.4, "squeeze": 1.5},
+    "heart, narrow": {"shape": "image", "squeeze": 1.6},
+}
+
+
+def opening(name: str, edge: str = "integrated") -> PointSpread:
+    aperture = OPENINGS[name]
+    if aperture.get("shape") == "image":
+        at = (np.arange(48) + 0.5) / 24 - 1
+        x, y = at[None, :], 0.1 - at[:, None]
+        heart = image_pupil(
+            np.asarray((x * x + y * y - 0.35) ** 3 < 1.2 * x * x * y**3, np.float64), 20.0, aperture["squeeze"]
+        )
+        return PointSpread(heart, "integrated" if edge == "integrated" else "area")
+    return point_spread(Psf.model_validate({"edge": edge}), Aperture(**aperture))
+
+
+def grid(half: int) -> tuple[Array, Array]:
+    span = np.arange(-half, half + 1.0)
+    return span[None, :], span[:, None]
+
+
+@pytest.mark.parametrize("edge", ["integrated", "area"])
+@pytest.mark.parametrize("name", OPENINGS)
+def test_no_light_is_lost(name: str, edge: str) -> None:
+    psf = opening(name, edge)
+    for radius in (1e-9, 1e-4, 0.3, 1.0, -7.3, 40.0):
+        x, y = grid(psf.reach(abs(radius), True) + 1)
+        found = psf.weights(x, y, np.asarray(radius))
+        assert found.min() >= 0.0
+        assert found.sum() == pytest.approx(1.0, abs=1e-9)
+        assert psf.subpixel_weights(x - 0.375, y + 0.125, np.asarray(radius)).sum() == pytest.approx(1.0, abs=1e-9)
+        np.testing.assert_array_less(np.abs(found - psf.weights(-x, -y, np.asarray(-radius))), 1e-12)
+
+
+@pytest.mark.parametrize("name", OPENINGS)
+def test_weights_are_areas_by_brute_force(name: str) -> None:
+    """Points of the opening, each seen from points of the pixel."""
+    psf, radius = opening(name), -2.7
+    step = (np.arange(-600, 600) + 0.5) / 200 * psf.extent
+    u, v = np.meshgrid(step, step)
+    through = psf.pupil.transmission(u / radius, v / radius)
+    light = through.sum() * (step[1] - step[0]) ** 2 / (pi * radius**2)
+    assert psf.pupil.light == pytest.approx(light, rel=2e-3)
+    moment = 0.5 * (through * (u * u + v * v)).sum() / through.sum()
+    assert psf.pupil.second_moment == pytest.approx(moment / radius**2, rel=2e-3)
+    for dx, dy in ((0, 0), (2, 1), (-2, 0), (1, -2), (-1, 2)):
+        seen = np.maximum(1 - np.abs(u - dx), 0) * np.maximum(1 - np.abs(v - dy), 0) * through
+        found = psf.weights(np.asarray(float(dx)), np.asarray(float(dy)), np.asarray(radius))
+        assert found == pytest.approx(seen.sum() / through.sum(), abs=3e-4)
+
+
+def test_moments_of_closed_forms() -> None:
+    """Variances per axis at R = 14.4 px: R^2 / 4 of a disc, (2 + cos(tau / n)) R^2 / 12 of a polygon, (1 + q^2) R^2 / 4
+    of a ring, that of x by the square of the squeeze less; and 1 / 6 of the pixels."""
+    cases: list[tuple[dict[str, Any], float]] = [
+        ({}, 0.25),
+        ({"shape": "polygon", "blades": 5}, (2 + cos(tau / 5)) / 12),
+        ({"shape": "polygon", "blades": 6}, (2 + cos(tau / 6)) / 12),
+        ({"shape": "polygon", "blades": 6, "blade_curvature": 1.0}, 0.25),
+        ({"shape": "ring", "obstruction": 0.4}, 0.25 * 1.16),
+    ]
+    for aperture, moment in cases:
+        for squeeze in (1.0, 0.5, 2.0):
+            psf = point_spread(Psf(), Aperture(**aperture, squeeze=squeeze))
+            x, y = grid(psf.reach(14.4) + 1)
+            found = psf.weights(x, y, np.asarray(14.4))
+            expected = 14.4**2 * moment
+            assert (found * x * x).sum() == pytest.approx(expected / squeeze**2 + 1 / 6, rel=2e-4)
+            assert (found * y * y).sum() == pytest.approx(expected + 1 / 6, rel=2e-5)
+
+
+def test_light_of_blades() -> None:
+    """Polygon and circular segments: at curvature 1 the circle."""
+    polygon = 5 / tau * sin(tau / 5)
+    light = [point_spread(Psf(), Aperture(**CURVED, blade_curvature=c)).pupil.light for c in (-1.0, 0.0, 1e-9, 1.0)]
+    assert light == pytest.approx([2 * polygon - 1, polygon, polygon, 1.0], abs=1e-8)
+
+
+def test_blades_turn_over_and_keep_their_corners() -> None:
+    """Behind the focus an edge faces right: its middle bulges towards the circle, the corner opposite stays on it."""
+    widths = []
+    for curvature in (-1.0, 0.0, 0.5, 1.0):
+        psf = point_spread(Psf(), Aperture(shape="polygon", blades=5, blade_curvature=curvature))
+        x, y = grid(22)
+        behind, before = (psf.weights(x, y, np.asarray(radius)) for radius in (20.0, -20.0))
+        np.testing.assert_allclose(before, behind[::-1, ::-1], rtol=0, atol=1e-12)
+        middle = behind[22] > 1e-9
+        widths.append((np.flatnonzero(middle)[[-1, 0]] - 22).tolist())
+    apothem = 20 * cos(pi / 5)
+    edges = (2 * apothem - 20, apothem, 10 + apothem / 2, 20)
+    assert [right for right, _ in widths] == [ceil(edge) for edge in edges]
+    assert {left for _, left in widths} == {-20}
+
+
+def test_an_image_is_turned_counter_clockwise() -> None:
+    picture = np.zeros((40, 40))
+    picture[18:22, 24:36] = 1.0  # to the right
+    assert (turned(picture, 90.0) == np.rot90(picture)).all()
+    found = turned(picture, 30.0)
+    assert found.sum() == pytest.approx(picture.sum(), rel=1e-2)
+    at = np.arange(40) - 19.5
+    right, up = (found * at).sum() / found.sum(), (found * -at[:, None]).sum() / found.sum()
+    assert np.degrees(np.arctan2(up, right)) == pytest.approx(30.0, abs=0.1)
+    assert np.hypot(right, up) == pytest.approx(10.0, abs=0.05)
+
+
+@pytest.mark.parametrize("samples", [0, 2])
+@pytest.mark.parametrize("name", ["bulging", "flat ellipse", "heart, narrow"])
+def test_tables_hold_the_weights(name: str, samples: int) -> None:
+    """At most 2e-4 of the light is elsewhere, at any radius of either sign."""
+    psf = opening(name)
+    table, off = psf_table(psf, 0.0, 6.0, samples), []
+    size = sum(each.nbytes for each in (table.intervals, table.coefficients, table.taps, table.outlines))
+    assert table_bytes(psf, 0.0, 6.0, samples) == size
+    for radius in (-5.99, -3.2, -0.7, 0.001, 0.31, 1.7, 5.5):
+        u = float(table_coordinate(psf, np.asarray(radius), samples > 0)) - table.first
+        start, half = table.intervals[int(u) + table.count * (radius < 0)]
+        lanes, side = -(-(2 * half + 1) // 8) * 8, 2 * half + 1
+        count = max(samples, 1) ** 2 * side
+        block = table.coefficients[start : start + count * 4 * lanes].reshape(count, 4, lanes)[..., :side]
+        found = np.tensordot((u % 1.0) ** np.arange(4), block.astype(float), axes=(0, 1)).reshape(-1, side, side)
+        x, y = grid(half)
+        offsets = [-0.25, 0.25] if samples else [0.0]
+        weigh = psf.subpixel_weights if samples else psf.weights
+        expected = [weigh(x - ox, y - oy, np.asarray(radius)) for oy in offsets for ox in offsets]
+        off.append(max(np.abs(a - b).sum() for a, b in zip(found, expected, strict=True)))
+    assert max(off) < 2e-4
