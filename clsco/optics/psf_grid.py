@@ -21,6 +21,9 @@ Widths = TypeVar("Widths", int, NDArray[np.int64])
 # tests/optics/test_point_spread.py bounds what interpolation adds to a PSF, tests/kernels/test_blur.py to a frame.
 OFFSET, AREA_STEPS = 0.125, 128
 GAUSSIAN_STEPS = 64  # a power of 2: octaves are divided where the corners are, up to an extent of 2 TABLE_STEPS offsets
+# Discs of sub-pixel sources have kinks where they touch pixel edges, at multiples of 1/8 px for 2 or 4 samples: up to
+# R = 16 px an interval begins there. With 48 per octave a small thing before a wall of one radius errs by 1.5e-5.
+SUBPIXEL_STEPS = 64
 # A sampled Gaussian changes fastest at few taps: so many intervals per unit of dx^2 + dy^2 up to so many units.
 FINE_STEPS, FINE_UNTIL = 16, 16
 # Chebyshev points of [0, 1]: near the best cubic, and never on a jump of a sampled PSF.
@@ -38,7 +41,9 @@ def table_steps(psf: PointSpread, subpixel: bool) -> int:
     """Intervals per octave of a table that is indexed by the radius."""
     if psf.edge == "area" and not subpixel:
         return AREA_STEPS
-    return GAUSSIAN_STEPS if psf.alignment else TABLE_STEPS
+    if psf.alignment:
+        return GAUSSIAN_STEPS
+    return SUBPIXEL_STEPS if subpixel else TABLE_STEPS
 
 
 def octaves_from(psf: PointSpread) -> float:

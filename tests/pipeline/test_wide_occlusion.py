@@ -85,15 +85,14 @@ def drawn(number: int) -> Scene:
 
 @pytest.mark.parametrize("number", mostly_slow(range(COUNT), SOME))
 def test_device_against_reference(number: int) -> None:
-    """Every pixel, in both precisions; cones to twice as much, as discriminants are floats."""
+    """Every pixel, in both precisions."""
     wanted = drawn(number)
     assert make_plan(wanted, 1).largest_blur > WIDEST
     (exact,) = reference.render(wanted)
     assert np.ptp(exact.color) > 0.02
     for precision in ("double", "single"):
         (frame,) = clsco.render(wanted, truth=(), method="gather", precision=precision)
-        least = 2e-5 if any(item.shape == "cone" for item in wanted.objects) else 1e-5
-        assert [found for found in compare(frame, exact) if not (found.agrees or found.largest <= least)] == []
+        assert [found for found in compare(frame, exact) if not (found.agrees or found.largest <= 1e-5)] == []
 
 
 @pytest.mark.parametrize("number", mostly_slow(range(0, COUNT, 8), SOME[:1]))
