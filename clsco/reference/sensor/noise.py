@@ -97,20 +97,21 @@ def normal_of(word: Words) -> Floats:
 def few_electrons(mean: Floats, word: Words, reciprocals: Floats) -> Counts:
     """Count of a Poisson distribution of a small mean, by its inverse: the number of k whose probability of more than
     k is above u. reciprocals: 1 / k from k = 0 on (the first is not used), FEW_ELECTRONS of them."""
-    u, most = uniform_of(word), np.float32(12.0) + np.float32(2.2) * mean
+    u = uniform_of(word)
     term = exp_minus(mean)
     one, sixth, small = np.float32(1.0), np.float32(0.166666672), np.float32(0.0416666679)
     little = mean * (one - mean * (np.float32(0.5) - mean * (sixth - mean * small)))
     above = np.where(mean < np.float32(0.125), little, one - term)
     count = np.zeros(mean.shape, np.int64)
     for k in range(1, FEW_ELECTRONS):
-        more = (u < above) & (np.float32(k) < most)
+        more = u < above
         if not more.any():
             break
         count += more
         term = term * (mean * reciprocals[k])
         above = above - term
-    return count
+    # Where rounding leaves more than u above all terms.
+    return np.minimum(count, (np.float32(12.0) + np.float32(2.2) * mean).astype(np.int64))
 
 
 def many_electrons(mean: Floats, word: Words) -> Counts:
