@@ -14,7 +14,7 @@ import numpy as np
 from clsco.frame.strips import Strip
 from clsco.opencl.buffers import upload
 from clsco.opencl.session import session_for
-from clsco.optics.sensor import readout
+from clsco.optics.sensor import sensor_model
 from clsco.passes.blur import Plane
 from clsco.passes.sensor import FrameSensor
 from clsco.scene.model import Plane as Card
@@ -33,7 +33,7 @@ def main() -> None:
         for largest in LARGEST:
             for pattern in (False, True):
                 sensor = Sensor() if pattern else Sensor(prnu=0.0, dsnu=0.0)
-                known = readout(Scene(objects=(Card(distance=300),), sensor=sensor), 1)
+                known = sensor_model(Scene(objects=(Card(distance=300),), sensor=sensor), 1)
                 taken = FrameSensor(session, known, {"code": 2 * SIDE * SIDE, "saturated": SIDE * SIDE})
                 plane = Plane(upload(session, random * np.float32(largest)), (1, SIDE, SIDE), SIDE, SIDE)
                 session.queue.finish()

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from clsco import reference
 from clsco.engine.sequence import render
 from clsco.frame.frame import ALL_TRUTH, SENSOR_NAMES, Frame
-from clsco.optics.sensor import camera_word, readout
+from clsco.optics.sensor import camera_word, sensor_model
 from clsco.reference.sensor.sensor import sensor_outputs
 from clsco.scene.model import Scene
 
@@ -120,7 +120,7 @@ def compare(frame: Frame, exact: Frame) -> tuple[Difference, ...]:
 def _sensor_of(scene: Scene, frame: Frame) -> Frame:
     """Outputs of the reference's sensor for the light of a frame."""
     light = np.atleast_3d(frame.color)
-    found = readout(scene, light.shape[2])
+    found = sensor_model(scene, light.shape[2])
     camera = camera_word(frame.index, "right" if frame.eye == "right" else "left")
     return Frame(index=frame.index, **sensor_outputs(found, light, camera, SENSOR_NAMES))
 

@@ -123,9 +123,9 @@ def frame_work(plan: Plan, maps: Maps) -> list[tuple[Pass, Work]]:
     of_kind["ground truth"] = _of_truth(plan)
     planes = plan.channels * plan.rows * plan.columns * (1.0 + plan.divided / plan.repeats)
     of_kind["accumulate"] = {"accumulated": planes}
-    if plan.readout is not None:
-        codes = float(len(plan.readout.filters) * plan.rows * plan.columns)
-        of_kind["sensor"] = {"sensed": codes, "patterned": codes * plan.readout.has_pattern}
+    if plan.sensor_model is not None:
+        codes = float(len(plan.sensor_model.filters) * plan.rows * plan.columns)
+        of_kind["sensor"] = {"sensed": codes, "patterned": codes * plan.sensor_model.has_pattern}
     shared = sum(strip.height for strip in plan.strips) / plan.height  # strips have rows of sources in common
     found = []
     for each in plan.passes:

@@ -98,7 +98,7 @@ class Film:
         self.shares = exposure.weights.reshape(len(self.times), -1).mean(axis=1).tolist()
         self.parts_of = {strip: _parts(plan, strip, self.steps) for strip in plan.strips}
         self.color = np.empty(image, np.float32)
-        planes = 0 if plan.readout is None else len(plan.readout.filters)
+        planes = 0 if plan.sensor_model is None else len(plan.sensor_model.filters)
         self.code = np.empty((*shape, planes), np.uint16)
         self.saturated = np.empty((*shape, planes), np.bool_)
         self.subframes = np.empty((len(self.times) if "subframes" in plan.truth else 0, *image), np.float32)

@@ -68,8 +68,8 @@ class Renderer:
             raise DeviceError(f"device {device}: the scene needs {needed >> 20} MiB; got {device.global_mem >> 20} MiB")
         wants_double = precision == "double" or (precision is None and device.has_fp64)
         real: Real = "double" if wants_double else "float"
-        if plan.readout is not None:
-            check_development(plan.readout, plan.rows, plan.columns)
+        if plan.sensor_model is not None:
+            check_development(plan.sensor_model, plan.rows, plan.columns)
         self.session, self.plan, self.limit, self.prepared, self.hits = session, plan, limit, prepared, hits
         self.scene = PlacedScene(session, plan.scene, plan.psf, prepared.textures, real, plan.eye, plan.alpha)
         self.pixels, self.grids = self._pixels(), dict[Strip, Struct]()
@@ -141,10 +141,10 @@ class Renderer:
         if plan.alpha and plan.color:
             image = {"color": _without_alpha(film.color), "alpha": np.ascontiguousarray(film.color[..., -1])}
             truth |= {name: _without_alpha(truth[name]) for name in {"sharp", "subframes"} & truth.keys()}
-        if plan.readout is not None:
+        if plan.sensor_model is not None:
             light = image["color"] if plan.needs_light else None
-            truth |= sensor_truth(plan.truth, film.code, film.saturated, light, plan.readout)
-            image["color"] = developed(film.code, plan.readout)
+            truth |= sensor_truth(plan.truth, film.code, film.saturated, light, plan.sensor_model)
+            image["color"] = developed(film.code, plan.sensor_model)
         eye = plan.eye if plan.scene.stereo else ""
         return Frame(index=film.index, metadata=self._metadata(film), eye=eye, **image, **truth)
 

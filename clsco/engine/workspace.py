@@ -108,8 +108,8 @@ def scene_workspace(plan: Plan, scene: PlacedScene, pixels: Pixels, hits: Hits |
     runs |= _ray_runs(tracer, _handed_on(plan)) | blurs
     if plan.averages:
         runs |= _exposure_runs(FrameSum(session, sum_buffers(plan.grid), scene.scene.sequence.by_columns))
-    if plan.readout is not None:
-        runs |= _sensor_runs(FrameSensor(session, plan.readout, sensor_buffers(plan.readout, plan.grid)))
+    if plan.sensor_model is not None:
+        runs |= _sensor_runs(FrameSensor(session, plan.sensor_model, sensor_buffers(plan.sensor_model, plan.grid)))
     return Workspace(session, runs, buffers, clusters)
 
 

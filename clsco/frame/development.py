@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import ImageError, SceneError
-from clsco.optics.sensor import Readout, noise_variance
+from clsco.optics.sensor import SensorModel, noise_variance
 
 FUNCTIONS = {
     "bilinear": "demosaicing_CFA_Bayer_bilinear",
@@ -24,13 +24,13 @@ APRON = 8  # px, an even number, around a mosaic
 LEAST_SIDE = 2  # px, of frames that can be demosaiced
 
 
-def developed(raw: NDArray[np.uint16], readout: Readout) -> NDArray[np.float32]:
+def developed(raw: NDArray[np.uint16], sensor_model: SensorModel) -> NDArray[np.float32]:
     """Light that codes stand for: (code - black) / (gain electrons), demosaiced where the sensor says so.
 
     Parameters
     ----------
     raw : ndarray of uint16, (rows, columns, planes)
-    readout : Readout
+    sensor_model : SensorModel
 
     Returns
     -------
@@ -43,30 +43,30 @@ def developed(raw: NDArray[np.uint16], readout: Readout) -> NDArray[np.float32]:
     ImageError
         colour-demosaicing is missing.
     """
-    electrons = (raw.astype(np.float64) - readout.sensor.black_level) / readout.gain
-    light = electrons / of_sites(readout.scale, readout, raw.shape[:2])
-    if readout.sensor.mosaic == "none" or readout.channels == 1:
+    electrons = (raw.astype(np.float64) - sensor_model.sensor.black_level) / sensor_model.gain
+    light = electrons / of_sites(sensor_model.scale, sensor_model, raw.shape[:2])
+    if sensor_model.sensor.mosaic == "none" or sensor_model.channels == 1:
         return np.asarray(light if light.shape[2] > 1 else light[..., 0], np.float32)
     plane = light[..., 0]
-    if readout.sensor.demosaic == "none":
-        colors = of_sites((0, 1, 2), readout, plane.shape) == np.arange(3)
+    if sensor_model.sensor.demosaic == "none":
+        colors = of_sites((0, 1, 2), sensor_model, plane.shape) == np.arange(3)
         return np.where(colors, plane[..., None], 0.0).astype(np.float32)
-    function = getattr(_demosaicing(), FUNCTIONS[readout.sensor.demosaic])
+    function = getattr(_demosaicing(), FUNCTIONS[sensor_model.sensor.demosaic])
     padded = np.pad(plane, APRON, mode="reflect")  # colors go on as in the mosaic, which its mirror image does not
-    found = function(padded, readout.sensor.mosaic.upper())[APRON:-APRON, APRON:-APRON]
+    found = function(padded, sensor_model.sensor.mosaic.upper())[APRON:-APRON, APRON:-APRON]
     return np.ascontiguousarray(found, np.float32)
 
 
-def of_sites(values: Collection[float], readout: Readout, size: tuple[int, ...]) -> NDArray[Any]:
+def of_sites(values: Collection[float], sensor_model: SensorModel, size: tuple[int, ...]) -> NDArray[Any]:
     """Values of the channels that pixels have measured, (rows, columns, planes) of this size."""
     y, x = np.ogrid[: size[0], : size[1]]
-    each = np.array(tuple(values))[np.array(readout.filters)]
+    each = np.array(tuple(values))[np.array(sensor_model.filters)]
     return np.moveaxis(each[:, 2 * (y & 1) + (x & 1)], 0, -1)
 
 
-def check_development(readout: Readout, rows: int, columns: int) -> None:
+def check_development(sensor_model: SensorModel, rows: int, columns: int) -> None:
     """Raise ImageError where colour-demosaicing is needed and missing, SceneError for frames that are too small."""
-    if readout.sensor.demosaic != "none" and readout.channels > 1:
+    if sensor_model.sensor.demosaic != "none" and sensor_model.channels > 1:
         if min(rows, columns) < LEAST_SIDE:
             size = f"{columns} x {rows}"
             raise SceneError(f"sensor.demosaic: needs frames of {LEAST_SIDE} x {LEAST_SIDE} px at least; got {size}")
@@ -88,7 +88,7 @@ def sensor_truth(
     raw: NDArray[np.uint16],
     saturated: NDArray[np.bool_],
     light: NDArray[np.floating] | None,
-    readout: Readout,
+    sensor_model: SensorModel,
 ) -> dict[str, NDArray[Any]]:
     """Outputs of a sensor that are wanted, (rows, columns[, 3]), as `Frame` has them.
 
@@ -99,7 +99,7 @@ def sensor_truth(
     raw, saturated : ndarray (rows, columns, planes)
     light : ndarray (rows, columns[, 3]), optional
         Light of the exposure, for `electrons` and `noise_sigma`.
-    readout : Readout
+    sensor_model : SensorModel
 
     Returns
     -------
@@ -110,13 +110,13 @@ def sensor_truth(
         found["raw"] = raw
     if light is not None:
         channels = np.atleast_3d(light).astype(np.float64)
-        taken = np.minimum(of_sites((0, 1, 2), readout, raw.shape[:2]), readout.channels - 1)
+        taken = np.minimum(of_sites((0, 1, 2), sensor_model, raw.shape[:2]), sensor_model.channels - 1)
         own = np.maximum(np.take_along_axis(channels, taken, axis=2), 0.0)
-        photo = own * of_sites(readout.scale, readout, raw.shape[:2])
+        photo = own * of_sites(sensor_model.scale, sensor_model, raw.shape[:2])
         if "electrons" in names:
-            found["electrons"] = (photo + readout.dark).astype(np.float32)
+            found["electrons"] = (photo + sensor_model.dark).astype(np.float32)
         if "noise_sigma" in names:
-            found["noise_sigma"] = np.sqrt(noise_variance(readout, photo)).astype(np.float32)
+            found["noise_sigma"] = np.sqrt(noise_variance(sensor_model, photo)).astype(np.float32)
     if "saturated" in names:
         found["saturated"] = saturated
     return {name: array if array.shape[2] > 1 else np.ascontiguousarray(array[..., 0]) for name, array in found.items()}

@@ -24,7 +24,7 @@ MOST_DOUBLINGS = 100.0  # of the dark current, where any pixel is full
 
 
 @dataclass(frozen=True)
-class Readout:
+class SensorModel:
     """Numbers of a sensor by which the light of an exposure becomes codes.
 
     Attributes
@@ -68,7 +68,7 @@ class Readout:
         return self.gain * float(np.hypot(self.sensor.read_noise, np.sqrt(self.dark)))
 
 
-def readout(scene: Scene, channels: int) -> Readout:
+def sensor_model(scene: Scene, channels: int) -> SensorModel:
     """Numbers of the sensor of a scene, which has one, for light of so many channels.
 
     Parameters
@@ -78,7 +78,7 @@ def readout(scene: Scene, channels: int) -> Readout:
 
     Returns
     -------
-    Readout
+    SensorModel
 
     Notes
     -----
@@ -89,9 +89,9 @@ def readout(scene: Scene, channels: int) -> Readout:
     Examples
     --------
     >>> import clsco
-    >>> from clsco.optics.sensor import readout
+    >>> from clsco.optics.sensor import sensor_model
     >>> sensor = clsco.Sensor(dark_current=8.0, temperature=28.0, iso=200.0)
-    >>> found = readout(clsco.Scene(objects=(clsco.Plane(),), sensor=sensor), 1)
+    >>> found = sensor_model(clsco.Scene(objects=(clsco.Plane(),), sensor=sensor), 1)
     >>> found.dark, found.scale[0], round(found.gain, 4)
     (16.0, 5000.0, 0.6718)
     """
@@ -108,10 +108,10 @@ def readout(scene: Scene, channels: int) -> Readout:
     else:
         filters = tuple((k,) * 4 for k in (range(PLANES) if channels > 1 else (GRAY,)))
     dark, leak = sensor.dark_current * time, sensor.full_well * time if sensor.hot_pixels else 0.0
-    return Readout((red, green, blue), dark, leak, gain, largest, channels, filters, sensor)
+    return SensorModel((red, green, blue), dark, leak, gain, largest, channels, filters, sensor)
 
 
-def sensor_values(found: Readout) -> dict[str, Any]:
+def sensor_values(found: SensorModel) -> dict[str, Any]:
     """Numbers of a read-out as kernels and the reference take them: fields of sensor_t."""
     sensor, filters = found.sensor, np.zeros((PLANES, 4), np.int64)
     filters[: len(found.filters)] = found.filters
@@ -146,12 +146,12 @@ def reciprocals_of_counts() -> NDArray[np.float32]:
     return (1.0 / np.maximum(np.arange(FEW_ELECTRONS), 1)).astype(np.float32)
 
 
-def noise_variance(found: Readout, photoelectrons: NDArray[np.float64]) -> NDArray[np.float64]:
+def noise_variance(found: SensorModel, photoelectrons: NDArray[np.float64]) -> NDArray[np.float64]:
     """Variance of what a pixel reads, over exposures and over sensors, where nothing is clipped, e-^2.
 
     Parameters
     ----------
-    found : Readout
+    found : SensorModel
     photoelectrons : ndarray of float64, any shape
         Mean electrons of the light, e-.
 
@@ -166,9 +166,9 @@ def noise_variance(found: Readout, photoelectrons: NDArray[np.float64]) -> NDArr
     Examples
     --------
     >>> import clsco, numpy as np
-    >>> from clsco.optics.sensor import noise_variance, readout
+    >>> from clsco.optics.sensor import noise_variance, sensor_model
     >>> sensor = clsco.Sensor(prnu=0.0, dsnu=0.0, read_noise=3.0, gain=1.0)
-    >>> found = readout(clsco.Scene(objects=(clsco.Plane(),), sensor=sensor), 1)
+    >>> found = sensor_model(clsco.Scene(objects=(clsco.Plane(),), sensor=sensor), 1)
     >>> noise_variance(found, np.array([0.0, 100.0])).round(3).tolist()
     [9.083, 109.083]
     """

@@ -14,7 +14,7 @@ from clsco.frame.strips import Strip
 from clsco.opencl.buffers import download, empty, upload_cached
 from clsco.opencl.program import build
 from clsco.opencl.session import Session
-from clsco.optics.sensor import Readout, reciprocals_of_counts, sensor_values
+from clsco.optics.sensor import SensorModel, reciprocals_of_counts, sensor_values
 from clsco.passes.blur import PLAIN, Events, Plane, Target
 from clsco.plan.buffers import Sizes, padded_columns
 from clsco.records import filled, structs
@@ -54,7 +54,7 @@ class FrameSensor:
     Parameters
     ----------
     session : Session
-    readout : Readout
+    sensor_model : SensorModel
     sizes : dict
         Sizes of the buffers, by `clsco.plan.buffers.sensor_buffers`.
 
@@ -63,12 +63,12 @@ class FrameSensor:
     Validated against `clsco.reference.sensor.sensor.sense`, which has the same bits (tests/kernels/test_sensor.py).
     """
 
-    def __init__(self, session: Session, readout: Readout, sizes: Sizes) -> None:
-        features = FEATURES | {"FIXED_PATTERN": int(readout.has_pattern)}
+    def __init__(self, session: Session, sensor_model: SensorModel, sizes: Sizes) -> None:
+        features = FEATURES | {"FIXED_PATTERN": int(sensor_model.has_pattern)}
         program = build(session, ["sensor/sensor.cl"], features, structs("float"), "float")
-        self.target, self.planes = Target(session, program, "float"), len(readout.filters)
+        self.target, self.planes = Target(session, program, "float"), len(sensor_model.filters)
         self.code, self.saturated = (empty(session, sizes[name]) for name in ("code", "saturated"))
-        self.struct = filled("sensor_t", "float", sensor_values(readout))
+        self.struct = filled("sensor_t", "float", sensor_values(sensor_model))
 
     def expose(self, strip: Strip, plane: Plane, camera: int, events: Events) -> Codes:
         """Codes of the light of a strip; camera: `clsco.optics.sensor.camera_word` of the frame."""

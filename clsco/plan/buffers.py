@@ -34,7 +34,7 @@ from clsco.inputs.textures import mapped_size
 from clsco.optics.depth_layers import bins_of, levels_of, most_deep
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_tables import rounded_span, table_sizes
-from clsco.optics.sensor import Readout
+from clsco.optics.sensor import SensorModel
 from clsco.optics.stencil import is_by_axes, is_summed, stencil_sizes
 from clsco.optics.visibility import lens_floats
 from clsco.plan.methods import MANY_RADII, BlurSpec
@@ -225,9 +225,9 @@ def sum_buffers(grid: Grid) -> Sizes:
     return {"sum": 4 * grid.channels * pixels, "lost": 4 * grid.channels * pixels}
 
 
-def sensor_buffers(readout: Readout, grid: Grid) -> Sizes:
+def sensor_buffers(sensor_model: SensorModel, grid: Grid) -> Sizes:
     """Buffers of the codes of a sensor (`clsco.passes.sensor.FrameSensor`)."""
-    pixels = len(readout.filters) * grid.rows * padded_columns(grid.columns)
+    pixels = len(sensor_model.filters) * grid.rows * padded_columns(grid.columns)
     return {"code": 2 * pixels, "saturated": pixels}
 
 

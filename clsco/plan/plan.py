@@ -26,7 +26,7 @@ from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_grid import table_reach
 from clsco.optics.psf_tables import check_tables, psf_features
 from clsco.optics.quadrics import Extent
-from clsco.optics.sensor import Readout, readout
+from clsco.optics.sensor import SensorModel, sensor_model
 from clsco.optics.visibility import OcclusionGroup
 from clsco.plan.buffers import (
     OF_LINES,
@@ -243,14 +243,14 @@ class Plan:
         )  # fmt: skip
 
     @cached_property
-    def readout(self) -> Readout | None:
+    def sensor_model(self) -> SensorModel | None:
         """The sensor of the scene, where its image is made."""
-        return readout(self.scene, self.colors) if self.scene.sensor is not None and self.color else None
+        return sensor_model(self.scene, self.colors) if self.scene.sensor is not None and self.color else None
 
     @property
     def needs_light(self) -> bool:
         """True if the light of a frame is read back, and not only the codes of a sensor."""
-        return self.readout is None or self.alpha or not {"electrons", "noise_sigma"}.isdisjoint(self.truth)
+        return self.sensor_model is None or self.alpha or not {"electrons", "noise_sigma"}.isdisjoint(self.truth)
 
     @property
     def slots(self) -> int:
@@ -391,8 +391,8 @@ def _passes(plan: Plan) -> tuple[Pass, ...]:
     """See `Plan.passes`."""
     found = list(_moving_passes(plan)) if plan.color or "missing" in plan.truth else []
     found += _image_passes(plan) if plan.color else ()
-    if plan.readout is not None:
-        found.append(sensor_pass(plan.readout, plan.grid, "frame" if plan.averages else "plane"))
+    if plan.sensor_model is not None:
+        found.append(sensor_pass(plan.sensor_model, plan.grid, "frame" if plan.averages else "plane"))
     if not set(plan.truth) <= {*SENSOR_NAMES}:
         found.append(_truth_pass(plan))
     return tuple(found)

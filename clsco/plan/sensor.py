@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from clsco.frame.strips import Grid
-from clsco.optics.sensor import GRAY, LEAST_DARK_NOISE, Readout
+from clsco.optics.sensor import GRAY, LEAST_DARK_NOISE, SensorModel
 from clsco.plan.buffers import sensor_buffers
 from clsco.plan.image import named
 from clsco.plan.passes import Parameters, Pass
 
 
-def sensor_pass(found: Readout, grid: Grid, takes: str) -> Pass:
+def sensor_pass(found: SensorModel, grid: Grid, takes: str) -> Pass:
     """The pass; takes: what has the light of the frame, "frame" or "plane"."""
     sensor = found.sensor
     electrons = f"{found.scale[GRAY]:.6g} e- of white, full well {sensor.full_well:.6g} e-"

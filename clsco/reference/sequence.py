@@ -109,8 +109,8 @@ def _frame(plan: Plan, textures: tuple[Texture, ...], maps: Maps, index: int, su
     arrays |= {"missing": missing, "subframes": np.stack(alone) if alone else None}
     sharp = _without_channel(arrays.pop("sharp"))
     arrays["color"] = _without_channel(color)
-    if plan.readout is not None:
-        arrays |= sensor_outputs(plan.readout, color, camera_word(index, plan.eye), plan.truth)
+    if plan.sensor_model is not None:
+        arrays |= sensor_outputs(plan.sensor_model, color, camera_word(index, plan.eye), plan.truth)
     eye = plan.eye if scene.stereo else ""
     about = {"intermediate": samples, "f_number": camera_at(scene, middle_time(scene.sequence, index)).opening}
     return Frame(index=index, sharp=sharp, metadata=about, eye=eye, **arrays)

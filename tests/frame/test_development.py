@@ -10,33 +10,33 @@ import pytest
 
 from clsco.errors import ImageError, SceneError
 from clsco.frame.development import FUNCTIONS, check_development, developed, sensor_truth
-from clsco.optics.sensor import Readout, readout
+from clsco.optics.sensor import SensorModel, sensor_model
 from clsco.scene.model import Plane, Scene, Sensor
 
 GAIN: dict[str, Any] = {"gain": 0.5, "black_level": 100, "white_electrons": 1000.0, "bits": 16}
 RAW = np.array([[[100], [600]], [[50], [350]]], np.uint16)
 
 
-def readout_of(channels: int, **keys: Any) -> Readout:
-    return readout(Scene(objects=(Plane(),), sensor=Sensor(**{**GAIN, **keys})), channels)
+def model_of(channels: int, **keys: Any) -> SensorModel:
+    return sensor_model(Scene(objects=(Plane(),), sensor=Sensor(**{**GAIN, **keys})), channels)
 
 
 def test_codes_are_light_again() -> None:
-    assert developed(RAW, readout_of(1)).tolist() == [[0.0, 1.0], [np.float32(-0.1), 0.5]]
-    green = readout_of(1, quantum_efficiency=(1.0, 0.5, 1.0))
+    assert developed(RAW, model_of(1)).tolist() == [[0.0, 1.0], [np.float32(-0.1), 0.5]]
+    green = model_of(1, quantum_efficiency=(1.0, 0.5, 1.0))
     assert developed(RAW, green).tolist() == [[0.0, 2.0], [np.float32(-0.2), 1.0]]
-    color = developed(np.concatenate([RAW, RAW, RAW], axis=2), readout_of(3, quantum_efficiency=(1.0, 0.5, 0.25)))
+    color = developed(np.concatenate([RAW, RAW, RAW], axis=2), model_of(3, quantum_efficiency=(1.0, 0.5, 0.25)))
     assert color[0, 1].tolist() == [1.0, 2.0, 4.0]
     assert color.dtype == np.float32
 
 
 def test_a_mosaic_that_is_not_demosaiced_has_what_was_measured() -> None:
-    found = developed(RAW, readout_of(3, mosaic="gbrg", quantum_efficiency=(0.5, 1.0, 0.25)))
+    found = developed(RAW, model_of(3, mosaic="gbrg", quantum_efficiency=(0.5, 1.0, 0.25)))
     assert found.tolist() == [
         [[0, 0, 0], [0, 0, 4.0]],
         [[np.float32(-0.2), 0, 0], [0, 0.5, 0]],
     ]
-    gray = developed(RAW, readout_of(1, mosaic="gbrg", quantum_efficiency=(0.5, 1.0, 0.25)))
+    gray = developed(RAW, model_of(1, mosaic="gbrg", quantum_efficiency=(0.5, 1.0, 0.25)))
     assert gray.tolist() == [[0.0, 4.0], [np.float32(-0.2), 0.5]]
 
 
@@ -44,7 +44,7 @@ def test_a_mosaic_that_is_not_demosaiced_has_what_was_measured() -> None:
 @pytest.mark.parametrize("mosaic", ["rggb", "bggr", "grbg", "gbrg"])
 def test_an_even_color_is_found_again(method: str, mosaic: str) -> None:
     pytest.importorskip("colour_demosaicing")
-    known = readout_of(3, mosaic=mosaic, demosaic=method, quantum_efficiency=(0.5, 1.0, 0.75))
+    known = model_of(3, mosaic=mosaic, demosaic=method, quantum_efficiency=(0.5, 1.0, 0.75))
     light = np.array([0.2, 0.6, 0.4])
     filters = np.tile(np.array(known.filters[0]).reshape(2, 2), (5, 6))
     codes = np.round(100 + 0.5 * light[filters] * np.array(known.scale)[filters]).astype(np.uint16)
@@ -55,26 +55,26 @@ def test_an_even_color_is_found_again(method: str, mosaic: str) -> None:
 
 @pytest.mark.parametrize("method", FUNCTIONS)
 def test_the_extra_is_named(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    known = readout_of(3, mosaic="rggb", demosaic=method)
+    known = model_of(3, mosaic="rggb", demosaic=method)
     monkeypatch.setitem(sys.modules, "colour_demosaicing", None)
     message = r"sensor.demosaic: needs colour-demosaicing: pip install 'clsco\[sensor\]'; got "
     with pytest.raises(ImageError, match=message):
         developed(RAW, known)
     with pytest.raises(ImageError, match=message):
         check_development(known, 2, 2)
-    gray = readout_of(1, mosaic="rggb", demosaic=method)
+    gray = model_of(1, mosaic="rggb", demosaic=method)
     check_development(gray, 1, 1)
     assert developed(RAW, gray)[0, 1] == 1
 
 
 def test_frames_that_are_too_small() -> None:
     with pytest.raises(SceneError) as caught:
-        check_development(readout_of(3, mosaic="rggb", demosaic="malvar"), 1, 7)
+        check_development(model_of(3, mosaic="rggb", demosaic="malvar"), 1, 7)
     assert str(caught.value) == "sensor.demosaic: needs frames of 2 x 2 px at least; got 7 x 1"
 
 
 def test_outputs_of_a_mosaic() -> None:
-    known = readout_of(3, mosaic="rggb", quantum_efficiency=(0.5, 1.0, 0.25), prnu=0.0, dsnu=0.0, dark_current=4.0)
+    known = model_of(3, mosaic="rggb", quantum_efficiency=(0.5, 1.0, 0.25), prnu=0.0, dsnu=0.0, dark_current=4.0)
     light = np.full((2, 2, 3), [0.1, 0.2, -0.4], np.float32)
     found = sensor_truth(("raw", "electrons", "noise_sigma", "saturated", "depth"), RAW, RAW > 500, light, known)
     np.testing.assert_allclose(found["electrons"], [[54, 204], [204, 4]], rtol=1e-6)

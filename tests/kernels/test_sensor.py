@@ -16,7 +16,7 @@ from clsco.constants import LEAST_NORMAL, SENSED_PIXELS
 from clsco.frame.strips import Strip
 from clsco.opencl.buffers import upload
 from clsco.opencl.session import Session
-from clsco.optics.sensor import Readout, camera_word, readout, reciprocals_of_counts
+from clsco.optics.sensor import SensorModel, camera_word, reciprocals_of_counts, sensor_model
 from clsco.passes.blur import Plane
 from clsco.passes.sensor import FrameSensor
 from clsco.plan.buffers import padded_columns
@@ -48,13 +48,13 @@ SENSORS: dict[str, tuple[int, dict[str, Any]]] = {
 }
 
 
-def sensor_of(name: str) -> Readout:
+def sensor_of(name: str) -> SensorModel:
     channels, keys = SENSORS[name]
-    return readout(Scene(objects=(Card(),), sensor=Sensor(**keys), sequence=Sequence(shutter=0.5)), channels)
+    return sensor_model(Scene(objects=(Card(),), sensor=Sensor(**keys), sequence=Sequence(shutter=0.5)), channels)
 
 
 def exposed(
-    session: Session, known: Readout, light: NDArray[np.float32], camera: int, strips: tuple[Strip, ...] = ()
+    session: Session, known: SensorModel, light: NDArray[np.float32], camera: int, strips: tuple[Strip, ...] = ()
 ) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
     """Codes of light (rows, columns, channels) from the device, strip by strip."""
     rows, columns, channels = light.shape
@@ -145,7 +145,7 @@ def test_noise_depends_on_seed_frame_eye_and_channel_alone() -> None:
 
 
 def test_the_pattern_stays_from_frame_to_frame_and_differs_from_eye_to_eye() -> None:
-    known = readout(Scene(objects=(Card(),), sensor=Sensor(prnu=0.05, dsnu=20.0, read_noise=0.0)), 1)
+    known = sensor_model(Scene(objects=(Card(),), sensor=Sensor(prnu=0.05, dsnu=20.0, read_noise=0.0)), 1)
     light = np.full((60, 60, 1), 0.5, np.float32)
     one, other, right = (
         sense(known, light, camera_word(*which))[0].ravel().astype(float)

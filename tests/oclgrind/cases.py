@@ -28,7 +28,7 @@ from clsco.frame.strips import Strip
 from clsco.inputs.textures import Texture
 from clsco.opencl.buffers import upload
 from clsco.optics.motion import Eye
-from clsco.optics.sensor import Readout, readout
+from clsco.optics.sensor import SensorModel, sensor_model
 from clsco.optics.stencil import SUMMED
 from clsco.passes.blur import Plane as Plane2D
 from clsco.passes.blur import blur_features
@@ -354,11 +354,11 @@ def sensor_cases() -> Iterator[Case]:
         for channels in (1, 3):
             columns = (5, 16, 33)[(number + channels) % 3]
             gpu = {"kind": "gpu"} if channels == 3 else {}
-            found = readout(Scene(objects=(FAR,), sensor=sensor), channels)
+            found = sensor_model(Scene(objects=(FAR,), sensor=sensor), channels)
             yield Case(f"sensor {number}, {channels} channels", gpu, partial(sensed, found, 3, columns), f"{sensor!r}")
 
 
-def sensed(known: Readout, rows: int, columns: int) -> list[Array]:
+def sensed(known: SensorModel, rows: int, columns: int) -> list[Array]:
     """Codes of light from none to twice the full well, which are those of the reference."""
     light = (np.random.default_rng(5).random((rows, columns, known.channels)) ** 4 * 2.4).astype(np.float32)
     session, pixels = (

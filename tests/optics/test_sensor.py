@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from clsco.frame.development import of_sites
-from clsco.optics.sensor import camera_word, noise_variance, readout, sensor_values
+from clsco.optics.sensor import camera_word, noise_variance, sensor_model, sensor_values
 from clsco.reference.sensor.sensor import sense
 from clsco.scene.model import Plane, Scene, Sensor, Sequence
 
@@ -19,35 +19,35 @@ def scene_of(shutter: float = 1.0, **keys: Any) -> Scene:
 
 def test_dark_current_doubles_with_the_temperature_and_grows_with_the_time() -> None:
     keys = {"dark_current": 10.0, "temperature_reference": 25.0, "temperature_doubling": 6.0}
-    found = [readout(scene_of(0.5, temperature=t, **keys), 1).dark for t in (25.0, 31.0, 13.0, 1000.0)]
+    found = [sensor_model(scene_of(0.5, temperature=t, **keys), 1).dark for t in (25.0, 31.0, 13.0, 1000.0)]
     assert found[:3] == [5.0, 10.0, 1.25]
     assert np.isfinite(found[3])
-    hottest = readout(scene_of(temperature=1000.0, dark_current=1e9, temperature_doubling=0.1), 1)
+    hottest = sensor_model(scene_of(temperature=1000.0, dark_current=1e9, temperature_doubling=0.1), 1)
     assert sensor_values(hottest)["dark"] == 2**24
 
 
 def test_gain_and_iso() -> None:
-    base = readout(scene_of(), 1)
+    base = sensor_model(scene_of(), 1)
     assert base.gain == (4095 - 64) / 12000
     assert base.scale == (1e4, 1e4, 1e4)
-    fast = readout(scene_of(iso=400.0), 1)
+    fast = sensor_model(scene_of(iso=400.0), 1)
     assert (fast.gain, fast.scale[1]) == (4 * base.gain, 2500.0)
-    assert readout(scene_of(iso=400.0, iso_base=400.0), 1).gain == base.gain
-    assert readout(scene_of(gain=0.25, quantum_efficiency=(0.5, 0.25, 1.0)), 3).scale == (5000.0, 2500.0, 1e4)
-    assert readout(scene_of(gain=0.25), 1).gain == 0.25
+    assert sensor_model(scene_of(iso=400.0, iso_base=400.0), 1).gain == base.gain
+    assert sensor_model(scene_of(gain=0.25, quantum_efficiency=(0.5, 0.25, 1.0)), 3).scale == (5000.0, 2500.0, 1e4)
+    assert sensor_model(scene_of(gain=0.25), 1).gain == 0.25
 
 
 def test_filters_of_planes() -> None:
-    assert readout(scene_of(), 1).filters == ((1, 1, 1, 1),)
-    assert readout(scene_of(), 3).filters == ((0,) * 4, (1,) * 4, (2,) * 4)
-    mosaic = readout(scene_of(mosaic="grbg"), 3)
+    assert sensor_model(scene_of(), 1).filters == ((1, 1, 1, 1),)
+    assert sensor_model(scene_of(), 3).filters == ((0,) * 4, (1,) * 4, (2,) * 4)
+    mosaic = sensor_model(scene_of(mosaic="grbg"), 3)
     assert of_sites((0, 1, 2), mosaic, (2, 4))[..., 0].tolist() == [[1, 0, 1, 0], [2, 1, 2, 1]]
 
 
 def test_a_pattern_is_there_only_where_pixels_differ() -> None:
-    assert readout(scene_of(), 1).has_pattern
-    assert not readout(scene_of(prnu=0.0, dsnu=0.0), 1).has_pattern
-    assert readout(scene_of(prnu=0.0, dsnu=0.0, hot_pixels=0.1), 1).has_pattern
+    assert sensor_model(scene_of(), 1).has_pattern
+    assert not sensor_model(scene_of(prnu=0.0, dsnu=0.0), 1).has_pattern
+    assert sensor_model(scene_of(prnu=0.0, dsnu=0.0, hot_pixels=0.1), 1).has_pattern
 
 
 def test_views_and_frames_have_words_of_their_own() -> None:
@@ -58,7 +58,7 @@ def test_views_and_frames_have_words_of_their_own() -> None:
 @pytest.mark.parametrize("light", [0.0, 0.002, 0.5])
 @pytest.mark.parametrize("keys", [{}, {"prnu": 0.05, "dsnu": 6.0, "dark_current": 20.0}, {"gain": 0.3}])
 def test_noise_is_as_predicted(light: float, keys: dict[str, Any]) -> None:
-    found = readout(scene_of(**keys), 1)
+    found = sensor_model(scene_of(**keys), 1)
     codes = sense(found, np.full((300, 300, 1), light), 0)[0].astype(float)
     electrons = (codes - found.sensor.black_level) / found.gain
     photo = np.array(light * found.scale[0])

@@ -21,7 +21,7 @@ from clsco.constants import BAND
 from clsco.engine.response import response
 from clsco.errors import SceneError
 from clsco.frame.frame import ALL_TRUTH, SENSOR_NAMES, Frame
-from clsco.optics.sensor import camera_word, readout
+from clsco.optics.sensor import camera_word, sensor_model
 from clsco.plan.prepare import prepare
 from clsco.plan.request import Request
 from clsco.reference.sensor.sensor import sense
@@ -58,7 +58,7 @@ def test_codes_are_those_of_the_light(name: str) -> None:
     scene = named(name)
     for frame, plain in zip(clsco.render(scene), light_of(scene), strict=True):
         light = np.atleast_3d(plain.color)
-        known = readout(scene, light.shape[2])
+        known = sensor_model(scene, light.shape[2])
         raw, saturated = sense(known, light, camera_word(frame.index, frame.eye or "left"))  # type: ignore[arg-type]
         found = frame.arrays()
         np.testing.assert_array_equal(found["raw"].reshape(raw.shape), raw)
@@ -149,7 +149,7 @@ def test_a_scene_without_a_sensor_has_nothing_of_it(monkeypatch: pytest.MonkeyPa
     frame = clsco.render_frame(scene)
     assert "sense" not in frame.metadata["seconds"]
     plan = prepare(scene, Request(ALL_TRUTH)).plan
-    assert plan.readout is None
+    assert plan.sensor_model is None
     assert plan.needs_light
     assert "sensor" not in {each.kind for each in plan.passes}
     with_sensor = prepare(named("still"), Request(ALL_TRUTH)).plan
@@ -232,7 +232,7 @@ def test_a_rolling_shutter_is_read_out_once(scan: str) -> None:
     scene = parse_scene(data)
     frame = clsco.render_frame(scene, truth="raw")
     (plain,) = light_of(scene)
-    raw, _ = sense(readout(scene, 3), plain.color, camera_word(0, "left"))
+    raw, _ = sense(sensor_model(scene, 3), plain.color, camera_word(0, "left"))
     np.testing.assert_array_equal(frame.raw, raw)
     (parts,) = clsco.render(scene, truth="raw", memory="3MiB")
     assert parts.metadata["strips"] > 1

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from clsco.constants import PATTERN_STREAM, SHOT_STREAM, STREAMS
 from clsco.frame.development import developed, sensor_truth
-from clsco.optics.sensor import Readout, reciprocals_of_counts, sensor_values
+from clsco.optics.sensor import SensorModel, reciprocals_of_counts, sensor_values
 from clsco.records import filled
 from clsco.reference.sensor.noise import Floats, Words, normal_of, philox, poisson, uniform_of
 
@@ -29,19 +29,21 @@ def codes_of(electrons: Floats, added: Floats, sensor: Any) -> NDArray[np.int64]
 
 
 def sensor_outputs(
-    readout: Readout, light: NDArray[np.floating], camera: int, names: Collection[str]
+    sensor_model: SensorModel, light: NDArray[np.floating], camera: int, names: Collection[str]
 ) -> dict[str, Any]:
     """Image and outputs of a sensor, by their names in `Frame`, for the light (m, n, C) of a frame; else as `sense`."""
-    raw, saturated = sense(readout, light, camera)
-    return {"color": developed(raw, readout)} | sensor_truth(names, raw, saturated, light, readout)
+    raw, saturated = sense(sensor_model, light, camera)
+    return {"color": developed(raw, sensor_model)} | sensor_truth(names, raw, saturated, light, sensor_model)
 
 
-def sense(readout: Readout, light: NDArray[np.floating], camera: int) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
+def sense(
+    sensor_model: SensorModel, light: NDArray[np.floating], camera: int
+) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
     """Codes of a frame for its light (m, n, C), and where the full well or the largest code was reached.
 
     Parameters
     ----------
-    readout : Readout
+    sensor_model : SensorModel
     light : ndarray (m, n, C)
         Rounded to float32 first.
     camera : int
@@ -52,18 +54,18 @@ def sense(readout: Readout, light: NDArray[np.floating], camera: int) -> tuple[N
     code : ndarray of uint16, (m, n, planes)
     saturated : ndarray of bool, (m, n, planes)
     """
-    sensor = filled("sensor_t", "float", sensor_values(readout))
+    sensor = filled("sensor_t", "float", sensor_values(sensor_model))
     rows, columns = light.shape[:2]
     y, x = np.mgrid[:rows, :columns]
     site = 2 * (y & 1) + (x & 1)
     key = int(sensor["seed_low"]), int(sensor["seed_high"])
     planes = []
-    for k in range(len(readout.filters)):
+    for k in range(len(sensor_model.filters)):
         channel, scale = (sensor[name].reshape(-1, 4)[k][site] for name in ("channel", "scale"))
         own = np.take_along_axis(light, channel[..., None], axis=2)[..., 0].astype(np.float32)
         mean, dark, added = photoelectrons(own, scale), sensor["dark"], np.zeros(own.shape, np.float32)
         pixel = y * columns + x
-        if readout.has_pattern:
+        if sensor_model.has_pattern:
             word = philox(pixel, 0, camera & 1, PATTERN_STREAM + STREAMS * k, key)
             mean, dark, added = _patterned(mean, word, sensor)
         with np.errstate(over="ignore"):
