@@ -12,7 +12,15 @@ import numpy as np
 import clsco
 from clsco import reference
 from clsco.cli.check import compare
-from clsco.frame.frame import Frame
+from clsco.frame.frame import (
+    MAPPING_NAMES,
+    MOTION_NAMES,
+    ROLLING_NAMES,
+    SENSOR_NAMES,
+    STEREO_NAMES,
+    TRUTH_NAMES,
+    Frame,
+)
 from clsco.plan.buffers import DeviceFacts
 from clsco.plan.plan import Plan, make_plan
 from clsco.plan.request import Request
@@ -60,6 +68,16 @@ def rendered(wanted: Scene, **options: Any) -> list[Frame]:
 def reference_frames(wanted: Scene) -> list[Frame]:
     """All frames of a scene by the reference, which renders it once for all tests of a process."""
     return list(reference.render(wanted))
+
+
+def outputs_of(scene: Scene) -> set[str]:
+    """Names of a frame's outputs, color among them, that a scene has unless fewer or more are asked for."""
+    found = {"color", *TRUTH_NAMES}
+    found |= {*STEREO_NAMES} if scene.stereo is not None else set()
+    found |= {*MOTION_NAMES} if scene.moves else set()
+    found |= {*MAPPING_NAMES} if scene.has_mapped_textures else set()
+    found |= {*ROLLING_NAMES} if scene.rolls else set()
+    return found | ({*SENSOR_NAMES} if scene.sensor is not None else set())
 
 
 def assert_agree(frames: list[Frame], exact: list[Frame], least: float = 0.02) -> None:

@@ -17,6 +17,7 @@ def exr_channels(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
 
     They are R G B A, Z, coc, sharp.R, N.X, flow.u, id, mask, filled, missing, hidden. A scene that moves has
     flow_backward.u and flow_occluded, one with textures on surfaces uv.u, a stereo pair disparity and occluded; one
+    with a rolling shutter row_time, where it is given for each pixel, and one
     with a sensor raw.Y, electrons.Y, noise_sigma.Y and saturated.Y, or of three planes raw.R and so on; sub-frames are
     sample_00.R. A gray frame has R, G and B, so that every reader shows it. A is the alpha where it was requested, else
     1: a photograph covers all of its pixels.
@@ -35,6 +36,7 @@ def exr_channels(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     for number, image in enumerate(arrays.get("subframes", ())):
         subframes |= split(f"sample_{number:02d}.", "RGB", image)
     single = {"Z": "depth", "id": "object_id"} | {name: name for name in plain}
+    single |= {"row_time": "row_time"} if np.ndim(arrays.get("row_time", 0.0)) == 2 else {}
     sensor: dict[str, NDArray[Any]] = {}
     for name in _SENSOR:
         array = arrays.get(name)

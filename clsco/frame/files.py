@@ -25,7 +25,7 @@ from clsco.files.npy import ZSTD, npy_bytes
 from clsco.files.transfer import encode
 from clsco.frame.cameras import all_pinholes, exr_attributes, eye_of, gets_behind, pinhole
 from clsco.frame.channels import exr_channels
-from clsco.frame.frame import ALL_TRUTH, FILE_NAMES, IMAGE_NAMES, ROLLING_NAMES, Frame
+from clsco.frame.frame import ALL_TRUTH, FILE_NAMES, IMAGE_NAMES, Frame
 from clsco.frame.truth_files import ATTRIBUTES, Shot, TruthFile, TruthFormat, parse_truth
 from clsco.optics.motion import Eye
 from clsco.resources import read_regular
@@ -45,12 +45,21 @@ def _write_npz(path: Path, shot: Shot, wanted: TruthFile) -> None:
 
 
 def _write_exr(path: Path, shot: Shot, wanted: TruthFile) -> None:
-    channels = [exr_channels(wanted.arrays(frame)) for frame in shot.views]
+    channels = [exr_channels(_per_pixel(shot, frame, wanted.arrays(frame))) for frame in shot.views]
     names = [frame.eye for frame in shot.views] if len(shot.views) > 1 else ()
     known = [] if shot.scene is None else [exr_attributes(shot.scene, view.index, eye_of(view)) for view in shot.views]
     if not shot.color.is_plain:  # its primaries are in its profile, for which an EXR has no place
         known = [{name: value for name, value in about.items() if name != "chromaticities"} for about in known]
     write_exr(path, *channels, names=names, attributes=known)
+
+
+def _per_pixel(shot: Shot, frame: Frame, arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """The arrays of a frame with a time for each of its pixels, as an EXR has numbers of pixels alone."""
+    times = arrays.pop("row_time", None)
+    if times is None or shot.scene is None:
+        return arrays
+    lines = times if shot.scene.sequence.by_columns else times[:, None]
+    return arrays | {"row_time": np.broadcast_to(lines, frame.color.shape[:2])}
 
 
 def _write_npy(path: Path, shot: Shot, wanted: TruthFile) -> None:
@@ -124,12 +133,11 @@ def _known(shot: Shot, wanted: TruthFile) -> NDArray[np.bool_]:
 
 
 _FLOWS, _WHERE_FLOW_HOLDS = ("flow", "flow_backward"), ("mask", "depth", "object_id")
-_IMAGES = tuple(name for name in ATTRIBUTES if name not in ROLLING_NAMES)  # an EXR has a number for each pixel
 # By name, one row for each format: `clsco render --truth` takes its names from here.
 LARGEST_JSON = 2**22  # bytes; 64 objects with all of their keys take a fiftieth
 TRUTH_FORMATS = {
     "npz": TruthFormat("{stem}.npz", _write_npz, options=("float16", "compressed")),
-    "exr": TruthFormat("{stem}.exr", _write_exr, "frame", _IMAGES, options=("float16",), needs=("OpenEXR", "exr")),
+    "exr": TruthFormat("{stem}.exr", _write_exr, "frame", options=("float16",), needs=("OpenEXR", "exr")),
     "npy": TruthFormat("{stem}_{array}.npy", _write_npy, "array", options=("float16", "zstd")),
     "pfm": TruthFormat(
         "{stem}_{array}.pfm", _write_pfm, "array",

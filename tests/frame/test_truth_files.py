@@ -15,7 +15,7 @@ from click.testing import CliRunner
 from clsco.cli.main import main
 from clsco.errors import ImageError, SceneError
 from clsco.frame.files import holds_truth, needed_truth, truth_files, write_frame
-from clsco.frame.frame import ALL_TRUTH, ROLLING_NAMES, Frame
+from clsco.frame.frame import ALL_TRUTH, Frame
 from clsco.frame.truth_files import TruthFile
 from tests.scenes import PLANE, scene_file
 
@@ -42,7 +42,7 @@ def test_names_are_read() -> None:
     assert truth_files("npz+compressed+float16:flow,color") == (wanted,)
     assert truth_files(str(wanted)) == (wanted,)
     assert needed_truth(truth_files("npz:flow,color,exr:depth,coc")) == ("depth", "blur_radius", "flow")
-    assert needed_truth(truth_files("npz:flow,exr")) == tuple(n for n in ALL_TRUTH if n not in ROLLING_NAMES)
+    assert needed_truth(truth_files("npz:flow,exr")) == ALL_TRUTH
     assert needed_truth(truth_files("npz:color")) == ()
     assert needed_truth(truth_files("npz:alpha,color,depth")) == ("depth", "alpha")
     assert truth_files("npy+float16+zstd:depth,flo") == (

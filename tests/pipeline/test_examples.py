@@ -11,11 +11,12 @@ import pytest
 
 import clsco
 from clsco import reference
-from clsco.cli.check import FIGURES, Difference, compare
+from clsco.cli.check import Difference, compare
 from clsco.files.images import read_image, write_png
-from clsco.frame.frame import MAPPING_NAMES, MOTION_NAMES, ROLLING_NAMES, SENSOR_NAMES, STEREO_NAMES, Frame
+from clsco.frame.frame import Frame
 from clsco.scene.model import DepthMap, Scene
 from clsco.scene.sweep import load_sweep
+from tests.scenes import outputs_of
 from tests.slow import mostly_slow
 
 Small = Callable[[Path], Scene]
@@ -141,10 +142,7 @@ def test_every_output_agrees_in_double_precision(path: Path, small: Small, exact
     # float32 from at most a few hundred weights, each good to 6e-8, of PSF tables good to 1e-6 of their sum.
     scene = small(path)
     differences = worst(list(clsco.render(scene, precision="double")), exact(path))
-    absent = (set() if scene.stereo else set(STEREO_NAMES)) | (set() if scene.moves else set(MOTION_NAMES))
-    absent |= set() if scene.has_mapped_textures else set(MAPPING_NAMES)
-    absent |= (set() if scene.rolls else set(ROLLING_NAMES)) | set(SENSOR_NAMES)
-    assert {found.output for found in differences} == set(FIGURES) - absent
+    assert {found.output for found in differences} == outputs_of(scene)
     assert [found for found in differences if found.count] == []
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import OpenEXR
 import pytest
 
 import clsco
@@ -143,6 +144,9 @@ def test_row_time_is_in_files_of_arrays(tmp_path: Path) -> None:
     for found in (np.load(tmp_path / "frame_0000.npz")["row_time"], np.load(tmp_path / "frame_0000_row_time.npy")):
         assert found.dtype == np.float64
         np.testing.assert_array_equal(found, line_times(wanted, 0))
+    (part,) = OpenEXR.File(str(tmp_path / "frame_0000.exr"), separate_channels=True).parts
+    found = part.channels["row_time"].pixels
+    np.testing.assert_array_equal(found, np.broadcast_to(line_times(wanted, 0).astype(np.float32), (48, 56)))
     assert clsco.render_frame(scene(readout=0.0), truth="all").row_time is None
 
 
