@@ -171,7 +171,8 @@ def choose_samples(scene: Scene, psf: PointSpread, rays: bool, maps: Maps, guard
         return Choice(0, "nothing moves: one sample, in the reference pose", MOTION_KEYS)
     if scene.sequence.samples == "auto":
         # Without visibility tests what is behind is hidden by outlines as sharp as that is; and radii are of one lens.
-        evened = rays and scene.psf.occlusion != "none" and scene.lens is None
+        soft = scene.psf.occlusion != "none" or len(scene.objects) == 1
+        evened = rays and soft and scene.lens is None
         needs = motion_needs(scene, psf, maps, guard, evened)
         named = [f"{scene.objects[need.number].name} {need}" for need in needs[:MOST_NAMED]]
         left = [f"{len(needs) - MOST_NAMED} more"] if len(needs) > MOST_NAMED else []

@@ -207,15 +207,24 @@ ACROSS = Plane(distance=500.0, motion=RIGHT)
         (Plane(distance=270.0, slope_x=6.0, motion=RIGHT), {}),
         (Plane(distance=240.0, motion=ObjectMotion(velocity=(10.0, 0.0, 20.0))), {}),
         (ACROSS, {"sequence": Sequence(sampling="endpoint")}),
-        (ACROSS, {"psf": Psf(occlusion="none")}),
         (ACROSS, {"motion": Motion(warp="forward")}),
     ],
-    ids=["tilted through the focus", "moves through the focus", "endpoint", "no occlusion", "forward"],
+    ids=["tilted through the focus", "moves through the focus", "endpoint", "forward"],
 )  # fmt: skip
 def test_a_sample_for_each_pixel_where_blur_does_not_even_out_the_steps(item: Plane, sections: Any) -> None:
     given = plan_of(item, size=(640, 480), **sections)
     way = path_of(given.scene).speed
     assert given.samples >= way
+
+
+def test_what_is_hidden_without_visibility_tests_has_a_sample_for_each_pixel() -> None:
+    """Its outline is as sharp as it is, whatever passes before it; where nothing else is, blur evens the steps out."""
+    plain = Psf(occlusion="none")
+    alone, pair = (
+        plan_of(*items, size=(640, 480), psf=plain) for items in ((ACROSS,), (ACROSS, Plane(distance=900.0)))
+    )
+    assert pair.samples >= path_of(pair.scene).speed > 1.5 * alone.samples
+    assert alone.samples == plan_of(ACROSS, size=(640, 480)).samples
 
 
 def test_a_plan_says_which_objects_need_how_many() -> None:
