@@ -115,7 +115,7 @@ class Renderer:
         sweep = Sweep(sample.labels, sample.scenes)
         prepared = prepare_sweep(sweep, self.request, self.device, self.files)
         bare = without_lens(sample.scenes[0])
-        keeps, self._before = bare == self._before, bare  # rays, where samples differ in the lens alone
+        keeps, self._before = bare == self._before, bare  # rays, where samples differ in lens and sensor alone
         found: list[list[Frame]] = [[] for _ in sample.labels]
         for variant, frame in render_prepared(self.session, prepared, keeps_rays=keeps):
             found[variant].append(frame)

@@ -258,7 +258,7 @@ def frame_numbers(scenes: Sequence[Scene], frames: Iterable[SupportsIndex]) -> l
 def _render_group(
     session: Session, prepared: Sequence[Prepared], frames: Sequence[int] | None, keeps_rays: bool
 ) -> Iterator[tuple[int, Frame]]:
-    """Frames of scenes that differ in the lens only."""
+    """Frames of scenes that differ in the lens or the sensor only."""
     request, views = prepared[0].request, len(prepared[0].plans)
     wanted = range(prepared[0].scene.sequence.frames) if frames is None else frames
     limit = replace(limit_of(request.memory, session.device), views=views)

@@ -107,8 +107,9 @@ def _static_depths(scene: Scene, eye: Eye, guard: int) -> Array:
 
 
 def without_lens(scene: Scene) -> Scene:
-    """The same scene for all lenses."""
-    return scene.model_copy(update={"camera": scene.camera.model_copy(update=dict.fromkeys(LENS_KEYS))})
+    """The same scene for all lenses and sensors, which rays do not depend on."""
+    camera = scene.camera.model_copy(update=dict.fromkeys(LENS_KEYS))
+    return scene.model_copy(update={"camera": camera, "sensor": None})
 
 
 def _moved_map(scene: Scene, item: Object, depth: Array, pose: Pose) -> Array:

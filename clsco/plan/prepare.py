@@ -122,7 +122,8 @@ def prepare_sweep(
 ) -> tuple[Prepared, ...]:
     """`prepare` for all scenes of a sweep. Raises SceneError with the faults of all of them.
 
-    With a tolerance, scenes that differ in the lens only have the samples of the one that needs most: they share rays.
+    With a tolerance, scenes that differ in the lens or the sensor only have the samples of the one that needs most: they
+    share rays.
     """
     wanted, known = request or Request(), files or shared_files()
     found, faults, channels = list[Prepared](), dict[str, None](), dict[Hashable, int]()
@@ -153,7 +154,7 @@ def prepare_sweep(
 
 
 def lens_groups(scenes: Sequence[Scene]) -> list[list[int]]:
-    """Numbers of scenes that follow each other and differ in the lens only."""
+    """Numbers of scenes that follow each other and differ in the lens or the sensor only."""
     found: list[list[int]] = []
     for k, scene in enumerate(scenes):
         if k and without_lens(scenes[k - 1]) == without_lens(scene):

@@ -67,6 +67,15 @@ def test_codes_are_those_of_the_light(name: str) -> None:
         assert 1e-3 < np.abs(frame.color - plain.color).mean() < 0.5
 
 
+def test_a_sweep_over_a_sensor_casts_its_rays_once() -> None:
+    scenes = [named("still").replace("sensor.seed", seed) for seed in (1, 2)]
+    found = [frame for _, frame in clsco.render_sweep(scenes, truth=("raw",))]
+    assert ["cast" in frame.metadata["seconds"] for frame in found] == [True, False]
+    for scene, frame in zip(scenes, found, strict=True):
+        np.testing.assert_array_equal(frame.raw, clsco.render_frame(scene, truth=("raw",)).raw)
+    assert np.any(found[0].raw != found[1].raw)
+
+
 @pytest.mark.parametrize("name", ["still", "moving", "mosaic", "pair"])
 def test_the_reference_agrees(name: str) -> None:
     """But for codes that the last digits of the light decide."""
