@@ -122,8 +122,8 @@ def prepare_sweep(
 ) -> tuple[Prepared, ...]:
     """`prepare` for all scenes of a sweep. Raises SceneError with the faults of all of them.
 
-    With a tolerance, scenes that differ in the lens or the sensor only have the samples of the one that needs most: they
-    share rays.
+    With a tolerance, scenes that differ in the lens or the sensor only have the samples of the one that needs most:
+    they share rays.
     """
     wanted, known = request or Request(), files or shared_files()
     found, faults, channels = list[Prepared](), dict[str, None](), dict[Hashable, int]()
