@@ -24,6 +24,7 @@ CAMERA = {
     "focus_distance": 100.0,
     "pixel_pitch": 0.12,
 }
+CAT_EYE = [{"distance": 16.0, "diameter": 17.0}, {"distance": -6.0, "diameter": 13.0}]  # mm
 FAR, NEAR = 1000.0, 53.0  # mm
 
 
@@ -43,6 +44,9 @@ class Effect:
 
 EFFECTS = (
     Effect("polygon", {"aperture": {"shape": "polygon", "blades": 5}}),
+    Effect("curved", {"aperture": {"shape": "polygon", "blades": 7, "blade_curvature": 0.6}}),
+    Effect("squeeze", {"aperture": {"squeeze": 1.8}}),
+    Effect("cat_eye", {"aperture": {"rim": CAT_EYE}}),
     Effect("ring", {"aperture": {"shape": "ring", "obstruction": 0.5}}),
     Effect("image", {"aperture": {"shape": "image", "image": heart()}}),
     Effect("gaussian", {"psf": {"model": "gaussian"}}),

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 Real = Literal["double", "float"]
 Struct = np.void
+MOST_RIMS = 4  # before and behind a lens
 REAL: dict[Real, np.dtype[Any]] = {"double": np.dtype("f8"), "float": np.dtype("f4")}
 REAL_BYTES = 8  # planned for a number on the device, in either precision
 
@@ -30,14 +31,14 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     psf_t:
     how a blur radius becomes a coordinate in the tables, which intervals they hold (first, count), and which of them
     radii are clamped to (low to end - 1), see `clsco.optics.psf_tables.PsfTable`; lens_extent: of the lens in
-    lens radii.
+    lens radii; rim_distance, rim_radius: see `clsco.optics.point_spread.Rim`.
     """
     i, two, three, nine = "i4", (2,), (3,), (9,)
     grid: list[Any] = [
         (name, i) for name in ("rows", "columns", "frame_rows", "top", "guard", "above", "width", "height")
     ]
     grid += _reals(real, step=(), rest_step=())
-    lens = _reals(real, blur_scale=(), focus_power=(), radius=())
+    lens = _reals(real, blur_scale=(), focus_power=(), radius=(), detector_power=())
     surface = _reals(real, turn=nine, body_turn=nine, own_turn=nine, offset=three, body_offset=three, own_offset=three)
     surface += _reals(real, rest=three, q=three, l=three)
     surface += _reals(real, bounds_low=three, bounds_high=three, k=(), at_lens=(), radius=())
@@ -53,7 +54,7 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     psf: list[Any] = [(name, i) for name in ("first", "count", "low", "end", "reach")]
     psf += [(name, i) for name in ("sub_first", "sub_count", "sub_low", "sub_end")]
     psf += _reals(real, key=(), minimum_blur=(), fine_steps=(), fine_until=(), octaves_from=(), steps=(), sub_steps=())
-    psf += _reals(real, lens_extent=())
+    psf += _reals(real, lens_extent=(), rim_distance=(MOST_RIMS,), rim_radius=(MOST_RIMS,))
     sensor: list[Any] = [("planes", i), ("channel", i, (12,)), ("maximum", i)]
     sensor += [(name, "u4") for name in ("seed_low", "seed_high", "hot")]
     sensor += _reals("float", scale=(12,), prnu=(), dsnu=(), dark=(), leak=(), most=(), full_well=(), read_noise=())

@@ -9,12 +9,13 @@ goes on after its first hit.
 from __future__ import annotations
 
 import json
+import math
 import os
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,16 +41,21 @@ class Cycles:
     exposed : float, optional
         Share of the shutter that each row is open for, by default all of it. Rows open one after another from the top;
         row i is in the middle of its exposure at ((i + 1) / rows - 1/2) (1 - exposed) + 1/2 of the shutter.
+    aperture : mapping, optional
+        "blades", "rotation" in deg and "ratio" of Cycles' own aperture; or "osl", a shader in place of the camera.
     """
 
-    def __init__(self, python: Path, camera: Any, meshes: Sequence[Any], threads: int, exposed: float = 1.0) -> None:
+    def __init__(
+        self, python: Path, camera: Any, meshes: Sequence[Any], threads: int, exposed: float = 1.0,
+        aperture: Mapping[str, Any] | None = None,
+    ) -> None:  # fmt: skip
         self._folder = tempfile.TemporaryDirectory()
         folder = Path(self._folder.name)
         focus = 1.0 / (1.0 / camera.focal_length - 1.0 / camera.sensor_distance)
         described = {
             "size": camera.resolution, "lens": camera.normalization_distance, "focus": focus, "threads": threads,
             "width": camera.resolution[0] * camera.pixel_pitch, "aperture": camera.aperture_diameter,
-            "exposed": exposed,
+            "exposed": exposed, "opening": dict(aperture or {}),
             "meshes": [{"wrap": mesh.wrap, "nearest": mesh.nearest, "moves": mesh.moves} for mesh in meshes],
         }  # fmt: skip
         (folder / "scene.json").write_text(json.dumps(described), "utf-8")
@@ -131,8 +137,26 @@ def set_up(bpy: Any, folder: Path, described: dict[str, Any]) -> None:
     data.clip_start, data.clip_end = 1e-3, 1e9
     data.dof.use_dof, data.dof.focus_distance = True, described["focus"] * METERS
     data.dof.aperture_fstop = described["lens"] / described["aperture"]
+    opening = described["opening"]
+    data.dof.aperture_blades, data.dof.aperture_ratio = opening.get("blades", 0), opening.get("ratio", 1.0)
+    data.dof.aperture_rotation = math.radians(opening.get("rotation", 0.0))
+    if "osl" in opening:
+        cycles.shading_system = True
+        use_shader(data, folder, opening["osl"])
     for number, mesh in enumerate(described["meshes"]):
         add(bpy, number, mesh, dict(np.load(folder / f"{number}.npz")))
+
+
+def use_shader(camera: Any, folder: Path, source: str) -> None:
+    """Cast rays by a shader, which Blender's own add-on cannot load where it has no module `oslquery`."""
+    import _cycles  # type: ignore[import-not-found]
+
+    text, code = folder / "camera.osl", folder / "camera.oso"
+    text.write_text(source, "utf-8")
+    if not _cycles.osl_compile(str(text), str(code)):
+        raise RuntimeError("Cycles: the shader of the camera does not compile")
+    camera.type, camera.custom_mode, camera.custom_filepath = "CUSTOM", "EXTERNAL", str(code)
+    camera.custom_bytecode, camera.custom_bytecode_hash = code.read_text("utf-8"), "1"
 
 
 def add(bpy: Any, number: int, mesh: dict[str, Any], arrays: dict[str, Array]) -> None:

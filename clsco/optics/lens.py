@@ -27,6 +27,8 @@ class Lens:
         float64 on the host.
     radius : float
         Radius of the aperture, D / 2, in mm.
+    detector_power : float
+        Inverse distance of the detector, 1/s, in 1/mm.
 
     Examples
     --------
@@ -40,6 +42,7 @@ class Lens:
     blur_scale: float
     focus_power: float
     radius: float
+    detector_power: float
 
     @classmethod
     def of(cls, camera: Camera) -> Self:
@@ -48,6 +51,7 @@ class Lens:
             camera.normalization_distance * camera.aperture_diameter / (2.0 * camera.pixel_pitch),
             1.0 / camera.focal_length - 1.0 / camera.sensor_distance,
             0.5 * camera.aperture_diameter,
+            1.0 / camera.sensor_distance,
         )
 
 

@@ -6,7 +6,7 @@ as piecewise cubics in the blur radius, which is what a device reads.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from math import floor, sqrt
 from typing import Literal
@@ -29,10 +29,26 @@ Layout = Literal["disc", "separable", "symmetric", "general"]
 
 
 @dataclass(frozen=True)
+class Rim:
+    """Circle that light passes through before or behind the aperture.
+
+    Attributes
+    ----------
+    distance : float
+        From the aperture, mm, positive towards the scene.
+    radius : float
+        mm.
+    """
+
+    distance: float
+    radius: float
+
+
+@dataclass(frozen=True)
 class PointSpread:
     """Blur of a point by a lens: the pupil, and how it is evaluated on pixels. Made by `point_spread`.
 
-    Two that are equal have equal weights, so that tables are kept by it.
+    Two that are equal have equal weights, so that tables are kept by it, but for the rims.
 
     Attributes
     ----------
@@ -41,6 +57,8 @@ class PointSpread:
         "integrated" over source and detector pixel, over the detector's "area", or "sampled" at pixel centers.
     alignment : int
         Places of sources per px that intervals of tables begin at, for weights that have corners there; else 0.
+    rims : tuple of Rim
+        Circles that cut light from some directions besides: of what the weights spread.
 
     Examples
     --------
@@ -56,6 +74,7 @@ class PointSpread:
     pupil: Pupil
     edge: Edge = "integrated"
     alignment: int = 0
+    rims: tuple[Rim, ...] = field(default=(), repr=False)
 
     @cached_property
     def layout(self) -> Layout:
@@ -101,7 +120,9 @@ class PointSpread:
         return self.pupil.second_moment * radius * radius + PIXEL_MOMENT[self.edge]
 
     def is_sharp(self, largest: float) -> bool:
-        """True if the PSF of the |blur radius| `largest` px keeps all light in its pixel."""
+        """True if the PSF of the |blur radius| `largest` px keeps all light, and in its pixel."""
+        if self.rims:
+            return False
         if self.sampled:
             return largest < MINIMUM_BLUR or self.extent * largest < 1.0
         return largest == 0.0 or (self.edge == "area" and self.extent * largest <= 0.5)
@@ -217,10 +238,13 @@ def point_spread(psf: Psf, aperture: Aperture | None = None, image: Pupil | None
     'separable'
     """
     aperture = aperture or Aperture()
+    rims = tuple(Rim(each.distance, 0.5 * each.diameter) for each in aperture.rim)
     if psf.model == "gaussian":
         round_cut = psf.edge == "sampled"
-        return PointSpread(Gaussian(psf.sigma_ratio, psf.truncation, round_cut), psf.edge, 2 * psf.silhouette_samples)
-    return PointSpread(image or FORMULAS[aperture.shape](aperture), psf.edge)
+        return PointSpread(
+            Gaussian(psf.sigma_ratio, psf.truncation, round_cut), psf.edge, 2 * psf.silhouette_samples, rims
+        )
+    return PointSpread(image or FORMULAS[aperture.shape](aperture), psf.edge, rims=rims)
 
 
 def exposure_factor(aperture: Aperture, psf: PointSpread) -> float:

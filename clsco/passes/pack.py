@@ -21,7 +21,7 @@ from clsco.optics.quadrics import PlacedSurface, cutting_bounds
 from clsco.optics.still import Exposed, Window
 from clsco.optics.texture_mapping import TextureMap, texture_spread
 from clsco.optics.visibility import OcclusionGroup
-from clsco.records import Real, Struct, filled, structs
+from clsco.records import MOST_RIMS, Real, Struct, filled, structs
 from clsco.scene.model import Camera, Object
 
 EVERYWHERE = ((-np.inf, np.inf),) * 3  # bounds of an object that has none, beside one that has
@@ -178,6 +178,9 @@ def psf_struct(psf: PointSpread, table: PsfTable, subpixel: PsfTable | None, rea
         "lens_extent": psf.extent,
     }
     values["fine_steps"], values["fine_until"] = sampled_steps(psf)
+    none = [0.0] * (MOST_RIMS - len(psf.rims))
+    values |= {"rim_distance": [*(rim.distance for rim in psf.rims), *none]}
+    values |= {"rim_radius": [*(rim.radius for rim in psf.rims), *none]}
     if subpixel:
         values |= {"sub_first": subpixel.first, "sub_count": subpixel.count}
         values |= {"sub_low": subpixel.low, "sub_end": subpixel.end}

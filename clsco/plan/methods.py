@@ -77,14 +77,16 @@ class BlurSpec:
 
 
 def can_convolve(psf: PointSpread, border: str) -> bool:
-    """True if `convolve` can blur by this PSF: the same one everywhere, and for -R."""
-    return border == "lose" and not psf.signed
+    """True if `convolve` can blur by this PSF: the same one everywhere, whole, and for -R."""
+    return border == "lose" and not psf.signed and not psf.rims
 
 
 def check_shape(psf: PointSpread, method: str) -> None:
     """Raise SceneError where a method cannot take the shape of the lens."""
     if method == "convolve" and psf.signed:
         raise SceneError(f"method: convolve needs an aperture that blurs alike for R and -R; got {psf.pupil.name}")
+    if method == "convolve" and psf.rims:
+        raise SceneError(f"method: convolve needs an aperture without rims; got {len(psf.rims)}")
 
 
 def occluder_room(occluders: int) -> int:
@@ -134,7 +136,8 @@ def choose_blur(method: str, sharp: bool, constant: bool, gpu: bool, occluded: b
     if method == "convolve" and not constant:
         raise SceneError('method: convolve needs one blur radius for all pixels and border = "lose"; got many radii')
     if method == "tiles" and occluded:
-        raise SceneError("method: tiles needs sources with nothing in their way; got objects that hide each other")
+        rule = "needs sources with nothing in their way"
+        raise SceneError(f"method: tiles {rule}; got objects that hide each other, or rims of the lens")
     found: Blur = "convolve" if constant else "tiles" if gpu else "gather"
     if method in MANY_RADII:
         found = method

@@ -235,7 +235,7 @@ class Plan:
     @cached_property
     def spec(self) -> BlurSpec:
         """Specification of the blur."""
-        room = occluder_room(max(group.occluders.bit_count() for group in self.groups))
+        room = occluder_room(max(len(self.psf.rims), *(group.occluders.bit_count() for group in self.groups)))
         return BlurSpec(
             self.psf, self.blur, self.smallest_blur, self.largest_blur, self.silhouettes, self.tilt,
             occluders=room, limited=room > 0 and self._shapes["NAPPE"] > 0, border=self.scene.psf.border,
@@ -311,9 +311,7 @@ class Plan:
             "DIVIDED": int(self.divided),
             "TILT": int(self.tilt),
             "SUBPIXELS": self.silhouettes,
-            "SAMPLED": psf["SAMPLED"],
-            "GENERAL": psf["GENERAL"],
-            "EDGES": psf["EDGES"],
+            **{name: psf[name] for name in ("SAMPLED", "GENERAL", "EDGES", "RIMS")},
         }
 
     @cached_property

@@ -289,6 +289,8 @@ def aperture_of(aperture: ApertureLike, psf: Psf) -> Aperture:
         As `parse_scene`, for other types, and where they do not go together.
     """
     found = _section(Aperture, aperture, "aperture", "shape")
+    if found.rim:
+        raise SceneError("aperture.rim: needs a camera, which an image has none of; got rims")
     if fault := misfit(psf, found):
         key, rule, value = fault
         raise SceneError(f"aperture.{key}: {rule}; got {value}")

@@ -340,6 +340,15 @@ class Scene(Strict):
         return self
 
     @model_validator(mode="after")
+    def _rims_are_before_the_detector(self) -> Self:
+        detector = self.camera.sensor_distance
+        for index, rim in enumerate(self.aperture.rim):
+            if detector is not None and rim.distance <= -detector:
+                rule = fault(f"must be before the detector, {detector:.6g} mm behind the lens")
+                raise at_keys([(("aperture", "rim", index, "distance"), rule, rim.distance)])
+        return self
+
+    @model_validator(mode="after")
     def _visibility_needs_rays(self) -> Self:
         if self.psf.asks_for_rays and not self.is_ray_castable:
             raise at_keys([(("psf", "occlusion"), fault(NEEDS_RAYS), self.psf.occlusion)])

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal, Self, cast
 
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, model_validator
 
 from clsco.errors import SceneError
+from clsco.records import MOST_RIMS
 from clsco.scene.arrays import HasInputs, Input, TextureInput
-from clsco.scene.quantities import Flag, Strict, Within, at_keys, fault
+from clsco.scene.quantities import Flag, Strict, Within, as_python, at_keys, fault
 
 NEEDS_RAYS = '"visibility" needs analytic surfaces, which rays can be cast at; use "layered" or "none"'
 
@@ -23,6 +24,30 @@ APERTURE_KEYS: dict[str, tuple[ApertureShape, ...]] = {
     "image": ("image",),
 }
 """Keys of [aperture] that belong to some shapes."""
+
+
+class Rim(Strict):
+    """Circle before or behind the opening of a lens that light passes through, as the end of its barrel is."""
+
+    distance: Annotated[float, Within(-1000.0, 1000.0, "mm")]
+    """Distance from the aperture, mm, positive towards the scene."""
+    diameter: Annotated[float, Within(0.01, 1000.0, "mm")]
+    """Diameter, mm."""
+
+
+def listed_rims(value: Any) -> Any:
+    """Turn the array of tables into a tuple; refuse too many. Raises the fault that says so."""
+    value = as_python(value)
+    if not isinstance(value, list | tuple):
+        raise fault("must be an array of tables, [[aperture.rim]]")
+    if len(value) > MOST_RIMS:
+        raise fault(f"must hold at most {MOST_RIMS} rims", got=str(len(value)))
+    return tuple(value)
+
+
+Rims = Annotated[
+    tuple[Rim, ...], Field(json_schema_extra={"maxItems": MOST_RIMS}), BeforeValidator(listed_rims)
+]  # fmt: skip
 
 
 class Aperture(HasInputs, Strict):
@@ -47,6 +72,8 @@ class Aperture(HasInputs, Strict):
     """Height over width of the blur, as of an anamorphic lens: the height stays."""
     exposure: Literal["normalized", "area"] = "normalized"
     """The light through any shape is that of the open circle, or less by its area and transmission."""
+    rim: Rims = ()
+    """Rims that cut light besides the aperture, as cat-eyes beside the middle of a picture show it; at most 4."""
 
     @field_validator(*APERTURE_KEYS)
     @classmethod
@@ -117,6 +144,8 @@ def misfit(psf: Psf, aperture: Aperture) -> tuple[str, str, Any] | None:
         found.append(("shape", f'"{aperture.shape}"', aperture.shape))
     if aperture.squeeze != 1.0:
         found.append(("squeeze", "an aperture that is squeezed", aperture.squeeze))
+    if aperture.rim and psf.edge == "sampled":
+        return "rim", 'needs psf.edge = "integrated" or "area"', psf.edge
     for key, about, value in found:
         if psf.model == "gaussian":
             return key, f'{about} needs psf.model = "pillbox"', value

@@ -11,7 +11,7 @@
 //   texture float (textures, CHANNELS, frame_rows, columns); surface_t names its object's. Then mipmaps, float (sides,
 //           rows, columns, CHANNELS) per level, of textures that lie on surfaces: texture_map_t of an object has where
 // Features besides geometry.clh's: MOVED (not all is in its reference pose), TILT, SUBPIXELS (sources per axis in a
-// pixel at a silhouette, 0 none), SAMPLED, OCCLUDED.
+// pixel at a silhouette, 0 none), SAMPLED, OCCLUDED, RIMS.
 // Square roots and floors as instructions took a plane from 36 to 12 ns per pixel, one cast for all lenses of a sweep
 // the prepass from 31 to 6 and 20 per lens (benchmarks/optimisation_log.md).
 
@@ -38,7 +38,10 @@ static float4 source_record(const grid_t grid, const lens_t lens, __constant sur
     bool edge;
     const real size = blur_radius(lens, seen_w);
     const division_t division = division_of(size, psf.lens_extent, subpixel ? (real)1 / SUBPIXELS : 1, tilt);
-    const int seen = check_visibility(lens, surfaces, group, seen_ray, seen_w, division, 0, &edge);
+    int seen = check_visibility(lens, surfaces, group, seen_ray, seen_w, division, 0, &edge);
+#if RIMS
+    seen = MAX(seen, meet_rims(lens, psf, seen_ray, seen_w, size, division, 0));
+#endif
     *label |= edge ? EDGE : 0;
     if (seen == HIDDEN)
         return record;
@@ -377,7 +380,10 @@ __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surf
     real spread;
     const float2 tilt = TILT ? pixel_tilt(gradient, middle, &spread) : (float2)(0, 0);
     const division_t division = division_of(middle, psf.lens_extent, 1, tilt);
-    const bool partly = check_visibility(lens, surfaces, group, ray, w, division, 0, &edge) == PARTLY;
+    bool partly = check_visibility(lens, surfaces, group, ray, w, division, 0, &edge) == PARTLY;
+#if RIMS
+    partly |= meet_rims(lens, psf, ray, w, middle, division, 0) != CLEAR;
+#endif
 #endif
     float values[FINE_PARTS * FINE_PARTS * CHANNELS];
     detailed_texture(texture, surfaces + object, maps + object, grid, ray, w, middle, fine, values);
@@ -397,7 +403,10 @@ __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surf
         if (partly) {
             const real3 towards = pixel_ray(grid, row + down, column + right);
             const division_t own = division_of(radius, psf.lens_extent, (real)1 / SUBPIXELS, record.yz);
-            const int seen = check_visibility(lens, surfaces, group, towards, sub_depth[id], own, 0, &edge);
+            int seen = check_visibility(lens, surfaces, group, towards, sub_depth[id], own, 0, &edge);
+#if RIMS
+            seen = MAX(seen, meet_rims(lens, psf, towards, sub_depth[id], radius, own, 0));
+#endif
             record.x = seen == HIDDEN ? -1 : record.x;
             record.w = as_float(seen == PARTLY ? PARTLY_OCCLUDED : WHOLE);
         }

@@ -100,7 +100,7 @@ WITHOUT_TWIN = {
     "blocks": dict.fromkeys(
         (
             *("least_of_corners", "most_of_corners", "add_conics", "find_conics", "sign_around"),
-            *("classify_limited", "classify_blocks", "edges_in_block", "share_of_edges"),
+            *("classify_limited", "classify_blocks", "edges_in_block", "share_of_edges", "find_rims"),
         ),
         "finds out which taps need a test at all",
     ),
@@ -124,6 +124,7 @@ OTHERWISE = {
     "flatten_limits": "limits of an occluder_t are changed in place",
     "division_of": "records of sources hold the gradient over the radius",
     "free_share": "the device is told where no two edges meet",
+    "meet_rims": "one source after the other",
     "check_visibility": "its caller divides the lens, by the radius that it has already",
     "cell_visibility": "one cell after the other, given by its middle",
     "estimate": "settings of all lanes are in an around_t",

@@ -37,7 +37,7 @@ def test_every_number_has_a_unit_or_needs_none(shape: str) -> None:
     found = units(scene)
     without = {"camera.f_number", "sequence.frames", "sequence.samples", "psf.silhouette_samples"}
     without |= {"psf.sigma_ratio", "psf.truncation", "object[0].coefficients", "object[0].axis", "object[0].scale"}
-    without |= {"light.ambient", "aperture.squeeze"}
+    without |= {"light.ambient", "aperture.squeeze", "aperture.rim"}
     without |= {
         f"sensor.{key}" for key in ("prnu", "hot_pixels", "bits", "iso", "iso_base", "quantum_efficiency", "seed")
     }

@@ -21,6 +21,7 @@ RECORDING = 1800.0  # seconds that the tests of a file may take without a change
 MOST_CASES = 6  # of the simulator, the quickest that see a mutant
 TESTS = {
     "clsco/optics/lens.py": "optics/test_lens plan/test_plan reference/test_geometry",
+    "clsco/optics/rims.py": "kernels/test_rims",
     "clsco/optics/line_truth.py": "pipeline/test_line_truth",
     "clsco/optics/exposure.py": "optics/test_exposure plan/test_plan plan/test_predict plan/test_approximation",
     "clsco/optics/motion.py": "optics/test_motion optics/test_shake optics/test_quadrics plan/test_plan "
@@ -36,8 +37,9 @@ TESTS = {
     "kernels/test_visibility pipeline/test_occlusion",
     "blur/convolve.cl": "kernels/test_convolve",
     "blur/tiles.cl": "kernels/test_tiles",
-    "blur/cpu/spans.clh": "pipeline/test_occlusion kernels/test_visibility",
-    "common/cpu/blocks.clh": "kernels/test_visibility_test kernels/test_visibility pipeline/test_occlusion",
+    "blur/cpu/spans.clh": "pipeline/test_occlusion kernels/test_visibility kernels/test_rims",
+    "common/cpu/blocks.clh": "kernels/test_visibility_test kernels/test_visibility pipeline/test_occlusion "
+    "kernels/test_rims",
     "blur/cpu/columns.clh": "kernels/test_blur_quadrants kernels/test_blur engine/test_defocus kernels/test_layered",
     "blur/cpu/discs.clh": "kernels/test_blur_tiles kernels/test_blur_columns kernels/test_blur engine/test_defocus",
     "blur/cpu/gather.cl": "kernels/test_blur_amid kernels/test_blur engine/test_defocus pipeline/test_occlusion",
@@ -56,8 +58,9 @@ TESTS = {
     "common/psf.clh": "kernels/test_blur kernels/test_pupils kernels/test_tiles engine/test_defocus",
     "common/sources.clh": "kernels/test_blur kernels/test_trace kernels/test_visibility pipeline/test_occlusion",
     "common/visibility.clh": "kernels/test_visibility_shares kernels/test_visibility kernels/test_blur "
-    "pipeline/test_occlusion",
-    "common/visibility_test.clh": "kernels/test_visibility_test kernels/test_visibility pipeline/test_occlusion",
+    "pipeline/test_occlusion kernels/test_rims",
+    "common/visibility_test.clh": "kernels/test_visibility_test kernels/test_visibility pipeline/test_occlusion "
+    "kernels/test_rims",
     "common/angles.clh": "kernels/test_angles",
     "inpainting/biharmonic.cl": "kernels/test_biharmonic",
     "inpainting/cpu/lanes.clh": "kernels/test_fill kernels/test_mean_median",

@@ -40,6 +40,7 @@ from clsco.plan.request import Request
 from clsco.records import flat
 from clsco.reference.sensor.sensor import sense
 from clsco.scene.model import (
+    Aperture,
     Camera,
     Cone,
     Cylinder,
@@ -59,6 +60,7 @@ from clsco.scene.model import (
     Stereo,
 )
 from clsco.scene.model import Sequence as Frames
+from clsco.scene.spread import Rim
 
 Array = NDArray[Any]
 # Rows and columns: single pixels and lines, odd and even, less than a vector of 8 or 16, whole ones, and one more.
@@ -112,8 +114,13 @@ CHOICES: dict[str, Sequence[Any]] = {
     "lenses": (1, 1, 1, 2),
     "precision": ("double", "double", "single"),
     "aperture": (0.0001, 0.6, 1.2),  # mm: in focus, and |R| of about 1 and 2 px
+    "opening": (None, None, None, "blades", "rims"),
     "device": ({}, {}, {"kind": "gpu"}, {"has_int64_atomics": False}, {"compute_units": 3}),
     "seed": range(1000),
+}
+OPENINGS = {
+    "blades": Aperture(shape="polygon", blades=5, blade_curvature=0.5),
+    "rims": Aperture(rim=(Rim(distance=40.0, diameter=1.0), Rim(distance=-5.0, diameter=0.7))),
 }
 Drawn = dict[str, Any]
 Pair = tuple[tuple[str, Any], tuple[str, Any]]
@@ -143,6 +150,8 @@ def scenes_of(drawn: Drawn) -> list[Scene]:
         sections["sequence"] = Frames(samples=1 + (drawn["seed"] % 4 == 0))
         if forward:
             sections["fill"] = Fill(method=drawn["fill"], domain=drawn["domain"])
+    if drawn["opening"] is not None:
+        sections["aperture"] = OPENINGS[drawn["opening"]]
     if drawn["light"] is not None:
         sections["light"] = drawn["light"]
     if drawn["stereo"]:
@@ -177,7 +186,7 @@ def features_of(drawn: Drawn) -> dict[str, Any]:
         prepare = plan.forward or plan.occlusion == "layered"
         found |= blur_features(plan.spec, plan.channels, fp64, "wide" if prepare else "none") | plan.features()
         found |= {"rooms": plan.spec.occluders, "blur": plan.blur, "occlusion": plan.occlusion}
-        found["truth"] = drawn["truth"]
+        found |= {"truth": drawn["truth"], "general": plan.psf.signed, "rims": len(plan.psf.rims)}
         if plan.forward:
             found |= forward_features(plan, drawn["device"].get("kind") != "gpu") | {"samples": plan.samples}
     return found

@@ -79,6 +79,7 @@ LONG |= {"night"}  # see tests/pipeline/test_sensor.py
 LONG |= {"focus_pull", "hand_held"}  # see tests/pipeline/test_lens_path.py and test_keyframes.py
 LONG |= {"dolly_zoom"}  # see tests/pipeline/test_zoom.py
 LONG |= {"disc"}  # see tests/pipeline/test_rotated.py
+LONG |= {"lens_fast_prime", "lens_coded_aperture", "lens_heart"}  # see tests/pipeline/test_apertures.py
 LONG |= {"lit"}  # see tests/pipeline/test_surface_textures.py and test_light.py
 LONG |= {"card", "ellipsoid"}  # see tests/pipeline/test_occlusion.py
 LONG |= {"plane_moving", "plane_turning"}  # as plane_approaching moves

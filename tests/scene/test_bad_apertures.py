@@ -35,6 +35,24 @@ APERTURES: list[tuple[str, str]] = [
     ),
     ("aperture.obstruction = 0.5", 'aperture.obstruction: belongs to aperture.shape = "ring", not "circle"; got 0.5'),
     ("aperture = {shape = 'ring', obstruction = 1}", "aperture.obstruction: must be between 0.01 and 0.99; got 1"),
+    ("aperture.rim = 3", "aperture.rim: must be an array of tables, [[aperture.rim]]; got 3"),
+    (
+        f"aperture.rim = [{', '.join(5 * ['{distance = 1.0, diameter = 2.0}'])}]",
+        "aperture.rim: must hold at most 4 rims; got 5",
+    ),
+    ("aperture.rim = [{distance = 1.0}]", "aperture.rim[0].diameter: must be given; got nothing"),
+    (
+        "aperture.rim = [{distance = 2000.0, diameter = 2.0}]",
+        "aperture.rim[0].distance: must be between -1000 and 1000 mm; got 2000.0",
+    ),
+    (
+        "aperture.rim = [{distance = 1.0, diameter = 2.0}]\npsf.edge = 'sampled'",
+        'aperture.rim: needs psf.edge = "integrated" or "area"; got "sampled"',
+    ),
+    (
+        "aperture.rim = [{distance = -30.0, diameter = 2.0}]",
+        "aperture.rim[0].distance: must be before the detector, 21.739 mm behind the lens; got -30.0",
+    ),
     ("aperture.shape = 'image'", 'aperture.image: is needed by aperture.shape = "image"; got none'),
 ]
 

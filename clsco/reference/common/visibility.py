@@ -21,12 +21,14 @@ from clsco.constants import LENS_CELLS
 from clsco.optics.lens import Lens
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import PlacedSurface
+from clsco.optics.rims import rim_circle
 from clsco.optics.visibility import OcclusionGroup
 from clsco.reference.common.geometry import Array, Bounds, difference_of_products, quarter_discriminant, turned
 from clsco.reference.common.occluder import TINY, Mask, Occluder, hides_all
 
 CLEAR, PARTLY, HIDDEN = np.uint8(0), np.uint8(1), np.uint8(2)
 SOFT_BOX = (5.0 / 12.0) ** 0.5  # half width of the cubic step that has the variance of a box 1 wide
+RIM_MARGIN = 1.5  # cells from the rim of the lens to a circle that cuts none of its taps
 WIDE_LENS = 3.2  # px: a lens at least so wide is tested once per tap, others on a grid of cells
 SHARP_EDGE = 2.0  # px: a blurred outline this narrow needs sub-pixel sources
 
@@ -365,13 +367,47 @@ def _planar(limits: Sequence[Array], needed: tuple[Mask, ...], points: int) -> O
 
 
 @dataclass(frozen=True, eq=False)
+class Circle:
+    """A rim as sources see the lens through it: which of them (M,) it cuts, x, y and radius (M,) in cells from the
+    middle of the lens, right and down; scale (M,): 1 over half the width of its edge."""
+
+    cuts: Mask
+    x: Array
+    y: Array
+    radius: Array
+    scale: Array
+
+    def of(self, chosen: NDArray[Any]) -> Circle:
+        """The same for some of the sources."""
+        return Circle(*(getattr(self, name)[chosen] for name in ("cuts", "x", "y", "radius", "scale")))
+
+
+def meet_rims(
+    lens: Lens, psf: PointSpread, points: Points, division: Division
+) -> tuple[NDArray[np.uint8], list[Circle]]:  # fmt: skip
+    """Find how rims (`rim_circle`) cut the light from N points: HIDDEN, CLEAR or PARTLY (N,), and what is to be tested
+    per tap."""
+    state, circles = np.full(points.w.shape, CLEAR), []
+    reach, cells = division.extent * np.abs(division.cells), division.cells
+    scale = np.where(division.wide & (division.width == 1), 1.0, np.sqrt(2.0))
+    for rim in psf.rims:
+        right, down, unit = rim_circle(lens, rim, points.rays[:, :2], points.w, points.radius)
+        x, y, size = right * cells, down * cells, unit * np.abs(cells)
+        away = np.hypot(x, y)
+        cuts = size - away < reach + RIM_MARGIN
+        state = np.maximum(state, np.where(away >= reach + size, HIDDEN, np.where(cuts, PARTLY, CLEAR)))
+        circles.append(Circle(cuts, x, y, size, scale))
+    return state.astype(np.uint8), circles
+
+
+@dataclass(frozen=True, eq=False)
 class Visibility:
     """Occluders of the lens for each source; made by `check_visibility`.
 
     row: (sources,) where a source is in the other arrays, -1 if nothing hides it or all is hidden. Of the M others:
     radius px; wide; x, y: place of the source in its pixel, px; occluders: per surface which of them it concerns, and
     how. extent: of the lens in lens radii; cells: weights (L, L) of its cells;
-    mask: straight edges (n, 3) of the lens, none where it is round.
+    mask: straight edges (n, 3) of the lens, none where it is round; circles: rims that cut its light.
     """
 
     row: NDArray[np.int64]
@@ -383,6 +419,7 @@ class Visibility:
     extent: float
     cells: Array
     mask: Array
+    circles: tuple[Circle, ...] = ()
 
     def of(self, chosen: NDArray[Any] | slice) -> Visibility:
         """The same for some of the sources."""
@@ -402,6 +439,7 @@ class Visibility:
             self.extent,
             self.cells,
             self.mask,
+            tuple(circle.of(there) for circle in self.circles),
         )
 
 
@@ -425,10 +463,13 @@ def check_visibility(
             one, changes, occluder = meet_occluder(lens, surface, bounds[k], points, division, k == group.own)
             state, edge = np.maximum(state, one), edge ^ changes
             found.append((one == PARTLY, occluder))
+    cut, circles = meet_rims(lens, psf, points, division)
+    state = np.maximum(state, cut)
     partly = state == PARTLY
     row = np.where(partly, np.cumsum(partly) - 1, -1)
     occluders = tuple((mask[partly], occluder.of(mask & partly)) for mask, occluder in found)
     return state, edge, Visibility(
         row, points.radius[partly], division.wide[partly], points.x[partly], points.y[partly], occluders,
         division.extent, psf.lens_cells(), np.array(psf.pupil.edges).reshape(-1, 3),
+        tuple(circle.of(partly) for circle in circles),
     )  # fmt: skip

@@ -28,6 +28,16 @@ def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
         left = Part(share[mask], across[mask], down[mask])
         left = leave_free(left, occluded_part(occluder, x[mask], y[mask]))
         share[mask], across[mask], down[mask] = left.share, left.x, left.y
+    return share * rim_share(visibility, x, y)
+
+
+def rim_share(visibility: Visibility, x: Array, y: Array) -> Array:
+    """Share (M,) of the light of taps that the rims let through, over an edge as soft as the response of a pixel."""
+    share = np.ones_like(x)
+    for circle in visibility.circles:
+        t = np.clip((circle.radius - np.hypot(x - circle.x, y - circle.y)) * circle.scale, -1.0, 1.0)
+        soft = np.where(t < 0, 0.5 * (1 + t) ** 2, 1 - 0.5 * (1 - t) ** 2)
+        share *= np.where(circle.cuts, soft, 1.0)
     return share
 
 

@@ -231,7 +231,7 @@ def trace(view: View, group: OcclusionGroup, guard: int) -> Sources:
     row, column = padded_grid(scene.camera, guard)
     hit = cast(view, group, row, column, (row, column), 1)
     label, lit, visibility = hit.label, hit.label > 0, None
-    if group.occluders:
+    if group.occluders or view.psf.rims:
         rays = pixel_ray(scene.camera, row, column)[lit]
         here, radius = np.zeros(len(rays)), hit.radius[lit]
         tilt, _ = pixel_tilt(hit.gradient[lit], radius)
@@ -328,7 +328,7 @@ def trace_subpixels(
         hit = _with_parts(view, hit, sources, (row, column), cut, guard)
         lens_radius = np.where((cut > 0)[:, None, None], hit.radius, lens_radius)
     lit, visibility = hit.label > 0, None
-    if group.occluders:
+    if group.occluders or view.psf.rims:
         rays = pixel_ray(scene.camera, at_row, at_column)[lit]
         x, y = (np.broadcast_to(n, lit.shape)[lit] for n in (offsets[None, :], offsets[:, None]))
         bounds = [cutting_bounds(item) for item in scene.objects]

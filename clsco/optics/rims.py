@@ -1,0 +1,59 @@
+"""Rims before and behind a lens: the circles that points of a scene see its opening through (float64, pure)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.optics.lens import Lens
+from clsco.optics.point_spread import PointSpread, Rim
+
+Array = NDArray[np.float64]
+LEAST_WAY = 1e-6  # part of the lens radius that rays through different lens points are apart in a rim
+CELLS = 24  # of the lens, per radius, that its light is summed over
+POINTS = 4096  # at a time
+
+
+def rim_circle(lens: Lens, rim: Rim, slopes: Array, w: Array, radius: Array) -> tuple[Array, Array, Array]:
+    """Circle that light from points passes a rim within, x, y of its center, right and down, and its radius (N,), in
+    lens radii.
+
+    A ray to lens point l (of radius D / 2) passes a rim at distance d before the lens at l D/2 (1 - d w) + d slope, and
+    behind it, d < 0, on its way to the detector, at l D/2 (1 + d / s + d R / kappa) + d slope.
+
+    Parameters
+    ----------
+    lens : Lens
+    rim : Rim
+    slopes : ndarray (N, 2)
+        X / Z and Y / Z of the points, right and up.
+    w : ndarray (N,)
+        1 / Z, 1/mm.
+    radius : ndarray (N,)
+        Signed blur radius, px.
+    """
+    d = rim.distance
+    way = 1 + d * (-w if d > 0 else lens.detector_power + radius / lens.blur_scale)
+    across = lens.radius * np.where(way < 0, np.minimum(way, -LEAST_WAY), np.maximum(way, LEAST_WAY))
+    return -d * slopes[:, 0] / across, d * slopes[:, 1] / across, rim.radius / np.abs(across)
+
+
+def rim_throughput(lens: Lens, psf: PointSpread, slopes: Array, w: Array, radius: Array) -> Array:
+    """Share (N,) of the light through the opening of a lens that all rims let through; arguments as for `rim_circle`.
+
+    Summed over cells of the lens: to 0.5 % of the light through a round opening.
+    """
+    found = np.ones(w.shape)
+    at = (np.arange(2.0 * CELLS) + 0.5 - CELLS) * psf.extent / CELLS
+    x, y = (axis.ravel() for axis in np.meshgrid(at, at))
+    cells = psf.pupil.cells(CELLS).ravel()
+    x, y, cells = x[cells > 0], y[cells > 0], cells[cells > 0] / cells.sum()
+    for start in range(0, w.size, POINTS):
+        part = slice(start, start + POINTS)
+        passes = np.ones((found[part].size, x.size))
+        for rim in psf.rims:
+            right, down, size = rim_circle(lens, rim, slopes[part], w[part], radius[part])
+            away = np.hypot(x - right[:, None], y - down[:, None])
+            passes *= np.clip((size[:, None] - away) * CELLS / psf.extent + 0.5, 0.0, 1.0)
+        found[part] = passes @ cells
+    return found

@@ -1,0 +1,198 @@
+"""Rims before and behind the lens: light, moments, what is lost for good, and devices against the twin."""
+
+from __future__ import annotations
+
+from math import acos, pi, sqrt
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import clsco
+from clsco import reference
+from clsco.constants import BAND
+from clsco.errors import SceneError
+from clsco.optics.lens import Lens, blur_radius
+from clsco.optics.point_spread import point_spread
+from clsco.optics.rims import rim_throughput
+from clsco.scene.model import Scene
+from tests.pipeline.test_strips import memory_for
+from tests.scenes import scene_from
+from tests.slow import combined
+
+FIGURE = 1e-5  # of white
+WIDE: dict[str, Any] = {
+    "camera": {"f_number": 2.0, "focus_distance": 100.0, "pixel_pitch": 0.05, "resolution": [150, 52]},
+    "sequence": {"samples": 1},
+}
+DEPTH, SLOPE = 340.0, 0.125  # of a small emitter, mm and X / Z: 50 px to the right
+
+
+def emitter(rims: list[dict[str, float]], depth: float = DEPTH, slope: float = SLOPE, **psf: Any) -> Scene:
+    side = 2.0 * 0.0025 * depth
+    item = {"shape": "rectangle", "center": [slope * depth, 0.0, depth], "size": [side, side]}
+    return scene_from(WIDE | {"aperture": {"rim": rims}, "psf": psf}, item | {"texture": np.ones((8, 8), np.float32)})
+
+
+def overlap(radius: float, away: float) -> float:
+    """Part of the unit disc in another disc, of this radius and so far away."""
+    if away >= 1 + radius:
+        return 0.0
+    if away <= abs(radius - 1):
+        return min(1.0, radius**2)
+    one = acos((away**2 + 1 - radius**2) / (2 * away))
+    other = acos((away**2 + radius**2 - 1) / (2 * away * radius))
+    kite = sqrt((1 + away + radius) * (1 + away - radius) * (1 - away + radius) * (-1 + away + radius))
+    return (one + radius**2 * other - 0.5 * kite) / pi
+
+
+def as_seen(scene: Scene, slope: float = SLOPE, depth: float = DEPTH) -> list[tuple[float, float]]:
+    """Centers right of the middle and radii of the rims, in lens radii, by the paths of rays."""
+    lens, radius, found = Lens.of(scene.camera), float(blur_radius(scene.camera, 1 / depth)), []
+    for rim in scene.aperture.rim:
+        d, sensor = rim.distance, scene.camera.sensor_distance
+        assert sensor is not None
+        arrives = slope * scene.camera.focal_length + radius * 0.05 * np.array([-1.0, 1.0])  # upright, from both edges
+        ends = np.array([-lens.radius, lens.radius])
+        if d > 0:
+            places = ends + (slope * depth - ends) * d / depth
+        else:
+            places = ends + (-arrives * sensor / scene.camera.focal_length - ends) * -d / sensor
+        middle, across = places.mean(), 0.5 * (places[1] - places[0])
+        found.append((-middle / across, 0.5 * rim.diameter / abs(across)))
+    return found
+
+
+def light(scene: Scene) -> tuple[float, float, NDArray[np.float64]]:
+    """All of it, where its middle is right of the emitter's, px, and its variances."""
+    (frame,) = clsco.render(scene, device="pocl")
+    color = frame.color.astype(np.float64)
+    x, y = np.arange(150) - 74.5 - 50.0, np.arange(52) - 25.5
+    whole, columns, rows = color.sum(), color.sum(axis=0), color.sum(axis=1)
+    middle = (columns @ x) / whole if whole else 0.0
+    spread = [columns @ (x - middle) ** 2 / whole, rows @ y**2 / whole] if whole else [0.0, 0.0]
+    return float(whole), float(middle), np.array(spread)
+
+
+CUTS = {
+    "front": [{"distance": 30.0, "diameter": 11.0}],
+    "rear": [{"distance": -8.0, "diameter": 6.5}],
+    "both": [{"distance": 20.0, "diameter": 11.0}, {"distance": -5.0, "diameter": 10.0}],
+}
+
+
+@pytest.mark.parametrize("name", CUTS)
+def test_light_and_moments_are_those_of_the_overlap(name: str) -> None:
+    """Sources of a disc of 14 px radius: 1 % of the light, 0.1 px, 1 % of the variances; both clip opposite sides."""
+    scene, whole = emitter(CUTS[name]), light(emitter([]))
+    radius = float(blur_radius(scene.camera, 1 / DEPTH))
+    assert radius > 13
+    circles = as_seen(scene)
+    at = (np.arange(800) + 0.5) / 400 - 1
+    x, y = np.meshgrid(at, at)
+    passes = x * x + y * y <= 1
+    for center, size in circles:
+        passes &= (x - center) ** 2 + y * y <= size**2
+    share = passes.sum() / (x * x + y * y <= 1).sum()
+    if len(circles) == 1:
+        assert share == pytest.approx(overlap(circles[0][1], abs(circles[0][0])), abs=1e-3)
+    assert 0.2 < share < 0.9
+    found, middle, spread = light(scene)
+    assert found / whole[0] == pytest.approx(share, rel=0.01)
+    assert middle == pytest.approx(radius * x[passes].mean() + whole[1], abs=0.1)
+    expected = radius**2 * np.array([x[passes].var() - 0.25, y[passes].var() - 0.25]) + whole[2]
+    assert spread == pytest.approx(expected, rel=0.01)
+
+
+@pytest.mark.parametrize("depth", [100.0, 107.0, 121.0, 92.0])
+def test_light_of_narrow_blur_is_that_of_the_overlap(depth: float) -> None:
+    """In focus too, where all of it is in one pixel."""
+    scene = emitter(CUTS["front"], depth)
+    assert abs(blur_radius(scene.camera, 1 / depth)) < 3.5
+    share = overlap(*(abs(v) for v in reversed(as_seen(scene, depth=depth)[0])))
+    assert light(scene)[0] / light(emitter([], depth))[0] == pytest.approx(share, rel=0.02)
+
+
+def test_light_that_is_lost_is_not_given_back() -> None:
+    lost = [light(emitter(CUTS["front"], border=border))[0] for border in ("lose", "renormalize")]
+    assert lost[0] == pytest.approx(lost[1], rel=1e-5)  # all of the blur is inside of the frame
+
+
+@pytest.mark.parametrize("border", ["lose", "renormalize"])
+def test_all_light_may_be_cut(border: str) -> None:
+    scene = emitter([{"distance": 60.0, "diameter": 3.0}], border=border)
+    ((center, size),) = as_seen(scene)
+    assert abs(center) > 1 + size
+    (frame,), (exact,) = clsco.render(scene, device="pocl"), reference.render(scene)
+    assert not frame.color.any()
+    assert not exact.color.any()
+
+
+def test_rims_that_are_wide_change_no_bit() -> None:
+    wide = [{"distance": 30.0, "diameter": 200.0}, {"distance": -5.0, "diameter": 100.0}]
+    (found,), (plain,) = (clsco.render(emitter(rims), device="pocl") for rims in (wide, []))
+    np.testing.assert_array_equal(found.color, plain.color)
+
+
+NEAR: dict[str, Any] = {
+    "camera": {"f_number": 1.0, "focus_distance": 80.0, "pixel_pitch": 0.15, "resolution": [56, 38]},
+    "aperture": {"rim": [{"distance": 40.0, "diameter": 24.0}, {"distance": -5.0, "diameter": 19.0}]},
+}
+BALL = {"shape": "sphere", "center": [-8.0, 3.0, 130.0], "radius": 12.0, "texture": "bricks"}
+SLOPED = {"shape": "plane", "distance": 300.0, "slope_x": 0.8, "texture": "checkerboard"}
+SCENES: dict[str, Scene] = {
+    "tilt": scene_from(NEAR, SLOPED),
+    "objects": scene_from(NEAR, BALL, SLOPED),
+    "pentagon": scene_from(NEAR | {"aperture": NEAR["aperture"] | {"shape": "polygon", "blades": 5}}, BALL, SLOPED),
+    "ring": scene_from(NEAR | {"aperture": NEAR["aperture"] | {"shape": "ring", "obstruction": 0.4}}, BALL, SLOPED),
+    "gaussian": scene_from(NEAR, BALL, SLOPED, psf={"model": "gaussian"}),
+    "not hidden": scene_from(NEAR, BALL, SLOPED, psf={"occlusion": "none", "edge": "area"}),
+    "given back": scene_from(NEAR, BALL, SLOPED, psf={"border": "renormalize"}),
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "method"), combined(SCENES, ("gather", "scatter"), kept=[("tilt", "gather"), ("objects", "gather")])
+)
+def test_scenes_are_those_of_the_twin(name: str, method: str) -> None:
+    wanted = SCENES[name]
+    (found,), (exact,) = clsco.render(wanted, method=method, device="pocl"), reference.render(wanted)
+    assert np.abs(found.color - exact.color).max() < (4 if name == "given back" else 1) * FIGURE
+    (plain,) = clsco.render(wanted.replace("aperture.rim", []), method=method, device="pocl")
+    assert found.color.mean() < 0.98 * plain.color.mean()
+
+
+def test_strips_and_single_precision() -> None:
+    wanted = SCENES["objects"].replace("camera.resolution", [40, 3 * BAND])
+    (whole,) = clsco.render(wanted, device="pocl")
+    (strips,) = clsco.render(wanted, device="pocl", truth=(), memory=memory_for(wanted, BAND, ()))
+    assert strips.metadata["strips"] > 1
+    np.testing.assert_array_equal(whole.color, strips.color)
+    (single,) = clsco.render(wanted, device="pocl", precision="single")
+    assert np.abs(single.color - whole.color).max() < 1e-4
+
+
+def test_refusals() -> None:
+    for changes in (
+        {"psf": {"occlusion": "layered"}},
+        {"motion": {"warp": "forward"}, "object": [BALL | {"motion": {"velocity": [1.0, 0.0, 0.0]}}]},
+    ):
+        with pytest.raises(SceneError, match=r"^aperture\.rim: needs analytic surfaces that rays are cast at"):
+            list(clsco.render(scene_from(NEAR | {"object": [BALL, SLOPED]} | changes)))
+    with pytest.raises(SceneError, match=r"^method: tiles needs sources with nothing in their way"):
+        list(clsco.render(SCENES["tilt"], method="tiles"))
+    with pytest.raises(SceneError, match=r"^aperture\.rim: needs a camera"):
+        clsco.defocus(np.ones((4, 4)), np.ones((4, 4)), aperture=SCENES["tilt"].aperture)
+
+
+def test_throughput_is_that_of_the_overlap() -> None:
+    scene = emitter(CUTS["front"])
+    for depth in (DEPTH, 100.0, 92.0):
+        slopes, w = np.array([[0.0, 0.0], [SLOPE, 0.0], [0.0, -SLOPE], [0.5, 0.0]]), np.full(4, 1 / depth)
+        psf, radius = point_spread(scene.psf, scene.aperture), blur_radius(scene.camera, w)
+        found = rim_throughput(Lens.of(scene.camera), psf, slopes, w, radius)
+        circles = [as_seen(scene, slope, depth)[0] for slope in (0.0, SLOPE, SLOPE, 0.5)]
+        assert found == pytest.approx([overlap(size, abs(center)) for center, size in circles], abs=5e-3)
+        assert found[1] == pytest.approx(found[2], abs=1e-12)
+        assert found[3] == 0.0
