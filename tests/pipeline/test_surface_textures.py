@@ -187,7 +187,7 @@ def test_lenses_of_a_sweep_have_the_bits_of_each_alone() -> None:
 
 def test_strips_have_the_bits_of_the_whole() -> None:
     camera = CAMERA | {"resolution": [96, 400], "pixel_pitch": 0.05, "aperture_diameter": 5.0}
-    wanted = scene(CARD, BALL | {"center": [0.0, 0.0, 300.0]}, psf=TWO, camera=camera)
+    wanted = scene(CARD, WALL, psf=TWO, camera=camera)
     whole = rendered(wanted, truth=())[0]
     for strip in rendered(wanted, memory="4 MiB", truth=()):
         assert strip.metadata["strips"] > 1
