@@ -26,6 +26,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.interpolate import CubicSpline
 from scipy.stats import qmc
 
 import clsco
@@ -46,14 +47,39 @@ PROJECTED, FLAT, GLOBE, AROUND = range(4)
 
 @dataclass(frozen=True)
 class Surface:
-    """One surface: its numbers, image (rows, columns, 3), and its pose: P(t) = C + v t + M(t) R0 (P0 - C)."""
+    """One surface: its numbers, image (rows, columns, 3), and its pose: P(t) = C + s(t) + M(t) R0 (P0 - C)."""
 
     numbers: Array
     image: Array
     center: Array
     start: Array
-    velocity: Array
-    turn: Array
+    motion: Mapping[str, Any]
+
+    def way(self, times: Array) -> tuple[Array, Array]:
+        """Shifts in mm and Euler angles in deg at some times, both (times, 3), by the words of docs/motion.md."""
+        keys = self.motion.get("keyframe")
+        if keys is None:
+            names = (("velocity", "acceleration"), ("angular_velocity", "angular_acceleration"))
+            rates = [[np.asarray(self.motion.get(name, (0.0, 0.0, 0.0)), float) for name in pair] for pair in names]
+            one, other = (np.outer(times, rate) + np.outer(times**2 / 2, gain) for rate, gain in rates)
+            return one, other
+        knots = np.array([key["time"] for key in keys])
+        at = np.clip(times, knots[0], knots[-1])  # held before the first and after the last
+        found = []
+        for name in ("position", "rotation"):
+            values = np.array([key.get(name, (0.0, 0.0, 0.0)) for key in keys], float)
+            if name == "rotation" and np.any(values, axis=0).sum() > 1:
+                raise ValueError("independent: keyframes must turn about one axis alone")
+            match self.motion.get("interpolation", "cubic"):
+                case "cubic":
+                    found.append(CubicSpline(knots, values, bc_type="natural")(at))
+                case "linear":
+                    found.append(np.stack([np.interp(at, knots, axis) for axis in values.T], axis=-1))
+                case "step":
+                    found.append(values[np.searchsorted(knots, at, side="right") - 1])
+                case other_way:
+                    raise ValueError(f"independent: interpolation must be one that it knows; got {other_way!r}")
+        return found[0], found[1]
 
 
 def rotation(angles: Any) -> Array:
@@ -87,12 +113,10 @@ def surfaces_of(item: Mapping[str, Any]) -> list[Surface]:
     center = np.asarray(item.get("center", item.get("apex", (0.0, 0.0, item.get("distance", 0.0)))), float)
     if "bounds" in item:
         number[BOUNDS:ACROSS] = np.ravel(item["bounds"])
-    motion = item.get("motion", {})
-    velocity, turn = (np.asarray(motion.get(k, (0.0, 0.0, 0.0)), float) for k in ("velocity", "angular_velocity"))
     image = image_of(item.get("texture", "#ffffff"))
 
     def one(turned: Array) -> Surface:
-        return Surface(number.copy(), image, center, start @ turned, velocity, turn)
+        return Surface(number.copy(), image, center, start @ turned, item.get("motion", {}))
 
     def card(width: float, height: float, offset: float, turned: Array) -> Surface:
         number[8], number[9] = 1.0, -offset
@@ -297,15 +321,15 @@ def trace(content: Mapping[str, Any], samples: int) -> tuple[Array, Array]:
     images = [surface.image for surface in surfaces]
     behind = [image_of(item["texture"]) for item in content["object"] if item["shape"] == "background"]
     points = np.stack([qmc.Sobol(4, scramble=True, rng=np.random.default_rng(n)).random(samples) for n in range(2)])
-    moves = any(np.any(surface.velocity) or np.any(surface.turn) for surface in surfaces)
+    moves = any(surface.motion for surface in surfaces)
     # A fifth dimension that all pixels share, so that poses are found once.
     times = qmc.Sobol(1, scramble=True, rng=np.random.default_rng(2)).random(samples)[:, 0] * shutter
     times = times if moves else np.zeros(1)
     poses = np.zeros((len(times), len(surfaces), 24))
     for n, one in enumerate(surfaces):
-        for s, time in enumerate(times):
-            turn = rotation(time * one.turn) @ one.start
-            poses[s, n, :9], poses[s, n, 9:12] = turn.T.ravel(), one.center + time * one.velocity
+        for s, (shift, angles) in enumerate(zip(*one.way(times), strict=True)):
+            turn = rotation(angles) @ one.start
+            poses[s, n, :9], poses[s, n, 9:12] = turn.T.ravel(), one.center + shift
             poses[s, n, 12:21], poses[s, n, 21:] = one.start.ravel(), one.center
     sizes = np.array([image.shape[:2] for image in images + behind])
     offsets = np.concatenate([[0], np.cumsum(sizes.prod(axis=1))])

@@ -90,11 +90,24 @@ def _cone(depth: float) -> tuple[Content, Content]:
 
 MOVING = {"motion": {"velocity": [6.0, 3.0, -4.0], "angular_velocity": [0.0, 12.0, 8.0]}}
 
+FASTER = {"velocity": [-4.0, 3.0, 0.0], "acceleration": [14.0, -8.0, 10.0], "angular_acceleration": [0.0, 30.0, 12.0]}
+SWAY = {
+    "keyframe": [
+        {"time": 0.0},
+        {"time": 0.4, "position": [5.0, 2.0, -3.0], "rotation": [0.0, 0.0, 25.0]},
+        {"time": 1.0, "position": [-1.0, 4.0, 2.0], "rotation": [0.0, 0.0, -10.0]},
+    ]
+}
+JUMP = {"keyframe": [{"time": 0.0}, {"time": 0.3, "position": [5.0, 2.0, 0.0]}], "interpolation": "step"}
+
 SCENES: dict[str, Callable[[], Content]] = {
     "box in focus": lambda: _scene(_box(), focus=272.0),
     "box": lambda: _scene(_box()),
     "box R 8": lambda: _scene(_box(), focus=195.0),
     "box moving": lambda: _scene(_box(**MOVING)),
+    "box accelerated before a plane": lambda: _scene(_box(motion=FASTER), _wall()),
+    "box between keyframes": lambda: _scene(_box(motion=SWAY), _wall()),
+    "box that jumps": lambda: _scene(_box(motion=JUMP), _wall()),
     "box before a plane": lambda: _scene(_box(), _wall()),
     "box before a plane, R 16": lambda: _scene(_box(), _wall(), focus=190.0, aperture=16.0),
     "box moving before a plane": lambda: _scene(_box(**MOVING), _wall()),
