@@ -44,7 +44,7 @@ Types
 -----
 Scene, Camera, Aperture, Psf, Sequence, Motion, Fill, ImageOptions, Light, Stereo, Sensor, Group
     A scene and its sections, frozen and validated; lengths in mm, angles in degrees, times in s.
-ObjectMotion, CameraMotion, Keyframe, CameraShake, LensMotion, LensKeyframe
+ObjectMotion, CameraMotion, Keyframe, CameraShake, Lens, LensKeyframe
     Velocities of an object or a group, and of the camera.
 Plane, Rectangle, Disc, Box, Sphere, Cylinder, Cone, Ellipsoid, Quadric, DepthMap, Background
     The objects of a scene.
@@ -110,8 +110,8 @@ if TYPE_CHECKING:
     from clsco.scene.model import Group as Group
     from clsco.scene.model import ImageOptions as ImageOptions
     from clsco.scene.model import Keyframe as Keyframe
+    from clsco.scene.model import Lens as Lens
     from clsco.scene.model import LensKeyframe as LensKeyframe
-    from clsco.scene.model import LensMotion as LensMotion
     from clsco.scene.model import Light as Light
     from clsco.scene.model import Motion as Motion
     from clsco.scene.model import ObjectMotion as ObjectMotion
@@ -159,7 +159,7 @@ _NAMES = {
             "Sensor",
             "Group",
         ),
-        *("ObjectMotion", "CameraMotion", "Keyframe", "CameraShake", "LensMotion", "LensKeyframe"),
+        *("ObjectMotion", "CameraMotion", "Keyframe", "CameraShake", "Lens", "LensKeyframe"),
         *("Plane", "Rectangle", "Disc", "Box", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric"),
         *("DepthMap", "Background"),
     ),
@@ -173,7 +173,7 @@ __all__ = [  # noqa: RUF022, verbs and then types
     "render", "render_frame", "render_sweep", "response", "psf", "defocus", "inpaint", "load_scene", "parse_scene",
     "load_sweep", "parse_sweep", "dump_scene", "write_video", "list_devices", "reference",
     "Scene", "Camera", "Aperture", "Psf", "Sequence", "Motion", "Fill", "ImageOptions", "Light", "Stereo", "Sensor",
-    "Group", "ObjectMotion", "CameraMotion", "Keyframe", "CameraShake", "LensMotion", "LensKeyframe",
+    "Group", "ObjectMotion", "CameraMotion", "Keyframe", "CameraShake", "Lens", "LensKeyframe",
     "Plane", "Rectangle", "Disc", "Box", "Sphere", "Cylinder", "Cone", "Ellipsoid", "Quadric", "DepthMap", "Background",
     "Frame", "Live", "PsfStack", "MeanMedian",
     "ClscoError", "SceneError", "ImageError", "DeviceError", "KernelError", "CanceledError",

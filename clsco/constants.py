@@ -17,6 +17,10 @@ STATISTIC_OUTSIDE = 5  # 1 where a source is not still that was predicted to be 
 PLACE_NUMBERS = 10  # of the place of an object at a time sample
 MOVING_MARGIN = 4  # px around what moves, within which sources are not still
 
+# Bits of the feature CURVED (kernels/common/geometry.clh).
+CURVED_FIELD = 1
+CURVED_SPHERE = 2
+
 # Coordinates of a surface that a texture lies on (clsco/optics/texture_mapping.py, kernels/trace/mapping.clh), and what
 # is beyond an image.
 MAP_PROJECTED = -1

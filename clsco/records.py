@@ -38,7 +38,7 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
         (name, i) for name in ("rows", "columns", "frame_rows", "top", "guard", "above", "width", "height")
     ]
     grid += _reals(real, step=(), rest_step=())
-    lens = _reals(real, blur_scale=(), focus_power=(), radius=(), detector_power=())
+    lens = _reals(real, blur_scale=(), focus_power=(), radius=(), detector_power=(), sag=())
     surface = _reals(real, turn=nine, body_turn=nine, own_turn=nine, offset=three, body_offset=three, own_offset=three)
     surface += _reals(real, rest=three, q=three, l=three)
     surface += _reals(real, bounds_low=three, bounds_high=three, k=(), at_lens=(), radius=())

@@ -13,6 +13,7 @@ import clsco
 from clsco import reference
 from clsco.cli.check import compare
 from clsco.frame.frame import (
+    LENS_NAMES,
     MAPPING_NAMES,
     MOTION_NAMES,
     ROLLING_NAMES,
@@ -77,6 +78,7 @@ def outputs_of(scene: Scene) -> set[str]:
     found |= {*MOTION_NAMES} if scene.moves else set()
     found |= {*MAPPING_NAMES} if scene.has_mapped_textures else set()
     found |= {*ROLLING_NAMES} if scene.rolls else set()
+    found |= {*LENS_NAMES} if scene.darkens else set()
     return found | ({*SENSOR_NAMES} if scene.sensor is not None else set())
 
 

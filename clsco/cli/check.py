@@ -42,6 +42,7 @@ FIGURES: dict[str, tuple[str, float]] = {
     "noise_sigma": ("e-", 0.0),
     "saturated": ("", 0.0),
     "row_time": ("s", 0.0),
+    "throughput": ("", 1e-6),
 }
 LEAST_AGREEING = 500
 

@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from clsco.files.images import write_png
 from clsco.files.transfer import encode
-from clsco.frame.frame import Frame
+from clsco.frame.frame import GREEN, Frame
 from clsco.scene.examples import EXAMPLES
 
 Picture = NDArray[np.uint8]
@@ -55,11 +55,10 @@ def views(frames: Sequence[Frame]) -> dict[str, Picture]:
     assert frame.normal is not None
     assert frame.flow is not None
     assert frame.sharp is not None
-    seen = frame.mask
+    seen, radius = frame.mask, frame.blur_radius
+    radius = radius if radius.ndim == 2 else radius[..., GREEN]
     near, far = float(frame.depth[seen].min()), float(frame.depth[seen].max())
-    least, most = (
-        round(float(limit), 1) + 0.0 for limit in (frame.blur_radius[seen].min(), frame.blur_radius[seen].max())
-    )
+    least, most = (round(float(limit), 1) + 0.0 for limit in (radius[seen].min(), radius[seen].max()))
     bound = max(abs(least), abs(most), 1e-6)
     lengths = np.linalg.norm(frame.flow[seen], axis=-1)
     longest = float(lengths[np.isfinite(lengths)].max(initial=0.0))
@@ -71,7 +70,7 @@ def views(frames: Sequence[Frame]) -> dict[str, Picture]:
         covered = np.where(frame.occluded[..., None], OCCLUDED, photograph(frame.sharp))
         maps |= {label: scaled(frame.disparity, low, high, SEQUENTIAL), "red: not in the right view": covered}
     else:
-        maps[f"blur radius R, {least:.1f} to {most:.1f} px"] = scaled(frame.blur_radius, -bound, bound, DIVERGING)
+        maps[f"blur radius R, {least:.1f} to {most:.1f} px"] = scaled(radius, -bound, bound, DIVERGING)
         maps["normal"] = (127.5 * (1 + frame.normal * np.array([1, 1, -1]))).round().astype(np.uint8)
     if longest > 0:
         maps[f"flow, up to {longest:.0f} px"] = flow_colors(frame.flow, longest)

@@ -54,7 +54,7 @@ def report_inputs(planned: Sequence[PreparedFile]) -> None:
                 from clsco.inputs.focus import lens_line  # 1 ms, and few scenes have depth maps
 
                 where = f"{item.depth} (with {label})" if label else str(item.depth)
-                line = lens_line(each.scene.camera, each.files.map(each.scene, item))
+                line = lens_line(each.scene, each.files.map(each.scene, item))
                 echo(f"{where}: {line}", err=True)
             if each.approximation is not None:
                 where = f" (with {label})" if label else ""

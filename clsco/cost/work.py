@@ -18,6 +18,7 @@ from clsco.inputs.focus import seen
 from clsco.inputs.textures import mapped_size
 from clsco.optics.exposure import frame_exposure, middle_time
 from clsco.optics.lens import Lens
+from clsco.optics.lens_path import lens_at
 from clsco.optics.motion import poses_at
 from clsco.optics.psf_grid import row_lanes
 from clsco.optics.quadrics import cutting_bounds, place
@@ -29,11 +30,9 @@ from clsco.plan.passes import ONCE_A_FRAME, Pass
 from clsco.plan.plan import Plan
 from clsco.plan.predict import Maps
 from clsco.reference.common.geometry import (
-    blur_gradient,
     blur_radius,
     nearest_surface,
     pixel_ray,
-    surface_slope,
 )
 from clsco.reference.common.visibility import (
     CLEAR,
@@ -47,7 +46,7 @@ from clsco.reference.common.visibility import (
 )
 from clsco.reference.trace.footprint import parts_of
 from clsco.reference.trace.mapping import MappedTexture, along_axis, mapped_point, texel_change
-from clsco.reference.trace.trace import SILHOUETTE_RANGE, View, view_at
+from clsco.reference.trace.trace import SILHOUETTE_RANGE, View, gradient_of, view_at
 
 Array = NDArray[np.float64]
 Work = dict[str, float]
@@ -113,15 +112,17 @@ def frame_work(plan: Plan, maps: Maps) -> list[tuple[Pass, Work]]:
     list of (Pass, dict)
         In the order of `Plan.passes`.
     """
-    lattice = lattice_of(plan)
+    lattice, light = lattice_of(plan), plan.apart[0] if plan.apart else plan
     of_kind: dict[str, Work] = {}
     groups: dict[OcclusionGroup, dict[str, Work]] = {NO_GROUP: of_kind}
     if any(each.kind == "trace" for each in plan.passes):
-        groups |= {group: _of_group(plan, group, lattice) for group in plan.groups}
+        groups |= {group: _of_group(light, group, lattice) for group in plan.groups}
     else:
-        of_kind |= _of_image(plan, lattice, maps)
+        of_kind |= _of_image(light, lattice, maps)
     of_kind["ground truth"] = _of_truth(plan)
     planes = plan.channels * plan.rows * plan.columns * (1.0 + plan.divided / plan.repeats)
+    of_kind["join colors"] = {"accumulated": float(plan.rows * plan.columns)}
+    of_kind["vignetting"] = {"accumulated": float(plan.colors * plan.rows * plan.columns)}
     of_kind["accumulate"] = {"accumulated": planes}
     if plan.sensor_model is not None:
         codes = float(len(plan.sensor_model.filters) * plan.rows * plan.columns)
@@ -162,12 +163,12 @@ def _hits(plan: Plan, view: View, group: OcclusionGroup, lattice: Lattice) -> Hi
     rays = pixel_ray(camera, lattice.row[:, None], lattice.column[None, :])
     w, label, number = nearest_surface(view.surfaces, bounds, group, rays)
     hit = w > 0.0
-    radius, state = np.where(hit, blur_radius(view.lens, w), 0.0), np.full(w.shape, CLEAR)
+    radius, state = np.where(hit, blur_radius(view.lens, rays, w), 0.0), np.full(w.shape, CLEAR)
     tests, cuts, edges, cut_edges = (np.zeros(w.shape) for _ in range(4))
     gradient = np.zeros((*w.shape, 2))
     for k in np.flatnonzero(np.bincount(number[hit])).tolist() if scene.psf.tilt else ():
         here = hit & (number == k)
-        gradient[here] = blur_gradient(camera, view.lens, surface_slope(view.surfaces[k], rays[here], w[here]))
+        gradient[here] = gradient_of(view, view.surfaces[k], rays[here], w[here])
     label, many = label.copy(), _tests(plan) > MANY_TESTS
     for k, surface in enumerate(view.surfaces):
         own = k == group.own
@@ -314,7 +315,8 @@ def _of_image(plan: Plan, lattice: Lattice, maps: Maps) -> dict[str, Work]:
     sizes = zip(plan.scene.camera.frame_size[::-1], (lattice.row, lattice.column), strict=True)
     i, j = (np.clip(at.round().astype(np.intp), 0, size - 1) for size, at in sizes)
     w, number = seen(plan.scene, maps, i, j)
-    lit, radius = w > 0.0, np.where(w > 0.0, blur_radius(Lens.of(plan.scene.camera), w), 0.0)
+    lit, rays = w > 0.0, pixel_ray(plan.scene.camera, i[:, None], j[None, :])
+    radius = np.where(lit, blur_radius(lens_at(plan.scene, 0.0, plan.only), rays, w), 0.0)
     pixels = lattice.total(np.ones(w.shape))
     blur = _of_blur(plan, lattice, radius, lit, np.zeros(w.shape))
     layers: Work = {}

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from clsco.data.folder import RefusedError
 from clsco.errors import SceneError
 from clsco.optics.exposure import middle_time
-from clsco.optics.lens import LARGEST_BLUR, blur_radius, ray_step
-from clsco.optics.lens_path import camera_at
+from clsco.optics.lens import LARGEST_BLUR, ray_step
+from clsco.optics.lens_path import camera_at, lenses_at
 from clsco.optics.motion import poses_at, rest_center
 from clsco.optics.quadrics import place, predict_inverse_depth
 from clsco.plan.predict import without_lens
@@ -159,8 +159,9 @@ def _looked(scene: Scene, frames: Sequence[_Seen], ways: Sequence[Array]) -> Loo
             visible = min(visible, float(shown_of_it.sum() / max(1, alone.sum())))
         depths.append(seen.w[hit])
         flows.append(way[hit])
-        camera = camera_at(scene, middle_time(scene.sequence, seen.number))
-        radii.append(np.abs(blur_radius(camera, seen.w[seen.front >= 0])))
+        time, hit = middle_time(scene.sequence, seen.number), seen.front >= 0
+        x, y = _slopes(scene, time)
+        radii += [np.abs(lens.blur_radius(seen.w[hit], (x * x + y * y)[hit])) for lens in lenses_at(scene, time)]
     return Look(np.concatenate(depths), np.concatenate(radii), np.concatenate(flows), valid, visible)
 
 

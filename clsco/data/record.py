@@ -45,6 +45,7 @@ ABOUT = {
     "electrons": ("e-", "electrons to be expected, without noise"),
     "noise_sigma": ("e-", "standard deviation of (raw - black level) / gain"),
     "saturated": ("", "True where the full well or the largest code was reached"),
+    "throughput": ("", "share of the light of the middle of the frame that the lens gives the pixel"),
     "row_time": ("s", "middle of the exposure of each row, or column, since the reference pose"),
     "alpha": ("", "share of the light that comes from surfaces"),
     "subframes": ("1 = white", "linear radiance of each time sample"),

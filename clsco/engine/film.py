@@ -103,7 +103,7 @@ class Film:
         self.saturated = np.empty((*shape, planes), np.bool_)
         self.subframes = np.empty((len(self.times) if "subframes" in plan.truth else 0, *image), np.float32)
         self.missing = np.zeros(shape, np.bool_)
-        self.bounds: dict[int, LayerBounds | None] = {}
+        self.bounds: dict[int, tuple[LayerBounds, ...] | None] = {}
         self.parts: dict[bool | None, Part] = {}
         self.events: Events = []
         self.reports: dict[int, dict[str, Any]] = {}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import cache, partial
 from time import perf_counter
 from typing import Any
 
@@ -14,15 +15,16 @@ from numpy.typing import NDArray
 from clsco import __version__
 from clsco.constants import STATISTIC_MOST_SLOTS
 from clsco.engine.film import Film
-from clsco.engine.workspace import Pixels, Workspace, scene_workspace
+from clsco.engine.workspace import Light, Pixels, Workspace, scene_workspace
 from clsco.errors import DeviceError
 from clsco.frame.development import check_development, developed, sensor_truth
 from clsco.frame.frame import Frame
 from clsco.frame.strips import Strip
+from clsco.inputs.textures import of_channels
 from clsco.opencl.buffers import download
 from clsco.opencl.session import Progress, Session
 from clsco.optics.exposure import line_times, middle_time
-from clsco.optics.lens import ray_step
+from clsco.optics.lens import Lens, ray_step
 from clsco.optics.lens_path import camera_at
 from clsco.optics.point_spread import exposure_factor
 from clsco.optics.sensor import camera_word
@@ -72,19 +74,32 @@ class Renderer:
             check_development(plan.sensor_model, plan.rows, plan.columns)
         self.session, self.plan, self.limit, self.prepared, self.hits = session, plan, limit, prepared, hits
         self.scene = PlacedScene(session, plan.scene, plan.psf, prepared.textures, real, plan.eye, plan.alpha)
-        self.pixels, self.grids = self._pixels(), dict[Strip, Struct]()
+        self.pixels, self.grids = self._pixels(plan, self.scene), dict[Strip, Struct]()
+        self.lights = self._lights()
         self.space = self._workspace()
         self.truth = GroundTruth(plan, self.scene, self.pixels)
 
-    def _pixels(self) -> Pixels:
-        plan, maps = self.plan, self.prepared.maps
+    def _pixels(self, plan: Plan, scene: PlacedScene) -> Pixels:
+        maps = self.prepared.maps
         if plan.static_map:
-            radiance, (depth,) = self.prepared.textures[0].radiance, (each for each in maps if each is not None)
-            return StaticMap(self.session, plan.scene.camera, radiance, depth, plan.guard_px, self.scene.real)
-        return ForwardWarp(plan, self.scene, maps) if plan.forward else None
+            radiance, (depth,) = scene.textures[0].radiance, (each for each in maps if each is not None)
+            lens = Lens.of(plan.scene.camera, plan.scene.lens, plan.only)
+            return StaticMap(self.session, plan.scene.camera, lens, radiance, depth, plan.guard_px, self.scene.real)
+        return ForwardWarp(plan, scene, maps) if plan.forward else None
+
+    def _lights(self) -> tuple[Light, ...]:
+        """Light of all colors, or of each where they are blurred apart."""
+        plan, found = self.plan, list[Light]()
+        for one in plan.apart:
+            channels = (one.only or 0, plan.colors)[: one.channels]
+            take = cache(partial(of_channels, channels=channels))
+            textures = tuple(take(texture) for texture in self.prepared.textures)
+            scene = PlacedScene(self.session, one.scene, one.psf, textures, self.scene.real, one.eye, one.alpha)
+            found.append(Light(scene, self._pixels(one, scene)))
+        return tuple(found) or (Light(self.scene, self.pixels),)
 
     def _workspace(self) -> Workspace:
-        return scene_workspace(self.plan, self.scene, self.pixels, self.hits, self._grid(self.plan.strips[0]))
+        return scene_workspace(self.plan, self.lights, self.hits, self._grid(self.plan.strips[0]))
 
     def begin(self, index: int) -> Film:
         """Begin the frame of this number: no radiance yet."""
@@ -166,8 +181,9 @@ class Renderer:
         if plan.guard_px != before.guard_px or plan.strips != before.strips:
             self.hits = None  # the apron may not be that of the others any more
         if plan.guard_px != before.guard_px:
-            self.pixels = None
-            self.pixels = self._pixels()
+            self.pixels, self.lights = None, ()
+            self.pixels = self._pixels(plan, self.scene)
+            self.lights = self._lights()
         self.grids = {}
         self.space = self._workspace()
         self.truth = GroundTruth(plan, self.scene, self.pixels)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import operator
 from dataclasses import dataclass
-from typing import SupportsIndex
+from typing import Any, SupportsIndex
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +16,12 @@ from clsco.frame.frame import Frame
 from clsco.inputs.files import InputFiles
 from clsco.inputs.focus import seen
 from clsco.opencl.session import DeviceLike
-from clsco.optics.exposure import shutter_span
+from clsco.optics.exposure import middle_time, shutter_span
 from clsco.optics.lens import ray_step
 from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import poses_at, rest_center, rest_poses
 from clsco.optics.quadrics import place, predict_inverse_depth
+from clsco.optics.vignetting import throughput
 from clsco.plan.prepare import Prepared, prepare
 from clsco.scene.arrays import ArrayInput
 from clsco.scene.file import SceneLike, scene_of
@@ -34,7 +35,7 @@ TIMES = 9  # of an exposure
 FILTER_REACH = 2  # texels of a bicubic filter
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Lit:
     """A scene in which one source is lit.
 
@@ -44,16 +45,20 @@ class Lit:
         Its frame has a margin.
     margin : int
         px on each side.
+    share : ndarray of float32, (rows, columns), optional
+        Share of the light of the middle that pixels get, without the margin; by default all.
     """
 
     scene: Scene
     margin: int
+    share: NDArray[np.float32] | None = None
 
     def inside(self, frame: Frame) -> NDArray[np.float32]:
         """Crop the margin from the frame: (rows, columns)."""
         image = frame.color if frame.color.ndim == 2 else frame.color[..., 0]
         rows, columns = image.shape
-        return image[self.margin : rows - self.margin, self.margin : columns - self.margin]
+        inside = image[self.margin : rows - self.margin, self.margin : columns - self.margin]
+        return inside if self.share is None else inside * self.share
 
 
 def response(
@@ -144,8 +149,15 @@ def only_lit(
     objects = [_projected(each, BLACK) for each in scene.objects]
     objects[number] = _projected(scene.objects[number], ArrayInput(texture, "texture"))
     camera = scene.camera.model_copy(update={"resolution": (columns, rows)})
+    share, bright = None, dict[str, Any]()
+    if scene.lens is not None and scene.darkens:  # as of the frame without its margin, and once a frame
+        middle = middle_time(scene.sequence, index) if scene.moves else 0.0
+        share = throughput(camera_at(prepared.scene, middle), scene.lens.vignetting).astype(np.float32)
+        bright = {"lens": scene.lens.model_copy(update={"vignetting": "none"})}
     return Lit(
-        scene.model_copy(update={"camera": camera, "objects": tuple(objects), "light": None, "sensor": None}), margin
+        scene.model_copy(update={"camera": camera, "objects": tuple(objects), "light": None, "sensor": None} | bright),
+        margin,
+        share,
     )
 
 

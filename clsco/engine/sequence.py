@@ -356,7 +356,7 @@ def _shares_rays(one: tuple[Plan, ...], other: tuple[Plan, ...]) -> bool:
 
 def casts_for_lenses(plan: Plan) -> bool:
     """True if rays are cast, and nothing but sources is made of what they hit."""
-    return plan.blur in MANY_RADII and "trace" in {step.kind for step in plan.passes}
+    return not plan.apart and plan.blur in MANY_RADII and "trace" in {step.kind for step in plan.passes}
 
 
 def _together(renderers: Sequence[Renderer], index: int) -> list[Frame]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import takewhile
 from typing import Any
@@ -13,10 +13,12 @@ from clsco.frame.strips import Grid
 from clsco.opencl.buffers import allocate
 from clsco.opencl.session import Session
 from clsco.optics.depth_layers import LayerBounds
+from clsco.optics.lens import Lens
 from clsco.optics.quadrics import axial_blur_radius
 from clsco.passes.accumulate import FrameSum
 from clsco.passes.blur import Area, Image, Maps, Plane, Sources, blur_target, padded_plane, prepare_sources
 from clsco.passes.clusters import Clusters, Layers, layered_program
+from clsco.passes.colors import JoinedColors
 from clsco.passes.fill import FillPlanes
 from clsco.passes.frame_blur import make_blur
 from clsco.passes.layered import DepthLayers
@@ -26,8 +28,9 @@ from clsco.passes.sensor import FrameSensor
 from clsco.passes.static_image import StaticMap
 from clsco.passes.tables import tables_of
 from clsco.passes.trace import Hits, Tracer
+from clsco.passes.vignetting import Vignetting
 from clsco.passes.warp import ForwardWarp
-from clsco.plan.buffers import hit_buffers, sensor_buffers, sum_buffers
+from clsco.plan.buffers import SHARED, hit_buffers, sensor_buffers, sum_buffers
 from clsco.plan.image import ImagePlan
 from clsco.plan.methods import BlurSpec
 from clsco.plan.passes import Kind, Pass, run_passes
@@ -38,12 +41,6 @@ Run = Callable[..., tuple[Any, ...]]
 """Runs a pass: gets the part of the frame, and what the pass takes; returns what it gives."""
 Pixels = ForwardWarp | StaticMap | None
 """Pixels of the reference pose that are moved, or taken as they are."""
-
-# Buffers that passes share; the others are owned by what works with them.
-SHARED = (
-    "statistics", "value", "coc", "valid", "source", "depth", "label", "pixels", "sub_label", "sub_source", "sub_value",
-    "sub_depth", "share", "sharper",
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -59,12 +56,15 @@ class Workspace:
         Buffers of `SHARED` that the plan has.
     clusters : tuple of Clusters
         The one that finds depth layers, where there is one.
+    colors : tuple of Workspace
+        Workspaces of red, green and blue, where each is blurred by itself.
     """
 
     session: Session
     runs: Mapping[Kind, Run]
     buffers: Mapping[str, cl.Buffer]
     clusters: tuple[Clusters, ...] = ()
+    colors: tuple[Workspace, ...] = ()
 
     def run(self, passes: Iterable[Pass], at: Area) -> Mapping[str, Any]:
         """Run passes on a part of a frame; what they hand on, by the names of `Pass`. Raises CanceledError."""
@@ -72,18 +72,29 @@ class Workspace:
         def run(step: Pass, *given: Any) -> tuple[Any, ...]:
             self.session.go_on()
             self.session.doing(step.kind)
-            return self.runs[step.kind](at if step.group is at.group else replace(at, group=step.group), *given)
+            same = step.group is at.group and step.color == at.color
+            part = at if same else replace(at, group=step.group, color=step.color)
+            of_color = self.colors and step.color is not None and step.kind != "join colors"
+            runs = self.colors[step.color or 0].runs if of_color else self.runs
+            return runs[step.kind](part, *given)
 
         return run_passes(passes, run)
 
-    def find_layers(self, passes: Iterable[Pass], strips: Iterable[Area]) -> LayerBounds | None:
-        """Bounds of depth layers from all of several strips, which by itself a strip cannot find; None of no layers."""
+    def find_layers(self, passes: Iterable[Pass], strips: Iterable[Area]) -> tuple[LayerBounds, ...] | None:
+        """Bounds of depth layers from all of several strips, which by itself a strip cannot find: one, or those of red,
+        green and blue. None of no layers."""
+        if self.colors:
+            steps, areas = tuple(passes), tuple(strips)
+            found: tuple[LayerBounds, ...] = ()
+            for color, one in enumerate(self.colors):
+                found += one.find_layers([step for step in steps if step.color == color], areas) or ()
+            return found or None
         bounds = None
         for clusters in self.clusters:
             before = tuple(takewhile(lambda step: step.kind != "cluster", passes))
             for at in strips:
                 clusters.find(at, self.run(before, at)["image"])
-            bounds = clusters.found()
+            bounds = (clusters.found(),)
         return bounds
 
 
@@ -93,12 +104,59 @@ def shared_buffers(session: Session, plan: Plan | ImagePlan, absent: Iterable[st
     return allocate(session, {name: sizes[name] for name in SHARED if name in sizes and name not in absent})
 
 
-def scene_workspace(plan: Plan, scene: PlacedScene, pixels: Pixels, hits: Hits | None, grid: Struct) -> Workspace:
-    """Workspace of a scene, whose first strip has this grid_t; hits: shared with other lenses. Raises DeviceError,
-    KernelError."""
-    session, real = scene.session, scene.real
+def scene_workspace(plan: Plan, lights: Sequence[Light], hits: Hits | None, grid: Struct) -> Workspace:
+    """Workspace of a scene, whose first strip has this grid_t.
+
+    Parameters
+    ----------
+    plan : Plan
+    lights : sequence of Light
+        Light of all colors, or of those of `Plan.apart`.
+    hits : Hits, optional
+        Shared with other lenses.
+    grid : numpy.void
+
+    Raises
+    ------
+    DeviceError, KernelError
+    """
+    session = lights[0].scene.session
     buffers = shared_buffers(session, plan, () if hits is None else hit_buffers(plan.grid, plan.mapped > 0))
-    runs = _pixel_runs(plan, pixels, buffers)
+    each = [_light_workspace(*pair, buffers, hits, grid) for pair in zip(plan.apart or (plan,), lights, strict=True)]
+    runs = dict(each[0].runs)
+    if plan.apart:
+        runs = _joining_runs(JoinedColors(session, plan.channels, plan.colors))
+    if plan.color and plan.scene.lens is not None and plan.scene.darkens:
+        runs |= _vignetting_runs(Vignetting(session, plan.scene.lens.vignetting, plan.colors))
+    if plan.color and plan.averages:
+        runs |= _exposure_runs(FrameSum(session, sum_buffers(plan.grid), plan.scene.sequence.by_columns))
+    if plan.sensor_model is not None:
+        runs |= _sensor_runs(FrameSensor(session, plan.sensor_model, sensor_buffers(plan.sensor_model, plan.grid)))
+    return Workspace(session, runs, buffers, each[0].clusters, tuple(each) if plan.apart else ())
+
+
+@dataclass(frozen=True)
+class Light:
+    """Light of all colors, or of one.
+
+    Attributes
+    ----------
+    scene : PlacedScene
+        With the textures of it.
+    pixels : ForwardWarp or StaticMap, optional
+        Moves the pixels of the reference pose, or has them as they are.
+    """
+
+    scene: PlacedScene
+    pixels: Pixels
+
+
+def _light_workspace(
+    plan: Plan, light: Light, buffers: Mapping[str, cl.Buffer], hits: Hits | None, grid: Struct
+) -> Workspace:  # fmt: skip
+    """The passes up to the blurred plane of a time sample, in buffers that all colors share."""
+    scene = light.scene
+    session, real, runs = scene.session, scene.real, _pixel_runs(plan, light.pixels, buffers)
     if not plan.color:
         return Workspace(session, runs, buffers)
     spec = replace(plan.spec, brightest=scene.brightest)
@@ -106,10 +164,6 @@ def scene_workspace(plan: Plan, scene: PlacedScene, pixels: Pixels, hits: Hits |
     tracer = Tracer(plan, scene, buffers, psf_struct(spec.psf, *tables_of(spec, session), real), hits)
     blurs, clusters = blur_runs(session, spec, plan.grid, grid, buffers, real, "wide" if lit else "none")
     runs |= _ray_runs(tracer, _handed_on(plan)) | blurs
-    if plan.averages:
-        runs |= _exposure_runs(FrameSum(session, sum_buffers(plan.grid), scene.scene.sequence.by_columns))
-    if plan.sensor_model is not None:
-        runs |= _sensor_runs(FrameSensor(session, plan.sensor_model, sensor_buffers(plan.sensor_model, plan.grid)))
     return Workspace(session, runs, buffers, clusters)
 
 
@@ -121,7 +175,8 @@ def _handed_on(plan: Plan) -> Callable[[Moment, Any], Any]:
 
     def sources(at: Moment, light: Image | Sources) -> Sources:
         surface = next(each for each in at.sample.placed if each is not None)  # one plane at one depth
-        return Sources(None, light.value, radius=abs(axial_blur_radius(at.sample.camera, surface)))
+        lens = Lens.of(at.sample.camera, plan.scene.lens, plan.only)
+        return Sources(None, light.value, radius=abs(axial_blur_radius(lens, surface)))
 
     def itself(_: Moment, light: Image | Sources) -> Image | Sources:
         return light
@@ -214,11 +269,10 @@ def blur_runs(
     clusters, composite = Clusters(kernels, spec, tallest), DepthLayers(blur, kernels, tallest)
 
     def cluster(at: Area, image: Image) -> tuple[Any, ...]:
-        bounds = at.bounds
-        if bounds is None:
+        if at.bounds is None:
             clusters.find(at, image)
-            bounds = clusters.found()
-        return (clusters.divide(at, image, bounds),)
+            return (clusters.divide(at, image, clusters.found()),)
+        return (clusters.divide(at, image, at.bounds[at.color or 0]),)
 
     def layers(at: Area, found: Layers) -> tuple[Any, ...]:
         blur.begin(at.grid)
@@ -226,6 +280,20 @@ def blur_runs(
         return blur.plane(at.events), found.count
 
     return {"cluster": cluster, "depth layers": layers}, (clusters,)
+
+
+def _joining_runs(joined: JoinedColors) -> dict[Kind, Run]:
+    def join(at: Moment, plane: Plane, *_: Plane) -> tuple[Any, ...]:
+        return (joined.put(plane, at.color or 0, at.events),)
+
+    return {"join colors": join}
+
+
+def _vignetting_runs(vignetting: Vignetting) -> dict[Kind, Run]:
+    def darken(at: Moment, plane: Plane) -> tuple[Any, ...]:
+        return (vignetting.darken(plane, at.sample.camera, at.strip.top, at.events),)
+
+    return {"vignetting": darken}
 
 
 def _exposure_runs(frame: FrameSum) -> dict[Kind, Run]:

@@ -12,17 +12,26 @@ _STEREO = ("disparity", "occluded")
 _SENSOR = ("raw", "electrons", "noise_sigma", "saturated")
 
 
+def _radii(array: NDArray[Any] | None) -> dict[str, NDArray[Any]]:
+    if array is None:
+        return {}
+    return {"coc": array} if array.ndim == 2 else {f"coc.{name}": array[..., n] for n, name in enumerate("RGB")}
+
+
 def exr_channels(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """Name a frame's arrays, by their names in files, as channels of an EXR.
 
-    They are R G B A, Z, coc, sharp.R, N.X, flow.u, id, mask, filled, missing, hidden. A scene that moves has
-    flow_backward.u and flow_occluded, one with textures on surfaces uv.u, a stereo pair disparity and occluded; one
-    with a rolling shutter row_time, where it is given for each pixel, and one
-    with a sensor raw.Y, electrons.Y, noise_sigma.Y and saturated.Y, or of three planes raw.R and so on; sub-frames are
-    sample_00.R. A gray frame has R, G and B, so that every reader shows it. A is the alpha where it was requested, else
-    1: a photograph covers all of its pixels.
+    They are R G B A, Z, coc, sharp.R, N.X, flow.u, id, mask, filled, missing, hidden. Where the lens tells colors apart
+    coc.R, coc.G and coc.B stand for coc. A scene that moves has flow_backward.u and flow_occluded, one with textures on
+    surfaces uv.u, a stereo pair disparity and occluded; one with a rolling shutter row_time, where it is given for each
+    pixel, one with vignetting throughput, and one with a sensor raw.Y, electrons.Y, noise_sigma.Y and saturated.Y, or
+    of three planes raw.R and so on; sub-frames are sample_00.R. A gray frame has R, G and B, so that every reader shows
+    it. A is the alpha where it was requested, else 1: a photograph covers all of its pixels.
     """
-    color, plain = arrays.get("color"), (*("coc", "mask", "filled", "missing", "hidden", "flow_occluded"), *_STEREO)
+    color, plain = (
+        arrays.get("color"),
+        (*("mask", "filled", "missing", "hidden", "flow_occluded", "throughput"), *_STEREO),
+    )
 
     def split(layer: str, names: str, array: NDArray[Any] | None) -> dict[str, NDArray[Any]]:
         if array is None:
@@ -45,6 +54,7 @@ def exr_channels(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
         **split("", "RGB", color),
         **({} if alpha is None else {"A": alpha}),
         **{channel: arrays[name] for channel, name in single.items() if name in arrays},
+        **_radii(arrays.get("coc")),
         **split("sharp.", "RGB", arrays.get("sharp")),
         **split("N.", "XYZ", arrays.get("normal")),
         **split("flow.", "uv", arrays.get("flow")),

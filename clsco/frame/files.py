@@ -141,7 +141,8 @@ TRUTH_FORMATS = {
     "npy": TruthFormat("{stem}_{array}.npy", _write_npy, "array", options=("float16", "zstd")),
     "pfm": TruthFormat(
         "{stem}_{array}.pfm", _write_pfm, "array",
-        ("color", "sharp", "depth", "coc", "normal", *_FLOWS, "uv", "disparity", "alpha"), _WHERE_FLOW_HOLDS,
+        ("color", "sharp", "depth", "coc", "normal", *_FLOWS, "uv", "disparity", "throughput", "alpha"),
+        _WHERE_FLOW_HOLDS,
     ),
     "flo": TruthFormat("{stem}_{array}.flo", _write_flo, "array", _FLOWS, _WHERE_FLOW_HOLDS),
     "kitti_flow": TruthFormat("{stem}_kitti_{array}.png", _write_kitti_flow, "array", _FLOWS, _WHERE_FLOW_HOLDS),

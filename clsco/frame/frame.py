@@ -22,7 +22,9 @@ MAPPING_NAMES = ("uv",)  # besides, where a texture lies on a surface
 STEREO_NAMES = ("disparity", "occluded")  # besides, of a stereo pair
 SENSOR_NAMES = ("raw", "electrons", "noise_sigma", "saturated")  # besides, of the image of a sensor
 ROLLING_NAMES = ("row_time",)  # besides, where rows or columns are exposed one after another
-ALL_TRUTH = (*TRUTH_NAMES, *MOTION_NAMES, *MAPPING_NAMES, *STEREO_NAMES, *ROLLING_NAMES, *SENSOR_NAMES)
+LENS_NAMES = ("throughput",)  # besides, where the lens does not give all of the frame the same light
+ALL_TRUTH = (*TRUTH_NAMES, *MOTION_NAMES, *MAPPING_NAMES, *STEREO_NAMES, *ROLLING_NAMES, *LENS_NAMES, *SENSOR_NAMES)
+GREEN = 1  # channel that stands for all, where one must
 IMAGE_NAMES = ("alpha", "subframes")  # besides, of the image, by name only
 FILE_NAMES = {name: name for name in ("color", *ALL_TRUTH, *IMAGE_NAMES)} | {"blur_radius": "coc"}
 """Names of the arrays in files, by attribute."""
@@ -67,8 +69,9 @@ class Frame:
         Linear radiance: all in focus.
     depth : float32 (rows, columns), mm
         Planar Z at the pixel center, +inf where nothing is.
-    blur_radius : float32 (rows, columns), px
-        Signed blur radius R, positive behind the focal surface; `coc` in files.
+    blur_radius : float32 (rows, columns[, 3]), px
+        Signed blur radius R, positive behind the focal surface; `coc` in files. Of red, green and blue where the lens
+        tells colors apart.
     mask : bool (rows, columns)
         A surface is there.
     filled : uint8 (rows, columns)
@@ -108,6 +111,8 @@ class Frame:
         The full well or the largest code was reached.
     row_time : float64 (rows,), or (columns,) where these are exposed one after another, s
         Middle of the exposure of each row since the reference pose. With a rolling shutter only.
+    throughput : float32 (rows, columns)
+        Share of the light of the middle of the frame that the lens gives the pixel. Where it has vignetting only.
     alpha : float32 (rows, columns)
         Share of a pixel's light that comes from surfaces, blurred as `color` is, which has the rest of it black: the
         coverage of an image with associated (premultiplied) alpha. The background is no surface.
@@ -143,6 +148,7 @@ class Frame:
     noise_sigma: NDArray[np.float32] | None = None
     saturated: NDArray[np.bool_] | None = None
     row_time: NDArray[np.float64] | None = None
+    throughput: NDArray[np.float32] | None = None
     alpha: NDArray[np.float32] | None = None
     subframes: NDArray[np.float32] | None = None
     eye: str = ""

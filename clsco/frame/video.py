@@ -16,7 +16,7 @@ from clsco import __version__
 from clsco.errors import ImageError
 from clsco.files.transfer import TRANSFERS, encode
 from clsco.files.video import PRESETS, TRANSFER_TAGS, parse_rate, preset_for, rate_of, write_clip
-from clsco.frame.frame import Frame
+from clsco.frame.frame import GREEN, Frame
 from clsco.frame.views import VIEWS
 from clsco.frame.written import WrittenFrames
 
@@ -208,8 +208,11 @@ def write_folder_clip(
 
 
 def _measured(frames: WrittenFrames, name: str, eye: str) -> Iterator[NDArray[Any]]:
-    """An array of each frame; blur radii are +inf where nothing is, as far as the depth is there to say so."""
+    """An array of each frame; blur radii, of several colors those of green, are +inf where nothing is, as far as
+    the depth is there to say so."""
     arrays = frames.arrays(name, eye)
+    if name == "coc":
+        arrays = (radius if radius.ndim == 2 else radius[..., GREEN] for radius in arrays)
     if name != "coc" or not frames.has("depth", eye):
         return arrays
     pairs = zip(arrays, frames.arrays("depth", eye), strict=True)

@@ -27,6 +27,7 @@ _CHANNELS = {
     "color": "R G B", "sharp": "sharp.R sharp.G sharp.B", "depth": "Z", "coc": "coc", "flow": "flow.u flow.v",
 }  # fmt: skip
 """Channels of an EXR, by the names that arrays have in an NPZ."""
+_COMPONENTS = {"color": ((), (3,)), "sharp": ((), (3,)), "coc": ((), (3,)), "flow": ((2,),)}
 
 
 @dataclass(frozen=True)
@@ -74,14 +75,14 @@ class WrittenFrames:
                 array = read_npz(npz, [name])[name]
                 where = npz
             elif exr.exists():
-                planes = read_exr(exr, _CHANNELS[name].split(), eye)
+                planes = _exr_planes(exr, name, eye)
                 array = np.stack(planes, axis=-1) if len(planes) > 1 else planes[0]
                 where = exr
             else:
                 files = exr.name if only == "exr" else f"{npz.name} or {exr.name}"
                 rule = f"must hold {files}, as from clsco render --truth {only or 'npz'}:{name}"
                 refuse(self.folder, rule, "neither" if not only else "none")
-            if array.shape[2:] not in {"color": ((), (3,)), "sharp": ((), (3,)), "flow": ((2,),)}.get(name, ((),)):
+            if array.shape[2:] not in _COMPONENTS.get(name, ((),)):
                 refuse(where, f"{name} must have its channels", f"shape {array.shape}")
             yield array.astype(np.float32, copy=False)
 
@@ -95,6 +96,19 @@ class WrittenFrames:
 
     def _file(self, number: int, suffix: str, eye: str) -> Path:
         return self.folder / f"{frame_json(self.folder, number).stem}{'_' if eye else ''}{eye}.{suffix}"
+
+
+def _exr_planes(path: Path, name: str, eye: str) -> list[NDArray[Any]]:
+    """Channels of an array; of blur radii those of three colors where there are these. Raises ImageError."""
+    try:
+        return read_exr(path, _CHANNELS[name].split(), eye)
+    except ImageError as error:
+        if name != "coc":
+            raise
+        try:
+            return read_exr(path, ["coc.R", "coc.G", "coc.B"], eye)
+        except ImageError:
+            raise error from None
 
 
 def written_frames(folder: Path, only: range | None = None) -> WrittenFrames:

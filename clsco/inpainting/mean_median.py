@@ -39,7 +39,9 @@ Pixels = NDArray[np.int64]
 Progress = Callable[[float], object]
 
 KERNELS = ("inpainting/score.cl", "inpainting/mean_median.cl")
-FEATURES = dict.fromkeys(("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "FILTER", "SAMPLED", "GENERAL"), 0)
+FEATURES = dict.fromkeys(
+    ("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "CURVED", "FILTER", "SAMPLED", "GENERAL"), 0
+)
 FEATURES |= {"FILL_MEAN_MEDIAN": 1, "IMAGE": 1}
 MANY = 9  # neighbors: more than there are, of pixels that are not missing
 VECTORS, OWNERS = (8,), (1,)  # local sizes of kernels with a work-item per vector, or per segment

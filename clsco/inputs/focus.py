@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from clsco.errors import SceneError
 from clsco.inputs.depth_maps import FARTHEST
 from clsco.inputs.files import InputFiles
-from clsco.optics.lens import SHARP, blur_radius, ray_step
+from clsco.optics.lens import SHARP, Lens, ray_step
 from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import poses_at
 from clsco.optics.quadrics import place, predict_inverse_depth
-from clsco.scene.model import Camera, DepthMap, Scene
+from clsco.scene.model import DepthMap, Scene
 from clsco.scene.quantities import MAX_LENGTH_MM, MIN_LENGTH_MM
 
 Array = NDArray[np.float64]
@@ -42,12 +42,12 @@ class Focus:
         return "--focus-at" if isinstance(self.on, tuple) else "--focus-depth"
 
 
-def lens_line(camera: Camera, w: Array) -> str:
+def lens_line(scene: Scene, w: Array) -> str:
     """Range of the blur radius over a depth map, how much of it is in focus, and why it may not be intended.
 
     Parameters
     ----------
-    camera : Camera
+    scene : Scene
     w : ndarray of float64, (rows, columns)
         Inverse depth, 1/mm; 0 where nothing is. Some pixel has one.
 
@@ -57,9 +57,11 @@ def lens_line(camera: Camera, w: Array) -> str:
         Such as "R -0.1 to 33 px; in focus: 12 % of the picture". In focus is what has |R| of at most `SHARP`.
     """
     seen = w[w > 0]
-    near, far = float(seen.max()), float(seen.min())
-    sharp = int(np.count_nonzero(np.abs(blur_radius(camera, seen)) <= SHARP))
-    low, high = (round(float(blur_radius(camera, end)), 2) + 0.0 for end in (near, far))
+    near, far, camera = float(seen.max()), float(seen.min()), scene.camera
+    y, x = (ray_step(camera) * (np.arange(size) - 0.5 * (size - 1)) for size in w.shape)
+    radii = Lens.of(camera, scene.lens).blur_radius(seen, (x * x + y[:, None] ** 2)[w > 0])
+    sharp = int(np.count_nonzero(np.abs(radii) <= SHARP))
+    low, high = (round(float(end), 2) + 0.0 for end in (radii.min(), radii.max()))
     percent = "under 1" if 0 < 100 * sharp < w.size else f"{100 * sharp // w.size}"
     line = f"R {low:.3g} to {high:.3g} px; in focus: {percent} % of the picture"
     depths = f"depths {_distance(near)} to {_distance(far)}, focus at {camera.focused_distance:.6g} mm"

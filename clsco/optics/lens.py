@@ -1,4 +1,4 @@
-"""Thin lens: from inverse depth to the signed blur radius (float64, pure)."""
+"""Lens: from inverse depth to the signed blur radius (float64, pure)."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.scene.lens import Lens as Aberrations
 from clsco.scene.model import Camera
 
 LARGEST_BLUR = 512.0  # px; a source beyond it spreads over a million pixels
@@ -16,19 +17,24 @@ SHARP = 0.5  # px, |R| up to which a point counts as in focus
 
 @dataclass(frozen=True)
 class Lens:
-    """A thin lens, as it blurs.
+    """A lens, as it blurs one color, or all of them alike.
 
     Attributes
     ----------
     blur_scale : float
         Blur radius per unit of inverse depth, kappa = s0 D / (2 p), in px mm (2.33).
     focus_power : float
-        Inverse depth in focus, K = 1/f - 1/s, in 1/mm (2.24). The two terms nearly cancel for long lenses, hence
-        float64 on the host.
+        Inverse depth in focus on the axis, K = 1/f - 1/s, in 1/mm (2.24). The two terms nearly cancel for long lenses,
+        hence float64 on the host.
     radius : float
         Radius of the aperture, D / 2, in mm.
     detector_power : float
         Inverse distance of the detector, 1/s, in 1/mm.
+    sag : float
+        By how much the image of a plane lies before the detector, in sensor distances, per squared slope t^2 of the
+        ray: -c s0^2 / (2 s) with the curvature c of that image.
+    spherical : float
+        1 where a sphere around the lens is in focus, and no plane.
 
     Examples
     --------
@@ -43,20 +49,78 @@ class Lens:
     focus_power: float
     radius: float
     detector_power: float
+    sag: float = 0.0
+    spherical: float = 0.0
 
     @classmethod
-    def of(cls, camera: Camera) -> Self:
-        """The lens of a camera."""
+    def of(cls, camera: Camera, real: Aberrations | None = None, color: int | None = None) -> Self:
+        """The lens of a camera.
+
+        Parameters
+        ----------
+        camera : Camera
+        real : clsco.Lens, optional
+            Differences from a thin lens.
+        color : int, optional
+            Red, green or blue light, 0 to 2; by default what has the focal length of the camera.
+
+        Returns
+        -------
+        Lens
+        """
+        f, s, scale = camera.focal_length, camera.sensor_distance, camera.normalization_distance
+        longer = 0.0 if real is None or color is None else real.axial[color]
+        curvature = 0.0 if real is None else real.field_curvature
         return cls(
-            camera.normalization_distance * camera.aperture_diameter / (2.0 * camera.pixel_pitch),
-            1.0 / camera.focal_length - 1.0 / camera.sensor_distance,
+            scale * camera.aperture_diameter / (2.0 * camera.pixel_pitch),
+            1.0 / f - 1.0 / s - longer / (f * (f + longer)),
             0.5 * camera.aperture_diameter,
-            1.0 / camera.sensor_distance,
+            1.0 / s,
+            -0.5 * curvature * scale * scale / s,
+            float(real is not None and real.focus_surface == "sphere"),
         )
+
+    @property
+    def is_curved(self) -> bool:
+        """True if what is in focus is no plane."""
+        return self.sag != 0.0 or self.spherical > 0.0
+
+    def blur_radius(
+        self, inverse_depth: NDArray[np.float64] | float, squared_slope: NDArray[np.float64] | float = 0.0
+    ) -> NDArray[np.float64]:
+        """Signed blur radius R = kappa (K - w) of inverse depths w = 1/Z (2.33).
+
+        Parameters
+        ----------
+        inverse_depth : array_like of float64, any shape
+            1/mm.
+        squared_slope : array_like of float64, of a shape that fits
+            Squared slope t^2 = x^2 + y^2 of the ray (x, y, 1), which counts where the lens is curved.
+
+        Returns
+        -------
+        ndarray of float64
+            px; positive behind the surface that is in focus, negative in front of it.
+
+        Notes
+        -----
+        With field curvature the image of a plane lies before the detector by d = -c s0^2 t^2 / 2, so that
+        K(t) = 1/f - 1/(s + d) = K + d / (s (s + d)). Where a sphere is in focus, w / sqrt(1 + t^2) stands for w. Both
+        are added to K - w as what they change, which keeps its digits where R is almost 0.
+        Validated against these formulas as they stand (tests/optics/test_lens.py).
+        """
+        w = np.asarray(inverse_depth, dtype=np.float64)
+        power = self.focus_power - w
+        if self.is_curved:
+            squared = np.asarray(squared_slope, dtype=np.float64)
+            bend, distance = self.sag * squared, np.sqrt(1.0 + squared)
+            power = power + self.detector_power * bend / (1.0 + bend)
+            power = power + self.spherical * w * (squared / (distance * (1.0 + distance)))
+        return np.asarray(self.blur_scale * power)
 
 
 def blur_radius(camera: Camera, inverse_depth: NDArray[np.float64] | float) -> NDArray[np.float64]:
-    """Signed blur radius R = kappa (K - w) of inverse depths w = 1/Z (2.33).
+    """Signed blur radius R = kappa (K - w) of inverse depths w = 1/Z (2.33), by a thin lens.
 
     Parameters
     ----------
@@ -73,8 +137,7 @@ def blur_radius(camera: Camera, inverse_depth: NDArray[np.float64] | float) -> N
     -----
     Validated against the thesis' camera: 0 at 250.017 mm.
     """
-    lens = Lens.of(camera)
-    return np.asarray(lens.blur_scale * (lens.focus_power - np.asarray(inverse_depth, dtype=np.float64)))
+    return Lens.of(camera).blur_radius(inverse_depth)
 
 
 def ray_step(camera: Camera) -> float:

@@ -10,7 +10,9 @@ import numpy as np
 from clsco.errors import SceneError
 from clsco.optics.exposure import sequence_times
 from clsco.optics.keyframes import Path, path_through
-from clsco.scene.model import Camera, LensMotion, Scene
+from clsco.optics.lens import Lens
+from clsco.scene.model import Camera, Scene
+from clsco.scene.model import Lens as SceneLens
 
 DENSE = 33  # places between two keyframes at which the widest aperture is looked for
 WIDER = 1.01
@@ -46,7 +48,7 @@ def camera_at(scene: Scene, time: float) -> Camera:
     >>> camera_at(scene, 1.0).aperture_diameter, camera_at(scene, 0.5).aperture_diameter
     (5.0, 7.5)
     """
-    if scene.lens is None:
+    if scene.lens is None or not scene.lens.moves:
         return scene.camera
     camera, changed = scene.camera, dict[str, float | None]()
     zoom, focus, opening = _paths(scene.lens)
@@ -80,15 +82,26 @@ def _rule(key: str, rule: str, got: float, time: float) -> str:
     return f'lens.keyframe: {key} must stay {rule}, as with interpolation = "linear"; got {got:.6g} at {time:.6g} s'
 
 
+def lens_at(scene: Scene, time: float, color: int | None = None) -> Lens:
+    """The lens at a time, s, for all colors or for one, as `clsco.optics.lens.Lens.of` takes it. Raises SceneError as
+    `camera_at`."""
+    return Lens.of(camera_at(scene, time), scene.lens, color)
+
+
+def lenses_at(scene: Scene, time: float) -> tuple[Lens, ...]:
+    """The lenses of red, green and blue where they differ, else the one of all colors. As `lens_at`."""
+    return tuple(lens_at(scene, time, color) for color in (range(3) if scene.separates_colors else (None,)))
+
+
 @lru_cache(maxsize=64)
-def _paths(lens: LensMotion) -> tuple[Path | None, Path | None, Path | None]:
+def _paths(lens: SceneLens) -> tuple[Path | None, Path | None, Path | None]:
     """Paths of the focal length in mm, of the inverse focus distance in 1/mm, and of the aperture's diameter over the
     focal length; None where no keyframe has one."""
 
     def path(name: str, power: int) -> Path | None:
-        keys = [(key.time, getattr(key, name)) for key in lens.keyframe if getattr(key, name) is not None]
+        keys = [(key.time, getattr(key, name)) for key in lens.keyframe or () if getattr(key, name) is not None]
         times, values = [time for time, _ in keys], [[value**power] for _, value in keys]
-        return path_through(times, values, lens.interpolation, lens.outside) if keys else None
+        return path_through(times, values, lens.interpolation or "linear", lens.outside or "hold") if keys else None
 
     return path("focal_length", 1), path("focus_distance", -1), path("f_number", -1)
 

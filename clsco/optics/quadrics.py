@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.optics.bounds import Bounds, cutting
-from clsco.optics.lens import blur_radius
+from clsco.optics.lens import Lens
 from clsco.optics.motion import Pose, rest_center, static_rotation
 from clsco.scene.model import (
     Background,
-    Camera,
     Cone,
     Cylinder,
     Disc,
@@ -278,10 +277,10 @@ def _seen(x: float, y: float, z: float, radius: float) -> Extent:
     return Extent(interval(x), interval(y), (1.0 / (z + radius), 1.0 / (z - radius)))
 
 
-def axial_blur_radius(camera: Camera, surface: PlacedSurface) -> float:
-    """Signed blur radius in px where the axis of the camera meets a plane."""
+def axial_blur_radius(lens: Lens, surface: PlacedSurface) -> float:
+    """Signed blur radius in px where the axis of a lens meets a plane."""
     inverse_depth = -2.0 * float(surface.canonical.l @ surface.turn[:, 2]) / surface.constant
-    return float(blur_radius(camera, inverse_depth))
+    return float(lens.blur_radius(inverse_depth))
 
 
 def predict_inverse_depth(

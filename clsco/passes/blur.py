@@ -43,7 +43,7 @@ UNITS_PER_TAP = 1 / 125  # of work (`clsco.opencl.pace`), were all sources as wi
 
 # Features of what casts rays at surfaces, which a blur does not, and of what only sources on surfaces have.
 PLAIN = dict.fromkeys(
-    ("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "FILTER", "SUBPIXELS", "OCCLUDED", "LIMITED"), 0
+    ("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "FILTER", "SUBPIXELS", "OCCLUDED", "LIMITED", "CURVED"), 0
 )
 
 Events = list[tuple[str, cl.Event]]
@@ -80,6 +80,7 @@ def blur_features(spec: BlurSpec, channels: int, fp64: bool, maps: Maps) -> dict
             "SUBPIXELS": spec.subpixels,
             "OCCLUDED": spec.occluders,
             "LIMITED": int(spec.limited),
+            "CURVED": spec.curved,
             "GATHER": int(method == "gather"),
             "BY_ROWS": int(scratch == "rows"),
             "BY_COLUMNS": int(scratch == "columns"),
@@ -126,17 +127,20 @@ class Area:
         grid_t of the strip.
     events : list
         Gets the launches that are enqueued.
-    bounds : LayerBounds, optional
-        Bounds between depth layers, where they come from all strips.
+    bounds : tuple of LayerBounds, optional
+        Bounds between depth layers, where they come from all strips: of all colors, or of each.
     group : OcclusionGroup
         Objects that are traced and blurred.
+    color : int, optional
+        The color whose light is blurred, 0 to 2; by default all.
     """
 
     strip: Strip
     grid: Struct
     events: Events
-    bounds: LayerBounds | None = None
+    bounds: tuple[LayerBounds, ...] | None = None
     group: OcclusionGroup = NO_GROUP
+    color: int | None = None
 
 
 @dataclass(frozen=True)

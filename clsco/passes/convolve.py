@@ -17,7 +17,7 @@ from clsco.plan.buffers import SUMS_BEYOND, Sizes
 from clsco.plan.methods import BlurSpec
 from clsco.records import Struct, structs
 
-SHAPES = ("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED")
+SHAPES = ("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "CURVED")
 FEATURES = dict.fromkeys((*SHAPES, "FILTER", "SAMPLED", "GENERAL", "CHANNELS"), 0)
 BITS = 56  # of a sum over a disc
 # What sums without DROPPED_BITS leave out is less than a unit of each row of a disc: (2 R + 1) 2^-29 of the brightest

@@ -69,7 +69,8 @@ def camera_grid(
 
 def lens_struct(lens: Lens, real: Real) -> Struct:
     """lens_t of a lens."""
-    return filled("lens_t", real, vars(lens))
+    known = structs(real)["lens_t"].names or ()
+    return filled("lens_t", real, {name: getattr(lens, name) for name in known})
 
 
 def surface_structs(

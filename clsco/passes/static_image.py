@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from clsco.frame.strips import Strip, around
 from clsco.opencl.buffers import lent
 from clsco.opencl.session import Session
-from clsco.optics.lens import blur_radius
+from clsco.optics.lens import Lens, ray_step
 from clsco.passes.blur import Area, Image
 from clsco.records import REAL, Real, flat
 from clsco.scene.model import Camera
@@ -74,6 +74,7 @@ class StaticMap(GivenImage):
     ----------
     session : Session
     camera : Camera
+    lens : Lens
     radiance : ndarray of float32 (rows, columns[, channels])
     inverse_depth : ndarray of float64 (rows, columns)
         1/mm, 0 where nothing is.
@@ -87,17 +88,27 @@ class StaticMap(GivenImage):
     """
 
     def __init__(
-        self, session: Session, camera: Camera, radiance: NDArray[np.float32], inverse_depth: Array, guard: int,
-        real: Real,
+        self, session: Session, camera: Camera, lens: Lens, radiance: NDArray[np.float32], inverse_depth: Array,
+        guard: int, real: Real,
     ) -> None:  # fmt: skip
         super().__init__(session, radiance, guard)
-        self.camera, self.inverse_depth, self.real = camera, inverse_depth, real
+        self.camera, self.lens, self.inverse_depth, self.real = camera, lens, inverse_depth, real
 
     def radii(self, strip: Strip) -> dict[str, NDArray[Any]]:
         w = self._around(self.inverse_depth, strip)
-        there, radii = w > 0, blur_radius(self.camera, w)
+        there, radii = w > 0, self.lens.blur_radius(w, self._squared_slopes(strip.top - strip.above, *w.shape))
         radii *= there
         return {"coc": radii.astype(REAL[self.real], copy=False), "valid": there.view(np.uint8)}
+
+    def _squared_slopes(self, top: int, rows: int, columns: int) -> Array | float:
+        """Squared slopes of the rays of so many rows from `top` on, with as many columns on both sides of the axis."""
+        if not self.lens.is_curved:
+            return 0.0
+        _, height = self.camera.frame_size
+        step = ray_step(self.camera)
+        up = step * (np.arange(rows) + top - 0.5 * (height - 1))
+        across = step * (np.arange(columns) - 0.5 * (columns - 1))
+        return np.asarray(across**2 + up[:, None] ** 2)
 
     @cached_property
     def missing(self) -> NDArray[np.bool_]:
@@ -113,11 +124,12 @@ class StaticMap(GivenImage):
         """Ground truth that needs no differences; values as of `clsco.passes.warp.ForwardWarp.truth`."""
         w, there = self.inverse_depth, self.inverse_depth > 0
         seen = there if self.radiance.ndim == 2 else there[..., None]
+        radii = self.lens.blur_radius(w, self._squared_slopes(0, *w.shape))
         return {
             "sharp": np.where(seen, self.radiance, np.float32(0)),
             "filled": np.where(self.missing, np.uint8(2), np.uint8(0)),
             "depth": np.where(there, 1.0 / np.where(there, w, 1.0), np.inf),
-            "blur_radius": np.where(there, blur_radius(self.camera, w), 0.0).astype(np.float32),
+            "blur_radius": np.where(there, radii, 0.0).astype(np.float32),
             "mask": there,
             "object_id": np.where(there, 0, -1).astype(np.int32),
         }

@@ -133,7 +133,7 @@ class Tracer:
 
     def lens(self, at: Moment) -> Struct:
         """lens_t at a time sample."""
-        return lens_struct(Lens.of(at.sample.camera), self.scene.real)
+        return lens_struct(Lens.of(at.sample.camera, self.plan.scene.lens, self.plan.only), self.scene.real)
 
     @cached_property
     def extents(self) -> tuple[cl.Buffer, ...]:

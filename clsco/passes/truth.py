@@ -16,8 +16,10 @@ from clsco.opencl.buffers import allocate, download_into
 from clsco.optics.depth_truth import MapPoints, map_flow, map_normal, map_occluded, map_stereo
 from clsco.optics.exposure import line_times, middle_time
 from clsco.optics.lens import Lens
+from clsco.optics.lens_path import camera_at, lens_at, lenses_at
 from clsco.optics.line_truth import LinePoints, lines_of
 from clsco.optics.motion import Eye
+from clsco.optics.vignetting import throughput
 from clsco.passes.blur import PIXELS, Events, Target
 from clsco.passes.pack import camera_grid, lens_struct
 from clsco.passes.placed import PlacedScene, TimeSample
@@ -68,6 +70,9 @@ class GroundTruth:
             found = self._of_lines(index, events)
         else:
             found = self._of_rays(*times, events) if plan.scene.is_analytic else self._of_maps(*times, events)
+        if "throughput" in plan.truth and plan.scene.lens is not None:
+            share = throughput(camera_at(plan.scene, times[1]), plan.scene.lens.vignetting)
+            found["throughput"] = share.astype(np.float32)
         return {name: array for name, array in found.items() if name in plan.truth}
 
     def _middles(self, index: int) -> tuple[float, float, float]:
@@ -93,6 +98,7 @@ class GroundTruth:
         for strip in plan.strips:
             self._cast(strip, sample.camera, arguments, buffers, events, (plan.columns, strip.rows))
             self._download(strip, buffers, out)
+        self._tell_colors_apart(out, np.array(time))
         self._take_out_background(out)
         if isinstance(self.pixels, ForwardWarp):
             out |= self.pixels.truth(sample, plan.truth, events)
@@ -109,14 +115,8 @@ class GroundTruth:
         plan, scene = self.plan, self.scene
         poses = scene.poses(after)
         shown = (scene.texture, *scene.texture_maps, *sample.light)
-        head = (
-            lens_struct(Lens.of(sample.camera), scene.real),
-            sample.surfaces,
-            reference.surfaces,
-            poses,
-            everything(plan),
-            *shown,
-        )
+        lens = lens_struct(Lens.of(sample.camera, plan.scene.lens), scene.real)
+        head = (lens, sample.surfaces, reference.surfaces, poses, everything(plan), *shown)
         view: tuple[Any, ...] = (sample.surfaces, poses, np.int32(0))  # read for a stereo pair alone
         if there is not None:
             view = there.surfaces, scene.poses(there), np.int32(1 if plan.eye == "right" else -1)
@@ -144,6 +144,7 @@ class GroundTruth:
             for line, sample in enumerate(samples if by_columns else samples[strip.inside]):
                 self._cast(strip, *sample, buffers, events, size, (line, 0) if by_columns else (0, line))
             self._download(strip, buffers, out)
+        self._tell_colors_apart(out, times if by_columns else times[:, None])
         self._take_out_background(out)
         out |= {"row_time": times, "filled": np.zeros((plan.rows, plan.columns), np.uint8)}
         return out | (self._between_lines(index, out) if set(OF_LINES) & set(plan.truth) else {})
@@ -166,6 +167,18 @@ class GroundTruth:
         if "disparity" in out:
             out["disparity"] = out["disparity"][..., 0] * np.float32(1 if eye == "right" else -1)
         return out
+
+    def _tell_colors_apart(self, found: Arrays, times: NDArray[np.float64]) -> None:
+        """Turn radii into those of red, green and blue, where the lens tells these apart; times: of lines, s."""
+        if not self.plan.scene.separates_colors or "blur_radius" not in found:
+            return
+        shifts = np.empty((*times.shape, 3))
+        for line in np.ndindex(times.shape):
+            middle, time = lens_at(self.plan.scene, float(times[line])), float(times[line])
+            powers = (lens.focus_power - middle.focus_power for lens in lenses_at(self.plan.scene, time))
+            shifts[line] = [middle.blur_scale * power for power in powers]
+        radius = found["blur_radius"][..., None] + shifts
+        found["blur_radius"] = np.where(found["mask"][..., None], radius, 0.0).astype(np.float32)
 
     def _take_out_background(self, found: Arrays) -> NDArray[np.bool_]:
         """Make outputs what they are without a surface where there is the background; True there."""
@@ -199,6 +212,7 @@ class GroundTruth:
             out = pixels.truth()
         elif isinstance(pixels, ForwardWarp):
             out = pixels.truth(now, {"depth", "object_id", "filled", *plan.truth}, events)  # three for the others
+        self._tell_colors_apart(out, np.array(time))
         beyond = self._take_out_background(out)
         seen = MapPoints(plan.scene.objects, out["depth"], out["object_id"], now.camera, now.poses)
         out |= {"normal": map_normal(now.camera, out["depth"]), "flow": map_flow(seen, then.camera, then.poses)}

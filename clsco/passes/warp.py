@@ -19,6 +19,7 @@ from clsco.passes.fill import LINES, LISTED, OWNERS, ZERO, Filler
 from clsco.passes.pack import camera_grid, lens_struct
 from clsco.passes.placed import PlacedScene, TimeSample
 from clsco.plan.buffers import fill_sizes, warp_buffers
+from clsco.plan.features import curvature_of
 from clsco.plan.plan import Plan
 from clsco.records import REAL, structs
 
@@ -60,6 +61,7 @@ def forward_features(plan: Plan, owned: bool) -> dict[str, int]:
     fill, mapped = plan.scene.fill, not plan.scene.is_analytic
     shape = {name: value for name, value in plan.features().items() if name in SHAPE_FEATURES}
     return shape | {
+        "CURVED": curvature_of(plan.scene),
         "FILTER": 0,
         "SAMPLED": 0,
         "GENERAL": 0,
@@ -101,7 +103,7 @@ class ForwardWarp:
     ) -> None:
         session, real = scene.session, scene.real
         self.plan, self.scene, self.grid = plan, scene, camera_grid(plan.scene.camera, plan.guard_px, real)
-        self.lens = lens_struct(Lens.of(plan.scene.camera), real)
+        self.lens = lens_struct(Lens.of(plan.scene.camera, plan.scene.lens, plan.only), real)
         self.owned = session.device.kind == "cpu" if owned is None else owned
         features = forward_features(plan, self.owned)
         self.kernels = Target(session, build(session, KERNELS, features, structs(real), real), real)
@@ -148,7 +150,7 @@ class ForwardWarp:
         planes, plan = self.filler.planes, self.plan
         counters = self.filler.fill(sample.surfaces, len(sample.placed), events, self.scene.brightest)
         if self.maps:
-            out = (planes.value, planes.w, planes.coc, planes.valid)
+            out = (self.lens, planes.value, planes.w, planes.coc, planes.valid)
             seen = () if planes.object is None else (planes.object,)
             if self.filler.fills:
                 self._per_line("fill_entered", events, *out, planes.status, *seen)
@@ -158,10 +160,10 @@ class ForwardWarp:
     def nearest(self, sample: TimeSample, events: Events) -> None:
         """Enqueue the depth test: where each pixel of the reference pose moves, and which one is the nearest that
         comes to a pixel. Arguments as for `warp`."""
-        if self.plan.scene.lens is not None:
-            camera, real = self.plan.scene.camera, self.scene.real
-            self.lens = self.filler.lens = lens_struct(Lens.of(sample.camera), real)
-            self.grid = self.filler.grid = camera_grid(sample.camera, self.plan.guard_px, real, reference=camera)
+        scene, real = self.plan.scene, self.scene.real
+        if scene.lens_moves:
+            self.lens = self.filler.lens = lens_struct(Lens.of(sample.camera, scene.lens, self.plan.only), real)
+            self.grid = self.filler.grid = camera_grid(sample.camera, self.plan.guard_px, real, reference=scene.camera)
         poses = self.scene.poses(sample)
         args = (self.grid, self.rest_surfaces, poses, self.rest, self.target, self.moved, *self.object)
         if self.owned:

@@ -25,13 +25,14 @@ from numpy.typing import NDArray
 from clsco.errors import SceneError
 from clsco.inputs.textures import Texture
 from clsco.optics.exposure import frame_exposure, shutter_span
-from clsco.optics.lens import blur_radius
+from clsco.optics.lens import ray_step
+from clsco.optics.lens_path import lenses_at
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.texture_mapping import needs_detail
 from clsco.plan.image_motion import ImagePath, image_paths, some_frames
 from clsco.plan.plan import Plan
-from clsco.plan.predict import Maps, seen_depths
-from clsco.scene.model import Camera, Scene
+from clsco.plan.predict import Maps, seen_depths, seen_slopes
+from clsco.scene.model import Scene
 
 Array = NDArray[np.float64]
 Samples = tuple[int, int]
@@ -130,7 +131,7 @@ def fewer_samples(
     scene, exact = plan.scene, (plan.samples, max(plan.silhouettes, 1))
     samples, silhouettes, square = *exact, 0.0
     whole = exact[1] == 1 or needs_detail(scene, plan.psf, plan.largest_blur)  # silhouettes have all their samples
-    if not (exact[0] == 1 and whole) and scene.lens is None:  # whose changes are not in the estimate
+    if not (exact[0] == 1 and whole) and not scene.lens_moves:  # whose changes are not in the estimate
         parts = _parts(scene, textures(), maps)
         outlines = sum(float(_passed(plan.psf, part.radius)[: SIDE // 2].mean()) * sum(part.outline) for part in parts)
         cycles = *_cycles(plan.psf, parts), outlines / (12.0 * exact[1] ** 2)
@@ -227,7 +228,7 @@ def _passed(psf: PointSpread, radius: float) -> Array:
 
 def _parts(scene: Scene, textures: tuple[Texture, ...], maps: Maps) -> tuple[_Part, ...]:
     """Objects in sight in the middle of the sequence, with their longest ways in all of it."""
-    w = seen_depths(scene, maps)
+    w, squared = seen_depths(scene, maps), seen_slopes(scene)
     front = w.max(axis=0)
     nearest = np.where(front > 0.0, w.argmax(axis=0), -1)
     contrasts = _contrasts(textures, scene.light is not None)
@@ -236,21 +237,24 @@ def _parts(scene: Scene, textures: tuple[Texture, ...], maps: Maps) -> tuple[_Pa
     parts = []
     for k in np.flatnonzero(np.bincount(nearest.ravel() + 1)[1:]).tolist():
         seen = nearest == k
-        radius = float(np.abs(blur_radius(scene.camera, w[k][seen])).min())
+        radii = (lens.blur_radius(w[k][seen], squared[seen]) for lens in lenses_at(scene, 0.0))
+        radius = min(float(np.abs(found).min()) for found in radii)
         way, power = (0.0, 0.0), (NOTHING, NOTHING)
         if scene.moves:
-            way = _way(scene.camera, [each[k] for each in paths])
+            way = _way(scene, [each[k] for each in paths])
             along = _power(textures[k], scene.objects[k].mapped is not None)
             power = (seen.mean() * along[0], seen.mean() * along[1])
         parts.append(_Part(way, radius, power, (across[k], down[k])))
     return tuple(parts)
 
 
-def _way(camera: Camera, paths: list[ImagePath]) -> tuple[float, float]:
+def _way(scene: Scene, paths: list[ImagePath]) -> tuple[float, float]:
     """Longest way of an object's image and of its blur's rim along x and y, px: all of one that goes across both."""
-    longest = np.zeros(2)
+    longest, (lens, *_) = np.zeros(2), lenses_at(scene, 0.0)
     for path in paths:
-        rim = (np.abs(np.diff(np.abs(blur_radius(camera, path.places[:, 2])), axis=0)) * path.seen).sum(axis=0)
+        squared = (path.places[:, :2] ** 2).sum(axis=1) * ray_step(scene.camera) ** 2
+        radius = np.abs(lens.blur_radius(path.places[:, 2], squared))
+        rim = (np.abs(np.diff(radius, axis=0)) * path.seen).sum(axis=0)
         along, whole = np.abs(path.steps).sum(axis=0) + rim, np.linalg.norm(path.steps, axis=1).sum(axis=0) + rim
         longest = np.maximum(longest, np.minimum(2.0 * along, whole).max(axis=1, initial=0.0))
     return float(longest[0]), float(longest[1])

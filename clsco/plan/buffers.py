@@ -53,6 +53,11 @@ MAP_BYTES = structs("double")["texture_map_t"].itemsize
 UNKNOWN = 2**62  # bytes, of a limit that is not known
 COUNTERS = COUNTER_DONE + 1  # ints, of a filling
 STATISTICS = STATISTIC_OUTSIDE + 1  # ints, of a frame
+# Buffers that passes share; the others are owned by what works with them.
+SHARED = (
+    "statistics", "value", "coc", "valid", "source", "depth", "label", "pixels", "sub_label", "sub_source", "sub_value",
+    "sub_depth", "share", "sharper",
+)  # fmt: skip
 # Outputs that ground_truth writes, with what one pixel of each takes: dtype and components (0: the channels).
 TRUTH_BUFFERS: dict[str, tuple[type[np.generic], int]] = {
     "object_id": (np.int32, 1),

@@ -5,7 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 
 from clsco.errors import SceneError
-from clsco.frame.frame import ALL_TRUTH, MAPPING_NAMES, MOTION_NAMES, ROLLING_NAMES, SENSOR_NAMES, STEREO_NAMES
+from clsco.frame.frame import (
+    ALL_TRUTH,
+    LENS_NAMES,
+    MAPPING_NAMES,
+    MOTION_NAMES,
+    ROLLING_NAMES,
+    SENSOR_NAMES,
+    STEREO_NAMES,
+)
 from clsco.optics.exposure import subframes_of
 from clsco.optics.lens_path import widest_camera
 from clsco.optics.motion import Eye
@@ -43,6 +51,7 @@ POSSIBLE = (
     (MOTION_NAMES, lambda scene: scene.moves, "nothing moves"),
     (MAPPING_NAMES, lambda scene: scene.has_mapped_textures, "no texture lies on a surface"),
     (SENSOR_NAMES, lambda scene: scene.sensor is not None, "there is no sensor"),
+    (LENS_NAMES, lambda scene: scene.darkens, "the lens darkens nothing"),
     (ROLLING_NAMES, lambda scene: scene.rolls, "all rows are exposed at once"),
 )
 
@@ -175,7 +184,7 @@ def choose_samples(scene: Scene, psf: PointSpread, rays: bool, maps: Maps, guard
     if scene.sequence.samples == "auto":
         # Without visibility tests what is behind is hidden by outlines as sharp as that is; and radii are of one lens.
         soft = scene.psf.occlusion != "none" or len(scene.objects) == 1
-        evened = rays and soft and scene.lens is None
+        evened = rays and soft and not scene.lens_moves
         needs = motion_needs(scene, psf, maps, guard, evened)
         named = [f"{scene.objects[need.number].name} {need}" for need in needs[:MOST_NAMED]]
         left = [f"{len(needs) - MOST_NAMED} more"] if len(needs) > MOST_NAMED else []
@@ -297,7 +306,7 @@ def choose_still_sources(
         return Choice(False, "only sources from rays that are spread one by one are told apart")
     if scene.camera.moves:
         return Choice(False, "the camera moves")
-    if scene.lens is not None:
+    if scene.lens_moves:
         return Choice(False, "the lens changes")
     if "subframes" in asked:
         return Choice(False, "each sub-frame needs all sources")

@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.optics.exposure import jump_times, lines_overlap, shutter_span, subframes_of
-from clsco.optics.lens import blur_radius, ray_step
-from clsco.optics.lens_path import camera_at
+from clsco.optics.lens import ray_step
+from clsco.optics.lens_path import camera_at, lens_at, lenses_at
 from clsco.optics.motion import Pose, poses_at, rest_center
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import place, predict_inverse_depth
@@ -88,15 +88,18 @@ class ImagePath:
         changes = np.diff(velocity, axis=0, prepend=0.0, append=0.0)
         return 0.5 * float(np.linalg.norm(changes, axis=1).sum(axis=0).max(initial=0.0))
 
-    def radius(self, camera: Camera) -> float:
-        """Smallest |R| of what is seen, px, less what may be between rays; 0 where it goes through the focus."""
+    def radius(self, scene: Scene) -> float:
+        """Smallest |R| of what is seen, px, less what may be between rays; 0 where it goes through the focus of a
+        color."""
         ends = np.zeros((len(self.times), self.places.shape[2]), dtype=np.bool_)
         ends[1:] |= self.seen
         ends[:-1] |= self.seen
-        found = blur_radius(camera, self.places[:, 2][ends])
-        if not found.size or found.min() * found.max() <= 0.0:
+        x, y, w = (self.places[:, k][ends] for k in range(3))
+        squared = (x * x + y * y) * ray_step(scene.camera) ** 2
+        radii = [lens.blur_radius(w, squared) for lens in lenses_at(scene, 0.0)]
+        if not w.size or any(found.min() * found.max() <= 0.0 for found in radii):
             return 0.0
-        return BETWEEN * float(np.abs(found).min())
+        return BETWEEN * min(float(np.abs(found).min()) for found in radii)
 
 
 @dataclass(frozen=True)
@@ -146,13 +149,13 @@ def motion_needs(
         Objects that are seen to move.
     """
     maps = maps or (None,) * len(scene.objects)
-    evened = evened and scene.sequence.sampling == "midpoint" and scene.lens is None
+    evened = evened and scene.sequence.sampling == "midpoint" and not scene.lens_moves
     line = scene.sequence.shutter / (scene.sequence.shutter + scene.sequence.readout)  # part of all exposures
     found = dict[int, Need]()
     for frame in some_frames(scene):
         for number, path in enumerate(image_paths(scene, maps, frame, guard)):
             speed = line * path.speed
-            radius = path.radius(scene.camera) if evened and maps[number] is None else 0.0
+            radius = path.radius(scene) if evened and maps[number] is None else 0.0
             samples = speed / PIXELS_PER_SAMPLE
             if radius > 0.0:
                 samples = min(samples, sqrt(_chord(psf) * line * path.variation / (24.0 * radius * EDGE_ERROR)))
@@ -185,12 +188,12 @@ def motion_samples(scene: Scene, needs: Sequence[Need]) -> int:
 
 def lens_samples(scene: Scene, maps: Maps) -> int:
     """Time samples that suit the changes of the lens while a line is exposed: one per px of the blur radius."""
-    if scene.lens is None:
+    if not scene.lens_moves:
         return 1
     w, way = seen_depths(scene, maps), 0.0
     for frame in some_frames(scene):
         times = np.linspace(*shutter_span(scene.sequence, frame), LENS_TIMES)
-        radii = np.array([blur_radius(camera_at(scene, time), w[w > 0]) for time in times.tolist()])
+        radii = np.array([lens_at(scene, time).blur_radius(w[w > 0]) for time in times.tolist()])
         changes = np.abs(np.diff(radii, axis=0))
         changes[np.searchsorted(times, jump_times(scene, frame)) - 1] = 0.0  # jumps have time samples of their own
         way = max(way, float(changes.sum(axis=0).max(initial=0.0)))

@@ -51,6 +51,8 @@ class BlurSpec:
         Fate of irradiance outside of the frame: lost, or given back to it.
     layered : bool
         Sources are in depth layers, of which nearer ones hide farther ones.
+    curved : int
+        Feature CURVED, where visibility tests need radii.
     """
 
     psf: PointSpread
@@ -64,6 +66,7 @@ class BlurSpec:
     brightest: float = 1.0
     border: Literal["lose", "renormalize"] = "lose"
     layered: bool = False
+    curved: int = 0
 
     @property
     def marked(self) -> bool:

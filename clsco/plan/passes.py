@@ -12,7 +12,7 @@ from clsco.plan.buffers import Sizes
 Parameters = tuple[tuple[str, str], ...]
 Kind = Literal[
     "static image", "trace", "silhouettes", "pinhole", "reproject", "fill", "count missing", "sources", "cluster",
-    "depth layers", "blur", "accumulate", "sensor", "ground truth",
+    "depth layers", "blur", "join colors", "vignetting", "accumulate", "sensor", "ground truth",
 ]  # fmt: skip
 ONCE_A_FRAME: tuple[Kind, ...] = ("sensor", "ground truth")  # all others: for each time sample
 
@@ -30,10 +30,13 @@ class Pass:
         Bytes of its buffers on the device by their names; one name is one buffer in all passes.
     takes, gives : tuple of str
         Names of what it is handed by earlier passes, and of what it hands on: "moved" pixels, an "image" with its
-        radii, "sources", "layers", the blurred "plane" of a time sample, the "frame" so far, its "codes" when it is
+        radii, "sources", "layers", the blurred "plane" of a time sample, the
+        "colors" of it so far where each is blurred by itself, the "frame" so far, its "codes" when it is
         complete; "counts" and "missing" of a filling, the number of "depth_layers".
     group : OcclusionGroup
         The occlusion group that it is for.
+    color : int, optional
+        The color that it is for, 0 to 2; by default all.
     """
 
     kind: Kind
@@ -42,6 +45,7 @@ class Pass:
     takes: tuple[str, ...] = ()
     gives: tuple[str, ...] = ()
     group: OcclusionGroup = NO_GROUP
+    color: int | None = None
 
 
 def run_passes(passes: Iterable[Pass], run: Callable[..., Iterable[Any]]) -> Mapping[str, Any]:

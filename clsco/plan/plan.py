@@ -19,8 +19,7 @@ from clsco.frame.frame import SENSOR_NAMES
 from clsco.frame.strips import Grid, Strip, part
 from clsco.inputs.pupils import scene_point_spread
 from clsco.optics.exposure import frame_exposure, subframes_of
-from clsco.optics.lens import blur_radius
-from clsco.optics.lens_path import camera_at
+from clsco.optics.lens_path import lens_at
 from clsco.optics.motion import Eye
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_grid import table_reach
@@ -45,14 +44,17 @@ from clsco.plan.buffers import (
     truth_buffers,
     warp_buffers,
 )
+from clsco.plan.colors import color_passes
 from clsco.plan.decisions import Choices, choose
-from clsco.plan.features import shape_features
+from clsco.plan.features import curvature_of, shape_features
 from clsco.plan.image import blur_passes, light_of, named, strips_of
 from clsco.plan.methods import MANY_RADII, Blur, BlurSpec, check_shape, occluder_room
 from clsco.plan.passes import Kind, Parameters, Pass
 from clsco.plan.predict import Maps, Prediction, displaced, is_static_map, predict
 from clsco.plan.request import Request
 from clsco.plan.sensor import sensor_pass
+from clsco.plan.vignetting import vignetting_pass
+from clsco.plan.words import of_blur, of_frame, of_rays, shapes_of
 from clsco.scene.model import Scene
 
 Array = NDArray[np.float64]
@@ -87,6 +89,10 @@ class Plan:
         Occlusion groups, which are spread one after the other.
     taps : float
         Predicted weights per frame.
+    spreads : tuple of PointSpread
+        Point spread of red, green and blue, where each color is blurred by itself (`apart`).
+    only : int, optional
+        The color whose light this plan is for, 0 to 2; by default of all colors.
     alpha : bool
         The last channel is coverage.
     strip_rows : int
@@ -110,6 +116,8 @@ class Plan:
     choices: Choices
     groups: tuple[OcclusionGroup, ...]
     taps: float
+    spreads: tuple[PointSpread, ...] = ()
+    only: int | None = None
     alpha: bool = False
     strip_rows: int = 0
     least_slots: int = 0
@@ -119,6 +127,16 @@ class Plan:
     def divided(self) -> bool:
         """True if sources that all time samples share are blurred once."""
         return self.moves and self.averages and self.choices.still_sources.value
+
+    @cached_property
+    def apart(self) -> tuple[Plan, ...]:
+        """Plans for red, green and blue light by itself, where the lens does not blur all colors alike."""
+        if not self.color:
+            return ()
+        channels = 1 + self.alpha
+        return tuple(
+            replace(self, channels=channels, psf=psf, spreads=(), only=color) for color, psf in enumerate(self.spreads)
+        )
 
     @property
     def color(self) -> bool:
@@ -239,7 +257,7 @@ class Plan:
         return BlurSpec(
             self.psf, self.blur, self.smallest_blur, self.largest_blur, self.silhouettes, self.tilt,
             occluders=room, limited=room > 0 and self._shapes["NAPPE"] > 0, border=self.scene.psf.border,
-            layered=self.occlusion == "layered",
+            layered=self.occlusion == "layered", curved=curvature_of(self.scene) if room else 0,
         )  # fmt: skip
 
     @cached_property
@@ -311,6 +329,7 @@ class Plan:
             "DIVIDED": int(self.divided),
             "TILT": int(self.tilt),
             "SUBPIXELS": self.silhouettes,
+            "CURVED": curvature_of(scene),
             **{name: psf[name] for name in ("SAMPLED", "GENERAL", "EDGES", "RIMS")},
         }
 
@@ -370,7 +389,7 @@ def make_plan(
         check_tables(psf, seen.smallest, seen.largest, choices.silhouettes.value)
     plan = Plan(
         scene, psf, device, eye, channels + alpha, rows, columns, guard, seen.smallest, seen.largest, choices, groups,
-        taps=0.0, alpha=alpha, extents=extents,
+        taps=0.0, spreads=(psf,) * 3 if scene.separates_colors else (), alpha=alpha, extents=extents,
     )  # fmt: skip
     return replace(plan, taps=_predicted_taps(plan, seen)) if blur != "none" and plan.color else plan
 
@@ -378,7 +397,8 @@ def make_plan(
 def _predicted_taps(plan: Plan, predicted: Prediction) -> float:
     """Weights per frame, by inverse depths at some of its pixels."""
     w, middle = predicted.nearest, predicted.times[len(predicted.times) // 2]
-    seen = np.abs(blur_radius(camera_at(plan.scene, middle), w[w > 0]))
+    slopes = np.broadcast_to(predicted.squared_slope, w.shape)
+    seen = np.abs(lens_at(plan.scene, middle).blur_radius(w[w > 0], slopes[w > 0]))
     if not seen.size:
         return 0.0
     lit = np.pi * (seen * plan.psf.extent + 0.7) ** 2
@@ -387,8 +407,18 @@ def _predicted_taps(plan: Plan, predicted: Prediction) -> float:
 
 def _passes(plan: Plan) -> tuple[Pass, ...]:
     """See `Plan.passes`."""
-    found = list(_moving_passes(plan)) if plan.color or "missing" in plan.truth else []
-    found += _image_passes(plan) if plan.color else ()
+    found: list[Pass] = []
+    if plan.apart:
+        found += color_passes([(*_moving_passes(one), *_image_passes(one)) for one in plan.apart], plan.grid)
+    else:
+        found += _moving_passes(plan) if plan.color or "missing" in plan.truth else ()
+        found += _image_passes(plan) if plan.color else ()
+    if plan.color and plan.scene.darkens:
+        found.append(vignetting_pass(plan.scene, plan.rows, plan.columns))
+    if plan.color and plan.averages:
+        added: Parameters = (("time samples", "blurred planes, added up with a weight for each row"),)
+        added += (("still sources", "blurred once, the others for each time sample"),) if plan.divided else ()
+        found.append(Pass("accumulate", added, named("frame", sum_buffers(plan.grid)), ("plane",), ("frame",)))
     if plan.sensor_model is not None:
         found.append(sensor_pass(plan.sensor_model, plan.grid, "frame" if plan.averages else "plane"))
     if not set(plan.truth) <= {*SENSOR_NAMES}:
@@ -398,12 +428,12 @@ def _passes(plan: Plan) -> tuple[Pass, ...]:
 
 def _moving_passes(plan: Plan) -> Iterator[Pass]:
     """The passes of a forward warp, where there is one; its filling counts the missing pixels of each time sample."""
-    scene, grid = plan.scene, plan.grid
+    scene, grid, shown = plan.scene, plan.grid, of_frame(plan.choices, plan.colors, plan.alpha)
     if not plan.forward:
         return
-    moved = f"every pixel of the {_shapes(scene)} to its nearest pixel, with a depth test"
+    moved = f"every pixel of the {shapes_of(scene)} to its nearest pixel, with a depth test"
     sizes = named("warp", warp_buffers(scene, grid, plan.device))
-    yield Pass("reproject", (("pixels", moved), *_of_frame(plan)), sizes | _of_scene(plan), gives=("moved",))
+    yield Pass("reproject", (("pixels", moved), *shown), sizes | _of_scene(plan), gives=("moved",))
     kind: Kind = "fill" if plan.choices.fill.value else "count missing"
     rule = f"{scene.fill.method}, domain {scene.fill.domain}" if kind == "fill" else "pixels are counted"
     gives = (light_of(plan.spec), "counts", *(("missing",) if "missing" in plan.truth else ()))
@@ -411,22 +441,19 @@ def _moving_passes(plan: Plan) -> Iterator[Pass]:
 
 
 def _image_passes(plan: Plan) -> Iterator[Pass]:
-    """The passes of the image of a time sample, after those of a forward warp."""
-    spec, grid, light = plan.spec, plan.grid, light_of(plan.spec)
+    """The passes of the image of a time sample up to its blurred plane, after those of a forward warp."""
+    spec, grid, light, choices = plan.spec, plan.grid, light_of(plan.spec), plan.choices
     if plan.static_map:
-        what = ("pixels", "as the depth map and its image have them")
-        yield Pass("static image", (what, *_of_frame(plan)), map_buffers(grid), gives=(light, "counts"))
+        shown = ("pixels", "as the depth map and its image have them"), *of_frame(choices, plan.colors, plan.alpha)
+        yield Pass("static image", shown, map_buffers(grid), gives=(light, "counts"))
     elif not plan.forward and spec.layered:
-        yield Pass("pinhole", _of_rays(plan), map_buffers(grid) | _of_scene(plan), gives=(light,))
+        rays = of_rays(plan.scene, choices, plan.colors, plan.alpha)
+        yield Pass("pinhole", rays, map_buffers(grid) | _of_scene(plan), gives=(light,))
     if plan.forward or plan.static_map or spec.layered:
-        yield from blur_passes(spec, grid, plan.device, _of_blur(plan))
+        yield from blur_passes(spec, grid, plan.device, of_blur(spec, choices, len(plan.groups)))
     else:
         for number, group in enumerate(plan.groups):
             yield from _group_passes(plan, group, number == 0)
-    if plan.averages:
-        added: Parameters = (("time samples", "blurred planes, added up with a weight for each row"),)
-        added += (("still sources", "blurred once, the others for each time sample"),) if plan.divided else ()
-        yield Pass("accumulate", added, named("frame", sum_buffers(grid)), ("plane",), ("frame",))
 
 
 def _truth_pass(plan: Plan) -> Pass:
@@ -442,7 +469,7 @@ def _truth_pass(plan: Plan) -> Pass:
 
 def _group_passes(plan: Plan, group: OcclusionGroup, first: bool) -> Iterator[Pass]:
     """The passes of one occlusion group; first: of the plane, which those of the others add to."""
-    spec, grid, rays = plan.spec, plan.grid, _of_rays(plan)
+    spec, grid, rays = plan.spec, plan.grid, of_rays(plan.scene, plan.choices, plan.colors, plan.alpha)
     light = ("plane",) if plan.blur == "none" else ("sources",)
     sizes = trace_buffers(spec, grid, plan.mapped > 0, len(plan.scene.objects)) | _of_scene(plan)
     yield Pass("trace", rays, sizes, gives=light, group=group)
@@ -452,47 +479,9 @@ def _group_passes(plan: Plan, group: OcclusionGroup, first: bool) -> Iterator[Pa
         sizes = silhouette_buffers(spec, grid, plan.slots, plan.mapped > 0)
         yield Pass("silhouettes", (("sub-pixel sources", what),), sizes, light, light, group)
     if plan.blur != "none":
-        sizes = named("blur", blur_buffers(spec, grid, plan.device))
-        yield Pass("blur", _of_blur(plan), sizes, light if first else (*light, "plane"), ("plane",), group)
+        sizes, taken = named("blur", blur_buffers(spec, grid, plan.device)), light if first else (*light, "plane")
+        yield Pass("blur", of_blur(spec, plan.choices, len(plan.groups)), sizes, taken, ("plane",), group)
 
 
 def _of_scene(plan: Plan) -> Sizes:
     return texture_buffers(plan.scene, plan.channels, plan.alpha) | {"statistics": 4 * STATISTICS}
-
-
-def _shapes(scene: Scene) -> str:
-    return ", ".join(dict.fromkeys(item.shape for item in scene.objects))
-
-
-def _of_rays(plan: Plan) -> Parameters:
-    scene = plan.scene
-    sampled = plan.choices.texture_sampling.value
-    moved: Parameters = (("texture sampling", scene.motion.texture_filter),) if sampled else ()
-    moved += (("surface textures", "means over the pixel's footprint, from mipmaps"),) if plan.mapped else ()
-    return (("rays", f"against the {_shapes(scene)}, one per pixel"), *moved, *_of_frame(plan))
-
-
-def _of_frame(plan: Plan) -> Parameters:
-    band = plan.choices.guard_band
-    apron = (("guard band", band.reason),) if band.value else ()
-    color = (("color", f"{plan.colors} channels"),) if plan.colors > 1 else ()
-    alpha = (("alpha", "a channel of what surfaces cover"),) if plan.alpha else ()
-    return (*apron, *color, *alpha)
-
-
-def _of_blur(plan: Plan) -> Parameters:
-    groups = len(plan.groups)
-    found = [
-        ("PSF", f"{plan.psf.name}, R up to {plan.largest_blur:.3g} px"),
-        ("method", f"{plan.blur}: {plan.choices.blur.reason}"),
-    ]
-    if plan.tilt:
-        found.append(("tilt", "weights by the gradient of the blur radius"))
-    if plan.choices.renormalize.value:
-        found.append(("renormalize", "light over the border is given back"))
-    if plan.occlusion == "visibility":
-        plural = "s" if groups > 1 else ""
-        found.append(("occlusion", f"{groups} occlusion group{plural}, visibility tests where something is in the way"))
-    if plan.occlusion == "layered":
-        found.append(("occlusion", "depth layers of what the pinhole sees, front to back"))
-    return tuple(found)

@@ -12,17 +12,19 @@ from numpy.typing import NDArray
 from clsco.constants import TAP_LANES
 from clsco.errors import SceneError
 from clsco.optics.exposure import middle_time, sequence_times, shutter_span
-from clsco.optics.lens import LARGEST_BLUR, blur_radius, ray_step
-from clsco.optics.lens_path import camera_at
+from clsco.optics.lens import LARGEST_BLUR, ray_step
+from clsco.optics.lens import Lens as LensOptics
+from clsco.optics.lens_path import camera_at, lenses_at
 from clsco.optics.motion import Eye, Pose, poses_at, rest_center, static_rotation
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import cutting_bounds, place, predict_inverse_depth
-from clsco.scene.model import Camera, Disc, LensMotion, Object, ObjectMotion, Plane, Rectangle, Scene
+from clsco.scene.model import Camera, Disc, Lens, Object, ObjectMotion, Plane, Rectangle, Scene
 
 Array = NDArray[np.float64]
 Maps = Sequence[Array | None]
 Sample = tuple[Camera, tuple[Pose, ...]]
 """The camera and all objects at a time."""
+LEAST_DISTANCE = 0.1  # of a curved image from the lens, in sensor distances
 GRID = 65  # rays per axis that predict the range of the blur radius
 # Keys of the camera that change what a lens makes of a hit, and not what a ray hits.
 LENS_KEYS = ("f_number", "aperture_diameter", "focus_distance", "sensor_distance")
@@ -42,7 +44,7 @@ def guard_band(psf: PointSpread, border: str, largest: float) -> int:
 
 def check_keyframes(scene: Scene) -> None:
     """Raise SceneError where keyframes that must cover all exposures do not."""
-    keyed: list[tuple[str, ObjectMotion | LensMotion]] = [("camera.motion", scene.camera.motion)]
+    keyed: list[tuple[str, ObjectMotion | Lens]] = [("camera.motion", scene.camera.motion)]
     keyed += [(f"group[{k}].motion", group.motion) for k, group in enumerate(scene.groups)]
     keyed += [(f"object[{k}].motion", item.motion) for k, item in enumerate(scene.objects)]
     keyed += [("lens", scene.lens)] if scene.lens is not None else []
@@ -65,6 +67,17 @@ def _grid(scene: Scene, step: float, guard: int) -> tuple[Array, Array]:
     y = np.linspace(-0.5 * (rows - 1) - guard, 0.5 * (rows - 1) + guard, GRID)
     across, up = np.meshgrid(x * step, y * step)
     return across, up
+
+
+def _squared_slopes(scene: Scene, cameras: Sequence[Camera], guard: int) -> list[Array]:
+    """Squared slopes (GRID, GRID) of the rays of each camera."""
+
+    @cache
+    def squared(step: float) -> Array:
+        across, up = _grid(scene, step, guard)
+        return np.asarray(across * across + up * up)
+
+    return [squared(ray_step(camera)) for camera in cameras]
 
 
 def displaced(scene: Scene, eye: Eye) -> bool:
@@ -133,6 +146,12 @@ def seen_depths(scene: Scene, maps: Maps) -> Array:
     return np.asarray(_inverse_depths(scene, [(camera_at(scene, time), poses_at(scene, time))], maps, 0)[:, 0])
 
 
+def seen_slopes(scene: Scene) -> Array:
+    """Squared slopes (GRID, GRID) of the rays of `seen_depths`."""
+    time = middle_time(scene.sequence, scene.sequence.frames // 2) if scene.moves else 0.0
+    return _squared_slopes(scene, [camera_at(scene, time)], 0)[0]
+
+
 def fills_view(scene: Scene, w: Array) -> bool:
     """True if no silhouette is in sight: the surface is hit everywhere, and cannot have a hole between rays."""
     item = scene.objects[0]
@@ -153,6 +172,8 @@ def constant_blur(scene: Scene) -> bool:
     turns = any(any(motion.turns[:2]) for motion in (*scene.motions(item), camera))
     turns |= scene.camera.shake is not None and scene.camera.shake.rotation_rms > 0.0
     turned = scene.stereo is not None and scene.stereo.toe_in > 0.0
+    if scene.is_focus_curved:
+        return False
     flat = isinstance(item, Plane | Rectangle | Disc) and _faces_camera(item) and not turns and not turned
     return len(scene.objects) == 1 and (flat or item.is_background)
 
@@ -169,6 +190,8 @@ class Prediction:
         Poses of the objects at each time.
     w : ndarray of float64, (objects, times, GRID, GRID)
         Inverse depths in 1/mm over frame and guard band, 0 where nothing is hit.
+    squared_slope : ndarray of float64, (GRID, GRID)
+        Squared slopes of the rays.
     smallest, largest : float
         |R| with a margin, px.
     guard : int
@@ -178,6 +201,7 @@ class Prediction:
     times: list[float]
     poses: list[tuple[Pose, ...]]
     w: Array
+    squared_slope: Array
     smallest: float
     largest: float
     guard: int
@@ -188,26 +212,50 @@ class Prediction:
         return np.asarray(self.w.max(axis=0))
 
 
+def _check_curvature(scene: Scene, lens: LensOptics, squared: Array) -> None:
+    """Raise SceneError where the image of a plane is curved so much that it would come to lie at the lens."""
+    curvature = 0.0 if scene.lens is None else scene.lens.field_curvature
+    if not (1.0 + lens.sag * squared > LEAST_DISTANCE).all():
+        most = (1.0 - LEAST_DISTANCE) / float(abs(lens.sag) * squared.max()) * abs(curvature)
+        rule = f"the image of a plane must stay behind the lens over frame and guard band, up to {most:.3g} 1/mm"
+        raise SceneError(f"lens.field_curvature: {rule}; got {curvature:g}")
+
+
+def _radii(scene: Scene, lenses: Sequence[Sequence[LensOptics]], w: Array, squared: Sequence[Array]) -> Array:
+    """Blur radii (n,) in px of `Prediction.w` for the lenses of each time: of a lens that stays all times at once."""
+    if scene.is_focus_curved and is_static_map(scene):  # extreme depths may be anywhere
+        ends = np.array([w[w > 0].min(initial=np.inf), w.max(initial=0.0)])
+        w = np.broadcast_to(ends[np.isfinite(ends), None, None, None], (*ends.shape, 1, *squared[0].shape))
+    times = [slice(k, k + 1) for k in range(w.shape[1])] if scene.lens_moves else [slice(None)]
+    found = [np.empty(0)]
+    for time, of_colors, slope in zip(times, lenses, squared, strict=False):
+        _check_curvature(scene, of_colors[0], slope)
+        hit = w[:, time] > 0
+        slopes = np.broadcast_to(slope, hit.shape)[hit] if scene.is_focus_curved else 0.0
+        found += [lens.blur_radius(w[:, time][hit], slopes) for lens in of_colors]
+    return np.concatenate(found)
+
+
 def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
     """Cast rays of a coarse grid at the scene. Raises SceneError where |R| is larger than LARGEST_BLUR, and for times
     that keyframes must cover."""
     check_keyframes(scene)
     times = sequence_times(scene)
     poses, cameras, guard = [poses_at(scene, t, eye) for t in times], [camera_at(scene, t) for t in times], 0
-    samples = [*zip(cameras, poses, strict=True)]
+    samples, lenses = [*zip(cameras, poses, strict=True)], [lenses_at(scene, t) for t in times]
     seen = None if scene.moves or not scene.is_analytic else without_lens(scene)
     for _ in range(2):  # the second time with the guard band that the first asked for
         w = _inverse_depths(scene, samples, maps, guard) if seen is None else _static_depths(seen, eye, guard)
-        each = (blur_radius(camera, w[:, k][w[:, k] > 0]) for k, camera in enumerate(cameras))
-        radii = np.abs(blur_radius(cameras[0], w[w > 0]) if scene.lens is None else np.concatenate([*each]))
+        squared = _squared_slopes(scene, cameras, guard)
+        radii = np.abs(_radii(scene, lenses, w, squared))
         largest, smallest = (float(radii.max()), float(radii.min())) if radii.size else (0.0, 0.0)
         if largest > LARGEST_BLUR:
             nearest, rule = 1.0 / float(w.max()), f"the blur radius must be at most {LARGEST_BLUR:g} px"
             why = f"the surface comes as near as {nearest:.4g} mm; is it in mm, and the focus on it?"
-            if abs(float(blur_radius(scene.camera, 1.0 / nearest))) <= LARGEST_BLUR:
+            if abs(float(lenses[0][0].blur_radius(1.0 / nearest))) <= LARGEST_BLUR:
                 why = f"of what is {1.0 / float(w[w > 0].min()):.4g} mm away"
             raise SceneError(f"camera: {rule}; got {largest:.4g} px ({why})")
         if not constant_blur(scene):  # rays between those of the grid
             smallest, largest = max(0.0, 0.9 * smallest - 1.0), 1.1 * largest + 1.0
         guard = guard_band(psf, scene.psf.border, largest)
-    return Prediction(times, poses, w, smallest, largest, guard)
+    return Prediction(times, poses, w, squared[len(times) // 2], smallest, largest, guard)

@@ -16,7 +16,7 @@ from clsco.errors import ImageError, SceneError
 from clsco.files.color import SRGB, Color
 from clsco.frame.provenance import views
 from clsco.inputs.files import InputFiles, Maps, shared_files
-from clsco.inputs.textures import Texture, image_files, is_gray, mapped_size, texture_size, with_coverage
+from clsco.inputs.textures import Texture, image_files, in_color, is_gray, mapped_size, texture_size, with_coverage
 from clsco.plan.approximation import ApproximationReport, Samples, fewer_samples
 from clsco.plan.buffers import DeviceFacts
 from clsco.plan.memory import fitted, limit_of
@@ -56,6 +56,8 @@ class Prepared:
     def textures(self) -> tuple[Texture, ...]:
         """Textures of every object; with a channel more for `alpha`."""
         found = self.files.textures(self.scene)
+        if self.plan.spreads:
+            found = tuple(map(cache(in_color), found))
         if not self.plan.alpha:
             return found
         covers = [not item.is_background for item in self.scene.objects]
@@ -129,7 +131,7 @@ def prepare_sweep(
     found, faults, channels = list[Prepared](), dict[str, None](), dict[Hashable, int]()
 
     def channels_of(scene: Scene) -> int:
-        names = tuple(tuple(item.inputs().items()) for item in scene.objects)
+        names = scene.separates_colors, *(tuple(item.inputs().items()) for item in scene.objects)
         if names not in channels:  # all scenes of a sweep have the same files and arrays
             channels[names] = _channels(scene, known)
         return channels[names]
@@ -236,7 +238,7 @@ def _channels(scene: Scene, files: InputFiles) -> int:
         messages.append(str(error))
     if messages:
         raise SceneError(messages)
-    return 1 if gray else 3
+    return 1 if gray and not scene.separates_colors else 3
 
 
 def _maps(scene: Scene, files: InputFiles) -> Maps:

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsco.inputs.textures import radiance_span
-from clsco.optics.lens import Lens
-from clsco.optics.lens_path import camera_at
+from clsco.optics.lens_path import camera_at, lens_at
 from clsco.optics.motion import Eye, Pose, poses_at, rest_poses
 from clsco.optics.quadrics import PlacedSurface, place
 from clsco.plan.passes import Kind, Pass, run_passes
@@ -20,7 +19,8 @@ from clsco.plan.plan import Plan
 from clsco.plan.predict import Maps
 from clsco.reference.blur.accumulate import accumulate
 from clsco.reference.blur.blur import prepare_sources, scatter
-from clsco.reference.common.geometry import Array, blur_radius
+from clsco.reference.blur.vignetting import vignette
+from clsco.reference.common.geometry import Array, blur_radius, pixel_ray
 from clsco.reference.inpainting.fill import FILLED, UNFILLED, FillReport, fill_objects
 from clsco.reference.layered.layered import Labels, cluster, spread_depth_layers
 from clsco.reference.trace.mapping import MappedTexture
@@ -31,6 +31,7 @@ from clsco.reference.trace.trace import (
     View,
     everything,
     mark_silhouettes,
+    padded_grid,
     sharpen,
     spread_sources,
     trace,
@@ -70,10 +71,18 @@ def run(
 ) -> Mapping[str, Any]:
     """Run the passes of a plan at a time sample; what they hand on, by the names of `clsco.plan.passes.Pass`."""
     moved = plan.scene.is_displaced or plan.eye_moved
-    view = cache(lambda: view_at(plan.scene, textures, time, plan.eye, moved, plan.psf))
+    lights = {one.only: (one, tuple(_of_color(texture, one.only) for texture in textures)) for one in plan.apart}
+    lights[None] = plan, textures
+
+    @cache
+    def view(color: int | None) -> View:
+        one, shown = lights[color]
+        return view_at(plan.scene, shown, time, plan.eye, moved, one.psf, color)
 
     def run_pass(step: Pass, *given: Any) -> tuple[Any, ...]:
-        return RUN[step.kind](Moment(plan, textures, maps, time, weights, frame, view, step), *given)
+        one, shown = lights[step.color]
+        at = Moment(one, shown, maps, time, weights, frame, partial(view, step.color), step)
+        return RUN[step.kind](at, *given)
 
     return run_passes((step for step in plan.passes if step.kind not in ("sensor", "ground truth")), run_pass)
 
@@ -110,7 +119,7 @@ def _pinhole(at: Moment) -> tuple[Light | Array]:
 def _static_image(at: Moment) -> tuple[Light | Array, dict[str, int]]:
     """Every pixel of a depth map at its own place."""
     plan = at.plan
-    warped = warped_image(plan.scene, at.textures, at.maps, plan.guard_px, at.time, plan.eye)
+    warped = warped_image(plan.scene, at.textures, at.maps, plan.guard_px, at.time, plan.eye, plan.only)
     return _lit(at, Light(warped.sources)), asdict(warped.report)
 
 
@@ -121,7 +130,7 @@ def _reproject(at: Moment) -> tuple[Reprojected]:
 
 def _fill(at: Moment, moved: Reprojected) -> tuple[Any, ...]:
     plan = at.plan
-    warped = filled(plan.scene, at.textures, moved, plan.guard_px, at.time, plan.eye)
+    warped = filled(plan.scene, at.textures, moved, plan.guard_px, at.time, plan.eye, plan.only)
     missing = (crop(warped.status, plan.guard_px) > 0,) if "missing" in at.step.gives else ()
     return _lit(at, Light(warped.sources)), asdict(warped.report), *missing
 
@@ -147,6 +156,26 @@ def _blur(at: Moment, light: Light, plane: Array | float = 0.0) -> tuple[Array]:
     return (plane + _spread(at, light),)
 
 
+def _of_color(texture: Texture, color: int | None) -> Texture:
+    """A texture of one channel."""
+    if color is None:
+        return texture
+    if isinstance(texture, MappedTexture):
+        return replace(texture, levels=tuple(level[..., color : color + 1] for level in texture.levels))
+    return texture[..., color : color + 1]
+
+
+def _join_colors(_: Moment, plane: Array, colors: Array | None = None) -> tuple[Array]:
+    return (plane if colors is None else np.concatenate([colors, plane], axis=-1),)
+
+
+def _vignetting(at: Moment, plane: Array) -> tuple[Array]:
+    scene, colors = at.plan.scene, at.plan.colors
+    kind = "none" if scene.lens is None else scene.lens.vignetting
+    lit = vignette(plane[..., :colors], camera_at(scene, at.time), kind)
+    return (np.concatenate([lit, plane[..., colors:]], axis=-1),)
+
+
 def _accumulate(at: Moment, plane: Array) -> tuple[Array]:
     return (accumulate(at.frame, plane, at.weights),)
 
@@ -163,6 +192,8 @@ RUN: dict[Kind, Callable[..., tuple[Any, ...]]] = {
     "cluster": _cluster,
     "depth layers": _depth_layers,
     "blur": _blur,
+    "join colors": _join_colors,
+    "vignetting": _vignetting,
     "accumulate": _accumulate,
 }
 
@@ -178,10 +209,13 @@ class Warped:
 
 
 def warped_image(
-    scene: Scene, textures: tuple[Texture, ...], maps: Maps, guard: int, time: float, eye: Eye
+    scene: Scene, textures: tuple[Texture, ...], maps: Maps, guard: int, time: float, eye: Eye,
+    color: int | None = None,
 ) -> Warped:  # fmt: skip
-    """The pixels of the reference pose at a time: the forward warp, with its holes filled."""
-    return filled(scene, textures, reprojected(scene, textures, maps, guard, time, eye), guard, time, eye)
+    """The pixels of the reference pose at a time: the forward warp, with its holes filled, and radii for light of a
+    color."""
+    moved = reprojected(scene, textures, maps, guard, time, eye)
+    return filled(scene, textures, moved, guard, time, eye, color)
 
 
 def _images(textures: tuple[Texture, ...]) -> tuple[Array, ...]:
@@ -198,7 +232,8 @@ def reprojected(
 
 
 def filled(
-    scene: Scene, textures: tuple[Texture, ...], new: Reprojected, guard: int, time: float, eye: Eye
+    scene: Scene, textures: tuple[Texture, ...], new: Reprojected, guard: int, time: float, eye: Eye,
+    color: int | None = None,
 ) -> Warped:  # fmt: skip
     """The image of moved pixels, with what is missing filled."""
     mapped, allowed = not scene.is_analytic, None
@@ -217,7 +252,8 @@ def filled(
     status = np.where(new.entered & ~new.known, np.where(valid, FILLED, UNFILLED), status)
     if mapped:
         values, valid = extend_border(values, valid, guard)
-    radius = np.where(valid, blur_radius(Lens.of(camera_at(scene, time)), values[..., -1]), 0.0)
+    rays = pixel_ray(scene.camera, *padded_grid(scene.camera, guard))
+    radius = np.where(valid, blur_radius(lens_at(scene, time, color), rays, values[..., -1]), 0.0)
     flat = np.zeros((*radius.shape, 2))  # until its differences are taken
     sources = Sources(values[..., :-1], values[..., -1], valid.astype(np.uint8), radius, flat, valid)
     return Warped(sources, objects, status, report)

@@ -16,21 +16,22 @@ from clsco.inputs.textures import Texture as TextureImage
 from clsco.inputs.textures import dimmed, load_scene_textures
 from clsco.optics.depth_truth import MapPoints, map_flow, map_normal, map_occluded, map_stereo
 from clsco.optics.exposure import frame_exposure, middle_time
-from clsco.optics.lens_path import camera_at
+from clsco.optics.lens_path import camera_at, lenses_at
 from clsco.optics.motion import Eye, poses_at
 from clsco.optics.point_spread import PointSpread, exposure_factor
 from clsco.optics.sensor import camera_word
 from clsco.optics.texture_mapping import texture_map
+from clsco.optics.vignetting import throughput
 from clsco.plan.plan import Plan, make_plan
 from clsco.plan.predict import Maps
 from clsco.plan.request import Request
-from clsco.reference.common.geometry import Array
+from clsco.reference.common.geometry import Array, blur_radius, pixel_ray
 from clsco.reference.inpainting.fill import FillReport
 from clsco.reference.passes import Warped, crop, run, warped_image
 from clsco.reference.sensor.sensor import sensor_outputs
 from clsco.reference.trace.line_truth import line_truth
 from clsco.reference.trace.mapping import mapped_texture
-from clsco.reference.trace.trace import Sources, Texture
+from clsco.reference.trace.trace import Sources, Texture, padded_grid
 from clsco.reference.trace.truth import ground_truth
 from clsco.scene.model import Object, Scene
 
@@ -60,7 +61,7 @@ def render(scene: Scene, *, subframes: bool = False, frames: Iterable[int] | Non
     images = [image for texture in loaded for image in texture.images]
     psf = scene_point_spread(scene)
     loaded = dimmed(loaded, exposure_factor(scene.aperture, psf))
-    channels = max(image.shape[2] if image.ndim == 3 else 1 for image in images)
+    channels = 3 if scene.separates_colors else max(image.shape[2] if image.ndim == 3 else 1 for image in images)
     textures = tuple(_texture(scene, psf, *pair, channels) for pair in zip(scene.objects, loaded, strict=True))
     maps = load_scene_depths(scene)
     eyes: tuple[Eye, ...] = ("left",) if scene.stereo is None else ("left", "right")
@@ -107,6 +108,9 @@ def _frame(plan: Plan, textures: tuple[Texture, ...], maps: Maps, index: int, su
         if not scene.is_analytic:
             arrays |= _map_truth(plan, textures, maps, middle, index)
     arrays |= {"missing": missing, "subframes": np.stack(alone) if alone else None}
+    if scene.lens is not None and scene.darkens:
+        middle_of_exposure = middle_time(scene.sequence, index) if plan.moves else 0.0
+        arrays["throughput"] = throughput(camera_at(scene, middle_of_exposure), scene.lens.vignetting)
     sharp = _without_channel(arrays.pop("sharp"))
     arrays["color"] = _without_channel(color)
     if plan.sensor_model is not None:
@@ -136,6 +140,9 @@ def _map_truth(plan: Plan, textures: tuple[Texture, ...], maps: Maps, middle: Wa
     scene, guard = plan.scene, plan.guard_px
     valid = crop(middle.sources.lit, guard)
     w = crop(middle.sources.inverse_depth, guard)
+    rays, time = pixel_ray(scene.camera, *padded_grid(scene.camera, 0)), middle_time(scene.sequence, index)
+    lenses = lenses_at(scene, time if plan.moves else 0.0)
+    radii = [np.where(valid, blur_radius(lens, rays, w), 0.0) for lens in lenses]
     seen = crop(middle.objects, guard).astype(np.int32) if len(scene.objects) > 1 else 0
     known = [k for k, item in enumerate(scene.objects) if item.is_background]
     surface = valid & ~np.isin(seen, known)  # the background has radiance and blur, and is no surface
@@ -158,7 +165,7 @@ def _map_truth(plan: Plan, textures: tuple[Texture, ...], maps: Maps, middle: Wa
         stereo = dict(zip(("disparity", "occluded"), found_there, strict=True))
     found = {
         "depth": depth,
-        "blur_radius": crop(middle.sources.radius, guard),
+        "blur_radius": radii[0] if len(radii) == 1 else np.stack(radii, axis=-1),
         "mask": surface,
         "object_id": number,
         "normal": map_normal(now[0], depth),

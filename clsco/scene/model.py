@@ -18,7 +18,8 @@ from clsco.scene.arrays import HasInputs
 from clsco.scene.changes import replaced
 from clsco.scene.faults import refusal
 from clsco.scene.groups import Group, Groups, unknown_groups
-from clsco.scene.motions import CameraMotion, CameraShake, Keyframe, LensKeyframe, LensMotion, ObjectMotion
+from clsco.scene.lens import Lens
+from clsco.scene.motions import CameraMotion, CameraShake, Keyframe, LensKeyframe, ObjectMotion
 from clsco.scene.objects import MAX_OBJECTS, Object, Objects
 from clsco.scene.quantities import (
     MAX_LENGTH_MM,
@@ -75,8 +76,8 @@ __all__ = [
     "Group",
     "ImageOptions",
     "Keyframe",
+    "Lens",
     "LensKeyframe",
-    "LensMotion",
     "Light",
     "Motion",
     "Object",
@@ -261,8 +262,8 @@ class Scene(Strict):
     title: Text = ""
     """Title; recorded in the metadata, used nowhere else."""
     camera: Camera = Camera.model_construct()
-    lens: LensMotion | None = None
-    """Changes of the camera's lens over time; none if not given."""
+    lens: Lens | None = None
+    """Changes of the camera's lens over time, and where it differs from a thin lens; a thin one if not given."""
     aperture: Aperture = Aperture.model_construct()
     psf: Psf = Psf.model_construct()
     sequence: Sequence = Sequence.model_construct()
@@ -293,11 +294,11 @@ class Scene(Strict):
 
     @field_validator("lens")
     @classmethod
-    def _lens_of_the_camera(cls, value: LensMotion | None, info: ValidationInfo) -> LensMotion | None:
+    def _lens_of_the_camera(cls, value: Lens | None, info: ValidationInfo) -> Lens | None:
         camera, found = info.data.get("camera"), list[Fault]()
         if value is None or camera is None:
             return value
-        for k, key in enumerate(value.keyframe):
+        for k, key in enumerate(value.keyframe or ()):
             f, u, number = key.focal_length, key.focus_distance, key.f_number
             name = "camera.focal_length" if f is None else "its focal_length"
             if f is None and value.zooms:
@@ -309,6 +310,10 @@ class Scene(Strict):
             if number is not None and not MIN_LENGTH_MM <= f / number <= MAX_LENGTH_MM:
                 rule = fault(f"must leave an aperture between {MIN_LENGTH_MM:g} and {MAX_LENGTH_MM:g} mm")
                 found.append((("keyframe", k, "f_number"), rule, number))
+        for k, longer in enumerate(value.axial):
+            if not MIN_LENGTH_MM <= camera.focal_length + longer <= MAX_LENGTH_MM:
+                rule = fault(f"must leave a focal length, of camera.focal_length = {camera.focal_length:g} mm")
+                found.append((("axial", k), rule, longer))
         if found:
             raise at_keys(found)
         return value
@@ -346,6 +351,17 @@ class Scene(Strict):
             if detector is not None and rim.distance <= -detector:
                 rule = fault(f"must be before the detector, {detector:.6g} mm behind the lens")
                 raise at_keys([(("aperture", "rim", index, "distance"), rule, rim.distance)])
+        return self
+
+    @model_validator(mode="after")
+    def _radii_need_a_plane(self) -> Self:
+        found: list[Fault] = []
+        for index, item in enumerate(self.objects if self.is_focus_curved else ()):
+            if isinstance(item, DepthMap) and item.unit == "coc":
+                rule = fault("coc belongs to lenses without field_curvature whose focus_surface is a plane")
+                found.append((("object", index, "unit"), rule, item.unit))
+        if found:
+            raise at_keys(found)
         return self
 
     @model_validator(mode="after")
@@ -412,7 +428,27 @@ class Scene(Strict):
     @property
     def moves(self) -> bool:
         """True if an object, its group or the camera moves, or its lens changes."""
-        return self.lens is not None or self.is_displaced
+        return self.lens_moves or self.is_displaced
+
+    @property
+    def lens_moves(self) -> bool:
+        """True if the lens changes over time."""
+        return self.lens is not None and self.lens.moves
+
+    @property
+    def is_focus_curved(self) -> bool:
+        """True if what is in focus is no plane."""
+        return self.lens is not None and self.lens.curves_focus
+
+    @property
+    def darkens(self) -> bool:
+        """True if not all of the frame gets the light of its middle."""
+        return self.lens is not None and self.lens.darkens
+
+    @property
+    def separates_colors(self) -> bool:
+        """True if the lens does not blur all colors alike."""
+        return self.lens is not None and self.lens.separates_colors
 
     @property
     def is_displaced(self) -> bool:
@@ -430,7 +466,7 @@ class Scene(Strict):
     def moves_evenly(self) -> bool:
         """True if all velocities are constant: nothing accelerates, has keyframes or shakes."""
         motions = (self.camera.motion, *(motion for item in self.objects for motion in self.motions(item)))
-        return self.camera.shake is None and self.lens is None and all(motion.is_uniform for motion in motions)
+        return self.camera.shake is None and not self.lens_moves and all(motion.is_uniform for motion in motions)
 
     @property
     def rolls(self) -> bool:

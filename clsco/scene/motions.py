@@ -190,25 +190,3 @@ class LensKeyframe(Strict):
 
 
 LensKeyframes = Annotated[tuple[LensKeyframe, ...], SCHEMA, AfterValidator(in_order), BeforeValidator(listed_keyframes)]
-
-
-class LensMotion(Strict):
-    """Changes of the lens over time: it zooms, its focus is pulled, or its aperture opens and closes."""
-
-    keyframe: LensKeyframes
-    """Lenses at 1 to 256 times, instead of the focal length, the focus distance or the f-number of the camera."""
-    interpolation: Interpolation = "linear"
-    """Path of focal_length, to which the image is proportional, and of 1 / focus_distance and 1 / f_number, to which
-    the blur radius is, as between keyframes of a motion."""
-    outside: Outside = "hold"
-    """Path before the first and after the last keyframe, as of a motion."""
-
-    @property
-    def zooms(self) -> bool:
-        """True if the focal length has keyframes."""
-        return any(key.focal_length is not None for key in self.keyframe)
-
-    @field_validator("interpolation")
-    @classmethod
-    def _of_keyframes(cls, value: Any, info: ValidationInfo) -> Any:
-        return check_interpolation(value, info.data.get("keyframe", "refused"))

@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.files.transfer import encode
-from clsco.frame.frame import Frame
+from clsco.frame.frame import GREEN, Frame
 from clsco.inputs.pupils import scene_point_spread
 from clsco.optics.exposure import middle_time, pixel_time
-from clsco.optics.lens import SHARP, Lens, blur_radius, ray_step
+from clsco.optics.lens import SHARP, Lens, ray_step
 from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import poses_at, rest_center
 from clsco.plan.spreads import spread_weights
 from clsco.reference.blur.blur import tilt_factor
-from clsco.reference.common.geometry import pixel_tilt
+from clsco.reference.common.geometry import blur_gradient, pixel_tilt
 from clsco.scene.model import Scene
 from clsco.studio.moments import eye_of
 
@@ -59,15 +59,17 @@ def inspected(frame: Frame, scene: Scene, x: int, y: int, is_tilted: bool = Fals
         item = scene.objects[known]
         values["object"] = item.name or item.shape
     radius, depth = values.get("blur_radius"), values.get("depth")
+    radius = radius[GREEN] if isinstance(radius, list) else radius
     if radius is not None:
         lengths = scene_point_spread(scene).pupil.lengths
         values |= {name: length * abs(radius) for name, length in lengths.items()}
     found: dict[str, Any] = {"index": frame.index, "eye": eye_of(frame), "values": values}
     whole = scene
-    if scene.lens is not None:
-        lens = camera_at(scene, middle_time(scene.sequence, frame.index))
-        scene = scene.model_copy(update={"camera": lens, "lens": None})
-    found["lens"] = lens_figures(scene, depth)
+    if scene.lens_moves:
+        camera = camera_at(scene, middle_time(scene.sequence, frame.index))
+        scene = scene.model_copy(update={"camera": camera, "lens": scene.lens and scene.lens.at_rest})
+    across, up, _ = _ray(frame, scene, x, y)
+    found["lens"] = lens_figures(scene, depth, float(across * across + up * up))
     if radius is not None and values["mask"]:
         gradient = radius_gradient(frame, scene, x, y) if is_tilted else np.zeros(2)
         found["psf"] = point_spread(scene, radius, gradient)
@@ -112,18 +114,25 @@ def source_of(frame: Frame, scene: Scene, x: int, y: int) -> tuple[int, int, int
     return column, row, number
 
 
+def _ray(frame: Frame, scene: Scene, x: int, y: int) -> NDArray[np.float64]:
+    """Ray through a pixel: slopes right and up, and 1."""
+    rows, columns = frame.color.shape[:2]
+    step = ray_step(scene.camera)
+    return np.array([(x - (columns - 1) / 2) * step, ((rows - 1) / 2 - y) * step, 1.0])
+
+
 def radius_gradient(frame: Frame, scene: Scene, x: int, y: int) -> NDArray[np.float64]:
     """Gradient of R at a pixel in px per px, right and down, from depth and normal; 0 where there is no surface."""
     assert frame.depth is not None
     assert frame.normal is not None
     normal, depth = frame.normal[y, x].astype(np.float64), float(frame.depth[y, x])
-    (rows, columns), step = frame.depth.shape, ray_step(scene.camera)
-    ray = np.array([(x - (columns - 1) / 2) * step, ((rows - 1) / 2 - y) * step, 1.0])
+    ray = _ray(frame, scene, x, y)
     facing = float(normal @ ray)
     if not math.isfinite(depth) or facing == 0.0:
         return np.zeros(2)
-    # On the tangent plane 1/Z is linear in the direction of the ray, and R = kappa (K - 1/Z).
-    return -Lens.of(scene.camera).blur_scale * step / (facing * depth) * normal[:2] * (1.0, -1.0)
+    # On the tangent plane 1/Z is linear in the direction of the ray.
+    slope, lens = normal[:2] / (facing * depth), Lens.of(scene.camera, scene.lens)
+    return blur_gradient(scene.camera, lens, slope, ray, np.array(1.0 / depth))
 
 
 def point_spread(scene: Scene, radius: float, gradient: NDArray[np.float64]) -> dict[str, Any]:
@@ -187,8 +196,8 @@ def figures_of(spread: NDArray[np.floating], column: int, row: int) -> dict[str,
     return found
 
 
-def lens_figures(scene: Scene, depth: float | None) -> dict[str, Any]:
-    """Distances in mm that the diagram of the thin lens shows.
+def lens_figures(scene: Scene, depth: float | None, squared_slope: float = 0.0) -> dict[str, Any]:
+    """Distances in mm that the diagram of the lens shows, on its axis; squared_slope: of the ray to the point.
 
     Returns
     -------
@@ -197,7 +206,7 @@ def lens_figures(scene: Scene, depth: float | None) -> dict[str, Any]:
         `image` of the point, and its `radius`, px. None: infinite.
     """
     camera = scene.camera
-    lens = Lens.of(camera)
+    lens = Lens.of(camera, scene.lens)
     power, margin = lens.focus_power, SHARP / lens.blur_scale
     found = {
         "focus": camera.focused_distance,
@@ -208,7 +217,7 @@ def lens_figures(scene: Scene, depth: float | None) -> dict[str, Any]:
         "aperture": camera.aperture_diameter,
         "depth": math.inf if depth is None else depth,
         "image": math.inf if depth is None else _image_distance(camera.focal_length, depth),
-        "radius": float(blur_radius(camera, 0.0 if depth is None else 1 / depth)),
+        "radius": float(lens.blur_radius(0.0 if depth is None else 1 / depth, squared_slope)),
     }
     return {name: value if math.isfinite(value) else None for name, value in found.items()}
 

@@ -182,7 +182,7 @@ def _without_velocities(motion: Table) -> Table:
 def _lens_keyframe(scene: Scene, time: float) -> Table:
     """Table of a keyframe of the lens, with the quantities that its keyframes have; of the first one, with all."""
     camera = camera_at(scene, time)
-    keys = () if scene.lens is None else scene.lens.keyframe
+    keys = () if scene.lens is None else scene.lens.keyframe or ()
     names: Iterable[str] = {name for key in keys for name in key.model_fields_set} or _FIRST_OF_LENS
     values = {name: float(getattr(camera, of_camera)) for name, of_camera in _OF_LENS.items() if name in names}
     return {"time": time} | {name: float(f"{value:.9g}") for name, value in values.items() if math.isfinite(value)}

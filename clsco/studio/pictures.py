@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from clsco.errors import SceneError
 from clsco.files.png import png_parts
 from clsco.files.transfer import encode
-from clsco.frame.frame import Frame
+from clsco.frame.frame import GREEN, Frame
 from clsco.scene.model import Scene
 
 VIEWS = {
@@ -102,12 +102,14 @@ def picture_of(frame: Frame, scene: Scene, view: str, rung: int, full: tuple[int
     """Encode a view of a frame.
 
     Images are JPEG, but for EXACT the PNG that `clsco render` writes; all else is floats, for DRAGGING of 16 bits, but
-    for codes. The blur radius is NaN where nothing is, which is not in focus. Raises SceneError for a view that
-    belongs to a sensor where there is none.
+    for codes. The blur radius, of several colors that of green, is NaN where nothing is, which is not in focus. Raises
+    SceneError for a view that belongs to a sensor where there is none.
     """
     data: NDArray[Any] | None = getattr(frame, VIEWS[view])
     if data is None:
         raise SceneError(f"view: {view} belongs to scenes with a sensor, which has a panel; got none")
+    if view == "blur radius" and data.ndim == 3:
+        data = data[..., GREEN]
     if view == "blur radius" and frame.mask is not None:
         data = np.where(frame.mask, data, np.nan)
     if view in IMAGES:

@@ -26,17 +26,17 @@ static float4 source_record(const grid_t grid, const lens_t lens, __constant sur
     float4 record = (float4)(-1, 0, 0, as_float(WHOLE));
     if (*label == 0)
         return record;
-    const real radius = blur_radius(lens, w);
+    const real radius = blur_radius(lens, ray, w);
     __constant surface_t *surface = surfaces + (*label - 1) / 2;
     float2 tilt = 0;
     real spread = radius;
 #if TILT
-    const real2 gradient = blur_gradient(grid, lens, surface_slope(surface, ray, w));
+    const real2 gradient = blur_gradient(grid, lens, surface_slope(surface, ray, w), ray, w);
     tilt = subpixel ? tilt_slope(gradient, radius) : pixel_tilt(gradient, radius, &spread);
 #endif
 #if OCCLUDED
     bool edge;
-    const real size = blur_radius(lens, seen_w);
+    const real size = blur_radius(lens, seen_ray, seen_w);
     const division_t division = division_of(size, psf.lens_extent, subpixel ? (real)1 / SUBPIXELS : 1, tilt);
     int seen = check_visibility(lens, surfaces, group, seen_ray, seen_w, division, 0, &edge);
 #if RIMS
@@ -80,13 +80,13 @@ static float take_radiance(const grid_t grid, __constant surface_t *surfaces, re
 #if TEXTURED && SUBPIXELS
 // Record of a pixel with a texture on a surface, marked where it needs sub-pixel sources. Out: its share in what
 // neighbors exchange, 0 where it has no part in it. root: the label before any visibility test.
-static float4 with_detail(const lens_t lens, __constant texture_map_t *maps, float4 record, real w, uchar root,
-                          float texels, __global float *share)
+static float4 with_detail(const lens_t lens, __constant texture_map_t *maps, float4 record, real3 ray, real w,
+                          uchar root, float texels, __global float *share)
 {
     *share = 0;
     if (record.x >= 0 && maps[(root - 1) / 2].kind != MAP_PROJECTED) {
         __constant texture_map_t *map = maps + (root - 1) / 2;
-        const real radius = blur_radius(lens, w);
+        const real radius = blur_radius(lens, ray, w);
         *share = sharpening(map, radius);
         const int detail = detail_of(map, texels, radius);
         if (detail != WHOLE)
@@ -173,7 +173,7 @@ __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *su
                                   statistics);
 #if TEXTURED && SUBPIXELS
     const float texels = value[CHANNELS * grid.height * grid.width + at];
-    record = with_detail(lens, maps, record, depth[at], hit, texels, share + at);
+    record = with_detail(lens, maps, record, ray, depth[at], hit, texels, share + at);
 #endif
 #if DIVIDED
     const bool still = is_still(grid, lens, surfaces, group, psf, exposure, places, ray, depth[at], object,
@@ -372,9 +372,9 @@ __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surf
     uchar root;
     int object;
     const real w = nearest_surface(surfaces, group, ray, &root, &object);
-    const real middle = blur_radius(lens, w);
+    const real middle = blur_radius(lens, ray, w);
     const real2 slope = surface_slope(surfaces + object, ray, w);
-    const real2 gradient = blur_gradient(grid, lens, slope);
+    const real2 gradient = blur_gradient(grid, lens, slope, ray, w);
 #if OCCLUDED
     bool edge;
     real spread;
@@ -466,7 +466,7 @@ __kernel void pinhole(const grid_t grid, const lens_t lens, __constant surface_t
     const real w = nearest_surface(surfaces, group, ray, &root, &object);
     take_radiance(grid, surfaces, ray, w, root, row, column, 1, 1, texture TEXTURE_MAPS LIGHT, value + at,
                   grid.height * grid.width);
-    coc[at] = root ? blur_radius(lens, w) : 0;
+    coc[at] = root ? blur_radius(lens, ray, w) : 0;
     valid[at] = root != 0;
     if (root)
         note_radius(statistics, coc[at]);

@@ -331,7 +331,7 @@ __kernel void reproject_gather(const grid_t grid, const lens_t lens, __global co
     for (int c = 0; c < CHANNELS; ++c)
         value[c * grid.height * grid.width + at] = known ? texture[c * grid.rows * grid.columns + source] : 0;
     w[at] = inverse_depth;
-    coc[at] = known ? blur_radius(lens, inverse_depth) : 0;
+    coc[at] = known ? blur_radius(lens, grid_ray(grid, at), inverse_depth) : 0;
     status[at] = 0;
 }
 
@@ -384,11 +384,23 @@ __kernel void mark_entered(const grid_t grid, const int first, const int end, __
     }
 }
 
+// Radius of the blur of a pixel that has taken the inverse depth of another one.
+static real copied_radius(const grid_t grid, const lens_t lens, __global const real *w, __global const real *coc,
+                          int at, int from)
+{
+#if CURVED
+    return blur_radius(lens, grid_ray(grid, at), w[at]);
+#else
+    return coc[from];
+#endif
+}
+
 // Mirrors the image into what has entered the frame, about the outermost valid pixels of a line: lines from `first` on,
 // up to `end`, first all rows and then all columns. In and out, on the padded grid: value, w, coc, valid, status, seen;
 // what no line reaches has status 2 after the columns.
-__kernel void fill_entered(const grid_t grid, const int first, const int end, __global float *value,
-                           __global real *w, __global real *coc, __global uchar *valid, __global uchar *status
+__kernel void fill_entered(const grid_t grid, const int first, const int end, const lens_t lens,
+                           __global float *value, __global real *w, __global real *coc, __global uchar *valid,
+                           __global uchar *status
 #if SEVERAL
                            , __global uchar *seen
 #endif
@@ -414,7 +426,7 @@ __kernel void fill_entered(const grid_t grid, const int first, const int end, __
             for (int c = 0; c < CHANNELS; ++c)
                 value[c * plane + at] = value[c * plane + from];
             w[at] = w[from];
-            coc[at] = coc[from];
+            coc[at] = copied_radius(grid, lens, w, coc, at, from);
 #if SEVERAL
             seen[at] = seen[from];
 #endif
@@ -428,8 +440,8 @@ __kernel void fill_entered(const grid_t grid, const int first, const int end, __
 // A depth map knows nothing outside of the frame: there the image goes on as its mirror image, as textures do. In and
 // out, on the padded grid: value, w, coc, valid as in reproject_gather; pixels outside of the frame that are not valid
 // take what is in their mirror image.
-__kernel void extend_border(const grid_t grid, __global float *value, __global real *w, __global real *coc,
-                            __global uchar *valid)
+__kernel void extend_border(const grid_t grid, const lens_t lens, __global float *value, __global real *w,
+                            __global real *coc, __global uchar *valid)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)
@@ -444,7 +456,7 @@ __kernel void extend_border(const grid_t grid, __global float *value, __global r
     for (int c = 0; c < CHANNELS; ++c)
         value[c * plane + at] = value[c * plane + from];
     w[at] = w[from];
-    coc[at] = coc[from];
+    coc[at] = copied_radius(grid, lens, w, coc, at, from);
     valid[at] = 1;
 }
 #endif

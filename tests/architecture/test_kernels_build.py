@@ -37,6 +37,7 @@ KERNELS = Path(__file__).resolve().parents[2] / "kernels"
 ON_OR_OFF: tuple[int, ...] = (0, 1)
 GEOMETRY: dict[str, tuple[int, ...]] = {
     **dict.fromkeys(("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "SAMPLED"), ON_OR_OFF),
+    "CURVED": (0, 3, 1, 2),
     "GENERAL": (0,),
     "CHANNELS": (1, 3),
     "FILTER": (0, 2, 1),
@@ -58,14 +59,14 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     | {"SUBPIXELS": (0, 4, 2, 3), "TEXTURED": (0, 2, 1), "LIT": (0, 1, 3), "EDGES": (0,), "RIMS": (0, 2)},
     GATHER: dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(BLUR, ON_OR_OFF)
-    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BY_COLUMNS": (0, 0, 1)}
+    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BY_COLUMNS": (0, 0, 1), "CURVED": (0, 3, 1, 2)}
     | {"GATHER": (1,), "SPANS": ON_OR_OFF}
     | ROOMS
     | {"PREPARE": (0, 1, 2)}
     | GENERAL,
     SCATTER: dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(BLUR, ON_OR_OFF)
-    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3)}
+    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "CURVED": (0, 3, 1, 2)}
     | dict.fromkeys(("GATHER", "BY_ROWS", "BY_COLUMNS"), (0,))
     | ROOMS
     | {"PREPARE": (0, 1, 2)}
@@ -76,6 +77,7 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     | {"RIMS": (0,)}
     | GENERAL,
     ("blur/accumulate.cl",): GEOMETRY | {"SCAN_COLUMNS": ON_OR_OFF},
+    ("blur/vignetting.cl",): GEOMETRY,
     ("sensor/sensor.cl",): GEOMETRY | {"FIXED_PATTERN": ON_OR_OFF},
     ("blur/convolve.cl",): GEOMETRY | {"WIDE_SUMS": ON_OR_OFF},
     ("inpainting/fse.cl",): GEOMETRY,
@@ -93,7 +95,7 @@ PROGRAMS["layered/layered.cl",] = dict.fromkeys((*PLAIN, "SAMPLED", "GENERAL"), 
     "SCATTER": ON_OR_OFF,
 }
 GIVEN_BY_THE_BUILD = {"REAL_IS_DOUBLE", "HAS_INT64_ATOMICS", "HAS_FP64", "VECTOR_WIDTH", "defined"}
-GIVEN_BY_THE_BUILD |= {"__FMA__", "__SSE4_1__", "__AVX__", "__AVX2__", "__AVX512F__"}
+GIVEN_BY_THE_BUILD |= {"CURVED_FIELD", "CURVED_SPHERE", "__FMA__", "__SSE4_1__", "__AVX__", "__AVX2__", "__AVX512F__"}
 
 
 def headers(files: tuple[str, ...]) -> tuple[str, ...]:

@@ -60,6 +60,7 @@ WITHOUT_TWIN = {
     "geometry": {
         "note_radius": "the largest and the smallest of an array",
         "ray_through": "pixel_ray before another lens",
+        "grid_ray": "pixel_ray of the rows and columns of the padded grid",
         **dict.fromkeys(("load3", "row3", "column3", "inner_product"), "arrays of NumPy, and their products"),
     },
     "warp": {"note_radii": "the largest and the smallest of an array"},

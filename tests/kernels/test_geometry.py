@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import clsco
 from clsco.opencl.buffers import download, empty
 from clsco.opencl.session import Session
 from clsco.optics.lens import Lens
@@ -46,11 +47,12 @@ __kernel void follow(__constant surface_t *surface, const grid_t grid, const len
             out[11 * i + k] = 0;
         return;
     }
-    const real2 slope = surface_slope(surface, ray, found), gradient = blur_gradient(grid, lens, slope);
+    const real2 slope = surface_slope(surface, ray, found);
+    const real2 gradient = blur_gradient(grid, lens, slope, ray, found);
     const real3 normal = surface_normal(surface, ray, found);
     const real3 pixel = rest_pixel(surface, grid, ray, found);
     const real all[11] = {slope.x, slope.y, normal.x, normal.y, normal.z, gradient.x, gradient.y,
-                          blur_radius(lens, found), pixel.x, pixel.y, pixel.z};
+                          blur_radius(lens, ray, found), pixel.x, pixel.y, pixel.z};
     for (int k = 0; k < 11; ++k)
         out[11 * i + k] = all[k];
 }
@@ -85,11 +87,14 @@ __kernel void small(const psf_t psf, __global const real *a, __global const real
 """
 
 
+CURVED = clsco.Lens(field_curvature=-1 / 30, focus_surface="sphere")
 MOTION = ObjectMotion(velocity=(2.0, 1.0, 5.0), angular_velocity=(10.0, -15.0, 30.0))
 ITEMS: list[tuple[Object, dict[str, int]]] = [
     (Plane(distance=250.0, slope_x=0.7, slope_y=-0.4, motion=MOTION), {"QUADRATIC": 0}),
     (Ellipsoid(center=(0.0, 0.0, 300.0), semi_axes=(30.0, 20.0, 50.0), motion=MOTION), {}),
     (Cone(half_angle=40.0, apex=(1.0, 2.0, 250.0), motion=MOTION), {"NAPPE": 1}),
+    (Plane(distance=250.0, slope_x=0.7, slope_y=-0.4, motion=MOTION), {"QUADRATIC": 0, "CURVED": 3}),
+    (Ellipsoid(center=(0.0, 0.0, 300.0), semi_axes=(30.0, 20.0, 50.0), motion=MOTION), {"CURVED": 3}),
     (Quadric(coefficients=(1.0, -0.5, 0.0, 0, 0, 0, 0, 0, -40.0, 0), motion=MOTION), {"LINEAR": 1}),
 ]
 
@@ -106,7 +111,8 @@ def test_what_follows_from_a_hit(
     row, column = held(RNG(8).uniform([[-0.16], [-0.12]], [[1.14], [1.1]], (2, count)) * np.array(size[::-1])[:, None])
     w, out = empty(session, 8 * count), empty(session, 88 * count)
     placed = surface_structs([item], [surface], real)
-    optics = camera_grid(camera, 0, real), lens_struct(Lens.of(camera), real)
+    lens = Lens.of(camera, CURVED if features.get("CURVED") else None)
+    optics = camera_grid(camera, 0, real), lens_struct(lens, real)
     positions = (row.astype(REAL[real]), column.astype(REAL[real]))
     run_source(SOURCE, "follow", real, features, count, placed, *optics, *positions, np.int32(count), w, out)
     rays = twin.pixel_ray(camera, row, column)
@@ -127,8 +133,8 @@ def test_what_follows_from_a_hit(
     wanted = {
         "slope": (slope, digits),
         "normal": (twin.surface_normal(surface, rays, expected_w), digits),
-        "gradient": (twin.blur_gradient(camera, Lens.of(camera), slope), digits),
-        "radius": (twin.blur_radius(Lens.of(camera), expected_w)[:, None], 100 * unit),
+        "gradient": (twin.blur_gradient(camera, lens, slope, rays, expected_w), digits),
+        "radius": (twin.blur_radius(lens, rays, expected_w)[:, None], 100 * unit),
         "pixel at rest": (np.stack([pixel_column, pixel_row], axis=1), 100 * unit),
     }
     at = 0

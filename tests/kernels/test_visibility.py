@@ -50,7 +50,7 @@ __kernel void see_taps(const grid_t grid, const lens_t lens, __constant surface_
     state[i] = -1;
     if (!label)
         return;
-    const real radius = blur_radius(lens, w);
+    const real radius = blur_radius(lens, ray, w);
     visibility_t visibility;
     bool edge;
     const division_t of_source = division_of(radius, psf.lens_extent, width, tilt_slope((real2)(0.2, -0.1), radius));
@@ -166,7 +166,7 @@ def see(
     w, label, _ = nearest_surface(surfaces, bounds, group, rays)
     there = label > 0
     assert ((state >= 0) == there).all()
-    w, radius, (x, y) = w[there], blur_radius(Lens.of(camera), w[there]), offset[there].T
+    w, radius, (x, y) = w[there], blur_radius(Lens.of(camera), rays[there], w[there]), offset[there].T
     gradient = np.broadcast_to([0.2, -0.1], (w.size, 2))
     points = Points(rays[there], w, radius, x, y, width, gradient)
     found, outline, visibility = check_visibility(Lens.of(camera), surfaces, bounds, group, point_spread(psf), points)

@@ -33,6 +33,7 @@ TESTS = {
     "clsco/plan/image_motion.py": "plan/test_image_motion",
     "clsco/plan/predict.py": "plan/test_predict plan/test_plan pipeline/test_scenes",
     "blur/accumulate.cl": "kernels/test_accumulate pipeline/test_scenes",
+    "blur/vignetting.cl": "pipeline/test_real_lens",
     "blur/blur.cl": "kernels/test_blur_amid kernels/test_blur engine/test_defocus kernels/test_layered "
     "kernels/test_visibility pipeline/test_occlusion",
     "blur/convolve.cl": "kernels/test_convolve",

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from decimal import Decimal, localcontext
 from fractions import Fraction
 
 import numpy as np
 import pytest
 
+import clsco
 from clsco.optics.lens import Lens, blur_radius, ray_step
 from clsco.scene.model import Camera
 
@@ -110,3 +112,58 @@ def test_ray_step_is_the_pixel_seen_from_the_lens() -> None:
 
 def test_half_the_aperture_is_the_lens_radius() -> None:
     assert Lens.of(Camera(aperture_diameter=10.0)).radius == 5.0
+
+
+def squared_slope(camera: Camera, r: float) -> float:
+    """Squared slope of the ray to a distance from the middle of the image, mm."""
+    return (r / camera.normalization_distance) ** 2
+
+
+def test_field_curvature_of_a_single_lens_at_the_corner_of_the_thesis_frame() -> None:
+    # The Petzval radius of a thin lens of index 1.5 is -1.5 f; sag r^2 / 2 rho = 0.218 mm, about kappa sag / s^2 px.
+    camera, corner = Camera(), float(np.hypot(2.555, 2.555))
+    lens, plain = Lens.of(camera, clsco.Lens(field_curvature=-1.0 / 30.0)), Lens.of(camera)
+    sag = corner**2 / 60.0
+    assert sag == pytest.approx(0.218, abs=5e-4)
+    change = float(lens.blur_radius(1 / 250.0, squared_slope(camera, corner)) - plain.blur_radius(1 / 250.0))
+    assert change == pytest.approx(4.6, abs=0.05)  # nearer things are in focus there, as behind the focus R is positive
+    assert change == pytest.approx(1e4 * (1 / 21.739 - 1 / (21.739 + sag)), rel=1e-12)
+    assert float(lens.blur_radius(1 / 250.0)) == float(plain.blur_radius(1 / 250.0))
+
+
+def test_a_sphere_in_focus_has_one_distance() -> None:
+    camera = Camera(focus_distance=250.0)
+    lens, tangent = Lens.of(camera, clsco.Lens(focus_surface="sphere")), np.array([0.0, 0.01, 0.1, 0.5, 1.0])
+    depth = 250.0 / np.sqrt(1.0 + tangent**2)
+    assert np.abs(lens.blur_radius(1.0 / depth, tangent**2)).max() < 1e-10
+    plane = lens.blur_radius(1.0 / 250.0, tangent**2)
+    np.testing.assert_allclose(plane, 1e4 * (1 / 250.0 - np.cos(np.arctan(tangent)) / 250.0), atol=1e-10)
+
+
+def test_digits_where_the_radius_is_almost_zero() -> None:
+    """Against exact arithmetic: what bends the focus adds no more error than the thin lens has."""
+    camera = Camera()
+    lens = Lens.of(camera, clsco.Lens(field_curvature=-1.0 / 30.0, focus_surface="sphere"))
+    with localcontext() as context:
+        context.prec = 60
+        f, s, s0, t = Decimal(20), Decimal(camera.sensor_distance), Decimal(20), Decimal("0.2")
+        bent = s - s0 * s0 * t * t * Decimal(-1.0 / 30.0) / 2
+        power, cosine = 1 / f - 1 / bent, 1 / (1 + t * t).sqrt()
+        for change in (0.0, 1e-12, -1e-9, 1e-6):
+            w = float(power / cosine) * (1.0 + change)
+            exact = float(Decimal(lens.blur_scale) * (power - Decimal(w) * cosine))
+            assert abs(float(lens.blur_radius(w, 0.2**2)) - exact) < 16 * EPS * lens.blur_scale / 20.0
+
+
+def test_lines_f_and_c_differ_by_the_abbe_number() -> None:
+    """1/f of F (486.1 nm) less that of C (656.3 nm) is 1 / (f V) of a single lens: 8.3 px for V = 60."""
+    camera, number = Camera(), 60.0
+    f = camera.focal_length
+    axial = f / (1.0 - 0.5 / number) - f, 0.0, f / (1.0 + 0.5 / number) - f
+    red, green, blue = (Lens.of(camera, clsco.Lens(axial=axial), color) for color in range(3))
+    apart = float(blue.blur_radius(1 / 300.0) - red.blur_radius(1 / 300.0))
+    assert apart == pytest.approx(1e4 / (20.0 * 60.0), rel=1e-12)
+    assert round(apart, 1) == 8.3
+    assert green == Lens.of(camera)
+    assert {lens.blur_scale for lens in (red, green, blue)} == {1e4}
+    assert {lens.radius for lens in (red, green, blue)} == {5.0}

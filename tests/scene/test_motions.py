@@ -89,7 +89,24 @@ BAD_SHAKES = [
 ]
 BAD_LENSES = [
     ("lens = 3", ": must be a table; got 3"),
-    ("lens = {}", ".keyframe: must be given; got nothing"),
+    ('lens.interpolation = "linear"', '.interpolation: belongs to keyframes; there are none; got "linear"'),
+    ('lens.outside = "hold"', '.outside: belongs to keyframes; there are none; got "hold"'),
+    ("lens.field_curvature = 2", ".field_curvature: must be between -1 and 1 1/mm; got 2"),
+    ('lens.focus_surface = "cone"', '.focus_surface: must be plane or sphere; got "cone"'),
+    (
+        'lens.vignetting = "some"',
+        '.vignetting: must be none, natural, or a list of 3 numbers between -10 and 10; got "some"',
+    ),
+    (
+        "lens.vignetting = [0, 0]",
+        ".vignetting: must be none, natural, or a list of 3 numbers between -10 and 10; got [0, 0]",
+    ),
+    (
+        "lens.vignetting = [-5, 4, 0]",
+        ".vignetting: must leave 1 + a1 r^2 + a2 r^4 + a3 r^6 at least 0 up to the corner, r = 1; got [-5, 4, 0]",
+    ),
+    ("lens.axial = [0, 0]", ".axial: must be a list of 3 numbers; got [0, 0]"),
+    ("lens.axial = [0, 0, -20]", ".axial[2]: must leave a focal length, of camera.focal_length = 20 mm; got -20.0"),
     ("lens.keyframe = []", ".keyframe: must hold 1 to 256 keyframes; got 0"),
     ("lens.keyframe = [{time = 0}]", ".keyframe[0]: must have focal_length, focus_distance or f_number; got none"),
     ("lens.keyframe = [{f_number = 2}]", ".keyframe[0].time: must be given; got nothing"),

@@ -38,7 +38,7 @@ NEARER, MOST_ZOOMS = 32, 3  # each time at an outline, rays are so many times cl
 FARTHEST_PIXEL = 2**23  # from the axis; frames have up to 2^16 px a side
 # Every shape by one program: what a shape has no use for is 0.
 FEATURES = {"SEVERAL": 0, "QUADRATIC": 1, "LINEAR": 1, "NAPPE": 1, "BOUNDED": 1, "OCCLUDED": 0, "MOVED": 0, "TILT": 0}
-FEATURES |= {"TEXTURED": 0, "LIT": 0}
+FEATURES |= {"TEXTURED": 0, "LIT": 0, "CURVED": 0}
 FEATURES |= {"FILTER": 0, "CHANNELS": 1, "SUBPIXELS": 0} | psf_features(point_spread(Psf()))
 
 

@@ -236,16 +236,25 @@ def surface_slope(surface: PlacedSurface, rays: Array, w: Array) -> Array:
         return np.asarray(scale[..., None] * n[..., :2])
 
 
-def blur_radius(lens: Lens, w: Array) -> Array:
-    """Signed blur radius (...) in px of inverse depths w (...) in 1/mm (2.33)."""
-    return np.asarray(lens.blur_scale * (lens.focus_power - w))
+def blur_radius(lens: Lens, rays: Array, w: Array) -> Array:
+    """Signed blur radius (...) in px of inverse depths w (...) in 1/mm on rays (..., 3): that of
+    `clsco.optics.lens.Lens`."""
+    return lens.blur_radius(w, (rays[..., :2] ** 2).sum(axis=-1))
 
 
-def blur_gradient(camera: Camera, lens: Lens, slope: Array) -> Array:
+def blur_gradient(camera: Camera, lens: Lens, slope: Array, rays: Array, w: Array) -> Array:
     """Gradient (..., 2) of the signed blur radius in px per px, right and down.
 
-    slope: (..., 2) from `surface_slope`. R = kappa (K - w) (2.33), so that it changes against w.
+    slope: (..., 2) from `surface_slope`, of w (...) on rays (..., 3). R = kappa (K - w) (2.33), so that it changes
+    against w; with a curved focus the slopes of K, and of the cosine that w is taken times, are added.
     """
+    if lens.is_curved:
+        squared = (rays[..., :2] ** 2).sum(axis=-1)
+        cosine = 1.0 / np.sqrt(1.0 + lens.spherical * squared)
+        outwards = (
+            2.0 * lens.detector_power * lens.sag / (1.0 + lens.sag * squared) ** 2 + lens.spherical * w * cosine**3
+        )
+        slope = cosine[..., None] * slope - outwards[..., None] * rays[..., :2]
     return np.asarray(lens.blur_scale * ray_step(camera) * slope * np.array([-1.0, 1.0]))
 
 

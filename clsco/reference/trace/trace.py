@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from clsco.inputs.pupils import scene_point_spread
 from clsco.optics.lens import Lens, ray_step
-from clsco.optics.lens_path import camera_at
+from clsco.optics.lens_path import camera_at, lens_at, lenses_at
 from clsco.optics.light import PlacedLight, place_light
 from clsco.optics.motion import Eye, poses_at
 from clsco.optics.point_spread import PointSpread, subpixel_offsets
@@ -102,7 +102,8 @@ class View:
 
     surfaces: one per object; textures: one per object, with so many channels; moved: an
     object or the camera is not exactly in its reference pose, or zooms; light: of the scene, if it has one; psf: of the
-    lens; reference: the camera in its reference pose.
+    lens; reference: the camera in its reference pose; lens: for the light that is wanted; lenses: of the colors that
+    differ.
     """
 
     scene: Scene
@@ -112,11 +113,8 @@ class View:
     light: PlacedLight | None
     psf: PointSpread
     reference: Camera
-
-    @property
-    def lens(self) -> Lens:
-        """The lens of the camera."""
-        return Lens.of(self.scene.camera)
+    lens: Lens
+    lenses: tuple[Lens, ...]
 
     @property
     def channels(self) -> int:
@@ -126,16 +124,17 @@ class View:
 
 
 def view_at(
-    scene: Scene, textures: tuple[Texture, ...], time: float, eye: Eye, moved: bool, psf: PointSpread | None = None
-) -> View:
-    """The objects after `time` seconds, and the lens; other arguments as for `View`."""
-    reference = scene.camera
-    if scene.lens is not None:
+    scene: Scene, textures: tuple[Texture, ...], time: float, eye: Eye, moved: bool, psf: PointSpread | None = None,
+    color: int | None = None,
+) -> View:  # fmt: skip
+    """The objects after `time` seconds, and the lens, for light of one color or all; other arguments as for `View`."""
+    reference, lens, lenses = scene.camera, lens_at(scene, time, color), lenses_at(scene, time)
+    if scene.lens_moves:
         scene = scene.model_copy(update={"camera": camera_at(scene, time), "lens": None})
     placed = zip(scene.objects, poses_at(scene, time, eye), strict=True)
     surfaces = tuple(place(item, pose) for item, pose in placed)
-    light, lens = place_light(scene, time, eye), psf or scene_point_spread(scene)
-    return View(scene, surfaces, textures, moved, light, lens, reference)
+    light, spread = place_light(scene, time, eye), psf or scene_point_spread(scene)
+    return View(scene, surfaces, textures, moved, light, spread, reference, lens, lenses)
 
 
 def everything(scene: Scene) -> OcclusionGroup:
@@ -179,12 +178,12 @@ def cast(
         if not group.members >> k & 1:
             continue
         own = (number == k)[..., None]
-        gradient = np.where(own, blur_gradient(scene.camera, view.lens, surface_slope(surface, rays, w)), gradient)
+        gradient = np.where(own, gradient_of(view, surface, rays, w), gradient)
         texels, texture = (np.asarray(n, dtype=np.int64) for n in texel), view.textures[k]
         if isinstance(texture, MappedTexture):
             here = np.where(own[..., 0], w, 0.0)
             shown, fineness = _mapped_radiance(scene, surface, texture, rays, here, sources)
-            size = blur_radius(view.lens, w)
+            size = blur_radius(view.lens, rays, w)
             cut = parts_of(texture, fineness, size, scene.psf.silhouette_samples)
             parts = np.where(own[..., 0], cut, parts)
             share = np.where(own[..., 0], sharpening(texture, size), share)
@@ -195,8 +194,13 @@ def cast(
         if view.light is not None:
             shown = shown * shade(view.light, surface, k, rays, w)[..., None]
         radiance = np.where(own, shown, radiance)
-    radius = np.where(label > 0, blur_radius(view.lens, w), 0.0)
+    radius = np.where(label > 0, blur_radius(view.lens, rays, w), 0.0)
     return Cast(w, label, number, radius, gradient, radiance, parts, share)
+
+
+def gradient_of(view: View, surface: PlacedSurface, rays: Array, w: Array) -> Array:
+    """Gradient (..., 2) of the blur radius of a surface that rays (..., 3) hit at w (...), px per px."""
+    return blur_gradient(view.scene.camera, view.lens, surface_slope(surface, rays, w), rays, w)
 
 
 def _mapped_radiance(

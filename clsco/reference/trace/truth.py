@@ -15,6 +15,7 @@ from clsco.optics.quadrics import PlacedSurface, cutting_bounds, place
 from clsco.plan.predict import displaced
 from clsco.reference.common.geometry import (
     Array,
+    blur_radius,
     body_point,
     nearest_surface,
     pixel_ray,
@@ -151,10 +152,11 @@ def surface_truth(view: View, rest: list[PlacedSurface], row: NDArray[np.int64],
     mask = hit.label > 0
     for k in (k for k, item in enumerate(scene.objects) if item.is_background):  # no surface, but radiance and blur
         mask = mask & (hit.number != k)
+    radii = [np.where(hit.label > 0, blur_radius(lens, rays, w), 0.0) for lens in view.lenses]
     arrays = {
         "sharp": hit.radiance,
         "depth": np.where(mask, 1.0 / np.where(mask, w, 1.0), np.inf),
-        "blur_radius": hit.radius,
+        "blur_radius": radii[0] if len(radii) == 1 else np.stack(radii, axis=-1),
         "mask": mask,
         "object_id": np.where(mask, hit.number, -1).astype(hit.number.dtype),
         "normal": np.where(mask[..., None], normal, 0.0),

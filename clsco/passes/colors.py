@@ -1,0 +1,48 @@
+"""Colors that are blurred each by itself: their planes in one."""
+
+from __future__ import annotations
+
+import pyopencl as cl
+
+from clsco.frame.frame import GREEN
+from clsco.opencl.buffers import empty
+from clsco.opencl.session import Session
+from clsco.passes.blur import Events, Plane
+
+FLOAT = 4  # bytes
+
+
+class JoinedColors:
+    """A plane of all colors, and of coverage where there is one more channel.
+
+    Parameters
+    ----------
+    session : Session
+    channels, colors : int
+        All channels, and those of color.
+    """
+
+    def __init__(self, session: Session, channels: int, colors: int) -> None:
+        self.session, self.channels, self.colors = session, channels, colors
+        self.buffer = empty(session, FLOAT)
+
+    def put(self, plane: Plane, color: int, events: Events) -> Plane:
+        """Copy a plane of one color to its place, and the coverage of green for all; returns the plane so far."""
+        rows, columns = plane.rows, plane.columns
+        size = FLOAT * self.channels * rows * columns
+        if self.buffer.size < size:
+            self.buffer = empty(self.session, size)
+        self._copy(plane, 0, color, events)
+        if self.channels > self.colors and color == GREEN:
+            self._copy(plane, 1, self.colors, events)
+        return Plane(self.buffer, (self.channels, rows, columns), rows, columns)
+
+    def _copy(self, plane: Plane, channel: int, to: int, events: Events) -> None:
+        _, height, pitch = plane.shape
+        event = cl.enqueue_copy(
+            self.session.queue, self.buffer, plane.buffer,
+            src_origin=(FLOAT * plane.left, channel * height + plane.top, 0), dst_origin=(0, to * plane.rows, 0),
+            region=(FLOAT * plane.columns, plane.rows, 1), src_pitches=(FLOAT * pitch, 0),
+            dst_pitches=(FLOAT * plane.columns, 0),
+        )  # fmt: skip
+        events.append(("join colors", event))

@@ -1,0 +1,56 @@
+"""Vignetting of the blurred plane of a time sample."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.constants import SUMMED_PIXELS
+from clsco.opencl.buffers import upload_cached
+from clsco.opencl.program import build
+from clsco.opencl.session import Session
+from clsco.optics.vignetting import throughput
+from clsco.passes.blur import BLOCKS, PLAIN, Events, Plane, Target
+from clsco.records import structs
+from clsco.scene.lens import Vignetting as Kind
+from clsco.scene.model import Camera
+
+FEATURES = PLAIN | {"SAMPLED": 0, "GENERAL": 0, "CHANNELS": 0}
+
+
+@lru_cache(maxsize=2)
+def _share(camera: Camera, kind: Kind) -> NDArray[np.float32]:
+    """`throughput` of a lens, which many time samples and frames have in common."""
+    return throughput(camera, kind).astype(np.float32)
+
+
+class Vignetting:
+    """Darkens planes, in place.
+
+    Parameters
+    ----------
+    session : Session
+    kind : {"natural"} or tuple of float
+        Key of the scene.
+    colors : int
+        Channels of light, the first ones of a plane; coverage stays as it is.
+
+    Notes
+    -----
+    Validated against `clsco.reference.blur.vignetting`.
+    """
+
+    def __init__(self, session: Session, kind: Kind, colors: int) -> None:
+        program = build(session, ["blur/vignetting.cl"], FEATURES, structs("float"), "float")
+        self.target, self.kind, self.colors = Target(session, program, "float"), kind, colors
+        self.local = (1, 1) if session.device.kind == "cpu" else BLOCKS  # as of `FrameSum`
+
+    def darken(self, plane: Plane, camera: Camera, top: int, events: Events) -> Plane:
+        """Darken a plane of the frame of a camera, whose first row is `top`."""
+        given = upload_cached(self.target.session, _share(camera, self.kind), "vignetting")
+        head = (np.int32(n) for n in (plane.rows, plane.columns, self.colors))
+        size = (-(-plane.columns // SUMMED_PIXELS), plane.rows)
+        self.target.run("vignette", size, self.local, events, *head, *plane.layout, given, np.int32(top))
+        return plane

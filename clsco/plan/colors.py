@@ -1,0 +1,36 @@
+"""Colors that are blurred each by itself: their passes, and the one that joins them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+
+from clsco.frame.strips import Grid
+from clsco.plan.buffers import SHARED
+from clsco.plan.passes import Parameters, Pass
+
+COLORS = ("red", "green", "blue")
+JOINED: Parameters = (("colors", "each blurred by itself"),)
+
+
+def color_passes(each: Sequence[Iterable[Pass]], grid: Grid) -> Iterator[Pass]:
+    """The passes that blur each color by itself, and put it in its place in the plane of all.
+
+    Parameters
+    ----------
+    each : sequence of iterable of Pass
+        Passes of red, green and blue light, up to the blurred plane.
+    grid : Grid
+        With the channels of the plane of all.
+
+    Yields
+    ------
+    Pass
+    """
+    sizes = {"colors": 4 * grid.channels * grid.rows * grid.columns}
+    for color, (name, steps) in enumerate(zip(COLORS, each, strict=True)):
+        for step in steps:
+            own = {of if of in SHARED else f"{name} {of}": size for of, size in step.buffers.items()}
+            yield replace(step, buffers=own, color=color)
+        taken, last = ("plane", "colors") if color else ("plane",), name == COLORS[-1]
+        yield Pass("join colors", JOINED, sizes, taken, ("plane" if last else "colors",), color=color)

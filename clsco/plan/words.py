@@ -1,0 +1,49 @@
+"""Words of the passes of a plan, for reports."""
+
+from __future__ import annotations
+
+from clsco.plan.decisions import Choices
+from clsco.plan.methods import BlurSpec
+from clsco.plan.passes import Parameters
+from clsco.scene.model import Scene
+
+
+def shapes_of(scene: Scene) -> str:
+    """Shapes of a scene, each once."""
+    return ", ".join(dict.fromkeys(item.shape for item in scene.objects))
+
+
+def of_rays(scene: Scene, choices: Choices, colors: int, alpha: bool) -> Parameters:
+    """Words of rays and what they meet; colors: channels of color."""
+    sampled = choices.texture_sampling.value
+    moved: Parameters = (("texture sampling", scene.motion.texture_filter),) if sampled else ()
+    if scene.has_mapped_textures:
+        moved += (("surface textures", "means over the pixel's footprint, from mipmaps"),)
+    return (("rays", f"against the {shapes_of(scene)}, one per pixel"), *moved, *of_frame(choices, colors, alpha))
+
+
+def of_frame(choices: Choices, colors: int, alpha: bool) -> Parameters:
+    """Words of the grid and the channels of an image."""
+    band = choices.guard_band
+    apron = (("guard band", band.reason),) if band.value else ()
+    color = (("color", f"{colors} channels"),) if colors > 1 else ()
+    covers = (("alpha", "a channel of what surfaces cover"),) if alpha else ()
+    return (*apron, *color, *covers)
+
+
+def of_blur(spec: BlurSpec, choices: Choices, groups: int) -> Parameters:
+    """Words of the blur of so many occlusion groups."""
+    found = [
+        ("PSF", f"{spec.psf.name}, R up to {spec.largest:.3g} px"),
+        ("method", f"{spec.method}: {choices.blur.reason}"),
+    ]
+    if spec.tilt:
+        found.append(("tilt", "weights by the gradient of the blur radius"))
+    if choices.renormalize.value:
+        found.append(("renormalize", "light over the border is given back"))
+    if choices.occlusion.value == "visibility":
+        plural = "s" if groups > 1 else ""
+        found.append(("occlusion", f"{groups} occlusion group{plural}, visibility tests where something is in the way"))
+    if choices.occlusion.value == "layered":
+        found.append(("occlusion", "depth layers of what the pinhole sees, front to back"))
+    return tuple(found)

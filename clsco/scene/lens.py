@@ -1,0 +1,111 @@
+"""A real lens: section [lens] of a scene file, with what changes over time and where it differs from a thin lens."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
+
+from clsco.scene.motions import (
+    NONE,
+    Interpolation,
+    LensKeyframes,
+    Outside,
+    check_interpolation,
+    default_of_keyframes,
+)
+from clsco.scene.quantities import MAX_LENGTH_MM, Strict, Triple, Within, as_python, fault
+
+MOST_VIGNETTING = 10.0
+Shift = Annotated[float, Within(-MAX_LENGTH_MM, MAX_LENGTH_MM, "mm")]
+
+
+def _vignetting(value: Any) -> Any:
+    """Refuse all but a name, and coefficients of a share that is nowhere negative."""
+    value = as_python(value)
+    if type(value) is str and value in ("none", "natural"):
+        return value
+    numbers = tuple(value) if isinstance(value, list | tuple) else ()
+    if len(numbers) != 3 or any(type(each) not in (int, float) or not abs(each) <= MOST_VIGNETTING for each in numbers):
+        raise fault(
+            f"must be none, natural, or a list of 3 numbers between -{MOST_VIGNETTING:g} and {MOST_VIGNETTING:g}"
+        )
+    a1, a2, a3 = map(float, numbers)
+    turns = [square for square in _roots(3.0 * a3, 2.0 * a2, a1) if 0.0 < square < 1.0]
+    if min(1.0 + r * (a1 + r * (a2 + r * a3)) for r in (*turns, 1.0)) < 0.0:
+        raise fault("must leave 1 + a1 r^2 + a2 r^4 + a3 r^6 at least 0 up to the corner, r = 1")
+    return a1, a2, a3
+
+
+def _roots(a: float, b: float, c: float) -> list[float]:
+    """Real x with a x^2 + b x + c = 0; none where all are."""
+    if a == 0.0:
+        return [] if b == 0.0 else [-c / b]
+    inside = b * b - 4.0 * a * c
+    return [] if inside < 0.0 else [(-b + sign * math.sqrt(inside)) / (2.0 * a) for sign in (-1.0, 1.0)]
+
+
+Share = Annotated[float, Within(-MOST_VIGNETTING, MOST_VIGNETTING)]
+Vignetting = Annotated[Literal["none", "natural"] | tuple[Share, Share, Share], BeforeValidator(_vignetting)]
+
+
+class Lens(Strict):
+    """Changes of the camera's lens over time, where it zooms, its focus is pulled, or its aperture opens or
+    closes; and where it differs from a thin lens."""
+
+    keyframe: LensKeyframes | None = None
+    """Lenses at 1 to 256 times, instead of the focal length, the focus distance or the f-number of the camera; none if
+    not given."""
+    interpolation: Interpolation | None = Field(
+        default_factory=lambda data: default_of_keyframes(data, "keyframe", "linear")
+    )
+    """Path of focal_length, to which the image is proportional, and of 1 / focus_distance and 1 / f_number, to which
+    the blur radius is, as between keyframes of a motion. Default: linear."""
+    outside: Outside | None = Field(default_factory=lambda data: default_of_keyframes(data, "keyframe", "hold"))
+    """Path before the first and after the last keyframe, as of a motion. Default: hold."""
+    field_curvature: Annotated[float, Within(-1.0, 1.0, "1/mm")] = 0.0
+    """Curvature of the image of a plane, 1 / radius, 1/mm; negative bends it towards the lens, and in the corners what
+    is nearer is in focus."""
+    focus_surface: Literal["plane", "sphere"] = "plane"
+    """In focus is a plane, or a sphere around the lens: what has the same distance, and not the same depth."""
+    vignetting: Vignetting = "none"
+    """Darkening towards the corners: none; natural, cos^4 of the angle from the axis; or a1, a2, a3 of
+    1 + a1 r^2 + a2 r^4 + a3 r^6, r = 1 in the corner of the frame."""
+    axial: Annotated[tuple[Shift, Shift, Shift], Triple] = NONE
+    """Longitudinal chromatic aberration: focal lengths of red, green and blue less camera.focal_length, mm."""
+
+    @field_validator("interpolation", "outside")
+    @classmethod
+    def _of_keyframes(cls, value: Any, info: ValidationInfo) -> Any:
+        return check_interpolation(value, info.data.get("keyframe", "refused"))
+
+    @property
+    def at_rest(self) -> Self:
+        """The same without changes over time."""
+        return self.model_copy(update=dict.fromkeys(("keyframe", "interpolation", "outside")))
+
+    @property
+    def moves(self) -> bool:
+        """True if it changes over time."""
+        return self.keyframe is not None
+
+    @property
+    def zooms(self) -> bool:
+        """True if the focal length has keyframes."""
+        return any(key.focal_length is not None for key in self.keyframe or ())
+
+    @property
+    def curves_focus(self) -> bool:
+        """True if what is in focus is no plane."""
+        return self.field_curvature != 0.0 or self.focus_surface == "sphere"
+
+    @property
+    def darkens(self) -> bool:
+        """True if not all of the frame gets the light of its middle."""
+        return self.vignetting != "none"
+
+    @property
+    def separates_colors(self) -> bool:
+        """True if it does not blur all colors alike."""
+        return any(self.axial)

@@ -1,0 +1,173 @@
+"""Lenses that are not thin, from scene to frame: field curvature, focus on a sphere, longitudinal color,
+vignetting."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import clsco
+from clsco.optics.lens import Lens
+from clsco.plan.memory import device_bytes
+from clsco.plan.prepare import prepare
+from clsco.scene.model import Scene
+from tests.scenes import assert_agree, reference_frames, rendered, scene_from
+from tests.slow import mostly_slow
+
+CAMERA: dict[str, Any] = {"resolution": [40, 32], "pixel_pitch": 0.1}
+BALL: dict[str, Any] = {"shape": "sphere", "center": [0.0, 0.0, 280.0], "radius": 30.0, "texture": "#ff8040"}
+WALL: dict[str, Any] = {"shape": "plane", "distance": 290.0, "texture": "siemens_star", "slope_x": 0.3}
+MOVING = {"motion": {"velocity": [20.0, 5.0, 0.0], "angular_velocity": [0.0, 0.0, 20.0]}}
+EXPOSED = {"samples": 3, "shutter": 0.1, "interval": 0.1}
+AXIAL, CURVED, SPHERE = {"axial": [0.2, 0.0, -0.15]}, {"field_curvature": -1 / 30}, {"focus_surface": "sphere"}
+DARK: dict[str, Any] = {"vignetting": [-0.3, 0.1, -0.2]}
+ALL = AXIAL | CURVED | SPHERE
+PULL = {"keyframe": [{"time": 0.0, "focus_distance": 250.0}, {"time": 0.1, "focus_distance": 300.0}]}
+scene = partial(scene_from, {"camera": CAMERA})
+SCENES: dict[str, Scene] = {
+    "axial": scene(BALL, WALL, lens=AXIAL),
+    "curved": scene(BALL, WALL, lens=CURVED),
+    "sphere": scene(BALL, WALL, lens=SPHERE),
+    "all": scene(BALL, WALL, lens=ALL),
+    "natural": scene(BALL, WALL, lens={"vignetting": "natural"}),
+    "in focus": scene(WALL | {"slope_x": 0.0, "distance": 250.017}, lens=DARK),
+    "dark": scene(BALL, WALL, lens=ALL | DARK),
+    "dark, rolling": scene(BALL | MOVING, WALL, lens=DARK, sequence=EXPOSED | {"readout": 0.05}),
+    "dark, sensor": scene(BALL, WALL, lens=ALL | DARK, sensor={"mosaic": "rggb"}),
+    "one radius": scene(WALL | {"slope_x": 0.0}, lens=AXIAL),
+    "layered": scene(BALL, WALL, lens=ALL, psf={"occlusion": "layered"}),
+    "moving": scene(BALL | MOVING, WALL, lens=ALL, sequence=EXPOSED),
+    "rolling": scene(BALL | MOVING, WALL, lens=ALL, sequence=EXPOSED | {"readout": 0.05}),
+    "focus pull": scene(BALL, WALL, lens=ALL | PULL, sequence=EXPOSED),
+    "forward": scene(BALL | MOVING, WALL, lens=ALL, sequence=EXPOSED, motion={"warp": "forward"}),
+    "renormalize": scene(BALL, WALL, lens=ALL, psf={"border": "renormalize"}),
+    "gaussian": scene(BALL, WALL, lens=ALL, psf={"model": "gaussian"}),
+    "stereo": scene(BALL, WALL, lens=ALL, stereo={"baseline": 5.0}),
+    "sensor": scene(BALL, WALL, lens=ALL, sensor={"mosaic": "rggb"}),
+    "mapped": scene(BALL | {"texture": "checkerboard", "texture_mapping": "surface"}, lens=ALL),
+}
+FAST = ("dark", "in focus", "one radius", "forward", "layered")
+
+
+@pytest.mark.parametrize("name", mostly_slow(SCENES, FAST))
+def test_device_against_reference(name: str) -> None:
+    assert_agree(rendered(SCENES[name]), reference_frames(SCENES[name]))
+
+
+@pytest.mark.parametrize("moves", [False, True])
+def test_depth_maps_against_the_reference(tmp_path: Path, moves: bool) -> None:
+    np.save(tmp_path / "depth.npy", 270.0 + np.add.outer(np.arange(32), np.arange(40.0)) / 2)
+    given = {"shape": "depth_map", "depth": str(tmp_path / "depth.npy"), "texture": "bricks", "unit": "mm"}
+    found = scene(given | (MOVING if moves else {}), lens=ALL | DARK, sequence=EXPOSED)
+    assert_agree(rendered(found), reference_frames(found))
+
+
+def radii_of(frame: clsco.Frame) -> NDArray[np.float32]:
+    assert frame.blur_radius is not None
+    return frame.blur_radius
+
+
+def test_one_color_is_that_of_its_lens_alone() -> None:
+    """Red of a lens with longitudinal color is red of a thin lens with red's focal length, and the same opening."""
+    found, wanted = clsco.render_frame(SCENES["axial"]), SCENES["axial"].replace("lens", {})
+    red = wanted.model_copy(update={"camera": wanted.camera.model_copy(update={"focal_length": 20.2})})
+    alone = clsco.render_frame(red)
+    np.testing.assert_allclose(found.color[..., 0], alone.color[..., 0], atol=2e-7)
+    assert np.abs(radii_of(found)[..., 0] - radii_of(alone)).max() < 1e-5
+    green = clsco.render_frame(wanted)
+    assert (found.color[..., 1] == green.color[..., 1]).all()
+    assert (radii_of(found)[..., 1] == radii_of(green)).all()
+    assert np.array_equal(found.depth, green.depth)  # type: ignore[arg-type]
+
+
+def test_gray_textures_are_seen_in_color() -> None:
+    gray = scene(WALL, lens=AXIAL)
+    assert clsco.render_frame(gray, truth=()).color.shape == (32, 40, 3)
+    assert clsco.render_frame(gray.replace("lens", {}), truth=()).color.shape == (32, 40)
+
+
+def test_a_lens_with_nothing_in_it_is_a_thin_one() -> None:
+    """To the bit, and without a program or a pass of its own."""
+    thin, given = scene(BALL, WALL), scene(BALL, WALL, lens={"axial": [0.0, 0.0, 0.0], "focus_surface": "plane"})
+    one, other = clsco.render_frame(thin), clsco.render_frame(given)
+    assert (one.color == other.color).all()
+    assert (radii_of(one) == radii_of(other)).all()
+    plans = [prepare(each).plan for each in (thin, given)]
+    assert plans[0].features() == plans[1].features()
+    assert [step.kind for step in plans[0].passes] == [step.kind for step in plans[1].passes]
+    assert plans[0].features()["CURVED"] == 0
+
+
+def test_colors_apart_have_the_bits_of_colors_together() -> None:
+    apart = clsco.render_frame(scene(BALL, WALL, lens=CURVED | {"axial": [0.0, 0.0, 1e-12]}), truth=())
+    assert (apart.color == clsco.render_frame(SCENES["curved"], truth=()).color).all()
+
+
+@pytest.mark.parametrize("psf", [{}, {"occlusion": "layered"}], ids=["visibility", "layered"])
+def test_strips_have_the_same_bits(psf: dict[str, Any]) -> None:
+    tall = scene(BALL, WALL, lens=ALL, psf=psf, camera=CAMERA | {"resolution": [24, 200]})
+    size = device_bytes(prepare(tall).plan)
+    whole, cut = clsco.render_frame(tall), clsco.render_frame(tall, memory=int(0.9 * size))
+    assert cut.metadata["strips"] > 1
+    assert (whole.color == cut.color).all()
+    assert (radii_of(whole) == radii_of(cut)).all()
+
+
+def test_single_precision_and_other_methods() -> None:
+    wanted = next(iter(reference_frames(SCENES["all"])))
+    for options in ({"precision": "single"}, {"method": "scatter"}):
+        found = clsco.render_frame(SCENES["all"], **options)  # type: ignore[arg-type]
+        assert np.abs(found.color - wanted.color).max() < 1e-5
+
+
+def test_coverage_is_that_of_green_light() -> None:
+    found = clsco.render_frame(SCENES["all"], truth=("alpha",))
+    green = clsco.render_frame(scene(BALL, WALL, lens=CURVED | SPHERE), truth=("alpha",))
+    assert np.array_equal(found.alpha, green.alpha)  # type: ignore[arg-type]
+
+
+def test_vignetting_is_a_factor_of_light_after_the_blur() -> None:
+    truth = ("alpha", "subframes", "throughput")
+    dark, bright = (clsco.render_frame(scene(BALL, WALL, lens=lens), truth=truth) for lens in (DARK, {}))
+    share = dark.throughput
+    assert share is not None
+    assert bright.throughput is None
+    assert (dark.color == share[..., None] * bright.color).all()
+    assert (dark.subframes == share[..., None] * bright.subframes).all()  # type: ignore[operator]
+    assert np.array_equal(dark.alpha, bright.alpha)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("where", [(3, 3), (-1, 20)], ids=["inside", "outside"])
+def test_a_response_is_darkened_as_the_frame_is(where: tuple[int, int]) -> None:
+    dark, bright = scene(WALL, lens=DARK), scene(WALL)
+    share = clsco.render_frame(dark, truth="throughput", color=False).throughput
+    assert share is not None
+    found, wanted = (clsco.response(each, *where) for each in (dark, bright))
+    assert wanted.max() > 1e-3
+    assert (found == share * wanted).all()
+
+
+def test_radii_follow_the_lens_to_the_corners() -> None:
+    wall = {"shape": "plane", "distance": 250.0}
+    frame = clsco.render_frame(scene(wall, lens=CURVED | SPHERE), truth="blur_radius")
+    x, y = np.meshgrid((np.arange(40) - 19.5) * 0.1 / 20, (np.arange(32) - 15.5) * 0.1 / 20)
+    lens = Lens.of(clsco.Camera(pixel_pitch=0.1), clsco.Lens(**CURVED, **SPHERE))  # type: ignore[arg-type]
+    np.testing.assert_allclose(frame.blur_radius, lens.blur_radius(1 / 250.0, x * x + y * y), atol=1e-6)  # type: ignore[arg-type]
+
+
+def test_an_image_that_would_lie_at_the_lens_is_refused() -> None:
+    wall = {"shape": "plane", "distance": 250.0}
+    wide = scene(wall, lens={"field_curvature": 0.5}, camera=CAMERA | {"pixel_pitch": 1.0})
+    with pytest.raises(clsco.SceneError, match=r"lens.field_curvature: the image of a plane must stay behind the lens"):
+        clsco.render_frame(wide)
+
+
+def test_files_of_radii_need_a_plane(tmp_path: Path) -> None:
+    given = {"shape": "depth_map", "depth": str(tmp_path / "none.npy"), "texture": "bricks", "unit": "coc"}
+    with pytest.raises(clsco.SceneError, match=r"object\[0\].unit: coc belongs to lenses without field_curvature"):
+        scene(given, lens=CURVED)
