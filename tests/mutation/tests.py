@@ -27,7 +27,7 @@ TESTS = {
     "clsco/optics/motion.py": "optics/test_motion optics/test_shake optics/test_quadrics plan/test_plan "
     "reference/test_geometry",
     "clsco/optics/keyframes.py": "optics/test_keyframes",
-    "clsco/optics/lens_path.py": "optics/test_lens_path pipeline/test_lens_path",
+    "clsco/optics/lens_path.py": "optics/test_lens_path pipeline/test_lens_path pipeline/test_zoom",
     "clsco/plan/plan.py": "plan/test_plan plan/test_predict plan/test_structure plan/test_memory "
     "engine/test_allocation pipeline/test_strips pipeline/test_scenes",
     "clsco/plan/image_motion.py": "plan/test_image_motion",
