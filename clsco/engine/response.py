@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from clsco.engine.sequence import frame_numbers, render_frame
 from clsco.errors import SceneError
-from clsco.frame.frame import Frame
+from clsco.frame.frame import GREEN, Frame
 from clsco.inputs.files import InputFiles
 from clsco.inputs.focus import seen
 from clsco.opencl.session import DeviceLike
@@ -55,7 +55,7 @@ class Lit:
 
     def inside(self, frame: Frame) -> NDArray[np.float32]:
         """Crop the margin from the frame: (rows, columns)."""
-        image = frame.color if frame.color.ndim == 2 else frame.color[..., 0]
+        image = frame.color if frame.color.ndim == 2 else frame.color[..., GREEN]
         rows, columns = image.shape
         inside = image[self.margin : rows - self.margin, self.margin : columns - self.margin]
         return inside if self.share is None else inside * self.share
@@ -90,7 +90,8 @@ def response(
     Returns
     -------
     ndarray of float32, (rows, columns)
-        Irradiance in the frame where the source has radiance 1, and all else is black.
+        Irradiance in the frame where the source has radiance 1, and all else is black; of green light where the lens
+        tells colors apart.
 
     Raises
     ------

@@ -46,6 +46,7 @@ from clsco.scene.model import (
     Cylinder,
     DepthMap,
     Fill,
+    Lens,
     Light,
     Motion,
     Object,
@@ -385,6 +386,27 @@ def sensed(known: SensorModel, rows: int, columns: int) -> list[Array]:
     return [code, saturated]
 
 
+def lens_cases() -> Iterator[Case]:
+    """Lenses that are not thin: each bend of the focus and both, light of each color by itself, vignetting."""
+    bends: dict[str, dict[str, Any]] = {
+        "field": {"field_curvature": -0.03, "vignetting": "natural"},
+        "sphere": {"focus_surface": "sphere", "vignetting": (-0.3, 0.1, 0.0)},
+        "colors": {"field_curvature": -0.03, "focus_surface": "sphere", "axial": (0.2, 0.0, -0.1)},
+    }
+    for number, (name, keys) in enumerate(bends.items()):
+        wall = Plane(distance=270.0, slope_x=0.5)
+        scene = Scene(camera=Camera(resolution=(9, 6), pixel_pitch=0.3), objects=(wall,), lens=Lens(**keys))
+        kind = {"kind": "gpu"} if number % 2 else {}
+        yield Case(f"lens, {name}", kind, partial(through_a_lens, scene), repr(scene.lens), 3)
+
+
+def through_a_lens(scene: Scene) -> list[Array]:
+    """The image, and its radii."""
+    ((_, frame),) = render_sweep((scene,), device="oclgrind", truth="blur_radius")
+    assert frame.blur_radius is not None
+    return [frame.color, frame.blur_radius]
+
+
 def fault_cases() -> Iterator[Case]:
     """Cases that faults are planted in: few work-items, of which some have nothing to do."""
     rng = np.random.default_rng(7)
@@ -406,5 +428,6 @@ def all_cases() -> Iterator[Case]:
     yield from long_cases()
     yield from fault_cases()
     yield from sensor_cases()
+    yield from lens_cases()
     for cases in (image_cases, inpainting_cases, scene_cases):
         yield from islice(cases(), 0, None, EVERY)

@@ -27,6 +27,8 @@ EXPOSED = {"samples": 3, "shutter": 0.1, "interval": 0.1}
 AXIAL, CURVED, SPHERE = {"axial": [0.2, 0.0, -0.15]}, {"field_curvature": -1 / 30}, {"focus_surface": "sphere"}
 DARK: dict[str, Any] = {"vignetting": [-0.3, 0.1, -0.2]}
 ALL = AXIAL | CURVED | SPHERE
+BLADES = {"shape": "polygon", "blades": 5, "squeeze": 1.3, "exposure": "area"}
+RIMS = {"rim": [{"distance": 20.0, "diameter": 30.0}, {"distance": -10.0, "diameter": 30.0}]}
 PULL = {"keyframe": [{"time": 0.0, "focus_distance": 250.0}, {"time": 0.1, "focus_distance": 300.0}]}
 scene = partial(scene_from, {"camera": CAMERA})
 SCENES: dict[str, Scene] = {
@@ -49,6 +51,10 @@ SCENES: dict[str, Scene] = {
     "gaussian": scene(BALL, WALL, lens=ALL, psf={"model": "gaussian"}),
     "stereo": scene(BALL, WALL, lens=ALL, stereo={"baseline": 5.0}),
     "sensor": scene(BALL, WALL, lens=ALL, sensor={"mosaic": "rggb"}),
+    "rims": scene(BALL, WALL, lens=ALL | DARK, camera=CAMERA | {"aperture_diameter": 30.0}, aperture=RIMS),
+    "blades": scene(
+        BALL, WALL, lens=ALL, aperture={"shape": "polygon", "blades": 5, "squeeze": 1.3, "exposure": "area"}
+    ),
     "mapped": scene(BALL | {"texture": "checkerboard", "texture_mapping": "surface"}, lens=ALL),
 }
 FAST = ("dark", "in focus", "one radius", "forward", "layered")
@@ -150,6 +156,11 @@ def test_a_response_is_darkened_as_the_frame_is(where: tuple[int, int]) -> None:
     found, wanted = (clsco.response(each, *where) for each in (dark, bright))
     assert wanted.max() > 1e-3
     assert (found == share * wanted).all()
+
+
+def test_a_response_is_that_of_green_light() -> None:
+    found, wanted = clsco.response(scene(WALL, lens=AXIAL), 20, 16), clsco.response(scene(WALL), 20, 16)
+    assert (found == wanted).all()
 
 
 def test_radii_follow_the_lens_to_the_corners() -> None:
