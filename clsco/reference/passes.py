@@ -252,7 +252,7 @@ def filled(
     status = np.where(new.entered & ~new.known, np.where(valid, FILLED, UNFILLED), status)
     if mapped:
         values, valid = extend_border(values, valid, guard)
-    rays = pixel_ray(scene.camera, *padded_grid(scene.camera, guard))
+    rays = pixel_ray(camera_at(scene, time), *padded_grid(scene.camera, guard))
     radius = np.where(valid, blur_radius(lens_at(scene, time, color), rays, values[..., -1]), 0.0)
     flat = np.zeros((*radius.shape, 2))  # until its differences are taken
     sources = Sources(values[..., :-1], values[..., -1], valid.astype(np.uint8), radius, flat, valid)

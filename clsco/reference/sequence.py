@@ -140,8 +140,9 @@ def _map_truth(plan: Plan, textures: tuple[Texture, ...], maps: Maps, middle: Wa
     scene, guard = plan.scene, plan.guard_px
     valid = crop(middle.sources.lit, guard)
     w = crop(middle.sources.inverse_depth, guard)
-    rays, time = pixel_ray(scene.camera, *padded_grid(scene.camera, 0)), middle_time(scene.sequence, index)
-    lenses = lenses_at(scene, time if plan.moves else 0.0)
+    middle_of_exposure = middle_time(scene.sequence, index) if plan.moves else 0.0
+    rays = pixel_ray(camera_at(scene, middle_of_exposure), *padded_grid(scene.camera, 0))
+    lenses = lenses_at(scene, middle_of_exposure)
     radii = [np.where(valid, blur_radius(lens, rays, w), 0.0) for lens in lenses]
     seen = crop(middle.objects, guard).astype(np.int32) if len(scene.objects) > 1 else 0
     known = [k for k, item in enumerate(scene.objects) if item.is_background]

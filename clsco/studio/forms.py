@@ -184,7 +184,8 @@ def panels(session: Session, index: int = 0) -> tuple[Panel, ...]:
     rest = (
         ("PSF and method", ("psf.", "aperture.")),
         ("Sequence and motion in detail", ("sequence.", "motion.", "camera.")),
-        ("Lens over time", ("lens.",)),
+        ("Lens over time", ("lens.keyframe", "lens.interpolation", "lens.outside")),
+        ("Lens that is not thin", ("lens.",)),
         ("Fill", ("fill.",)),
         ("Light", ("light.",)),
         ("Sensor", ("sensor.",)),

@@ -30,6 +30,7 @@ ALL = AXIAL | CURVED | SPHERE
 BLADES = {"shape": "polygon", "blades": 5, "squeeze": 1.3, "exposure": "area"}
 RIMS = {"rim": [{"distance": 20.0, "diameter": 30.0}, {"distance": -10.0, "diameter": 30.0}]}
 PULL = {"keyframe": [{"time": 0.0, "focus_distance": 250.0}, {"time": 0.1, "focus_distance": 300.0}]}
+ZOOM = {"keyframe": [{"time": 0.0, "focal_length": 20.0}, {"time": 0.1, "focal_length": 24.0}]}
 scene = partial(scene_from, {"camera": CAMERA})
 SCENES: dict[str, Scene] = {
     "axial": scene(BALL, WALL, lens=AXIAL),
@@ -46,6 +47,8 @@ SCENES: dict[str, Scene] = {
     "moving": scene(BALL | MOVING, WALL, lens=ALL, sequence=EXPOSED),
     "rolling": scene(BALL | MOVING, WALL, lens=ALL, sequence=EXPOSED | {"readout": 0.05}),
     "focus pull": scene(BALL, WALL, lens=ALL | PULL, sequence=EXPOSED),
+    "zoom": scene(BALL, WALL, lens=ALL | DARK | ZOOM, sequence=EXPOSED),
+    "zoom, forward": scene(BALL, WALL, lens=ALL | DARK | ZOOM, sequence=EXPOSED, motion={"warp": "forward"}),
     "forward": scene(BALL | MOVING, WALL, lens=ALL, sequence=EXPOSED, motion={"warp": "forward"}),
     "renormalize": scene(BALL, WALL, lens=ALL, psf={"border": "renormalize"}),
     "gaussian": scene(BALL, WALL, lens=ALL, psf={"model": "gaussian"}),
@@ -65,11 +68,12 @@ def test_device_against_reference(name: str) -> None:
     assert_agree(rendered(SCENES[name]), reference_frames(SCENES[name]))
 
 
-@pytest.mark.parametrize("moves", [False, True])
-def test_depth_maps_against_the_reference(tmp_path: Path, moves: bool) -> None:
+@pytest.mark.parametrize("how", ["static", "moving", "zoom"])
+def test_depth_maps_against_the_reference(tmp_path: Path, how: str) -> None:
     np.save(tmp_path / "depth.npy", 270.0 + np.add.outer(np.arange(32), np.arange(40.0)) / 2)
     given = {"shape": "depth_map", "depth": str(tmp_path / "depth.npy"), "texture": "bricks", "unit": "mm"}
-    found = scene(given | (MOVING if moves else {}), lens=ALL | DARK, sequence=EXPOSED)
+    lens = ALL | DARK | (ZOOM if how == "zoom" else {})
+    found = scene(given | (MOVING if how == "moving" else {}), lens=lens, sequence=EXPOSED)
     assert_agree(rendered(found), reference_frames(found))
 
 
