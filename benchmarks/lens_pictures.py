@@ -4,7 +4,7 @@ benchmarks.lens_pictures [NAME ...] [-o FOLDER]"""
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,21 +25,19 @@ CAMERA = {
     "pixel_pitch": 0.12,
 }
 CAT_EYE = [{"distance": 16.0, "diameter": 17.0}, {"distance": -6.0, "diameter": 13.0}]  # mm
-FAR, NEAR = 1000.0, 53.0  # mm
+FAR, FOCUS, NEAR = 1000.0, 100.0, 53.0  # mm
 
 
 @dataclass(frozen=True)
 class Effect:
     """An effect of a lens in a picture.
 
-    name: of the file; sections: of the scene file, beside a camera; depths: of the points, mm, from above to below;
-    color: of the points, linear.
+    name: of the file; sections: of the scene file, beside a camera; depths: of the points, mm, from above to below.
     """
 
     name: str
     sections: dict[str, Any]
     depths: tuple[float, ...] = (FAR, NEAR)
-    color: tuple[float, ...] = field(default=(1.0,))
 
 
 EFFECTS = (
@@ -50,33 +48,37 @@ EFFECTS = (
     Effect("ring", {"aperture": {"shape": "ring", "obstruction": 0.5}}),
     Effect("image", {"aperture": {"shape": "image", "image": heart()}}),
     Effect("gaussian", {"psf": {"model": "gaussian"}}),
+    Effect("field_curvature", {"lens": {"field_curvature": -0.02}}, (FAR, FOCUS)),
+    Effect("axial", {"lens": {"axial": [1.2, 0.0, -1.2]}}),
+    Effect("vignetting", {"lens": {"vignetting": "natural"}}),
 )
 
 
-def points(color: tuple[float, ...]) -> NDArray[np.float32]:
-    """Texture (ROWS, COLUMNS[, 3]) with points APART px from each other, one of them on the axis."""
-    found = np.full((ROWS, COLUMNS, len(color)), DARKNESS, np.float32)
+def points() -> NDArray[np.float32]:
+    """Texture (ROWS, COLUMNS) with points APART px from each other, one of them on the axis."""
+    found = np.full((ROWS, COLUMNS), DARKNESS, np.float32)
     found[ROWS // 2 % APART :: APART, COLUMNS // 2 % APART :: APART] = BRIGHTNESS
-    colored = found * np.asarray(color, np.float32)
-    return colored if len(color) == 3 else colored[..., 0]
+    return found
 
 
 def picture(effect: Effect) -> NDArray[np.uint8]:
     """The plain disc on the left, the effect on the right; the farthest points above."""
     shown = []
     for depth in effect.depths:
-        plane = {"shape": "plane", "distance": depth, "texture": points(effect.color)}
+        plane = {"shape": "plane", "distance": depth, "texture": points()}
         plain = {"camera": CAMERA, "object": [plane]}
         sections = {name: CAMERA | keys if name == "camera" else keys for name, keys in effect.sections.items()}
         pair = [clsco.render_frame(clsco.parse_scene(scene), truth=()).color for scene in (plain, plain | sections)]
         shown.append(np.concatenate([_framed(each) for each in pair], axis=1))
     codes = np.clip(np.concatenate(shown)[GAP:, GAP:], 0.0, 1.0) ** (1 / 2.2)
-    return np.rint(255 * codes).astype(np.uint8)
+    shades = np.rint(255 * codes).astype(np.uint8)
+    return shades if (shades != shades[..., :1]).any() else shades[..., 0]
 
 
 def _framed(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """An image with a white border above and on the left."""
-    return np.pad(image, [(GAP, 0), (GAP, 0)] + [(0, 0)] * (image.ndim - 2), constant_values=1.0)
+    """An image (rows, columns, 3) with a white border above and on the left."""
+    colored = image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
+    return np.pad(colored, [(GAP, 0), (GAP, 0), (0, 0)], constant_values=1.0)
 
 
 def main() -> None:

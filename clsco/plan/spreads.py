@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import SceneError
-from clsco.inputs.pupils import scene_point_spread
 from clsco.optics.exposure import middle_time
-from clsco.optics.lens import LARGEST_BLUR, Lens, blur_radius
-from clsco.optics.lens_path import camera_at
+from clsco.optics.lens import LARGEST_BLUR, Lens, ray_step
+from clsco.optics.lens_path import camera_at, lens_at, lenses_at
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_blocks import WeightBlock, weight_block
 from clsco.optics.psf_tables import psf_table, table_weights
@@ -24,6 +23,7 @@ from clsco.scene.text import shown
 
 Array = NDArray[np.float64]
 HALF = 4  # depths on each side of the focal surface by default
+FIELD = 4  # places from the middle to the corner by default, where they differ
 LARGEST_STACK = 2**30  # bytes
 
 
@@ -42,7 +42,7 @@ class PsfStack:
     at : ndarray of float64, (places, 2)
         Column and row of the source in the frame, px.
     channels : tuple of str
-        "all", where all colors are blurred alike.
+        "red", "green" and "blue"; "all", where all colors are blurred alike.
     name : str
         Name of the pupil, and how it is evaluated on pixels.
     """
@@ -79,10 +79,11 @@ def psf(
     scene : Scene, mapping or path
         As for `clsco.render_frame`.
     at : sequence of (column, row), optional
-        Places of sources in the frame, px. By default the middle.
+        Places of sources in the frame, px. By default the middle, and where the blur depends on the place four from
+        there to the corner.
     depths : sequence of float, optional
         Depths Z of sources, mm; infinity is one. By default nine from near to far at equal steps of 1/Z on each side of
-        the focal surface, as far as the blur radii go that are expected in the scene.
+        the focal surface on the axis, as far as the blur radii go that are expected in the scene.
     index : int
         Number of the frame, whose lens is that of its middle time.
 
@@ -117,25 +118,40 @@ def psf_of(
     index: int = 0,
 ) -> PsfStack:  # fmt: skip
     """`psf` of a scene that is prepared."""
-    scene = prepared.scene
+    scene, plan = prepared.scene, prepared.plan
     if not 0 <= index < scene.sequence.frames:
         raise SceneError(f"psf: frame must be between 0 and {scene.sequence.frames - 1}; got {index}")
-    camera = camera_at(scene, middle_time(scene.sequence, index))
-    places = _places(camera, at)
-    inverse = _inverse_depths(camera, prepared.plan.largest_blur) if depths is None else _given(depths)
-    spread = scene_point_spread(scene)
-    radius = np.broadcast_to(blur_radius(camera, inverse), (1, len(places), len(inverse)))
+    time = middle_time(scene.sequence, index)
+    camera, lenses, spreads = camera_at(scene, time), lenses_at(scene, time), plan.spreads or (plan.psf,)
+    count = max(len(lenses), len(spreads))  # of colors that are blurred apart, or 1
+    inverse = _inverse_depths(lens_at(scene, time), plan.largest_blur) if depths is None else _given(depths)
+    places = _field(camera) if at is None else _places(camera, at)
+    slopes = ((places - _middle(camera)) ** 2).sum(axis=1, keepdims=True) * ray_step(camera) ** 2
+    radius = np.empty((count, len(places), len(inverse)))
+    for channel, lens in zip(radius, lenses * (count // len(lenses)), strict=True):
+        channel[:] = lens.blur_radius(inverse, slopes)
+    if at is None and (radius == radius[:, :1]).all():
+        places, radius = places[:1], radius[:, :1]
     if (most := float(np.abs(radius).max())) > LARGEST_BLUR:
         raise SceneError(f"psf: |R| must be at most {LARGEST_BLUR:g} px; got {most:.4g} px")
     with np.errstate(divide="ignore"):
         depth = 1.0 / inverse
-    return PsfStack(_stacked(spread, radius), depth, radius.copy(), places, ("all",), spread.name)
+    names = ("red", "green", "blue") if count > 1 else ("all",)
+    return PsfStack(_stacked(spreads * (count // len(spreads)), radius), depth, radius, places, names, plan.psf.name)
 
 
-def _places(camera: Camera, at: Sequence[tuple[float, float]] | None) -> Array:
+def _middle(camera: Camera) -> Array:
     columns, rows = camera.frame_size
-    if at is None:
-        return np.array([[(columns - 1) / 2, (rows - 1) / 2]])
+    return np.array([(columns - 1) / 2, (rows - 1) / 2])
+
+
+def _field(camera: Camera) -> Array:
+    """Places (FIELD, 2) from the middle of the frame to its corner below on the right."""
+    return np.linspace(1.0, 2.0, FIELD)[:, None] * _middle(camera)
+
+
+def _places(camera: Camera, at: Sequence[tuple[float, float]]) -> Array:
+    columns, rows = camera.frame_size
     found = np.array(at, dtype=np.float64).reshape(-1, 2)
     for x, y in found.tolist():
         if not (0.0 <= x <= columns - 1 and 0.0 <= y <= rows - 1):
@@ -151,9 +167,8 @@ def _given(depths: Sequence[float]) -> Array:
     return 1.0 / found
 
 
-def _inverse_depths(camera: Camera, largest: float) -> Array:
+def _inverse_depths(lens: Lens, largest: float) -> Array:
     """Inverse depths, 1/mm, from near to far."""
-    lens = Lens.of(camera)
     power, margin = lens.focus_power, largest / lens.blur_scale
     near, far = power + margin, max(power - margin, 0.0)
     if not far < power < near:
@@ -161,9 +176,10 @@ def _inverse_depths(camera: Camera, largest: float) -> Array:
     return np.concatenate([np.linspace(near, power, HALF + 1), np.linspace(power, far, HALF + 1)[1:]])
 
 
-def _stacked(spread: PointSpread, radius: Array) -> NDArray[np.float32]:
-    """Weights (..., n, n) at blur radii (...)."""
-    known = {r: spread_weights(spread, r) for r in dict.fromkeys(radius.ravel().tolist())}
+def _stacked(spreads: Sequence[PointSpread], radius: Array) -> NDArray[np.float32]:
+    """Weights (channels, ..., n, n) at blur radii (channels, ...), by the point spread of each channel."""
+    wanted = [(spread, r) for spread, radii in zip(spreads, radius, strict=True) for r in radii.ravel().tolist()]
+    known = {each: spread_weights(*each) for each in dict.fromkeys(wanted)}
     reach = max(each.shape[0] // 2 for each in known.values())
     size = 4 * radius.size * (2 * reach + 1) ** 2
     if size > LARGEST_STACK:
@@ -171,9 +187,9 @@ def _stacked(spread: PointSpread, radius: Array) -> NDArray[np.float32]:
             f"psf: must take at most {LARGEST_STACK >> 20} MiB; got {size >> 20} MiB: ask for fewer depths"
         )
     found = np.zeros((radius.size, 2 * reach + 1, 2 * reach + 1), np.float32)
-    for square, r in zip(found, radius.ravel().tolist(), strict=True):
-        far = known[r].shape[0] // 2
-        square[reach - far : reach + far + 1, reach - far : reach + far + 1] = known[r]
+    for square, each in zip(found, wanted, strict=True):
+        far = known[each].shape[0] // 2
+        square[reach - far : reach + far + 1, reach - far : reach + far + 1] = known[each]
     return found.reshape(*radius.shape, *found.shape[1:])
 
 

@@ -101,6 +101,38 @@ def test_the_lens_is_that_of_the_frame() -> None:
     assert narrow / wide == pytest.approx(0.3125 / 0.4375)  # 1 / f-number at 1.5 s and at 0.5 s
 
 
+RULER = {"axial": [0.05, 0.0, -0.05]}
+BENT = {"field_curvature": -0.05}
+
+
+def test_each_color_has_its_own_lens() -> None:
+    scene = scene_of(300.0, lens=RULER)
+    stack = clsco.psf(scene, at=[(19, 15)], depths=[300.0])
+    assert stack.channels == ("red", "green", "blue")
+    red, green, blue = stack.radius[:, 0, 0]
+    assert red < green - 0.3
+    assert blue > green + 0.3
+    frame = clsco.render_frame(scene, truth=("blur_radius",))
+    assert frame.blur_radius is not None
+    np.testing.assert_allclose(frame.blur_radius[15, 19], stack.radius[:, 0, 0], rtol=1e-5)
+    far, spread = stack.reach, clsco.response(scene, 19, 15)
+    shown = spread[15 - far : 16 + far, 19 - far : 20 + far]  # of red light, the first channel
+    np.testing.assert_allclose(shown, stack.weights[0, 0, 0], atol=1e-6 * spread.max())
+
+
+@pytest.mark.parametrize("lens", [BENT, {"focus_surface": "sphere"}, BENT | RULER])
+def test_the_field_is_an_axis_where_the_blur_depends_on_it(lens: dict[str, Any]) -> None:
+    scene = scene_of(300.0, lens=lens)
+    stack = clsco.psf(scene, depths=[300.0])
+    assert stack.weights.shape[:3] == (3 if "axial" in lens else 1, 4, 1)
+    np.testing.assert_allclose(stack.at, [[19.5, 15.5], [26.0, 62.0 / 3], [32.5, 77.5 / 3], [39.0, 31.0]])
+    assert np.all(np.diff(np.abs(stack.radius[0, :, 0] - stack.radius[0, 0, 0])) > 0.0)
+    frame = clsco.render_frame(scene, truth=("blur_radius",))
+    assert frame.blur_radius is not None
+    np.testing.assert_allclose(np.atleast_1d(frame.blur_radius[31, 39]), stack.radius[:, 3, 0], rtol=1e-5)
+    assert clsco.psf(scene_of(300.0, lens={"vignetting": "natural"})).weights.shape[:2] == (1, 1)
+
+
 def test_arrays_of_a_file_have_their_units_in_their_names() -> None:
     arrays = clsco.psf(scene_of(), at=[(0, 0), (39, 31)], depths=[300.0, np.inf]).arrays()
     assert {name: array.shape for name, array in arrays.items()} == {
