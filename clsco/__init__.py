@@ -91,8 +91,8 @@ if TYPE_CHECKING:
     from clsco.inpainting.rules import MeanMedian as MeanMedian
     from clsco.inputs.dump import dump_scene as dump_scene
     from clsco.opencl.device import list_devices as list_devices
-    from clsco.plan.spreads import PsfStack as PsfStack
-    from clsco.plan.spreads import psf as psf
+    from clsco.reference.spreads import PsfStack as PsfStack
+    from clsco.reference.spreads import psf as psf
     from clsco.scene.file import load_scene as load_scene
     from clsco.scene.file import parse_scene as parse_scene
     from clsco.scene.model import Aperture as Aperture
@@ -143,7 +143,7 @@ _NAMES = {
     "clsco.scene.sweep": ("load_sweep", "parse_sweep"),
     "clsco.inputs.dump": ("dump_scene",),
     "clsco.opencl.device": ("list_devices",),
-    "clsco.plan.spreads": ("psf", "PsfStack"),
+    "clsco.reference.spreads": ("psf", "PsfStack"),
     "clsco.scene.model": (
         *(
             "Scene",

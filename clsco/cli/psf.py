@@ -13,7 +13,7 @@ from clsco.cli.output import echo
 from clsco.errors import ClscoError
 
 if TYPE_CHECKING:
-    from clsco.plan.spreads import PsfStack
+    from clsco.reference.spreads import PsfStack
 
 SUFFIXES = (".npz", ".png")
 
@@ -56,7 +56,7 @@ def psf(
     if out.suffix.lower() not in SUFFIXES:
         raise ClscoError(f"{click.format_filename(out)}: must end in {' or '.join(SUFFIXES)}")
     from clsco.plan.request import Request
-    from clsco.plan.spreads import psf_of
+    from clsco.reference.spreads import psf_of
 
     stack = psf_of(first_scene(scene, overrides, Request()), at or None, depths, index)
     if out.suffix.lower() == ".npz":

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from clsco.files.images import write_png
-from clsco.plan.spreads import PsfStack
+from clsco.reference.spreads import PsfStack
 
 CELL, GAP, LINE, LEFT, MOST_ACROSS = 120, 10, 17, 110, 16
 GROUND, TEXT, QUIET, EMPTY = (250, 250, 248), (20, 20, 20), (110, 110, 110), (12, 12, 16)

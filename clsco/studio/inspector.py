@@ -16,9 +16,9 @@ from clsco.optics.exposure import middle_time, pixel_time
 from clsco.optics.lens import SHARP, Lens, ray_step
 from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import poses_at, rest_center
-from clsco.plan.spreads import spread_weights
 from clsco.reference.blur.blur import tilt_factor
 from clsco.reference.common.geometry import blur_gradient, pixel_tilt
+from clsco.reference.spreads import rim_factors, spread_weights
 from clsco.scene.model import Scene
 from clsco.studio.moments import eye_of
 
@@ -72,7 +72,7 @@ def inspected(frame: Frame, scene: Scene, x: int, y: int, is_tilted: bool = Fals
     found["lens"] = lens_figures(scene, depth, float(across * across + up * up))
     if radius is not None and values["mask"]:
         gradient = radius_gradient(frame, scene, x, y) if is_tilted else np.zeros(2)
-        found["psf"] = point_spread(scene, radius, gradient)
+        found["psf"] = point_spread(scene, radius, gradient, (across, up), 1.0 / depth if depth else 0.0)
         source = source_of(frame, whole, x, y)
         if isinstance(source, str):
             found["unmeasured"] = source
@@ -135,7 +135,9 @@ def radius_gradient(frame: Frame, scene: Scene, x: int, y: int) -> NDArray[np.fl
     return blur_gradient(scene.camera, lens, slope, ray, np.array(1.0 / depth))
 
 
-def point_spread(scene: Scene, radius: float, gradient: NDArray[np.float64]) -> dict[str, Any]:
+def point_spread(
+    scene: Scene, radius: float, gradient: NDArray[np.float64], slopes: tuple[float, float], inverse: float
+) -> dict[str, Any]:  # fmt: skip
     """The point spread function of the scene's lens at a signed blur radius, by the weights of `clsco.psf`.
 
     Parameters
@@ -145,6 +147,10 @@ def point_spread(scene: Scene, radius: float, gradient: NDArray[np.float64]) -> 
         px.
     gradient : ndarray of float64, (2,)
         Gradient of R, px per px, right and down, by which weights are tilted.
+    slopes : tuple of float
+        X / Z and Y / Z of the source, which rims of the lens cut light by.
+    inverse : float
+        Its 1 / Z, 1/mm.
 
     Returns
     -------
@@ -152,8 +158,12 @@ def point_spread(scene: Scene, radius: float, gradient: NDArray[np.float64]) -> 
         As `figures_of`, and `radius`.
     """
     slope, spread = pixel_tilt(gradient, radius)
-    weights = spread_weights(scene_point_spread(scene), float(spread))
+    psf = scene_point_spread(scene)
+    weights = spread_weights(psf, float(spread))
     far = weights.shape[0] // 2
+    if psf.rims:
+        lens, place = Lens.of(scene.camera, scene.lens), np.array([slopes])
+        weights = weights * rim_factors(lens, psf, place, np.array([inverse]), np.array([[radius]]), far)[0, 0]
     offset = np.arange(-far, far + 1, dtype=np.float64)
     return figures_of(weights * tilt_factor(offset, offset[:, None], slope), far, far) | {"radius": radius}
 

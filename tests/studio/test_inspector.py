@@ -26,7 +26,17 @@ def test_the_model_is_what_is_measured_where_nothing_is_in_the_way() -> None:
         assert found["psf"][name] == pytest.approx(measured[name], abs=2e-5), name
     assert found["psf"]["plot"] == measured["plot"]
     assert abs(found["psf"]["centroid"][0]) > 0.02  # tilted
-    assert np.allclose(point_spread(scene, found["psf"]["radius"], np.zeros(2))["centroid"], 0.0)
+    assert np.allclose(point_spread(scene, found["psf"]["radius"], np.zeros(2), (0.0, 0.0), 0.0)["centroid"], 0.0)
+
+
+def test_rims_cut_off_what_is_measured_as_cut_off() -> None:
+    rim = {"distance": 12.0, "diameter": 41.0}
+    scene = scene_from(TABLES, WALL, aperture={"rim": [rim]})
+    found = inspected(clsco.render_frame(scene), scene, 40, 10, is_tilted=True)
+    measured = figures_of(clsco.response(scene, 40, 10), 40, 10)
+    assert measured["sum"] < 0.99
+    for name in ("sum", "largest", "centroid", "rms"):
+        assert found["psf"][name] == pytest.approx(measured[name], abs=2e-4), name
 
 
 @pytest.mark.parametrize("psf", [{}, {"model": "gaussian"}, {"edge": "sampled"}])

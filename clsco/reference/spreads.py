@@ -16,7 +16,10 @@ from clsco.optics.lens_path import camera_at, lens_at, lenses_at
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_blocks import WeightBlock, weight_block
 from clsco.optics.psf_tables import psf_table, table_weights
+from clsco.optics.visibility import NO_GROUP
 from clsco.plan.prepare import Prepared, prepare
+from clsco.reference.common.visibility import HIDDEN, PARTLY, Points, check_visibility
+from clsco.reference.common.visibility_test import cell_visibility, tap_share
 from clsco.scene.file import SceneLike, scene_of
 from clsco.scene.model import Camera
 from clsco.scene.text import shown
@@ -130,14 +133,44 @@ def psf_of(
     radius = np.empty((count, len(places), len(inverse)))
     for channel, lens in zip(radius, lenses * (count // len(lenses)), strict=True):
         channel[:] = lens.blur_radius(inverse, slopes)
-    if at is None and (radius == radius[:, :1]).all():
+    cuts = any(spread.rims for spread in spreads)
+    if at is None and not cuts and (radius == radius[:, :1]).all():
         places, radius = places[:1], radius[:, :1]
     if (most := float(np.abs(radius).max())) > LARGEST_BLUR:
         raise SceneError(f"psf: |R| must be at most {LARGEST_BLUR:g} px; got {most:.4g} px")
     with np.errstate(divide="ignore"):
         depth = 1.0 / inverse
     names = ("red", "green", "blue") if count > 1 else ("all",)
-    return PsfStack(_stacked(spreads * (count // len(spreads)), radius), depth, radius, places, names, plan.psf.name)
+    spreads *= count // len(spreads)
+    weights = _stacked(spreads, radius)
+    if cuts:
+        rays = (places - _middle(camera)) * ray_step(camera) * (1.0, -1.0)
+        for channel, spread, lens, radii in zip(weights, spreads, lenses * (count // len(lenses)), radius, strict=True):
+            channel *= rim_factors(lens, spread, rays, inverse, radii, weights.shape[-1] // 2)
+    return PsfStack(weights, depth, radius, places, names, plan.psf.name)
+
+
+def rim_factors(
+    lens: Lens, spread: PointSpread, slopes: Array, inverse: Array, radius: Array, reach: int
+) -> NDArray[np.float32]:  # fmt: skip
+    """Share (places, depths, n, n) of the light of each tap that the rims let through, n = 2 reach + 1.
+
+    slopes: (places, 2), X / Z and Y / Z; inverse: (depths,), 1 / Z; radius: (places, depths), px.
+    """
+    count, size = radius.size, 2 * reach + 1
+    rays = np.concatenate([slopes, np.ones((len(slopes), 1))], axis=1)
+    zero = np.zeros(count)
+    points = Points(
+        np.repeat(rays, len(inverse), axis=0), np.tile(inverse, len(slopes)), radius.ravel(), zero, zero, 1.0,
+        np.zeros((count, 2)),
+    )  # fmt: skip
+    state, _, visibility = check_visibility(lens, (), (), NO_GROUP, spread, points)
+    found = np.repeat(np.where(state == HIDDEN, 0.0, 1.0), size * size).reshape(count, size, size)
+    if (partly := state == PARTLY).any():
+        cells = cell_visibility(visibility)
+        for row, column in np.ndindex(size, size):
+            found[partly, row, column] = tap_share(visibility, cells, column - reach, row - reach)
+    return found.reshape(*radius.shape, size, size).astype(np.float32)
 
 
 def _middle(camera: Camera) -> Array:

@@ -13,8 +13,8 @@ from clsco.inputs.pupils import scene_point_spread
 from clsco.optics.lens import Lens, blur_radius
 from clsco.optics.psf_tables import table_weights
 from clsco.passes.tables import shared_tables
-from clsco.plan import spreads
 from clsco.plan.prepare import prepare
+from clsco.reference import spreads
 
 PENTAGON: dict[str, Any] = {"aperture": {"shape": "polygon", "blades": 5, "rotation": 20.0}}
 RING: dict[str, Any] = {"aperture": {"shape": "ring", "obstruction": 0.5}}
@@ -131,6 +131,24 @@ def test_the_field_is_an_axis_where_the_blur_depends_on_it(lens: dict[str, Any])
     assert frame.blur_radius is not None
     np.testing.assert_allclose(np.atleast_1d(frame.blur_radius[31, 39]), stack.radius[:, 3, 0], rtol=1e-5)
     assert clsco.psf(scene_of(300.0, lens={"vignetting": "natural"})).weights.shape[:2] == (1, 1)
+
+
+RIMS = [{"distance": 12.0, "diameter": 12.0}, {"distance": -6.0, "diameter": 9.0}]
+
+
+@pytest.mark.parametrize("distance", [180.0, 258.0, 420.0])
+@pytest.mark.parametrize("shape", [{}, {"shape": "polygon", "blades": 5}])
+def test_rims_cut_light_off(distance: float, shape: dict[str, Any]) -> None:
+    camera = {"resolution": [48, 40], "pixel_pitch": 0.1, "aperture_diameter": 12.0}
+    scene = scene_of(distance, camera=camera, aperture=shape | {"rim": RIMS})
+    stack = clsco.psf(scene, at=[(24, 20), (40, 8)], depths=[distance])
+    far = stack.reach
+    for place, (x, y) in enumerate([(24, 20), (40, 8)]):
+        spread = clsco.response(scene, x, y)[y - far : y + far + 1, x - far : x + far + 1]
+        np.testing.assert_allclose(spread, stack.weights[0, place, 0], atol=1e-5 * float(spread.max()))
+    inside, outside = stack.weights.sum(axis=(-2, -1)).ravel()
+    assert outside < 0.98 * inside < 1.0
+    assert clsco.psf(scene, depths=[distance]).weights.shape[:3] == (1, 4, 1)
 
 
 def test_arrays_of_a_file_have_their_units_in_their_names() -> None:
