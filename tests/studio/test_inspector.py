@@ -34,7 +34,7 @@ def test_rims_cut_off_what_is_measured_as_cut_off() -> None:
     scene = scene_from(TABLES, WALL, aperture={"rim": [rim]})
     found = inspected(clsco.render_frame(scene), scene, 40, 10, is_tilted=True)
     measured = figures_of(clsco.response(scene, 40, 10), 40, 10)
-    assert measured["sum"] < 0.99
+    assert measured["sum"] < 0.995
     for name in ("sum", "largest", "centroid", "rms"):
         assert found["psf"][name] == pytest.approx(measured[name], abs=2e-4), name
 
