@@ -20,7 +20,7 @@ from clsco.errors import DeviceError
 from clsco.frame.development import check_development, developed, sensor_truth
 from clsco.frame.frame import Frame
 from clsco.frame.strips import Strip
-from clsco.inputs.textures import of_channels
+from clsco.inputs.channels import of_channels
 from clsco.opencl.buffers import download
 from clsco.opencl.session import Progress, Session
 from clsco.optics.exposure import line_times, middle_time

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from clsco.errors import ImageError, SceneError
 from clsco.files.color import SRGB, Color
 from clsco.frame.provenance import views
+from clsco.inputs.channels import in_color
 from clsco.inputs.files import InputFiles, Maps, shared_files
-from clsco.inputs.textures import Texture, image_files, in_color, is_gray, mapped_size, texture_size, with_coverage
+from clsco.inputs.textures import Texture, image_files, is_gray, mapped_size, texture_size, with_coverage
 from clsco.plan.approximation import ApproximationReport, Samples, fewer_samples
 from clsco.plan.buffers import DeviceFacts
 from clsco.plan.memory import fitted, limit_of
