@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, TypedDict, Unpack, get_args, overload
 
@@ -22,7 +22,7 @@ from clsco.inputs.soft_edges import assign_soft_edges
 from clsco.opencl.arrays import check_image, on_host, without_mask
 from clsco.opencl.session import DeviceLike, Session
 from clsco.optics.lens import LARGEST_BLUR
-from clsco.optics.point_spread import PointSpread, exposure_factor
+from clsco.optics.point_spread import GREEN, PointSpread, exposure_factor, spreads_of_colors
 from clsco.passes.blur import Area, Image, Maps, Sources
 from clsco.passes.pack import grid_struct
 from clsco.passes.static_image import GivenImage
@@ -31,8 +31,9 @@ from clsco.plan.image import ImagePlan
 from clsco.plan.memory import Limit, device_bytes, fitted, limit_of
 from clsco.plan.methods import BlurSpec, can_convolve, check_shape, choose_blur
 from clsco.plan.predict import guard_band
+from clsco.plan.waves import check_waves
 from clsco.records import REAL, Real
-from clsco.scene.file import ApertureLike, PsfLike, aperture_of, psf_of
+from clsco.scene.file import ApertureLike, CameraLike, PsfLike, aperture_of, camera_of, psf_of
 from clsco.scene.model import Psf
 
 Outside = Literal["mirror", "black"]
@@ -43,6 +44,7 @@ class Options(TypedDict, total=False):
     """Options of `defocus`."""
 
     aperture: ApertureLike
+    camera: CameraLike
     device: DeviceLike
     method: str
     memory: str | int | None
@@ -55,6 +57,7 @@ class _Asked:
     """`Options`, checked, with their defaults. Raises SceneError."""
 
     aperture: ApertureLike = None
+    camera: CameraLike = None
     device: DeviceLike = None
     method: str = "auto"
     memory: str | int | None = None
@@ -106,10 +109,13 @@ def defocus(
     blur_radius : array (rows, columns), px
         Signed R, at most 512 px, positive behind the focal surface.
     psf : Psf, mapping or str, optional
-        Keys of the scene file's [psf] with their values, or its `model` alone: "pillbox" or "gaussian". Occlusion is
-        "layered" or "none"; by default layered.
+        Keys of the scene file's [psf] with their values, or its `model` alone: "pillbox", "gaussian" or "wave".
+        Occlusion is "layered" or "none"; by default layered.
     aperture : Aperture, mapping or str, optional
         Keys of the scene file's [aperture] with their values, or its `shape` alone; by default a circle.
+    camera : Camera or mapping, optional
+        Keys of the scene file's [camera] with their values: diffraction, of psf.model = "wave", depends on the f-number
+        and the pixels.
     device : str, pyopencl.Device, Context or CommandQueue, optional
         Part of a device's name, "cpu" or "gpu", or where to work. The queue of pyopencl arrays is worked in.
     method : str
@@ -160,8 +166,9 @@ def defocus(
     (True, 1.0)
     """
     asked, how = psf_of(psf).of_images(), _Asked(**options)
-    aperture = aperture_of(how.aperture, asked)
-    spread = load_point_spread(asked, aperture)
+    aperture, camera = aperture_of(how.aperture, asked), camera_of(how.camera)
+    spread = load_point_spread(asked, aperture, camera=camera)
+    spreads = spreads_of_colors(spread, asked, camera)
     session, (picture, radii), as_given = on_host(how.device, image=image, blur_radius=blur_radius)
     picture, radii = without_mask("image", picture), without_mask("blur_radius", radii)
     codes = picture.dtype in (np.uint8, np.uint16)
@@ -174,7 +181,10 @@ def defocus(
         limit = limit_of(how.memory, session.device)
         if limit.given:
             forget_others(session)
-        result = _blurred(session, given, _spec(given, spread, asked, how.method, session.device.kind == "gpu"), limit)
+        gpu = session.device.kind == "gpu"
+        result = _in_colors(
+            given, spreads, lambda part, psf: _blurred(session, part, _spec(part, psf, asked, how.method, gpu), limit)
+        )
         blurred = as_given(encode(result, 8 * picture.dtype.itemsize, "srgb") if codes else result)
     return (blurred, DefocusReport(soft)) if return_report else blurred
 
@@ -246,6 +256,7 @@ def _with_hard_edges(given: _Given) -> tuple[_Given, int]:
 
 def _spec(given: _Given, psf: PointSpread, asked: Psf, method: str, gpu: bool) -> BlurSpec:
     check_shape(psf, method)
+    check_waves(psf, given.largest)
     constant = given.smallest == given.largest and can_convolve(psf, asked.border)
     blur = choose_blur(method, psf.is_sharp(given.largest), constant, gpu).value
     layered = asked.occlusion == "layered" and blur != "convolve"
@@ -253,6 +264,16 @@ def _spec(given: _Given, psf: PointSpread, asked: Psf, method: str, gpu: bool) -
         psf, blur, given.smallest, given.largest, tilt=asked.tilt, brightest=given.brightest, border=asked.border,
         layered=layered,
     )  # fmt: skip
+
+
+def _in_colors(
+    given: _Given, spreads: Sequence[PointSpread], blurred: Callable[[_Given, PointSpread], NDArray[np.float32]]
+) -> NDArray[np.float32]:
+    """The blurred image, color by color where each has a point spread of its own."""
+    if given.channels != len(spreads) or len(set(spreads)) == 1:
+        return blurred(given, spreads[GREEN])
+    parts = (replace(given, image=np.ascontiguousarray(given.image[..., color])) for color in range(len(spreads)))
+    return np.stack([blurred(part, psf) for part, psf in zip(parts, spreads, strict=True)], axis=-1)
 
 
 def _guard(given: _Given, spec: BlurSpec) -> int:

@@ -40,7 +40,7 @@ Progress = Callable[[float], object]
 
 KERNELS = ("inpainting/score.cl", "inpainting/mean_median.cl")
 FEATURES = dict.fromkeys(
-    ("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "CURVED", "FILTER", "SAMPLED", "GENERAL"), 0
+    ("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "CURVED", "FILTER", "SAMPLED", "GENERAL", "WAVES"), 0
 )
 FEATURES |= {"FILL_MEAN_MEDIAN": 1, "IMAGE": 1}
 MANY = 9  # neighbors: more than there are, of pixels that are not missing

@@ -15,12 +15,14 @@ from clsco.inputs.textures import picture_of
 from clsco.optics.point_spread import PointSpread, point_spread
 from clsco.optics.pupils.image import MOST_CELLS, Image, image_pupil
 from clsco.scene.arrays import Input
-from clsco.scene.model import Aperture, Psf, Scene
+from clsco.scene.model import Aperture, Camera, Psf, Scene
 
 Load = Callable[[Input], Picture]
 
 
-def load_point_spread(psf: Psf, aperture: Aperture, transfer: str = "srgb", load: Load = picture_of) -> PointSpread:
+def load_point_spread(
+    psf: Psf, aperture: Aperture, transfer: str = "srgb", load: Load = picture_of, camera: Camera | None = None
+) -> PointSpread:  # fmt: skip
     """Point spread of a PSF and an aperture, with the image of its pupil.
 
     Parameters
@@ -31,6 +33,8 @@ def load_point_spread(psf: Psf, aperture: Aperture, transfer: str = "srgb", load
         Transfer of images with 8 and 16 bits, as for textures.
     load : callable
         `clsco.inputs.textures.picture_of`, or what stands for it.
+    camera : Camera, optional
+        Camera, which psf.model = "wave" needs.
 
     Returns
     -------
@@ -43,18 +47,18 @@ def load_point_spread(psf: Psf, aperture: Aperture, transfer: str = "srgb", load
     """
     source = aperture.inputs().get("image")
     if source is None:
-        return point_spread(psf, aperture)
+        return point_spread(psf, aperture, camera=camera)
     if isinstance(source, str) and not PurePath(source).suffix:
         raise ImageError(f"aperture.image: must be an image file; got {source!r}")
     try:
-        return point_spread(psf, aperture, _pupil(load(source), transfer, aperture))
+        return point_spread(psf, aperture, _pupil(load(source), transfer, aperture), camera)
     except ImageError as error:
         raise ImageError(f"aperture.image: {error}") from None
 
 
 def scene_point_spread(scene: Scene, load: Load = picture_of) -> PointSpread:
     """Point spread of a scene, see `load_point_spread`."""
-    return load_point_spread(scene.psf, scene.aperture, scene.image.transfer, load)
+    return load_point_spread(scene.psf, scene.aperture, scene.image.transfer, load, scene.camera)
 
 
 def _pupil(picture: Picture, transfer: str, aperture: Aperture) -> Image:

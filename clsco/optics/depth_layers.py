@@ -54,7 +54,7 @@ def depth_of_hidden(psf: PointSpread, largest_sum: int) -> int:
 
     largest_sum: of the |radii| on both sides of a discontinuity, px.
     """
-    return ceil(largest_sum * psf.extent) + 2
+    return ceil(largest_sum * psf.extent + 2.0 * psf.pupil.margin) + 2
 
 
 def level_count(deep: int) -> int:

@@ -6,7 +6,7 @@ as piecewise cubics in the blur radius, which is what a device reads.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import floor, sqrt
 from typing import Literal
@@ -15,13 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.constants import LENS_CELLS
+from clsco.errors import SceneError
 from clsco.optics.pupils import FORMULAS
+from clsco.optics.pupils.diffracted import Diffracted
 from clsco.optics.pupils.gaussian import Gaussian
 from clsco.optics.pupils.pupil import Array, Pupil
-from clsco.scene.model import Aperture, Psf
+from clsco.scene.model import Aperture, Camera, Psf
 
 MINIMUM_BLUR = 0.5  # px; sampled PSFs leave smaller radii alone (thesis, 2.2)
+GREEN = 1  # color of gray images
 POINT = 1e-9  # px; smaller radii are 0
+MOST_MARGIN = 256.0  # px, of light outside of the rim
+LEAST_UNIT, MOST_UNIT = 0.02, 8.0  # px, of diffraction: finer is a disc, coarser no picture
 PIXEL_MOMENT = {"sampled": 0.0, "area": 1 / 12, "integrated": 1 / 6}  # px^2 per axis: what `edge` adds
 
 Edge = Literal["integrated", "area", "sampled"]
@@ -103,7 +108,12 @@ class PointSpread:
     @property
     def signed(self) -> bool:
         """Weights of -R differ from those of R."""
-        return self.pupil.symmetry == "none"
+        return self.pupil.signed
+
+    @property
+    def diffracted(self) -> bool:
+        """Light goes beyond the rim of the lens, by waves, and a point in focus is a spot."""
+        return self.pupil.steps > 0
 
     @property
     def uniform(self) -> bool:
@@ -112,7 +122,8 @@ class PointSpread:
 
     @property
     def extent(self) -> float:
-        """Distance at which the PSF of R = 1 px ends, px."""
+        """Largest distance from the middle of the lens that light passes at, in its radii: of R = 1 px the rim is so
+        many px from the source. Waves go beyond it, see `reach`."""
         return self.pupil.extent
 
     def second_moment(self, radius: float) -> float:
@@ -121,7 +132,7 @@ class PointSpread:
 
     def is_sharp(self, largest: float) -> bool:
         """True if the PSF of the |blur radius| `largest` px keeps all light, and in its pixel."""
-        if self.rims:
+        if self.rims or self.diffracted:
             return False
         if self.sampled:
             return largest < MINIMUM_BLUR or self.extent * largest < 1.0
@@ -136,7 +147,7 @@ class PointSpread:
 
     def reaches(self, radii: Array, subpixel: bool = False) -> NDArray[np.int64]:
         """`reach` of each of several radii."""
-        extent = radii * self.extent
+        extent = radii * self.extent + self.pupil.margin
         if self.sampled and not subpixel:
             found = np.where(radii >= MINIMUM_BLUR, np.floor(extent), 0.0)
         else:
@@ -152,7 +163,7 @@ class PointSpread:
         continuity.
         """
         tent = self.edge == "integrated"
-        if self.signed:
+        if self.signed or self.diffracted:
             return self.pupil.share(dx, dy, np.asarray(radius, np.float64), tent)
         dx, dy, r = (np.asarray(v, dtype=np.float64) for v in np.broadcast_arrays(dx, dy, np.abs(radius)))
         if self.sampled:
@@ -166,7 +177,7 @@ class PointSpread:
 
         Serves the sub-pixel sources at silhouettes, for every `edge`; arguments as for `weights`.
         """
-        if self.signed:
+        if self.signed or self.diffracted:
             return self.pupil.share(dx, dy, np.asarray(radius, np.float64), tent=False)
         dx, dy, r = (np.asarray(v, dtype=np.float64) for v in np.broadcast_arrays(dx, dy, np.abs(radius)))
         return self.pupil.share(dx, dy, np.maximum(r, POINT), tent=False)
@@ -179,7 +190,7 @@ class PointSpread:
         return np.where(point, offset == 0.0, share)
 
     def rows(self, radii: Array, dx: Array, dy: Array, subpixel: bool) -> Array:
-        """Weights (radii, dy, dx) for positive radii where dx and dy rise by 1 px; only of "general"."""
+        """Weights (radii, dy, dx) where dx and dy rise by 1 px, for positive radii, of waves any; only of "general"."""
         return self.pupil.rows(radii, dx, dy, self.edge == "integrated" and not subpixel)
 
     def lens_cells(self) -> Array:
@@ -214,7 +225,12 @@ class PointSpread:
         return value * np.exp(-square / (2.0 * sigma * sigma)) / total
 
 
-def point_spread(psf: Psf, aperture: Aperture | None = None, image: Pupil | None = None) -> PointSpread:
+def point_spread(
+    psf: Psf,
+    aperture: Aperture | None = None,
+    image: Pupil | None = None,
+    camera: Camera | None = None,
+) -> PointSpread:
     """The point spread that a scene asks for.
 
     Parameters
@@ -225,10 +241,18 @@ def point_spread(psf: Psf, aperture: Aperture | None = None, image: Pupil | None
         Section [aperture]; by default a circle.
     image : Pupil, optional
         Pupil of aperture.shape = "image".
+    camera : Camera, optional
+        Camera whose f-number and pixels psf.model = "wave" needs.
 
     Returns
     -------
     PointSpread
+        By waves that of a gray image.
+
+    Raises
+    ------
+    SceneError
+        Waves whose camera is not given, or whose diffraction is far finer than its pixels, or far coarser.
 
     Examples
     --------
@@ -244,7 +268,64 @@ def point_spread(psf: Psf, aperture: Aperture | None = None, image: Pupil | None
         return PointSpread(
             Gaussian(psf.sigma_ratio, psf.truncation, round_cut), psf.edge, 2 * psf.silhouette_samples, rims
         )
-    return PointSpread(image or FORMULAS[aperture.shape](aperture), psf.edge, rims=rims)
+    pupil = image or FORMULAS[aperture.shape](aperture)
+    if psf.model == "wave":
+        pupil = _diffracted(pupil, psf, camera)
+    return PointSpread(pupil, psf.edge, rims=rims)
+
+
+def spreads_of_colors(spread: PointSpread, psf: Psf, camera: Camera | None) -> tuple[PointSpread, ...]:
+    """Point spreads of red, green and blue, from that of a gray image.
+
+    Parameters
+    ----------
+    spread : PointSpread
+        Made by `point_spread` of the other arguments.
+    psf : Psf
+    camera : Camera
+
+    Returns
+    -------
+    tuple of three PointSpread
+        The same three times but by waves.
+    """
+    pupil = spread.pupil
+    if not isinstance(pupil, Diffracted):
+        return spread, spread, spread
+    return tuple(replace(spread, pupil=_diffracted(pupil.opening, psf, camera, color)) for color in range(3))
+
+
+def _diffracted(pupil: Pupil, psf: Psf, camera: Camera | None, color: int = GREEN) -> Diffracted:
+    """The pupil with diffraction of light of a color."""
+    if camera is None:
+        raise SceneError('camera: must be given with psf.model = "wave", for its aperture and pixels; got None')
+    apart = 0.5 * psf.bandwidth / sqrt(3.0)  # the two Gauss-Legendre nodes of the band
+    middle = psf.wavelengths[color]
+    nodes = (middle - apart, middle + apart) if apart else (middle,)
+    units = [diffraction_unit(camera, node) for node in nodes]
+    if not units[0] >= LEAST_UNIT or not units[-1] <= MOST_UNIT:
+        rule = f"must make wavelength s0 / (D pixel_pitch) {LEAST_UNIT:g} to {MOST_UNIT:g} px"
+        raise SceneError(f"psf.wavelengths: {rule}; got {units[0]:.3g} px, of {nodes[0]:.4g} nm")
+    bands = tuple((unit, 1.0 / len(units)) for unit in units)
+    found = Diffracted(pupil, bands, psf.tail, psf.rest == "renormalize")
+    if found.margin > MOST_MARGIN:
+        rule = f"must leave at most {MOST_MARGIN:g} px of light outside of the rim of the blur"
+        raise SceneError(f"psf.tail: {rule}; got {found.margin:.4g} px, of {psf.tail:g} and {nodes[-1]:.4g} nm")
+    return found
+
+
+def diffraction_unit(camera: Camera, wavelength: float) -> float:
+    """Unit of diffraction Q = wavelength s0 / (D pitch), px; wavelength in nm.
+
+    Examples
+    --------
+    >>> from clsco import Camera
+    >>> from clsco.optics.point_spread import diffraction_unit
+    >>> round(diffraction_unit(Camera(), 550.0), 6)
+    0.11
+    """
+    f_number = camera.normalization_distance / camera.aperture_diameter
+    return 1e-6 * wavelength * f_number / camera.pixel_pitch
 
 
 def exposure_factor(aperture: Aperture, psf: PointSpread) -> float:

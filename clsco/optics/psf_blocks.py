@@ -102,7 +102,10 @@ def _general(psf: PointSpread, span: range, samples: int) -> WeightBlock:
     for _, radii, half_width in _runs(psf, span, fine):
         taps = np.arange(-half_width, half_width + 1.0)
         squares = [psf.rows(radii, taps - ox, taps - oy, fine) for oy in offsets for ox in offsets]
-        mirrored = [square[:, ::-1, ::-1] for square in reversed(squares)]
+        if psf.diffracted:  # rays of a lens cross in focus, and waves that it bends do not
+            mirrored = [psf.rows(-radii, taps - ox, taps - oy, fine) for oy in offsets for ox in offsets]
+        else:
+            mirrored = [square[:, ::-1, ::-1] for square in reversed(squares)]
         for blocks, each in zip(found, (squares, mirrored), strict=True):
             blocks += [block.ravel() for block in _cubics(np.concatenate(each, axis=1), half_width)]
     widths = half_widths(psf, span, fine).astype(np.int32)

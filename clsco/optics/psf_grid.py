@@ -29,7 +29,7 @@ FINE_STEPS, FINE_UNTIL = 16, 16
 # Chebyshev points of [0, 1]: near the best cubic, and never on a jump of a sampled PSF.
 NODES = 0.5 - 0.5 * np.cos((2 * np.arange(POWERS) + 1) * np.pi / 8)
 TO_POWERS = np.linalg.inv(np.vander(NODES, POWERS, increasing=True))
-BLOCK = 64  # intervals of a sampled Gaussian that are computed together
+BLOCK = 64  # intervals of a sampled Gaussian, or of waves, that are computed together
 
 
 def sampled_steps(psf: PointSpread) -> tuple[int, int]:
@@ -38,7 +38,9 @@ def sampled_steps(psf: PointSpread) -> tuple[int, int]:
 
 
 def table_steps(psf: PointSpread, subpixel: bool) -> int:
-    """Intervals per octave of a table that is indexed by the radius."""
+    """Intervals of a table that is indexed by the radius, per octave, or by waves per px."""
+    if psf.diffracted:
+        return psf.pupil.steps
     if psf.edge == "area" and not subpixel:
         return AREA_STEPS
     if psf.alignment:
@@ -64,6 +66,8 @@ def table_coordinate(psf: PointSpread, radius: Array, subpixel: bool = False) ->
         key = np.where(r < MINIMUM_BLUR, 0.0, psf.key * r * r)
         steps, until = sampled_steps(psf)
         return np.where(key < until, key * steps, until * steps + (key - until))
+    if psf.diffracted:
+        return table_steps(psf, subpixel) * r
     mantissa, exponent = np.frexp(r * octaves_from(psf) + 1.0)
     return np.asarray(table_steps(psf, subpixel) * (exponent - 1 + 2.0 * mantissa - 1.0))
 
@@ -73,6 +77,8 @@ def table_radius(psf: PointSpread, coordinate: Array, subpixel: bool) -> Array:
     if psf.edge == "sampled" and not subpixel:
         return np.maximum(np.sqrt(_sampled_reach(psf, coordinate) / psf.key), MINIMUM_BLUR)
     position = coordinate / table_steps(psf, subpixel)
+    if psf.diffracted:
+        return position
     octave = np.floor(position)
     return np.asarray((2.0**octave * (1.0 + position - octave) - 1.0) / octaves_from(psf))
 
@@ -98,7 +104,8 @@ def half_width(psf: PointSpread, index: int, subpixel: bool) -> int:
 
 def block_intervals(psf: PointSpread, subpixel: bool) -> int:
     """Intervals of a table that are computed together: half an octave of radii, or BLOCK."""
-    return BLOCK if psf.edge == "sampled" and not subpixel else table_steps(psf, subpixel) // 2
+    by_numbers = (psf.edge == "sampled" and not subpixel) or psf.diffracted
+    return BLOCK if by_numbers else table_steps(psf, subpixel) // 2
 
 
 @lru_cache(maxsize=256)

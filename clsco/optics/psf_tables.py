@@ -69,7 +69,8 @@ class PsfTable:
 def psf_features(psf: PointSpread) -> dict[str, int]:
     """Features that programs are compiled for: the kind of a PSF; GENERAL is the number of edges of its lens mask."""
     layouts = {name.upper(): int(psf.layout == name) for name in ("disc", "separable", "general")}
-    return layouts | {"SAMPLED": int(psf.sampled), "EDGES": len(psf.pupil.edges), "RIMS": len(psf.rims)}
+    found = layouts | {"SAMPLED": int(psf.sampled), "EDGES": len(psf.pupil.edges)}
+    return found | {"RIMS": len(psf.rims), "WAVES": int(psf.diffracted)}
 
 
 @lru_cache(maxsize=256)

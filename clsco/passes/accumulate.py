@@ -14,7 +14,7 @@ from clsco.passes.blur import BLOCKS, PLAIN, Events, Plane, Target
 from clsco.plan.buffers import Sizes
 from clsco.records import structs
 
-FEATURES = PLAIN | {"SAMPLED": 0, "GENERAL": 0, "CHANNELS": 0, "SCAN_COLUMNS": 0}
+FEATURES = PLAIN | {"SAMPLED": 0, "GENERAL": 0, "WAVES": 0, "CHANNELS": 0, "SCAN_COLUMNS": 0}
 
 
 class FrameSum:

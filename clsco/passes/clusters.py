@@ -49,7 +49,13 @@ class Layers:
 
 def layered_program(session: Session, spec: BlurSpec, channels: int, real: Real) -> Target:
     """Target of layered.cl for images of so many channels; by itself, since nothing else changes its eleven kernels."""
-    features = PLAIN | {"SAMPLED": 0, "GENERAL": 0, "CHANNELS": channels + 1, "SCATTER": int(spec.method == "scatter")}
+    features = PLAIN | {
+        "SAMPLED": 0,
+        "GENERAL": 0,
+        "WAVES": 0,
+        "CHANNELS": channels + 1,
+        "SCATTER": int(spec.method == "scatter"),
+    }
     return Target(session, build(session, ["layered/layered.cl"], features, structs(real), real), real)
 
 

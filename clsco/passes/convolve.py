@@ -18,7 +18,7 @@ from clsco.plan.methods import BlurSpec
 from clsco.records import Struct, structs
 
 SHAPES = ("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "CURVED")
-FEATURES = dict.fromkeys((*SHAPES, "FILTER", "SAMPLED", "GENERAL", "CHANNELS"), 0)
+FEATURES = dict.fromkeys((*SHAPES, "FILTER", "SAMPLED", "GENERAL", "WAVES", "CHANNELS"), 0)
 BITS = 56  # of a sum over a disc
 # What sums without DROPPED_BITS leave out is less than a unit of each row of a disc: (2 R + 1) 2^-29 of the brightest
 # source at most, 2e-7 at R = 60, and 1e-8 RMS. Of radiance above so many times white, sums of 64 bits keep that from

@@ -19,7 +19,7 @@ from clsco.passes.blur import PLAIN, Events, Plane, Target
 from clsco.plan.buffers import Sizes, padded_columns
 from clsco.records import filled, structs
 
-FEATURES = PLAIN | {"SAMPLED": 0, "GENERAL": 0, "CHANNELS": 0}
+FEATURES = PLAIN | {"SAMPLED": 0, "GENERAL": 0, "WAVES": 0, "CHANNELS": 0}
 RECIPROCALS = reciprocals_of_counts()
 
 

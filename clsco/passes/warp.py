@@ -65,6 +65,7 @@ def forward_features(plan: Plan, owned: bool) -> dict[str, int]:
         "FILTER": 0,
         "SAMPLED": 0,
         "GENERAL": 0,
+        "WAVES": 0,
         "IMAGE": 0,
         "CODES": 0,
         "OWNED": int(owned),

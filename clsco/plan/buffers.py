@@ -176,7 +176,8 @@ def column_bytes(psf: PointSpread, tilt: bool, channels: int, far: int) -> int:
         sums = 4 * WIDE_LANES * MOST_ASIDE * BAND * (1 + tilt)
         return sums + tiles + min(max(ITEMS_BYTES // item, 2 * WIDE_LANES), MOST_ITEMS) * (item + 8)
     ends, sums = (1 + slopes) * channels, (1 + tilt) * channels
-    items = MOST_ITEMS * (4 * WIDE_LANES * (2 + slopes + 2 * channels) + ITEM_BYTES)
+    rims = int(tilt and psf.diffracted)
+    items = MOST_ITEMS * (4 * WIDE_LANES * (2 + slopes + rims + 2 * channels) + ITEM_BYTES)
     return 8 * WIDE_LANES * ends * (BAND + 1) + 4 * WIDE_LANES * sums * (BAND + 2 * far) + tiles + items
 
 

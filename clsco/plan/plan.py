@@ -21,7 +21,7 @@ from clsco.inputs.pupils import scene_point_spread
 from clsco.optics.exposure import frame_exposure, subframes_of
 from clsco.optics.lens_path import lens_at
 from clsco.optics.motion import Eye
-from clsco.optics.point_spread import PointSpread
+from clsco.optics.point_spread import PointSpread, spreads_of_colors
 from clsco.optics.psf_grid import table_reach
 from clsco.optics.psf_tables import check_tables, psf_features
 from clsco.optics.quadrics import Extent
@@ -54,6 +54,7 @@ from clsco.plan.predict import Maps, Prediction, displaced, is_static_map, predi
 from clsco.plan.request import Request
 from clsco.plan.sensor import sensor_pass
 from clsco.plan.vignetting import vignetting_pass
+from clsco.plan.waves import check_waves
 from clsco.plan.words import of_blur, of_frame, of_rays, shapes_of
 from clsco.scene.model import Scene
 
@@ -330,7 +331,7 @@ class Plan:
             "TILT": int(self.tilt),
             "SUBPIXELS": self.silhouettes,
             "CURVED": curvature_of(scene),
-            **{name: psf[name] for name in ("SAMPLED", "GENERAL", "EDGES", "RIMS")},
+            **{name: psf[name] for name in ("SAMPLED", "GENERAL", "EDGES", "RIMS", "WAVES")},
         }
 
     @cached_property
@@ -379,8 +380,11 @@ def make_plan(
     columns, rows = scene.camera.frame_size
     wanted, device, psf = request or Request(), device or ThisMachine(), psf or scene_point_spread(scene)
     maps = maps or (None,) * len(scene.objects)
+    spreads = spreads_of_colors(psf, scene.psf, scene.camera) if _is_apart(scene, psf, channels) else ()
+    psf = max(spreads, key=lambda each: each.pupil.margin, default=psf)
     check_shape(psf, wanted.method)
     seen = predict(scene, psf, eye, maps)
+    check_waves(psf, seen.largest)
     choices, groups, extents = choose(scene, psf, wanted, eye, maps, channels, device.kind == "gpu", seen)
     blur, guard, alpha = choices.blur.value, seen.guard, "alpha" in wanted.truth
     if blur == "convolve":
@@ -389,9 +393,14 @@ def make_plan(
         check_tables(psf, seen.smallest, seen.largest, choices.silhouettes.value)
     plan = Plan(
         scene, psf, device, eye, channels + alpha, rows, columns, guard, seen.smallest, seen.largest, choices, groups,
-        taps=0.0, spreads=(psf,) * 3 if scene.separates_colors else (), alpha=alpha, extents=extents,
+        taps=0.0, spreads=spreads, alpha=alpha, extents=extents,
     )  # fmt: skip
     return replace(plan, taps=_predicted_taps(plan, seen)) if blur != "none" and plan.color else plan
+
+
+def _is_apart(scene: Scene, psf: PointSpread, channels: int) -> bool:
+    """True if colors are blurred apart: by another lens each, or an image in color by waves of other lengths."""
+    return scene.separates_colors or (psf.diffracted and channels > 1 and len(set(scene.psf.wavelengths)) > 1)
 
 
 def _predicted_taps(plan: Plan, predicted: Prediction) -> float:
@@ -401,7 +410,7 @@ def _predicted_taps(plan: Plan, predicted: Prediction) -> float:
     seen = np.abs(lens_at(plan.scene, middle).blur_radius(w[w > 0], slopes[w > 0]))
     if not seen.size:
         return 0.0
-    lit = np.pi * (seen * plan.psf.extent + 0.7) ** 2
+    lit = np.pi * (seen * plan.psf.extent + plan.psf.pupil.margin + 0.7) ** 2
     return float((w > 0).mean() * plan.width * plan.height * plan.repeats * lit.mean())
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from clsco.plan.decisions import Choices
 from clsco.plan.methods import BlurSpec
 from clsco.plan.passes import Parameters
+from clsco.plan.waves import wave_words
 from clsco.scene.model import Scene
 
 
@@ -37,6 +38,7 @@ def of_blur(spec: BlurSpec, choices: Choices, groups: int) -> Parameters:
         ("PSF", f"{spec.psf.name}, R up to {spec.largest:.3g} px"),
         ("method", f"{spec.method}: {choices.blur.reason}"),
     ]
+    found += wave_words(spec.psf, spec.smallest, spec.largest, spec.subpixels)
     if spec.tilt:
         found.append(("tilt", "weights by the gradient of the blur radius"))
     if choices.renormalize.value:

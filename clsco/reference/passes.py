@@ -100,7 +100,7 @@ def _spread(at: Moment, light: Light) -> Array:
 def _trace(at: Moment) -> tuple[Light | Array]:
     """Sources of one occlusion group from rays cast at its objects: the inverse warp, and every static scene."""
     cast = trace(at.view(), at.step.group, at.plan.guard_px)
-    spread = spread_sources(cast) if at.plan.scene.psf.tilt else cast
+    spread = spread_sources(cast) if at.plan.scene.psf.tilt and not at.plan.psf.diffracted else cast
     return (_lit(at, Light(spread, None, cast)),)
 
 

@@ -11,7 +11,7 @@ from pydantic import BaseModel
 
 from clsco.errors import SceneError
 from clsco.scene.faults import parsed
-from clsco.scene.spread import APERTURE_KEYS, ApertureShape
+from clsco.scene.spread import APERTURE_KEYS, MODEL_KEYS, ApertureShape, SpreadModel
 from clsco.scene.text import brief, shown
 
 # (key, its new value or None for any, key of the file that would contradict it)
@@ -32,8 +32,12 @@ _DISPLACED: tuple[tuple[str, str | None, str], ...] = (
         for shape in get_args(ApertureShape)
         if shape not in own
     ),
-    ("psf.model", "pillbox", "psf.sigma_ratio"),
-    ("psf.model", "pillbox", "psf.truncation"),
+    *(
+        ("psf.model", model, f"psf.{key}")
+        for key, own in MODEL_KEYS.items()
+        for model in get_args(SpreadModel)
+        if model != own
+    ),
     ("motion.warp", "forward", "motion.texture_filter"),
     ("motion.warp", "inverse", "fill"),
 )

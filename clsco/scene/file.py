@@ -16,7 +16,7 @@ from clsco.errors import SceneError
 from clsco.resources import read_regular
 from clsco.scene.changes import override
 from clsco.scene.faults import MAX_MESSAGES, at_most, items, messages, parsed, sections
-from clsco.scene.model import AnyShape, Aperture, ObjectMotion, Psf, Scene
+from clsco.scene.model import AnyShape, Aperture, Camera, ObjectMotion, Psf, Scene
 from clsco.scene.spread import misfit
 from clsco.scene.text import key_name, shown
 from clsco.scene.texture_keys import SixSided, is_drawn, missing_texture
@@ -28,9 +28,10 @@ MAX_DOTS = 100  # per line: tomllib needs memory with the square of the parts of
 
 SceneLike = Scene | Mapping[str, Any] | str | os.PathLike[str]
 ApertureLike = Aperture | Mapping[str, Any] | str | None
+CameraLike = Camera | Mapping[str, Any] | None
 PsfLike = Psf | Mapping[str, Any] | str | None
 Owner = TypeVar("Owner", AnyShape, Aperture)
-Section = TypeVar("Section", Psf, Aperture)
+Section = TypeVar("Section", Psf, Aperture, Camera)
 Location = tuple[str | int, ...]  # of a key: ("object", 0, "motion", "velocity")
 
 SECTIONS = sections(Scene)
@@ -297,13 +298,20 @@ def aperture_of(aperture: ApertureLike, psf: Psf) -> Aperture:
     return found
 
 
-def _section(model: type[Section], value: Any, name: str, shorthand: str) -> Section:
+def camera_of(camera: CameraLike) -> Camera | None:
+    """Camera of any form that users may pass; None where there is none. Raises SceneError as `psf_of` does."""
+    return None if camera is None else _section(Camera, camera, "camera")
+
+
+def _section(model: type[Section], value: Any, name: str, shorthand: str = "") -> Section:
     """Section of a scene from a mapping, or from the value of one of its keys. Raises SceneError."""
     if isinstance(value, model):
         return value
-    given = {shorthand: value} if isinstance(value, str) else {} if value is None else value
+    given = {shorthand: value} if shorthand and isinstance(value, str) else {} if value is None else value
     if not isinstance(given, Mapping):
-        kinds = f"must be {model.__name__}, a mapping or the name of a {shorthand}"
+        kinds = f"must be {model.__name__}" + (
+            f", a mapping or the name of a {shorthand}" if shorthand else " or a mapping"
+        )
         raise SceneError(f"{name}: {kinds}; got {type(given).__name__}")
     try:
         return model.model_validate(dict(given))

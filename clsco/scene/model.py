@@ -338,6 +338,15 @@ class Scene(Strict):
         return value
 
     @model_validator(mode="after")
+    def _waves_of_one_opening(self) -> Self:
+        keys = () if self.lens is None or self.psf.model != "wave" else self.lens.keyframe or ()
+        opening = [(k, key.f_number) for k, key in enumerate(keys) if key.f_number is not None]
+        if opening:
+            rule = fault('cannot change with psf.model = "wave", whose blur is that of one opening')
+            raise at_keys([(("lens", "keyframe", opening[0][0], "f_number"), rule, opening[0][1])])
+        return self
+
+    @model_validator(mode="after")
     def _psf_fits_the_aperture(self) -> Self:
         if found := misfit(self.psf, self.aperture):
             key, rule, value = found

@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, mo
 from clsco.errors import SceneError
 from clsco.records import MOST_RIMS
 from clsco.scene.arrays import HasInputs, Input, TextureInput
-from clsco.scene.quantities import Flag, Strict, Within, as_python, at_keys, fault
+from clsco.scene.quantities import Flag, Strict, Triple, Within, as_python, at_keys, fault
 
 NEEDS_RAYS = '"visibility" needs analytic surfaces, which rays can be cast at; use "layered" or "none"'
 
@@ -94,11 +94,21 @@ class Aperture(HasInputs, Strict):
         return {} if self.image is None else {"image": cast("Input", self.image)}
 
 
+Wavelength = Annotated[float, Within(100.0, 20000.0, "nm")]
+Wavelengths = Annotated[tuple[Wavelength, Wavelength, Wavelength], Triple]
+SpreadModel = Literal["pillbox", "gaussian", "wave"]
+MODEL_KEYS = {"sigma_ratio": "gaussian", "truncation": "gaussian"} | dict.fromkeys(
+    ("wavelengths", "bandwidth", "tail", "rest"), "wave"
+)
+"""Keys of [psf] that belong to one model."""
+
+
 class Psf(Strict):
     """Point spread function, and how exactly it is evaluated."""
 
-    model: Literal["pillbox", "gaussian"] = "pillbox"
-    """A disc of radius |R|, or a Gaussian of standard deviation sigma_ratio |R|."""
+    model: SpreadModel = "pillbox"
+    """The opening at the size of |R|, a Gaussian of standard deviation sigma_ratio |R|, or the opening with the
+    diffraction of light at its rim."""
     edge: Literal["integrated", "area", "sampled"] = "integrated"
     """Integrated over source and detector pixel, over the detector pixel only, or taken at pixel centers."""
     tilt: Flag = True
@@ -114,15 +124,40 @@ class Psf(Strict):
         default_factory=lambda data: 2.0 if data["edge"] == "sampled" else 3.0
     )
     """Cut of the Gaussian, in sigma; only with model = "gaussian". Default 3, with edge = "sampled" 2."""
+    wavelengths: Wavelengths = (610.0, 540.0, 465.0)
+    """Wavelengths of red, green and blue, nm, of which gray images take the one in the middle; only with
+    model = "wave"."""
+    bandwidth: Annotated[float, Within(0.0, 1000.0, "nm")] = 0.0
+    """Width of a band around each of them that has as much light everywhere, nm; only with model = "wave"."""
+    tail: Annotated[float, Within(1e-4, 0.2)] = 0.01
+    """Share of the light of a point that is left out at most, far beyond the rim of its blur; only with
+    model = "wave"."""
+    rest: Literal["renormalize", "lose"] = "renormalize"
+    """The light that is left out is given back to the rest of the blur, or lost; only with model = "wave"."""
     border: Literal["lose", "renormalize"] = "lose"
     """Irradiance outside the image is lost, or returned to the pixels inside."""
 
-    @field_validator("sigma_ratio", "truncation")
+    @field_validator("edge")
     @classmethod
-    def _of_the_gaussian(cls, value: float, info: ValidationInfo) -> float:
-        if info.data.get("model") == "pillbox":
-            raise fault('belongs to psf.model = "gaussian", not "pillbox"')
+    def _smooth(cls, value: str, info: ValidationInfo) -> str:
+        if value != "integrated" and info.data.get("model") == "wave":
+            raise fault('must be "integrated" with psf.model = "wave"')
         return value
+
+    @field_validator(*MODEL_KEYS)
+    @classmethod
+    def _of_its_model(cls, value: Any, info: ValidationInfo) -> Any:
+        model = MODEL_KEYS[str(info.field_name)]
+        if info.data.get("model", model) != model:
+            raise fault(f'belongs to psf.model = "{model}", not "{info.data["model"]}"')
+        return value
+
+    @model_validator(mode="after")
+    def _band_of_light(self) -> Self:
+        if self.bandwidth >= min(self.wavelengths):
+            rule = f"must be less than each of the wavelengths, of which one is {min(self.wavelengths):g} nm"
+            raise at_keys([(("bandwidth",), fault(rule), self.bandwidth)])
+        return self
 
     @property
     def asks_for_rays(self) -> bool:
@@ -147,7 +182,7 @@ def misfit(psf: Psf, aperture: Aperture) -> tuple[str, str, Any] | None:
     if aperture.rim and psf.edge == "sampled":
         return "rim", 'needs psf.edge = "integrated" or "area"', psf.edge
     for key, about, value in found:
-        if psf.model == "gaussian":
+        if psf.model == "gaussian" or (psf.model == "wave" and (key, value) != ("shape", "ring")):
             return key, f'{about} needs psf.model = "pillbox"', value
         if psf.edge == "sampled":
             return key, f'{about} needs psf.edge = "integrated" or "area"', value

@@ -16,7 +16,7 @@ from clsco.optics.exposure import middle_time, pixel_time
 from clsco.optics.lens import SHARP, Lens, ray_step
 from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import poses_at, rest_center
-from clsco.reference.blur.blur import tilt_factor
+from clsco.reference.blur.blur import tilt_factor, within_rim
 from clsco.reference.common.geometry import blur_gradient, pixel_tilt
 from clsco.reference.spreads import rim_factors, spread_weights
 from clsco.scene.model import Scene
@@ -157,15 +157,16 @@ def point_spread(
     dict
         As `figures_of`, and `radius`.
     """
-    slope, spread = pixel_tilt(gradient, radius)
     psf = scene_point_spread(scene)
+    slope, spread = pixel_tilt(gradient, radius, psf.diffracted)
     weights = spread_weights(psf, float(spread))
     far = weights.shape[0] // 2
     if psf.rims:
         lens, place = Lens.of(scene.camera, scene.lens), np.array([slopes])
         weights = weights * rim_factors(lens, psf, place, np.array([inverse]), np.array([[radius]]), far)[0, 0]
     offset = np.arange(-far, far + 1, dtype=np.float64)
-    return figures_of(weights * tilt_factor(offset, offset[:, None], slope), far, far) | {"radius": radius}
+    x, y = within_rim(psf, offset, offset[:, None], spread)
+    return figures_of(weights * tilt_factor(x, y, slope), far, far) | {"radius": radius}
 
 
 def figures_of(spread: NDArray[np.floating], column: int, row: int) -> dict[str, Any]:

@@ -33,7 +33,11 @@
 static float tap_share(const visibility_t *visibility, int dx, int dy, spread_t s)
 {
     if (!visibility->wide)
+#if WAVES
+        return narrow_share(visibility, dx, dy);
+#else
         return visibility->share[dy + NARROW_MIDDLE][dx + NARROW_MIDDLE];
+#endif
     const bool several = visibility->count > 1;
     return FIRST_LANE(free_share(visibility, several, (lanes_t)(dx - s.ox), (lanes_t)(dy - s.oy)));
 }

@@ -39,10 +39,11 @@ GEOMETRY: dict[str, tuple[int, ...]] = {
     **dict.fromkeys(("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "SAMPLED"), ON_OR_OFF),
     "CURVED": (0, 3, 1, 2),
     "GENERAL": (0,),
+    "WAVES": (0,),
     "CHANNELS": (1, 3),
     "FILTER": (0, 2, 1),
 }
-GENERAL = {"GENERAL": (0, 0, 1), "EDGES": (0, 0, 6)}  # not with what is alike in all octants
+GENERAL = {"GENERAL": (0, 0, 1), "EDGES": (0, 0, 6), "WAVES": (0, 0, 1)}  # not with what is alike in all octants
 
 BLUR = (
     *("SAMPLED", "TILT", "GATHER", "BY_ROWS", "SCATTER", "RENORMALIZE"),
@@ -56,7 +57,8 @@ GATHER, SCATTER = FILES_OF["gather"], FILES_OF["scatter"]
 PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     TRACE_FILES: GEOMETRY
     | dict.fromkeys(("MOVED", "TILT", "OCCLUDED", "LIMITED", "GATHER", "DIVIDED"), ON_OR_OFF)
-    | {"SUBPIXELS": (0, 4, 2, 3), "TEXTURED": (0, 2, 1), "LIT": (0, 1, 3), "EDGES": (0,), "RIMS": (0, 2)},
+    | {"SUBPIXELS": (0, 4, 2, 3), "TEXTURED": (0, 2, 1), "LIT": (0, 1, 3), "EDGES": (0,), "RIMS": (0, 2)}
+    | {"WAVES": (0, 0, 1)},
     GATHER: dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(BLUR, ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BY_COLUMNS": (0, 0, 1), "CURVED": (0, 3, 1, 2)}
@@ -83,14 +85,14 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     ("inpainting/fse.cl",): GEOMETRY,
     ("inpainting/biharmonic.cl",): GEOMETRY,
     FORWARD: GEOMETRY
-    | dict.fromkeys(("FILTER", "SAMPLED", "GENERAL", "IMAGE", "CODES"), (0,))
+    | dict.fromkeys(("FILTER", "SAMPLED", "GENERAL", "WAVES", "IMAGE", "CODES"), (0,))
     | dict.fromkeys(("OWNED", "MAPPED", "FILL_AIT", "FILL_MEAN_MEDIAN", "FILL_FAR", "DOMAIN_SURFACE"), ON_OR_OFF),
 }
 PROGRAMS[HOLES] = dict.fromkeys(FEATURES, (0,)) | {"CHANNELS": (1, 3), "CODES": ON_OR_OFF, "ALONE": ON_OR_OFF}
 PROGRAMS[HOLES] |= {"FILL_MEAN_MEDIAN": (1,), "IMAGE": (1,)}
 # What goes by columns does not go by rows, as sampled discs do.
 NOT_BY_COLUMNS = ("BY_ROWS", "DISC")
-PROGRAMS["layered/layered.cl",] = dict.fromkeys((*PLAIN, "SAMPLED", "GENERAL"), (0,)) | {
+PROGRAMS["layered/layered.cl",] = dict.fromkeys((*PLAIN, "SAMPLED", "GENERAL", "WAVES"), (0,)) | {
     "CHANNELS": (2, 4),
     "SCATTER": ON_OR_OFF,
 }
@@ -122,6 +124,8 @@ def variants(features: dict[str, tuple[int, ...]]) -> list[dict[str, int]]:
     others = [on | {name: value} for name, values in features.items() for value in values if value != on[name]]
     none = dict.fromkeys(NOT_BY_COLUMNS, 0)
     alone = dict.fromkeys((*NOT_BY_COLUMNS, "SEPARABLE", "SAMPLED", "BY_COLUMNS"), 0)
+    smooth = {**dict.fromkeys(("BY_ROWS", "DISC", "SEPARABLE", "SAMPLED", "SPANS"), 0), "BY_COLUMNS": 1}
+    others = [one | {k: v for k, v in smooth.items() if k in one} if one.get("WAVES") else one for one in others]
     others = [one | {"GENERAL": 1} if one.get("EDGES") else one for one in others]
     others = [one | dict.fromkeys(alone.keys() & one.keys(), 0) if one.get("GENERAL") else one for one in others]
     return [one | none if one.get("BY_COLUMNS") or one.get("DISC") == 0 else one for one in (off, on, *others)]

@@ -43,9 +43,10 @@ WITHOUT_TWIN = {
     "visibility_test": {
         "shared_cells": "free_share, which the device shortens where no two edges meet",
         "move_inwards": "the first lines of tap_share",
+        "narrow_share": "the first lines of tap_share",
     },
     "psf": dict.fromkeys(
-        ("pixel_spread", "subpixel_spread", "tap", "source_visibility"),
+        ("pixel_spread", "subpixel_spread", "rim_of", "tap", "source_visibility"),
         "reads tables, in whose place the reference has the closed forms",
     ),
     "vectors": dict.fromkeys(("weights", "sums_of", "any_of"), "lanes of a vector"),
@@ -114,7 +115,7 @@ SYNONYMS = {
     "map": "texture_map texture", "object": "number", "point_w": "position", "grid": "camera",
 }  # fmt: skip
 RECORDS = {"points": ["ray", "w"], "texture": ["texture", "map"]}
-ON_THE_DEVICE = {"bounds", "texture_filter"}  # in surface_t, and a feature
+ON_THE_DEVICE = {"bounds", "texture_filter", "waves"}  # in surface_t, and features
 # Functions that take other things than their twins, and why.
 OTHERWISE = {
     "crossing_part": "the device is told which conditions may decide on part of a cell",

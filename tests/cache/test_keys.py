@@ -19,6 +19,7 @@ from clsco.optics.motion import poses_at
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.pupils.blades import CurvedPolygon
 from clsco.optics.pupils.circle import Circle
+from clsco.optics.pupils.diffracted import Diffracted
 from clsco.optics.pupils.ellipse import Ellipse
 from clsco.optics.pupils.gaussian import Gaussian
 from clsco.optics.pupils.image import Image, image_pupil
@@ -36,9 +37,10 @@ from clsco.scene.model import Camera, CameraMotion, DepthMap, Fill, ImageOptions
 from clsco.scene.motions import CameraShake
 from tests.scenes import scene_of
 
+WAVES = Diffracted(Circle(), ((0.5, 1.0),))
 PUPILS = (
     Circle(), Gaussian(0.7, 3.0), Polygon(), Ring(0.5), image_pupil(np.eye(6)), CurvedPolygon(5, 3.0, 0.4),
-    Ellipse(2.0),
+    Ellipse(2.0), WAVES,
 )  # fmt: skip
 OTHER_WORDS = {"integrated": "area"}
 
@@ -61,6 +63,8 @@ def _other(value: Any) -> Any:
             return value + 1
         case float():
             return 0.5 * value + 0.125
+        case tuple():
+            return (*value, (0.25, 1.0))
         case str():
             return OTHER_WORDS.get(value, f"{value}0")
     raise TypeError(f"no other value of {type(value)} is known")

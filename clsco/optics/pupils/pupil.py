@@ -41,6 +41,21 @@ class Pupil(ABC):
         return False
 
     @property
+    def signed(self) -> bool:
+        """R and -R blur differently."""
+        return self.symmetry == "none"
+
+    @property
+    def steps(self) -> int:
+        """Intervals of tables per px of R where weights are smooth in R whatever it is, as of waves; else 0."""
+        return 0
+
+    @property
+    def margin(self) -> float:
+        """Distance from the rim of the blur at which its light ends, px."""
+        return 0.0
+
+    @property
     def lengths(self) -> Mapping[str, float]:
         """Lengths in aperture radii that describe it, by name; of blur radius R they are R times as long."""
         return {}

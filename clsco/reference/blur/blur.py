@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clsco.optics.point_spread import subpixel_offsets
+from clsco.optics.point_spread import PointSpread, subpixel_offsets
 from clsco.plan.methods import BlurSpec
 from clsco.reference.common.geometry import Array, tilt_slope
 from clsco.reference.common.visibility import Visibility
@@ -21,6 +21,7 @@ from clsco.reference.trace.trace import Sources, SubpixelSources
 
 Shape = tuple[int, int]
 BLOCK = 16384  # sources at a time: their intermediate results stay in the cache
+TINIEST_OFFSET = 1e-6  # px
 OCCLUDED_BLOCK = 2048  # the same of sources with occluders, which take more memory
 
 
@@ -54,6 +55,16 @@ def tilt_factor(dx: ArrayLike, dy: ArrayLike, slope: Array) -> Array:
     return np.maximum(0.0, 1.0 + (np.asarray(dx) * slope[..., 0] + np.asarray(dy) * slope[..., 1]))
 
 
+def within_rim(psf: PointSpread, dx: ArrayLike, dy: ArrayLike, radius: ArrayLike) -> tuple[Array, Array]:
+    """Offsets in px that stand for the places in the lens that light comes from: of waves beyond the rim, its rim."""
+    dx, dy = np.asarray(dx, np.float64), np.asarray(dy, np.float64)
+    if not psf.diffracted:
+        return dx, dy
+    rim = psf.extent * np.abs(radius)
+    part = np.minimum(rim / np.maximum(np.hypot(dx, dy), TINIEST_OFFSET), 1.0)
+    return np.asarray(part * dx), np.asarray(part * dy)
+
+
 def _alike_offsets(offset_limit: int, alone: bool) -> Iterator[tuple[int, int, set[tuple[int, int]]]]:
     """An offset, and all that share its weight: signs changed, axes swapped; alone: none does."""
     if alone:
@@ -83,7 +94,8 @@ def _shares(
 
     Targets outside of the frame are left out.
     """
-    size, slope = np.abs(sources.radius).ravel(), tilt_slope(sources.gradient, sources.radius).reshape(-1, 2)
+    size, waves = np.abs(sources.radius).ravel(), spec.psf.diffracted
+    slope = tilt_slope(sources.gradient, sources.radius, waves).reshape(-1, 2)
     signed = sources.radius.ravel()
     row, column = (axis.ravel() - guard for axis in np.indices(there.shape))
     at = np.flatnonzero(there)
@@ -105,7 +117,9 @@ def _shares(
             source, target = lit[inside], (y * shape[1] + x)[inside]
             if not source.size:
                 continue
-            share = weight[source] * tilt_factor(dx, dy, slope[source]) if spec.tilt else weight[source]
+            share = weight[source]
+            if spec.tilt:
+                share = share * tilt_factor(*within_rim(spec.psf, dx, dy, signed[source]), slope[source])
             for hidden, visibility, cells in groups:
                 place = np.minimum(np.searchsorted(source, hidden), source.size - 1)
                 found = source[place] == hidden
@@ -131,7 +145,7 @@ def _subpixel_shares(
         block = order[start : start + size]
         p, y, x = pixel[block], offset[i[block]], offset[j[block]]
         radius = sub.radius[sub.hit][block]
-        slope = tilt_slope(sub.gradient[sub.hit][block], radius)
+        slope = tilt_slope(sub.gradient[sub.hit][block], radius, spec.psf.diffracted)
         far = spec.psf.reach(float(np.abs(radius).max()), subpixel=True)
         visibility = None if sub.visibility is None else sub.visibility.of(block)
         cells = np.empty(0) if visibility is None else cell_visibility(visibility)
@@ -141,7 +155,7 @@ def _subpixel_shares(
                 inside = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
                 share = spec.psf.subpixel_weights(dx - x[inside], dy - y[inside], radius[inside])
                 if spec.tilt:
-                    share = share * tilt_factor(dx - x, dy - y, slope)[inside]
+                    share = share * tilt_factor(*within_rim(spec.psf, dx - x, dy - y, radius), slope)[inside]
                 if visibility is not None:
                     seen = np.ones(p.size)
                     seen[visibility.row >= 0] = tap_share(visibility, cells, dx, dy)

@@ -367,27 +367,34 @@ def table_coordinate(
     return np.where(np.asarray(radius) < 0.0, other, found)
 
 
-def tilt_slope(gradient: Array, radius: ArrayLike) -> Array:
+def tilt_slope(gradient: Array, radius: ArrayLike, waves: bool = False) -> Array:
     """Gradient of the signed blur radius over that radius, (..., 2) in 1/px: l . grad R per px of offset.
 
     gradient: (..., 2) px per px, right and down; radius: (...) signed, px. Below 1 px the disc is smaller
     than a pixel, and the offset of a pixel that it touches overstates l: a radius counts as at least 1 px
-    there.
+    there. By waves light that arrives beside the image of a point in focus comes from all of the lens: there the slope
+    falls to 0 with R.
     """
     radius = np.asarray(radius, dtype=np.float64)
+    if waves:
+        inverse = radius / np.maximum(np.abs(radius), SMALLEST_RADIUS) ** 2
+        return np.clip(gradient * inverse[..., None], -STEEPEST_TILT, STEEPEST_TILT)
     size = np.where(radius < 0.0, -1.0, 1.0) * np.maximum(np.abs(radius), SMALLEST_RADIUS)
     return np.clip(gradient / size[..., None], -STEEPEST_TILT, STEEPEST_TILT)
 
 
-def pixel_tilt(gradient: Array, radius: ArrayLike) -> tuple[Array, Array]:
+def pixel_tilt(gradient: Array, radius: ArrayLike, waves: bool = False) -> tuple[Array, Array]:
     """Slope (..., 2) in 1/px of sources that are whole pixels, and the signed radius (...) in px of their weights.
 
     Arguments as for `tilt_slope`, which this is from 1/2 px on. Below, weights reach over the edges of the pixel alone,
     and over each goes what is in proportion to |R| there. It is taken as the mean of |R| at the two ends of the edge,
     so that the same goes over it from both sides, even where R changes its sign within the pixel, and constant radiance
     stays constant: the mean of all corners is the radius, half of the differences of opposite edges over it the slopes.
+    Weights by waves are smooth there.
     """
     radius = np.asarray(radius, dtype=np.float64)
+    if waves:
+        return tilt_slope(gradient, radius, waves), radius
     size, near = np.abs(radius), np.abs(radius) < HALF_PIXEL
     x, y = np.moveaxis(np.minimum(0.5 * np.abs(gradient), HALF_PIXEL), -1, 0)
     most, aside, below, least = size + x + y, np.abs(size + x - y), np.abs(size - x + y), np.abs(size - x - y)

@@ -407,7 +407,8 @@ class Visibility:
     row: (sources,) where a source is in the other arrays, -1 if nothing hides it or all is hidden. Of the M others:
     radius px; wide; x, y: place of the source in its pixel, px; occluders: per surface which of them it concerns, and
     how. extent: of the lens in lens radii; cells: weights (L, L) of its cells;
-    mask: straight edges (n, 3) of the lens, none where it is round; circles: rims that cut its light.
+    mask: straight edges (n, 3) of the lens, none where it is round; circles: rims that cut its light; waves: light goes
+    beyond the rim.
     """
 
     row: NDArray[np.int64]
@@ -420,6 +421,7 @@ class Visibility:
     cells: Array
     mask: Array
     circles: tuple[Circle, ...] = ()
+    waves: bool = False
 
     def of(self, chosen: NDArray[Any] | slice) -> Visibility:
         """The same for some of the sources."""
@@ -440,6 +442,7 @@ class Visibility:
             self.cells,
             self.mask,
             tuple(circle.of(there) for circle in self.circles),
+            self.waves,
         )
 
 
@@ -471,5 +474,5 @@ def check_visibility(
     return state, edge, Visibility(
         row, points.radius[partly], division.wide[partly], points.x[partly], points.y[partly], occluders,
         division.extent, psf.lens_cells(), np.array(psf.pupil.edges).reshape(-1, 3),
-        tuple(circle.of(partly) for circle in circles),
+        tuple(circle.of(partly) for circle in circles), psf.diffracted,
     )  # fmt: skip

@@ -10,6 +10,8 @@ from clsco.reference.common.occluder import Part, leave_free, occluded_part
 from clsco.reference.common.visibility import Visibility
 
 MOST_INWARDS = 0.7  # px along an axis, at the corners of a lens mask
+BEYOND = 0.5  # px outside of the rim, of waves
+NARROW_MIDDLE = 7  # px along an axis: farther taps of a lens that is not wide see what those see
 
 
 def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
@@ -17,12 +19,16 @@ def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
 
     Where the lens is wide, only the inside of it is visible from a tap at the rim of the blur: with a tent across it,
     cut at the distance s from its middle, the mean of what is left is at -(1 - s)^2 / 3, and below s = 0 at
-    (2 s - 1) / 3.
+    (2 s - 1) / 3. Of waves, from a tap beyond, the rim.
     """
     rim = np.maximum(np.abs(visibility.radius) * visibility.extent, 1.0)
     s = np.clip(0.5 * rim - (x * x + y * y) / (2 * rim), -1.0, 1.0)
     inwards = np.where(visibility.wide, 1 - np.where(s > 0, (1 - s) ** 2, 1 - 2 * s) / (3 * rim), 1.0)
     x, y = (x * inwards, y * inwards) if visibility.mask.size == 0 else _inside(visibility, x, y)
+    if visibility.waves:
+        distance = np.hypot(x, y)
+        within = np.where(visibility.wide & (distance > rim), rim / np.maximum(distance, rim), 1.0)
+        x, y = x * within, y * within
     share, across, down = np.ones_like(x), np.zeros_like(x), np.zeros_like(x)
     for mask, occluder in visibility.occluders:
         left = Part(share[mask], across[mask], down[mask])
@@ -70,8 +76,10 @@ def cell_visibility(visibility: Visibility) -> Array:
 def tap_share(visibility: Visibility, cells: Array, dx: float | Array, dy: float | Array) -> Array:
     """Share (M,) of the lens that is free, as seen from the tap (dx, dy) px off each source's pixel.
 
-    cells: (N, L, L) from `cell_visibility`. Where the lens is not wide, the tap's tent weighs its cells.
+    cells: (N, L, L) from `cell_visibility`. Where the lens is not wide, the tap's tent weighs its cells; of waves a tap
+    beyond the rim is moved to BEYOND px outside of it, so that in focus each sees the whole lens.
     """
+    limit = NARROW_MIDDLE if visibility.waves else np.inf
     share = (
         free_share(visibility, dx - visibility.x, dy - visibility.y)
         if visibility.wide.any()
@@ -81,10 +89,12 @@ def tap_share(visibility: Visibility, cells: Array, dx: float | Array, dy: float
     if narrow.any():
         step = np.abs(visibility.radius[narrow]) * visibility.extent / LENS_CELLS
         at = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS
-        across, down = (
-            np.maximum(0.0, 1 - np.abs(at * step[:, None] + (place - d)[narrow, None]))
-            for place, d in ((visibility.x, dx), (visibility.y, dy))
-        )
+        away = [(np.clip(d, -limit, limit) - place)[narrow] for place, d in ((visibility.x, dx), (visibility.y, dy))]
+        if visibility.waves:
+            rim = LENS_CELLS * step + BEYOND
+            part = np.minimum(rim / np.maximum(np.hypot(*away), 1e-6), 1.0)
+            away = [part * each for each in away]
+        across, down = (np.maximum(0.0, 1 - np.abs(at * step[:, None] - each[:, None])) for each in away)
         weights = visibility.cells
         if visibility.mask.size:
             mirrored = visibility.radius[narrow, None, None] < 0

@@ -238,7 +238,7 @@ def level_count(deep: int) -> int:
 
 def depth_of_hidden(psf: PointSpread, largest_sum: int) -> int:
     """Distance behind an edge at which surface may be seen, px: the blurs of both sides reach together as far."""
-    return ceil(largest_sum * psf.extent) + 2
+    return ceil(largest_sum * psf.extent + 2.0 * psf.pupil.margin) + 2
 
 
 def layered(

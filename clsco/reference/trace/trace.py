@@ -32,6 +32,7 @@ from clsco.reference.common.geometry import (
     rest_pixel,
     sample_texture,
     surface_slope,
+    tilt_slope,
 )
 from clsco.reference.common.visibility import HIDDEN, Points, Visibility, check_visibility
 from clsco.reference.trace.detail import detailed_texture
@@ -238,7 +239,7 @@ def trace(view: View, group: OcclusionGroup, guard: int) -> Sources:
     if group.occluders or view.psf.rims:
         rays = pixel_ray(scene.camera, row, column)[lit]
         here, radius = np.zeros(len(rays)), hit.radius[lit]
-        tilt, _ = pixel_tilt(hit.gradient[lit], radius)
+        tilt, _ = pixel_tilt(hit.gradient[lit], radius, view.psf.diffracted)
         size = np.maximum(np.abs(radius), np.minimum(2.0 * np.abs(radius), 1.0)) * np.where(radius < 0.0, -1.0, 1.0)
         bounds = [cutting_bounds(item) for item in scene.objects]
         state, edge, seen = check_visibility(
@@ -337,8 +338,8 @@ def trace_subpixels(
         x, y = (np.broadcast_to(n, lit.shape)[lit] for n in (offsets[None, :], offsets[:, None]))
         bounds = [cutting_bounds(item) for item in scene.objects]
         # Records have the gradient over the radius of what is covered.
-        size = np.maximum(np.abs(lens_radius), SMALLEST_RADIUS) / np.maximum(np.abs(hit.radius), SMALLEST_RADIUS)
-        tilted = hit.gradient * (size * np.where(lens_radius * hit.radius < 0.0, -1.0, 1.0))[..., None]
+        size = np.maximum(np.abs(lens_radius), SMALLEST_RADIUS) * np.where(lens_radius < 0.0, -1.0, 1.0)
+        tilted = tilt_slope(hit.gradient, hit.radius, view.psf.diffracted) * size[..., None]
         state, _, visibility = check_visibility(
             view.lens, view.surfaces, bounds, group, view.psf,
             Points(rays, hit.w[lit], lens_radius[lit], x, y, 1.0 / samples, tilted[lit] * scene.psf.tilt),

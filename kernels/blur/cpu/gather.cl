@@ -16,6 +16,18 @@
 
 #pragma OPENCL FP_CONTRACT ON
 
+#if TILT
+// 1 + l . grad R of taps (x, y) px from a source.
+INLINE float8 tilts(spread_t s, float4 source, float8 x, float y)
+{
+#if WAVES
+    return WITHIN_RIM(s.rim, x, y, LANE_SQRT) * (x * source.y + y * source.z) + 1;
+#else
+    return x * source.y + (1 + y * source.z);
+#endif
+}
+#endif
+
 // Adds rows -up..down of one source to `out`, the place of its first tap in its own row.
 INLINE void add_rows(spread_t s, int up, int down, float v, float4 source, __global float *out, int pitch)
 {
@@ -24,7 +36,7 @@ INLINE void add_rows(spread_t s, int up, int down, float v, float4 source, __glo
         for (int dy = -up; dy <= down; ++dy) {
             const float8 w = weights(s, dy, b);
 #if TILT
-            float8 factor = (lane + (b - s.half_width - s.ox)) * source.y + (1 + (dy - s.oy) * source.z);
+            float8 factor = tilts(s, source, lane + (b - s.half_width - s.ox), dy - s.oy);
             factor = factor > 0 ? factor : (float8)0;
             ADD_TAPS(out + dy * pitch + b, w * (factor * v));
 #else
@@ -35,6 +47,21 @@ INLINE void add_rows(spread_t s, int up, int down, float v, float4 source, __glo
 }
 
 #if OCCLUDED
+// Share of the lens that is free as seen from TAP_LANES taps of a row, the first one `first` px right of the source.
+INLINE float8 free_taps(const visibility_t *visibility, spread_t s, int first, int dy)
+{
+#if WAVES
+    float8 share;
+    if (visibility->wide)
+        return free_share(visibility, visibility->count > 1, LANE_OFFSETS + (first - s.ox), (float8)(dy - s.oy));
+    for (int k = 0; k < TAP_LANES; ++k)
+        ((float *)&share)[k] = narrow_share(visibility, first + k, dy);
+    return share;
+#else
+    return *(const unaligned_lanes_t *)(visibility->share[dy + NARROW_MIDDLE] + first + NARROW_MIDDLE);
+#endif
+}
+
 // The same for all channels, `apart` apart in `radiance` and `planes` in `out`, for a source with occluders that is not
 // wide.
 INLINE void add_occluded_rows(spread_t s, const visibility_t *visibility, int up, int down,
@@ -45,10 +72,9 @@ INLINE void add_occluded_rows(spread_t s, const visibility_t *visibility, int up
     for (int dy = -up; dy <= down; ++dy)
         for (int b = 0; b < s.lanes; b += TAP_LANES) {
             const int first = b - s.half_width;
-            float8 w = weights(s, dy, b) *
-                       *(const unaligned_lanes_t *)(visibility->share[dy + NARROW_MIDDLE] + first + NARROW_MIDDLE);
+            float8 w = weights(s, dy, b) * free_taps(visibility, s, first, dy);
 #if TILT
-            const float8 factor = (lane + (first - s.ox)) * source.y + (1 + (dy - s.oy) * source.z);
+            const float8 factor = tilts(s, source, lane + (first - s.ox), dy - s.oy);
             w *= factor > 0 ? factor : (float8)0;
 #endif
             for (int k = 0; k < CHANNELS; ++k)
@@ -59,10 +85,12 @@ INLINE void add_occluded_rows(spread_t s, const visibility_t *visibility, int up
 INLINE void add_occluded(spread_t s, const visibility_t *visibility, int up, int down, __global const float *radiance,
                          int apart, float4 source, __global float *out, int planes, int pitch SPAN_ARGUMENTS)
 {
+#if !WAVES
     if (visibility->wide)
         add_spans(s, visibility, up, down, radiance, apart, source, out, planes,
                   pitch SPANS_TO(ends, column, columns));
     else
+#endif
         add_occluded_rows(s, visibility, up, down, radiance, apart, source, out, planes, pitch);
 }
 #endif

@@ -1,0 +1,52 @@
+"""Limits of a point spread by waves, and words on it."""
+
+from __future__ import annotations
+
+from math import log10
+
+from clsco.errors import SceneError
+from clsco.optics.point_spread import PointSpread
+from clsco.optics.psf_tables import table_bytes
+from clsco.optics.pupils.diffracted import Diffracted
+from clsco.plan.passes import Parameters
+
+MOST_WAVES = 512.0  # of defocus at the rim: the transform of more would take seconds for each radius
+ADEQUATE, PER_DECADE = 33.0, 17.5  # dB: PSNR of a disc instead of waves is about ADEQUATE - PER_DECADE log10(Q)
+
+
+def disc_psnr(unit: float) -> float:
+    """PSNR in dB that an image of black and white squares has with a disc instead of waves, to 1.5 dB, by Q in px.
+
+    Notes
+    -----
+    Validated against rendered images of both (benchmarks/truth/wave.py).
+    """
+    return ADEQUATE - PER_DECADE * log10(unit)
+
+
+def check_waves(psf: PointSpread, largest: float) -> None:
+    """Raise SceneError where a blur radius of `largest` px is too many waves of defocus."""
+    pupil = psf.pupil
+    if not isinstance(pupil, Diffracted) or pupil.waves(largest) <= MOST_WAVES:
+        return
+    rule = f'"wave" takes at most {MOST_WAVES:g} waves of defocus at the rim'
+    about = f'R {largest:.3g} px; "pillbox" has about {disc_psnr(pupil.widest):.0f} dB against it'
+    raise SceneError(f"psf.model: {rule}; got {pupil.waves(largest):.4g} ({about})")
+
+
+def wave_words(psf: PointSpread, smallest: float, largest: float, silhouettes: int) -> Parameters:
+    """Parameters of the blur for reports; none where it is not by waves."""
+    pupil = psf.pupil
+    if not isinstance(pupil, Diffracted):
+        return ()
+    cut = max(pupil.left_out(smallest), pupil.left_out(largest))
+    size = table_bytes(psf, smallest, largest) + (
+        table_bytes(psf, smallest, largest, silhouettes) if silhouettes else 0
+    )
+    rest = "given to the rest" if pupil.keeps else "lost"
+    return (
+        ("waves", f"Q = {pupil.widest:.3g} px, {pupil.waves(largest):.3g} waves of defocus at the largest R"),
+        ("tail", f"{100.0 * cut:.2g} % of the light, beyond {pupil.margin:.3g} px from the rim, is {rest}"),
+        ("tables", f"{size / 2**20:.2g} MiB"),
+        ("disc", f"would have about {disc_psnr(pupil.widest):.0f} dB against waves"),
+    )
