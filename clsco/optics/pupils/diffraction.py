@@ -17,7 +17,7 @@ from clsco.optics.pupils.pupil import Array
 SERIES_UNTIL = 14.0  # argument of J0: its power series below, its asymptotic one above, both to 1e-11
 SERIES_TERMS, ASYMPTOTIC_TERMS = 48, 24
 CELLS_PER_UNIT = 12  # rings per Q, two samples in each: the light oscillates by 1 / Q per px at most
-WIDEST_CELL = 0.02  # px: a pixel's share of a ring is linear in it
+WIDEST_CELL = 0.01  # px: of a point source the share of a pixel bends where a ring passes its edges
 GAUSS = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)  # nodes in a ring, of one weight
 MOST_SAMPLES = 2**22  # of the kernel of the transform, made at once
 Path = Callable[[Array], Array]

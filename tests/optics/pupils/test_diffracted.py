@@ -1,0 +1,220 @@
+"""Diffraction of round openings against Hopkins' transfer function, Airy's closed form and sums."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.special import j0, j1
+
+from clsco.errors import SceneError
+from clsco.optics.point_spread import PointSpread, diffraction_unit, point_spread, spreads_of_colors
+from clsco.optics.psf_tables import psf_table, table_weights
+from clsco.optics.pupils.circle import Circle
+from clsco.optics.pupils.diffracted import DIRECT, Diffracted
+from clsco.optics.pupils.diffraction import bessel_j0, round_intensity
+from clsco.optics.pupils.pupil import Pupil
+from clsco.optics.pupils.ring import Ring
+from clsco.scene.model import Aperture, Camera, Psf
+
+Array = NDArray[np.float64]
+
+
+def waves(unit: float, opening: Pupil | None = None, tail: float = 0.01, keeps: bool = True) -> Diffracted:
+    return Diffracted(opening or Circle(), ((unit, 1.0),), tail, keeps)
+
+
+def nodes(low: float, high: float, count: int) -> tuple[Array, Array]:
+    x, weight = np.polynomial.legendre.leggauss(count)
+    return low + 0.5 * (high - low) * (x + 1.0), 0.5 * (high - low) * weight
+
+
+def transfer(s: Array, waves_at_rim: float) -> Array:
+    """Hopkins' transfer function of a defocused circle, s = 0..2."""
+    angle, weight = nodes(0.0, 0.5 * np.pi, 64 + int(16 * waves_at_rim))
+    half = np.sqrt(np.maximum(1.0 - 0.25 * s * s, 0.0))[:, None]
+    y, a = half * np.sin(angle), 4.0 * np.pi * waves_at_rim * s[:, None]
+    g = np.sqrt(1.0 - y * y) - 0.5 * s[:, None]
+    kernel = g * np.sinc(a * g / np.pi)
+    return np.asarray(4.0 / np.pi * (kernel * half * np.cos(angle) * weight).sum(axis=1))
+
+
+@cache
+def hopkins(unit: float, radius: float, reach: int, tent: bool) -> Array:
+    """Weights (dy, dx) up to `reach` px by frequencies, in polar coordinates."""
+    far = 1.5 * (reach + 2) / unit
+    f, weight = nodes(0.0, 1.0 / unit, int(200 + 8 * far))
+    angle, of_angle = nodes(0.0, 0.5 * np.pi, int(100 + 8 * far))
+    value = 4.0 * (transfer(2.0 * f * unit, radius / (4.0 * unit)) * f * weight)[:, None] * of_angle
+    fx, fy = (f[:, None] * turn(angle) for turn in (np.cos, np.sin))
+    order = 2 if tent else 1
+    value *= np.sinc(fx) ** order * np.sinc(fy) ** order
+    waves_x = [np.cos(2.0 * np.pi * fx * n) for n in range(reach + 1)]
+    waves_y = [np.cos(2.0 * np.pi * fy * n) for n in range(reach + 1)]
+    return np.array([[(value * x * y).sum() for x in waves_x] for y in waves_y])
+
+
+def offsets(reach: int) -> tuple[Array, Array]:
+    span = np.arange(-reach, reach + 1.0)
+    return span[None, :], span[:, None]
+
+
+def test_bessel_function() -> None:
+    x = np.linspace(0.0, 400.0, 40001)
+    assert np.abs(bessel_j0(x) - j0(x)).max() < 1e-11
+
+
+@pytest.mark.parametrize("unit", [0.11, 0.5, 1.0])
+def test_in_focus_it_is_the_airy_spot(unit: float) -> None:
+    r = np.linspace(1e-9, 30.0 * unit, 901)
+    found = round_intensity(r, np.zeros(1), unit, 0.0, np.zeros_like)[:, 0]
+    v = np.pi * r / unit
+    peak = np.pi / (4.0 * unit**2)
+    assert np.abs(found / peak - (2.0 * j1(v) / v) ** 2).max() < 1e-9
+
+
+@pytest.mark.parametrize("inner", [0.0, 0.4])
+def test_on_axis_it_is_a_squared_sinc(inner: float) -> None:
+    radii, unit = np.linspace(-20.0, 20.0, 81), 0.5
+    found = round_intensity(np.zeros(1), radii, unit, inner, np.zeros_like)[0]
+    area = 1.0 - inner**2
+    expected = area * np.sinc(area * radii / (4.0 * unit)) ** 2
+    assert np.abs(found * 4.0 * unit**2 / np.pi - expected).max() < 1e-9
+
+
+@pytest.mark.parametrize("tent", [True, False])
+@pytest.mark.parametrize(
+    ("unit", "radius"), [(0.11, 0.0), (0.11, 1.0), (0.25, 3.3), (0.5, 0.0), (0.5, 4.5), (1.0, 1.0)]
+)
+def test_weights_are_those_of_hopkins_transfer_function(unit: float, radius: float, tent: bool) -> None:
+    """By frequencies, where this goes by distances: nothing is shared but the definition."""
+    lens, reach = waves(unit, tail=0.002, keeps=False), int(radius) + 2
+    span = np.arange(reach + 1.0)
+    found = lens.share(span, span[:, None], np.asarray(radius), tent)
+    fold = np.where(span > 0, 2, 1)
+    difference = np.abs(found - hopkins(unit, radius, reach, tent)) * fold * fold[:, None]
+    assert difference.sum() < 1e-5
+
+
+@pytest.mark.parametrize("opening", [Circle(), Ring(0.5)])
+@pytest.mark.parametrize("tent", [True, False])
+@pytest.mark.parametrize("unit", [0.05, 0.5])
+def test_light_is_kept_or_lost_by_the_tail(unit: float, tent: bool, opening: Pupil) -> None:
+    for radius in (0.0, 0.7, 5.3):
+        x, y = offsets(int(radius + waves(unit, opening).margin) + 2)
+        kept = waves(unit, opening).share(x, y, np.asarray(radius), tent)
+        lost = waves(unit, opening, keeps=False).share(x, y, np.asarray(radius), tent)
+        left_out = waves(unit, opening).left_out(radius)
+        assert abs(kept.sum() - 1.0) < 1e-10
+        assert abs(lost.sum() - (1.0 - left_out)) < 1e-8
+        assert 0.0 < left_out <= 0.0101
+        assert np.abs(kept * (1.0 - left_out) - lost).max() < 1e-8
+        assert (kept >= 0.0).all()
+    assert waves(unit, opening, tail=0.05).margin <= waves(unit, opening).margin
+
+
+def test_nothing_is_beyond_the_reach() -> None:
+    psf = PointSpread(waves(0.5))
+    for radius in (0.0, 0.3, 2.9, 7.5):
+        reach = psf.reach(radius)
+        x, y = offsets(reach + 3)
+        weights = psf.weights(x, y, np.asarray(radius))
+        assert (weights[:3] == 0.0).all()
+        assert (weights[:, -3:] == 0.0).all()
+
+
+def test_signs_and_octants_are_alike() -> None:
+    psf = PointSpread(waves(0.3))
+    x, y = offsets(5)
+    weights = psf.weights(x, y, np.asarray(2.3))
+    assert (weights == psf.weights(x, y, np.asarray(-2.3))).all()
+    assert (weights == weights.T).all()
+    assert (weights == weights[::-1]).all()
+    assert psf.layout == "symmetric"
+    assert not psf.is_sharp(0.0)
+
+
+def test_many_radii_are_interpolated() -> None:
+    lens, radii = waves(0.11), np.linspace(0.0, 3.0, DIRECT + 40)
+    span = np.arange(4.0)
+    for tent in (True, False):
+        many = lens.share(span[:, None, None], span[:, None], radii, tent)
+        few = [lens.share(span[:, None], span, np.asarray(radius), tent) for radius in radii]
+        assert np.abs(many - np.moveaxis(few, 0, -1)).max() < 1e-7
+
+
+@pytest.mark.parametrize("unit", [0.02, 0.05, 0.11, 0.5, 2.0])
+def test_tables_are_as_good_as_those_of_discs(unit: float) -> None:
+    psf = PointSpread(waves(unit, tail=0.1))
+    table = psf_table(psf, 0.0, 4.0)
+    for radius in (0.0, 0.013, 0.21, 0.77, 1.503, 2.9, 3.99):
+        weights = table_weights(table, psf, radius)
+        x, y = offsets(weights.shape[0] // 2)
+        error = np.abs(weights - psf.weights(x, y, np.asarray(radius)))
+        assert error.sum() < 5e-5
+        assert error.max() < 1e-5
+
+
+def test_a_band_is_the_mean_of_its_wavelengths() -> None:
+    x, y = offsets(6)
+    both = Diffracted(Circle(), ((0.4, 0.5), (0.5, 0.5)), keeps=False)
+    each = [waves(unit, keeps=False) for unit in (0.4, 0.5)]
+    mean = 0.5 * sum(lens.share(x, y, np.asarray(2.0), True) for lens in each)
+    found = both.share(x, y, np.asarray(2.0), True)
+    assert np.abs(found - mean)[3:10, 3:10].max() < 1e-6  # where both have all of their light
+    assert both.margin == each[1].margin
+    assert both.waves(3.2) == 2.0
+
+
+def test_it_is_the_disc_where_waves_are_short() -> None:
+    x, y = offsets(6)
+    disc = PointSpread(Circle()).weights(x, y, np.asarray(4.0))
+    differences = [np.abs(PointSpread(waves(q)).weights(x, y, np.asarray(4.0)) - disc).sum() for q in (0.4, 0.1, 0.02)]
+    assert differences[0] > 2.0 * differences[1] > 4.0 * differences[2]
+    assert differences[2] < 0.02
+
+
+def test_point_spreads_of_a_camera() -> None:
+    camera = Camera(f_number=4.0, focal_length=20.0, pixel_pitch=0.005)
+    psf = Psf(model="wave", bandwidth=80.0)
+    spread = point_spread(psf, camera=camera)
+    assert isinstance(spread.pupil, Diffracted)
+    middle = sum(unit * share for unit, share in spread.pupil.bands)
+    assert middle == pytest.approx(diffraction_unit(camera, 540.0)) == pytest.approx(0.432)
+    apart = spread.pupil.bands[1][0] - spread.pupil.bands[0][0]
+    assert apart == pytest.approx(diffraction_unit(camera, 80.0 / 3.0**0.5))
+    red, green, blue = spreads_of_colors(spread, psf, camera)
+    assert green == spread
+    assert red.pupil.margin > green.pupil.margin > blue.pupil.margin
+    disc = point_spread(Psf())
+    assert spreads_of_colors(disc, Psf(), camera) == (disc, disc, disc)
+
+
+@pytest.mark.parametrize(
+    ("psf", "camera", "message"),
+    [
+        ({}, None, 'camera: must be given with psf.model = "wave", for its aperture and pixels; got None'),
+        (
+            {},
+            Camera(pixel_pitch=0.1),
+            "psf.wavelengths: must make wavelength s0 / (D pixel_pitch) 0.02 to 8 px; got 0.0108 px, of 540 nm",
+        ),
+        (
+            {"wavelengths": (610.0, 20000.0, 465.0)},
+            Camera(f_number=8.0),
+            "psf.wavelengths: must make wavelength s0 / (D pixel_pitch) 0.02 to 8 px; got 16 px, of 2e+04 nm",
+        ),
+        (
+            {"tail": 2e-4},
+            Camera(f_number=8.0),
+            "psf.tail: must leave at most 256 px of light outside of the rim of the blur; "
+            + "got 482 px, of 0.0002 and 540 nm",
+        ),
+    ],
+)
+def test_lenses_that_cannot_be(psf: dict[str, object], camera: Camera | None, message: str) -> None:
+    with pytest.raises(SceneError) as error:
+        point_spread(Psf.model_validate({"model": "wave", **psf}), Aperture(), camera=camera)
+    assert error.value.messages == (message,)

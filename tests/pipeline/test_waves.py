@@ -1,0 +1,159 @@
+"""Frames whose light is diffracted: device against reference, strips, exact convolutions, and beside discs."""
+
+from __future__ import annotations
+
+from functools import partial
+from math import log10
+from typing import Any
+
+import numpy as np
+import pytest
+
+import clsco
+from clsco.errors import SceneError
+from clsco.inputs.pupils import scene_point_spread
+from clsco.opencl.device import choose
+from clsco.plan.memory import device_bytes
+from clsco.plan.prepare import prepare
+from clsco.plan.waves import MOST_WAVES, disc_psnr
+from clsco.scene.model import Camera, Scene
+from tests.scenes import assert_agree, reference_frames, rendered, scene_from
+from tests.slow import mostly_slow
+
+CAMERA = {"resolution": [48, 32]}
+FACING: Any = {"shape": "plane", "distance": 262.0, "texture": "checkerboard"}
+TILTED: Any = {"shape": "plane", "distance": 252.0, "slope_x": 0.8, "texture": "bricks"}  # through the focus
+BALL: Any = {"shape": "sphere", "radius": 5.0, "center": [2.0, 0.0, 236.0], "texture": "bricks"}
+NEAR: Any = {"shape": "sphere", "radius": 5.0, "center": [2.0, 0.0, 247.0], "texture": "bricks"}
+COLORED: Any = {**TILTED, "texture": "#c86432"}
+LONG = {"wavelengths": [2500.0] * 3, "tail": 0.04}  # Q = 0.5 px
+
+scene = partial(scene_from, {"camera": CAMERA, "psf": {"model": "wave"}})
+CASES: dict[str, dict[str, Any]] = {
+    "facing": {"object": [FACING]},
+    "through the focus": {"object": [TILTED]},
+    "hidden, wide": {"object": [BALL, {**FACING, "distance": 275.0}]},
+    "hidden, narrow": {"object": [NEAR, TILTED]},
+    "hidden, far light": {"object": [NEAR, TILTED], "psf": {"model": "wave", **LONG}},
+    "hidden, wide, far light": {"object": [BALL, {**FACING, "distance": 275.0}], "psf": {"model": "wave", **LONG}},
+    "renormalized": {"object": [TILTED], "psf": {"model": "wave", "border": "renormalize", "rest": "lose"}},
+    "layered": {"object": [BALL, FACING], "psf": {"model": "wave", "occlusion": "layered"}},
+    "colors": {"object": [NEAR, COLORED]},
+    "ring": {"object": [TILTED], "aperture": {"shape": "ring", "obstruction": 0.4}},
+    "moving": {
+        "object": [{**NEAR, "motion": {"velocity": [20.0, 0.0, 10.0]}}, TILTED],
+        "sequence": {"frames": 1, "samples": 3, "shutter": 0.05},
+    },
+}
+FEW = ("facing", "hidden, far light", "colors", "layered")
+
+
+@pytest.mark.parametrize("method", ["auto", "scatter"])
+@pytest.mark.parametrize("case", mostly_slow(list(CASES), list(FEW)))
+def test_device_and_reference_agree(case: str, method: str) -> None:
+    wanted = scene(**CASES[case])
+    assert_agree(rendered(wanted, method=method), reference_frames(wanted), least=0.0)
+
+
+def test_tiles_agree() -> None:
+    wanted = scene(object=[TILTED])
+    assert_agree(rendered(wanted, method="tiles"), reference_frames(wanted), least=0.0)
+
+
+def test_single_precision() -> None:
+    wanted = scene(object=[FACING])
+    (single,) = rendered(wanted, precision="single")
+    (double,) = rendered(wanted)
+    assert np.abs(single.color - double.color).max() < 2e-4
+
+
+@pytest.mark.parametrize("case", ["through the focus", "hidden, far light"])
+def test_strips_have_the_bits_of_the_whole(case: str) -> None:
+    wanted = scene(**{**CASES[case], "camera": {"resolution": [48, 200]}})
+    size = device_bytes(prepare(wanted, device=choose()).plan)
+    (whole,), (cut,) = rendered(wanted, truth=()), rendered(wanted, truth=(), memory=size - 1)
+    assert cut.metadata["strips"] > whole.metadata["strips"] == 1
+    assert (whole.color == cut.color).all()
+
+
+def psnr(image: np.ndarray[Any, Any], exact: np.ndarray[Any, Any]) -> float:
+    return -10.0 * log10(float(np.square(image - exact).mean()))
+
+
+def inner(image: np.ndarray[Any, Any], border: int = 12) -> np.ndarray[Any, Any]:
+    return np.asarray(image[border:-border, border:-border], np.float64)
+
+
+@pytest.mark.parametrize("distance", [250.0167, 262.0])
+def test_a_facing_plane_is_convolved_exactly(distance: float) -> None:
+    """In focus as well: the Airy spot is no special case."""
+    wanted = scene(object=[{**FACING, "distance": distance}], camera={"resolution": [64, 48]})
+    (frame,) = clsco.render(wanted, truth=["sharp", "blur_radius"])
+    assert frame.sharp is not None
+    assert frame.blur_radius is not None
+    radius, psf = float(frame.blur_radius[0, 0]), scene_point_spread(prepare(wanted).scene)
+    far = psf.reach(radius)
+    span = np.arange(-far, far + 1.0)
+    weights = psf.weights(span, span[:, None], np.asarray(radius))
+    sharp = np.pad(frame.sharp.astype(np.float64), far)
+    rows, columns = frame.color.shape
+    exact = np.zeros((rows, columns))
+    for i in range(2 * far + 1):
+        for j in range(2 * far + 1):
+            exact += weights[i, j] * sharp[i : i + rows, j : j + columns]
+    assert np.abs(inner(frame.color) - inner(exact)).max() < 1e-6
+
+
+@pytest.mark.parametrize(("f_number", "pitch"), [(2.0, 0.01), (4.0, 0.005), (8.0, 0.005)])
+def test_a_disc_differs_as_the_plan_says(f_number: float, pitch: float) -> None:
+    place = np.indices((108, 108)) // 18
+    squares = np.ascontiguousarray(place.sum(axis=0) % 2, np.float32)
+    camera = {"resolution": [108, 108], "f_number": f_number, "focal_length": 20.0, "pixel_pitch": pitch}
+    lens = Camera.model_validate(camera)
+    unit, scale = 5.4e-4 * f_number / pitch, 20.0 * lens.aperture_diameter / (2.0 * pitch)
+    found = []
+    for radius in (1.0, 2.0, 4.0):
+        distance = 1.0 / (1.0 / 20.0 - 1.0 / 21.739 - radius / scale)
+        plane = {**FACING, "distance": distance, "texture": squares}
+        (light,) = clsco.render(scene(object=[plane], camera=camera))
+        (disc,) = clsco.render(scene(object=[plane], camera=camera, psf={"model": "pillbox"}))
+        found.append(psnr(disc.color.astype(np.float64), light.color.astype(np.float64)))
+    assert min(found) == pytest.approx(disc_psnr(unit), abs=1.5)
+
+
+def test_an_image_by_its_radii() -> None:
+    image, radii = np.zeros((32, 40), np.float32), np.full((32, 40), 1.5)
+    image[16, 20] = 1.0
+    camera = {"f_number": 8.0, "focal_length": 20.0, "pixel_pitch": 0.005}
+    blurred = clsco.defocus(image, radii, "wave", camera=camera)
+    psf = scene_point_spread(Scene(camera=Camera(**camera), psf=clsco.Psf(model="wave"), objects=(clsco.Plane(),)))
+    span = np.arange(-6.0, 7.0)
+    expected = psf.weights(span, span[:, None], np.asarray(1.5))
+    assert np.abs(blurred[10:23, 14:27] - expected).max() < 1e-6
+    colored = clsco.defocus(np.repeat(image[..., None], 3, axis=2), radii, "wave", camera=camera)
+    assert np.abs(colored[..., 1] - blurred).max() < 1e-7
+    assert np.ptp(colored[16, 20]) > 1e-3
+    with pytest.raises(SceneError, match="camera: must be given"):
+        clsco.defocus(image, radii, "wave")
+
+
+def test_too_many_waves_are_refused() -> None:
+    camera = {"resolution": [32, 32], "pixel_pitch": 0.05, "aperture_diameter": 10.0}
+    with pytest.raises(SceneError) as error:
+        prepare(scene(object=[{**FACING, "distance": 22.0}], camera=camera, psf={"model": "wave", "tail": 0.1}))
+    assert error.value.messages[0].startswith(f'psf.model: "wave" takes at most {MOST_WAVES:g} waves of defocus')
+
+
+def test_the_lens_of_waves_cannot_open() -> None:
+    keys = [{"time": 0.0, "f_number": 2.0}, {"time": 1.0, "f_number": 4.0}]
+    with pytest.raises(SceneError, match=r'f_number: cannot change with psf.model = "wave"'):
+        scene(object=[FACING], lens={"keyframe": keys})
+
+
+def test_words_of_the_plan() -> None:
+    plan = prepare(scene(object=[TILTED])).plan
+    (words,) = [dict(step.parameters) for step in plan.passes if step.kind == "blur"]
+    assert words["waves"].startswith("Q = 0.108 px, ")
+    assert words["disc"] == "would have about 50 dB against waves"
+    assert "of the light, beyond" in words["tail"]
+    assert words["tables"].endswith("MiB")
