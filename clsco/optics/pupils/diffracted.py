@@ -17,7 +17,7 @@ from clsco.optics.pupils.ring import Ring
 LAW = 1.1  # light beyond d px outside of the rim is at most so many times 2 Q / (pi^2 d), for an open circle
 LEAST_MARGIN = 1.0  # px
 DIRECT = 64  # radii up to which each has weights of its own; of more they are interpolated
-STEPS, MOST_STEPS = ((0.2, 8), (0.05, 16)), 32  # intervals of tables per px, from a Q on
+STEPS, MOST_STEPS = ((1.6, 2), (0.8, 4), (0.2, 8), (0.05, 16)), 32  # intervals of tables per px, from a Q on
 PANEL_NODES = 10
 PANEL = 0.25  # px of R that one polynomial is for, at most; half a period of the fastest oscillation, 4 Q
 ANGLES = (np.arange(PANEL_NODES) + 0.5) * pi / PANEL_NODES
