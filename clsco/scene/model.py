@@ -340,10 +340,11 @@ class Scene(Strict):
     @model_validator(mode="after")
     def _waves_of_one_opening(self) -> Self:
         keys = () if self.lens is None or self.psf.model != "wave" else self.lens.keyframe or ()
-        opening = [(k, key.f_number) for k, key in enumerate(keys) if key.f_number is not None]
-        if opening:
-            rule = fault('cannot change with psf.model = "wave", whose blur is that of one opening')
-            raise at_keys([(("lens", "keyframe", opening[0][0], "f_number"), rule, opening[0][1])])
+        names = ("focal_length", "f_number")
+        found = [(k, name, getattr(key, name)) for k, key in enumerate(keys) for name in names]
+        rule = fault('cannot change with psf.model = "wave", whose blur is that of one opening')
+        if faults := [(("lens", "keyframe", k, name), rule, value) for k, name, value in found if value is not None]:
+            raise at_keys(faults[:1])
         return self
 
     @model_validator(mode="after")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from math import log10
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,9 +18,11 @@ from clsco.plan.memory import device_bytes
 from clsco.plan.prepare import prepare
 from clsco.plan.waves import MOST_WAVES, disc_psnr
 from clsco.scene.model import Camera, Scene
+from clsco.scene.sweep import load_sweep
 from tests.scenes import assert_agree, reference_frames, rendered, scene_from
 from tests.slow import mostly_slow
 
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 CAMERA = {"resolution": [48, 32]}
 FACING: Any = {"shape": "plane", "distance": 262.0, "texture": "checkerboard"}
 TILTED: Any = {"shape": "plane", "distance": 252.0, "slope_x": 0.8, "texture": "bricks"}  # through the focus
@@ -53,6 +56,14 @@ FEW = ("facing", "hidden, far light", "colors", "layered")
 def test_device_and_reference_agree(case: str, method: str) -> None:
     wanted = scene(**CASES[case])
     assert_agree(rendered(wanted, method=method), reference_frames(wanted), least=0.0)
+
+
+@pytest.mark.parametrize("name", mostly_slow(["microscope_objective", "phone_camera", "star_field"], ["star_field"]))
+def test_examples(name: str) -> None:
+    (wanted,) = load_sweep(EXAMPLES / f"{name}.toml", ("camera.resolution=[56, 40]", "psf.tail=0.1")).scenes
+    (frame,), (exact,) = rendered(wanted), reference_frames(wanted)
+    assert np.ptp(frame.color) > 0.005
+    assert np.abs(frame.color - exact.color).max() < 1e-5
 
 
 def test_tiles_agree() -> None:
@@ -124,9 +135,9 @@ def test_a_disc_differs_as_the_plan_says(f_number: float, pitch: float) -> None:
 def test_an_image_by_its_radii() -> None:
     image, radii = np.zeros((32, 40), np.float32), np.full((32, 40), 1.5)
     image[16, 20] = 1.0
-    camera = {"f_number": 8.0, "focal_length": 20.0, "pixel_pitch": 0.005}
+    camera = Camera(f_number=8.0, focal_length=20.0, pixel_pitch=0.005)
     blurred = clsco.defocus(image, radii, "wave", camera=camera)
-    psf = scene_point_spread(Scene(camera=Camera(**camera), psf=clsco.Psf(model="wave"), objects=(clsco.Plane(),)))
+    psf = scene_point_spread(Scene(camera=camera, psf=clsco.Psf(model="wave"), objects=(clsco.Plane(),)))
     span = np.arange(-6.0, 7.0)
     expected = psf.weights(span, span[:, None], np.asarray(1.5))
     assert np.abs(blurred[10:23, 14:27] - expected).max() < 1e-6

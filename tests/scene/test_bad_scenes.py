@@ -109,12 +109,21 @@ SCENES: list[tuple[str, str]] = [
         "psf.wavelengths = [610, 540, 465]",
         'psf.wavelengths: belongs to psf.model = "wave", not "pillbox"; got [610, 540, 465]',
     ),
-    ('psf = {model = "gaussian", bandwidth = 10}', 'psf.bandwidth: belongs to psf.model = "wave", not "gaussian"; got 10'),
+    (
+        'psf = {model = "gaussian", bandwidth = 10}',
+        'psf.bandwidth: belongs to psf.model = "wave", not "gaussian"; got 10',
+    ),
     ("psf.tail = 0.1", 'psf.tail: belongs to psf.model = "wave", not "pillbox"; got 0.1'),
     ('psf.rest = "lose"', 'psf.rest: belongs to psf.model = "wave", not "pillbox"; got "lose"'),
-    ('psf = {model = "wave", sigma_ratio = 1}', 'psf.sigma_ratio: belongs to psf.model = "gaussian", not "wave"; got 1'),
+    (
+        'psf = {model = "wave", sigma_ratio = 1}',
+        'psf.sigma_ratio: belongs to psf.model = "gaussian", not "wave"; got 1',
+    ),
     ('psf = {model = "wave", edge = "area"}', 'psf.edge: must be "integrated" with psf.model = "wave"; got "area"'),
-    ('psf = {model = "wave", edge = "sampled"}', 'psf.edge: must be "integrated" with psf.model = "wave"; got "sampled"'),
+    (
+        'psf = {model = "wave", edge = "sampled"}',
+        'psf.edge: must be "integrated" with psf.model = "wave"; got "sampled"',
+    ),
     ('psf = {model = "wave", wavelengths = 550}', "psf.wavelengths: must be a list of 3 numbers; got 550"),
     (
         'psf = {model = "wave", wavelengths = [99, 540, 465]}',
