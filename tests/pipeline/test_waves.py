@@ -115,7 +115,7 @@ def test_a_facing_plane_is_convolved_exactly(distance: float) -> None:
     assert np.abs(inner(frame.color) - inner(exact)).max() < 1e-6
 
 
-@pytest.mark.parametrize(("f_number", "pitch"), [(2.0, 0.01), (4.0, 0.005), (8.0, 0.005)])
+@pytest.mark.parametrize(("f_number", "pitch"), [(2.0, 0.01), (2.8, 0.005), (4.0, 0.005)])
 def test_a_disc_differs_as_the_plan_says(f_number: float, pitch: float) -> None:
     place = np.indices((108, 108)) // 18
     squares = np.ascontiguousarray(place.sum(axis=0) % 2, np.float32)

@@ -105,36 +105,6 @@ SCENES: list[tuple[str, str]] = [
     ("stereo = {baseline = 65, toein = 1}", "stereo.toein: unknown key (did you mean toe_in?); got 1"),
     ('psf.model = "disc"', 'psf.model: must be pillbox, gaussian or wave; got "disc"'),
     ("psf.model = 1", "psf.model: must be pillbox, gaussian or wave; got 1"),
-    (
-        "psf.wavelengths = [610, 540, 465]",
-        'psf.wavelengths: belongs to psf.model = "wave", not "pillbox"; got [610, 540, 465]',
-    ),
-    (
-        'psf = {model = "gaussian", bandwidth = 10}',
-        'psf.bandwidth: belongs to psf.model = "wave", not "gaussian"; got 10',
-    ),
-    ("psf.tail = 0.1", 'psf.tail: belongs to psf.model = "wave", not "pillbox"; got 0.1'),
-    ('psf.rest = "lose"', 'psf.rest: belongs to psf.model = "wave", not "pillbox"; got "lose"'),
-    (
-        'psf = {model = "wave", sigma_ratio = 1}',
-        'psf.sigma_ratio: belongs to psf.model = "gaussian", not "wave"; got 1',
-    ),
-    ('psf = {model = "wave", edge = "area"}', 'psf.edge: must be "integrated" with psf.model = "wave"; got "area"'),
-    (
-        'psf = {model = "wave", edge = "sampled"}',
-        'psf.edge: must be "integrated" with psf.model = "wave"; got "sampled"',
-    ),
-    ('psf = {model = "wave", wavelengths = 550}', "psf.wavelengths: must be a list of 3 numbers; got 550"),
-    (
-        'psf = {model = "wave", wavelengths = [99, 540, 465]}',
-        "psf.wavelengths[0]: must be between 100 and 20000 nm; got 99",
-    ),
-    ('psf = {model = "wave", tail = 0.3}', "psf.tail: must be between 0.0001 and 0.2; got 0.3"),
-    ('psf = {model = "wave", rest = "keep"}', 'psf.rest: must be renormalize or lose; got "keep"'),
-    (
-        'psf = {model = "wave", bandwidth = 470}',
-        "psf.bandwidth: must be less than each of the wavelengths, of which one is 465 nm; got 470",
-    ),
     ('psf.edge = "sharp"', 'psf.edge: must be integrated, area or sampled; got "sharp"'),
     ("psf.tilt = 1", "psf.tilt: must be true or false; got 1"),
     ('psf.tilt = "true"', 'psf.tilt: must be true or false; got "true"'),

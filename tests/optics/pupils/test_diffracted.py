@@ -106,8 +106,8 @@ def test_many_radii_are_interpolated() -> None:
     span = np.arange(4.0)
     for tent in (True, False):
         many = lens.share(span[:, None, None], span[:, None], radii, tent)
-        few = [lens.share(span[:, None], span, np.asarray(radius), tent) for radius in radii]
-        assert np.abs(many - np.moveaxis(few, 0, -1)).max() < 1e-7
+        few = np.stack([lens.share(span[:, None], span, np.asarray(r), tent) for r in radii], axis=-1)
+        assert np.abs(many - few).max() < 1e-7
 
 
 @pytest.mark.parametrize("unit", [0.02, 0.05, 0.11, 0.5, 2.0])
