@@ -340,11 +340,11 @@ class Scene(Strict):
     @model_validator(mode="after")
     def _waves_of_one_opening(self) -> Self:
         keys = () if self.lens is None or self.psf.model != "wave" else self.lens.keyframe or ()
-        names = ("focal_length", "f_number")
-        found = [(k, name, getattr(key, name)) for k, key in enumerate(keys) for name in names]
         rule = fault('cannot change with psf.model = "wave", whose blur is that of one opening')
-        if faults := [(("lens", "keyframe", k, name), rule, value) for k, name, value in found if value is not None]:
-            raise at_keys(faults[:1])
+        for k, key in enumerate(keys):
+            for name in ("focal_length", "f_number"):
+                if getattr(key, name) is not None:
+                    raise at_keys([(("lens", "keyframe", k, name), rule, getattr(key, name))])
         return self
 
     @model_validator(mode="after")
