@@ -181,6 +181,8 @@ def misfit(psf: Psf, aperture: Aperture) -> tuple[str, str, Any] | None:
         found.append(("squeeze", "an aperture that is squeezed", aperture.squeeze))
     if aperture.rim and psf.edge == "sampled":
         return "rim", 'needs psf.edge = "integrated" or "area"', psf.edge
+    if aperture.rim and psf.model == "wave":
+        return "rim", 'needs psf.model = "pillbox" or "gaussian"', psf.model
     for key, about, value in found:
         if psf.model == "gaussian" or (psf.model == "wave" and (key, value) != ("shape", "ring")):
             return key, f'{about} needs psf.model = "pillbox"', value
