@@ -15,7 +15,7 @@ from clsco.scene.motions import (
     check_interpolation,
     default_of_keyframes,
 )
-from clsco.scene.quantities import MAX_LENGTH_MM, Strict, Triple, Within, as_python, fault
+from clsco.scene.quantities import MAX_LENGTH_MM, Strict, Triple, Within, as_python, at_keys, fault
 
 MOST_VIGNETTING = 10.0
 Shift = Annotated[float, Within(-MAX_LENGTH_MM, MAX_LENGTH_MM, "mm")]
@@ -109,3 +109,12 @@ class Lens(Strict):
     def separates_colors(self) -> bool:
         """True if it does not blur all colors alike."""
         return any(self.axial)
+
+
+def check_opening(lens: Lens) -> None:
+    """Raise the fault of a lens whose opening changes, as that of psf.model = "wave" cannot."""
+    rule = fault('cannot change with psf.model = "wave", whose blur is that of one opening')
+    for k, key in enumerate(lens.keyframe or ()):
+        for name in ("focal_length", "f_number"):
+            if getattr(key, name) is not None:
+                raise at_keys([(("lens", "keyframe", k, name), rule, getattr(key, name))])

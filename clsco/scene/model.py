@@ -18,7 +18,7 @@ from clsco.scene.arrays import HasInputs
 from clsco.scene.changes import replaced
 from clsco.scene.faults import refusal
 from clsco.scene.groups import Group, Groups, unknown_groups
-from clsco.scene.lens import Lens
+from clsco.scene.lens import Lens, check_opening
 from clsco.scene.motions import CameraMotion, CameraShake, Keyframe, LensKeyframe, ObjectMotion
 from clsco.scene.objects import MAX_OBJECTS, Object, Objects
 from clsco.scene.quantities import (
@@ -338,17 +338,9 @@ class Scene(Strict):
         return value
 
     @model_validator(mode="after")
-    def _waves_of_one_opening(self) -> Self:
-        keys = () if self.lens is None or self.psf.model != "wave" else self.lens.keyframe or ()
-        rule = fault('cannot change with psf.model = "wave", whose blur is that of one opening')
-        for k, key in enumerate(keys):
-            for name in ("focal_length", "f_number"):
-                if getattr(key, name) is not None:
-                    raise at_keys([(("lens", "keyframe", k, name), rule, getattr(key, name))])
-        return self
-
-    @model_validator(mode="after")
     def _psf_fits_the_aperture(self) -> Self:
+        if self.lens is not None and self.psf.model == "wave":
+            check_opening(self.lens)
         if found := misfit(self.psf, self.aperture):
             key, rule, value = found
             raise at_keys([(("aperture", key), fault(rule), value)])
