@@ -51,7 +51,7 @@ EFFECTS = (
     Effect("field_curvature", {"lens": {"field_curvature": -0.02}}, (FAR, FOCUS)),
     Effect("axial", {"lens": {"axial": [1.2, 0.0, -1.2]}}),
     Effect("vignetting", {"lens": {"vignetting": "natural"}}),
-    Effect("wave", {"psf": {"model": "wave", "wavelengths": [20000.0, 18000.0, 16000.0]}}, color=(1.0, 1.0, 1.0)),
+    Effect("wave", {"psf": {"model": "wave", "wavelengths": [20000.0] * 3}}),
 )
 
 
