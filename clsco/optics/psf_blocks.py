@@ -15,6 +15,7 @@ from clsco.optics.point_spread import PointSpread, subpixel_offsets
 from clsco.optics.psf_grid import NODES, TO_POWERS, block_intervals, half_widths, octant_taps, row_lanes, table_radius
 
 Array = NDArray[np.float64]
+OUTLINE, OUTLINE_RING = 2, 4  # numbers of an outline
 RUN = 16  # intervals whose weights are computed at once, of one half-width
 
 
@@ -78,10 +79,10 @@ def weight_block(psf: PointSpread, first: int, subpixel: int = 0) -> WeightBlock
 
 
 def _symmetric(psf: PointSpread, span: range, subpixel: int) -> WeightBlock:
-    fine, widths = subpixel > 0, half_widths(psf, span, subpixel > 0)
+    fine, hollow, widths = subpixel > 0, int(psf.pupil.hollow), half_widths(psf, span, subpixel > 0)
     reach, coefficients = int(widths[-1]), list[NDArray[np.float32]]()
-    taps = np.zeros((0 if fine else octant_taps(reach), POWERS, len(span)), np.float32)
-    outlines = np.zeros((0 if fine else len(span), reach + 1, 2), np.int32)
+    taps = np.zeros((0 if fine else octant_taps(reach) + hollow, POWERS, len(span)), np.float32)
+    outlines = np.zeros((0 if fine else len(span), reach + 1, OUTLINE_RING if hollow else OUTLINE), np.int32)
     outlines[..., 1] = -1
     for number, radii, half_width in _runs(psf, span, fine):
         values = _subpixel_rows(psf, radii, half_width, subpixel) if fine else _main_rows(psf, radii, half_width)
@@ -89,8 +90,17 @@ def _symmetric(psf: PointSpread, span: range, subpixel: int) -> WeightBlock:
             coefficients.append(block.ravel())
             if not fine:
                 a, b = np.tril_indices(half_width + 1)
-                taps[: len(a), :, k] = block[b, :, half_width + a]
-                outlines[k, : half_width + 1] = _outline(block[:, :, half_width : 2 * half_width + 1])
+                taps[hollow : hollow + len(a), :, k] = block[b, :, half_width + a]
+                right = block[:, :, half_width : 2 * half_width + 1]
+                if hollow:
+                    nodes = slice(len(NODES) * (k - number), len(NODES) * (k - number + 1))
+                    is_open = _is_open(psf, values[nodes, :, half_width:], radii[nodes])
+                    outlines[k, : half_width + 1] = _ring_outline(right, is_open)
+                    if is_open.any():
+                        dy, dx = np.argwhere(is_open)[0]
+                        taps[0, :, k] = right[dy, :, dx]
+                else:
+                    outlines[k, : half_width + 1] = _outline(right)
     return WeightBlock(widths.astype(np.int32), np.concatenate(coefficients), _none(), taps, outlines)
 
 
@@ -167,6 +177,25 @@ def _outline(block: NDArray[np.float32]) -> NDArray[np.int32]:
     last = len(lit) - 1 - lit[::-1].argmax(axis=0)
     last = np.where(lit.any(axis=0), last, -1)
     return np.stack([np.minimum.accumulate(first), last], axis=1).astype(np.int32)
+
+
+def _is_open(psf: PointSpread, values: Array, radii: Array) -> NDArray[np.bool_]:
+    """Taps (|dy|, |dx|) all between the rims of a ring at all radii of an interval: `values` (radii, |dy|, |dx|)."""
+    whole = 1.0 / (np.pi * psf.pupil.light * radii * radii)
+    return np.asarray((np.abs(values / whole[:, None, None] - 1.0) < 1e-12).all(axis=0))
+
+
+def _ring_outline(block: NDArray[np.float32], is_open: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """Outline of the weights of an interval of a ring: int32 (half-width + 1, 4).
+
+    block: coefficients (|dy|, powers, |dx|); is_open (|dy|, |dx|). Of the column |dx| = n: the first and the last |dy|
+    with a weight above 0, and the first one of those between the rims and the one after the last.
+    """
+    lit, count = (block != 0).any(axis=1), len(block)
+    last = np.where(lit.any(axis=0), count - 1 - lit[::-1].argmax(axis=0), -1)
+    stop = np.where(is_open.any(axis=0), count - is_open[::-1].argmax(axis=0), 0)
+    start = np.where(is_open.any(axis=0), is_open.argmax(axis=0), count)
+    return np.stack([lit.argmax(axis=0), last, start, stop], axis=1).astype(np.int32)
 
 
 def _main_rows(psf: PointSpread, radii: Array, half_width: int) -> Array:

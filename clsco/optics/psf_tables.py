@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from clsco.constants import POWERS, TAP_LANES, WIDE_LANES
 from clsco.errors import SceneError
 from clsco.optics.point_spread import PointSpread
-from clsco.optics.psf_blocks import WeightBlock, weight_block
+from clsco.optics.psf_blocks import OUTLINE, OUTLINE_RING, WeightBlock, weight_block
 from clsco.optics.psf_grid import (
     block_intervals,
     half_width,
@@ -48,9 +48,11 @@ class PsfTable:
     taps, outlines: of a main table, else empty, as for a general shape. taps: the same weights once more, float32
     (taps, count / TAP_LANES, POWERS, WIDE_LANES): of the octant's taps a >= b >= 0 in the order of a (a + 1) / 2 + b
     or, of what is separable, of those along an axis, the coefficients of WIDE_LANES intervals from every TAP_LANES-th
-    one on; zeros beyond the reach of an interval, and after the last one. outlines: int32, (count, reach + 1, 2), see
-    `clsco.optics.psf_blocks._outline`, but for what is separable. Of a sampled disc coefficients and taps have the one
-    weight of each interval, and outlines the square roots of 0, 1, ... up to the last interval's number, rounded down.
+    one on; zeros beyond the reach of an interval, and after the last one; of a ring before them the weight between its
+    rims. outlines: int32, (count, reach + 1, 2), see `clsco.optics.psf_blocks._outline`, or of a ring (.., 4), see
+    `clsco.optics.psf_blocks._ring_outline`, but for what is separable. Of a sampled disc coefficients and taps have the
+    one weight of each interval, and outlines the square roots of 0, 1, ... up to the last interval's number, rounded
+    down.
     place: what the table is kept as; one that is made for more radii takes the place of an earlier one.
     """
 
@@ -70,7 +72,7 @@ def psf_features(psf: PointSpread) -> dict[str, int]:
     """Features that programs are compiled for: the kind of a PSF; GENERAL is the number of edges of its lens mask."""
     layouts = {name.upper(): int(psf.layout == name) for name in ("disc", "separable", "general")}
     found = layouts | {"SAMPLED": int(psf.sampled), "EDGES": len(psf.pupil.edges)}
-    return found | {"RIMS": len(psf.rims), "WAVES": int(psf.diffracted)}
+    return found | {"RIMS": len(psf.rims), "WAVES": int(psf.diffracted), "RING": int(psf.pupil.hollow)}
 
 
 @lru_cache(maxsize=256)
@@ -95,7 +97,8 @@ def span_sizes(psf: PointSpread, span: range, subpixel: int) -> dict[str, int]:
         return sizes | {"coefficients": int((row * (2 * widths + 1) * subpixel * ((subpixel + 1) // 2)).sum())}
     if psf.layout == "separable":
         return sizes | {"coefficients": int(row.sum()), "taps": of_taps * (widest + 1)}
-    sizes |= {"taps": of_taps * octant_taps(widest), "outlines": 8 * len(span) * (widest + 1)}
+    outline = 4 * OUTLINE_RING if psf.pupil.hollow else 4 * OUTLINE
+    sizes |= {"taps": of_taps * _tap_count(psf, widest), "outlines": outline * len(span) * (widest + 1)}
     return sizes | {"coefficients": int((row * (widths + 1)).sum())}
 
 
@@ -200,7 +203,7 @@ def _part(psf: PointSpread, block: WeightBlock, start: int, span: range, subpixe
 
 
 def _tap_count(psf: PointSpread, widest: int) -> int:
-    return widest + 1 if psf.layout == "separable" else octant_taps(widest)
+    return widest + 1 if psf.layout == "separable" else octant_taps(widest) + psf.pupil.hollow
 
 
 def _interval_size(psf: PointSpread, widths: NDArray[np.int64], subpixel: int) -> NDArray[np.int64]:
@@ -232,7 +235,8 @@ def _joined_outlines(found: list[WeightBlock]) -> NDArray[np.int32]:
     most = max(block.outlines.shape[1] for block in found)
     if not most:
         return np.zeros(0, np.int32)
-    joined, start = np.zeros((sum(len(block.outlines) for block in found), most, 2), np.int32), 0
+    numbers = found[0].outlines.shape[2]
+    joined, start = np.zeros((sum(len(block.outlines) for block in found), most, numbers), np.int32), 0
     joined[..., 1] = -1
     for block in found:
         joined[start : start + len(block.outlines), : block.outlines.shape[1]] = block.outlines

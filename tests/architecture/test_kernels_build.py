@@ -62,21 +62,21 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     GATHER: dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(BLUR, ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BY_COLUMNS": (0, 0, 1), "CURVED": (0, 3, 1, 2)}
-    | {"GATHER": (1,), "SPANS": ON_OR_OFF}
+    | {"GATHER": (1,), "SPANS": ON_OR_OFF, "RING": (0, 0, 1)}
     | ROOMS
     | {"PREPARE": (0, 1, 2)}
     | GENERAL,
     SCATTER: dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(BLUR, ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "CURVED": (0, 3, 1, 2)}
-    | dict.fromkeys(("GATHER", "BY_ROWS", "BY_COLUMNS"), (0,))
+    | dict.fromkeys(("GATHER", "BY_ROWS", "BY_COLUMNS", "RING"), (0,))
     | ROOMS
     | {"PREPARE": (0, 1, 2)}
     | GENERAL,
     ("blur/tiles.cl",): dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(("SAMPLED", "TILT", "DISC", "SEPARABLE"), ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 3)}
-    | {"RIMS": (0,)}
+    | {"RIMS": (0,), "RING": (0,)}
     | GENERAL,
     ("blur/accumulate.cl",): GEOMETRY | {"SCAN_COLUMNS": ON_OR_OFF},
     ("blur/vignetting.cl",): GEOMETRY,
@@ -127,6 +127,7 @@ def variants(features: dict[str, tuple[int, ...]]) -> list[dict[str, int]]:
     smooth = {**dict.fromkeys(("BY_ROWS", "DISC", "SEPARABLE", "SAMPLED", "SPANS"), 0), "BY_COLUMNS": 1}
     others = [one | {k: v for k, v in smooth.items() if k in one} if one.get("WAVES") else one for one in others]
     others = [one | {"GENERAL": 1} if one.get("EDGES") else one for one in others]
+    others = [one | {"BY_COLUMNS": 1, "SEPARABLE": 0} if one.get("RING") else one for one in others]
     others = [one | dict.fromkeys(alone.keys() & one.keys(), 0) if one.get("GENERAL") else one for one in others]
     return [one | none if one.get("BY_COLUMNS") or one.get("DISC") == 0 else one for one in (off, on, *others)]
 

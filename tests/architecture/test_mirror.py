@@ -88,7 +88,7 @@ WITHOUT_TWIN = {
     ),
     "quadrants": dict.fromkeys(
         (
-            *("quadrant_column_of", "add_tap", "add_rim", "add_column_ends", "finish_quadrant_sums"),
+            *("quadrant_column_of", "add_tap", "add_rim", "add_rims", "add_column_ends", "finish_quadrant_sums"),
             *("spread_quadrant_items", "put_quadrant_items"),
         ),
         "the sum of scatter, column by column",

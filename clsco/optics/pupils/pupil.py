@@ -28,6 +28,8 @@ class Pupil(ABC):
         The transmission is constant inside the rim.
     soft : bool
         The transmission falls off towards the rim.
+    hollow : bool
+        The transmission is constant between an inner and an outer rim.
     separable : bool
         The transmission is a product of one along each axis.
     """
@@ -35,6 +37,7 @@ class Pupil(ABC):
     symmetry: ClassVar[Symmetry] = "octant"
     uniform: ClassVar[bool] = False
     soft: ClassVar[bool] = False
+    hollow: ClassVar[bool] = False
 
     @property
     def separable(self) -> bool:

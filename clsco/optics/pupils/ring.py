@@ -29,6 +29,8 @@ class Ring(Pupil):
 
     obstruction: float
 
+    hollow = True
+
     @property
     def name(self) -> str:
         return f"ring, {self.obstruction:g} covered"
