@@ -78,7 +78,7 @@ def outputs_of(scene: Scene) -> set[str]:
     found |= {*MOTION_NAMES} if scene.moves else set()
     found |= {*MAPPING_NAMES} if scene.has_mapped_textures else set()
     found |= {*ROLLING_NAMES} if scene.rolls else set()
-    found |= {*LENS_NAMES} if scene.darkens else set()
+    found |= {*LENS_NAMES} if scene.darkens or scene.aperture.rim else set()
     return found | ({*SENSOR_NAMES} if scene.sensor is not None else set())
 
 

@@ -112,7 +112,8 @@ class Frame:
     row_time : float64 (rows,), or (columns,) where these are exposed one after another, s
         Middle of the exposure of each row since the reference pose. With a rolling shutter only.
     throughput : float32 (rows, columns)
-        Share of the light of the middle of the frame that the lens gives the pixel. Where it has vignetting only.
+        Share of the light of the middle of the frame that the lens gives the pixel. Where it has vignetting or rims
+        only.
     alpha : float32 (rows, columns)
         Share of a pixel's light that comes from surfaces, blurred as `color` is, which has the rest of it black: the
         coverage of an image with associated (premultiplied) alpha. The background is no surface.

@@ -21,12 +21,11 @@ from clsco.files.color import Color
 from clsco.files.images import Picture
 from clsco.inputs import textures
 from clsco.inputs.depth_maps import DepthValues, depth_numbers, load_scene_depths, map_values
-from clsco.inputs.pupils import scene_point_spread
+from clsco.inputs.pupils import dimmed, scene_point_spread
 from clsco.inputs.textures import (
     PATTERNS,
     Texture,
     aligned,
-    dimmed,
     load_scene_textures,
     load_texture,
     picture_of,

@@ -1,8 +1,9 @@
-"""Point spreads whose pupil may be an image file or an array."""
+"""Point spreads whose pupil may be an image file or an array, and textures in the light that it lets through."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import PurePath
 
 import numpy as np
@@ -11,7 +12,7 @@ from clsco.errors import ImageError
 from clsco.files.images import Picture
 from clsco.files.transfer import decode
 from clsco.inputs.resampling import resample
-from clsco.inputs.textures import picture_of
+from clsco.inputs.textures import Texture, picture_of
 from clsco.optics.point_spread import PointSpread, point_spread
 from clsco.optics.pupils.image import MOST_CELLS, Image, image_pupil
 from clsco.scene.arrays import Input
@@ -59,6 +60,18 @@ def load_point_spread(
 def scene_point_spread(scene: Scene, load: Load = picture_of) -> PointSpread:
     """Point spread of a scene, see `load_point_spread`."""
     return load_point_spread(scene.psf, scene.aperture, scene.image.transfer, load, scene.camera)
+
+
+def dimmed(textures: Sequence[Texture], factor: float) -> tuple[Texture, ...]:
+    """Textures with their radiance times a factor."""
+    if factor == 1.0:
+        return tuple(textures)
+    found = {}
+    for texture in textures:
+        first, *others = (image * np.float32(factor) for image in texture.images)
+        content = None if texture.content is None else (texture.content, factor)
+        found[texture] = replace(texture, radiance=first, others=tuple(others), content=content)
+    return tuple(found[texture] for texture in textures)
 
 
 def _pupil(picture: Picture, transfer: str, aperture: Aperture) -> Image:

@@ -253,18 +253,6 @@ def load_scene_textures(
     return scene.model_copy(update={"camera": camera}), tuple(placed)
 
 
-def dimmed(textures: Sequence[Texture], factor: float) -> tuple[Texture, ...]:
-    """Textures with their radiance times a factor."""
-    if factor == 1.0:
-        return tuple(textures)
-    found = {}
-    for texture in textures:
-        first, *others = (image * np.float32(factor) for image in texture.images)
-        content = None if texture.content is None else (texture.content, factor)
-        found[texture] = replace(texture, radiance=first, others=tuple(others), content=content)
-    return tuple(found[texture] for texture in textures)
-
-
 def stretched(scenes: Iterable[Scene]) -> list[str]:
     """Projected images of another aspect than the frame, each with the first object that has it; drawn ones have none.
 

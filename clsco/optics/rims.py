@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.optics.lens import Lens
+from clsco.optics.lens import Lens, ray_step
+from clsco.optics.lens_path import camera_at, lens_at
 from clsco.optics.point_spread import PointSpread, Rim
+from clsco.optics.vignetting import throughput
+from clsco.scene.model import Scene
 
 Array = NDArray[np.float64]
 LEAST_WAY = 1e-6  # part of the lens radius that rays through different lens points are apart in a rim
@@ -36,6 +39,37 @@ def rim_circle(lens: Lens, rim: Rim, slopes: Array, w: Array, radius: Array) -> 
     way = 1 + d * (-w if d > 0 else lens.detector_power + radius / lens.blur_scale)
     across = lens.radius * np.where(way < 0, np.minimum(way, -LEAST_WAY), np.maximum(way, LEAST_WAY))
     return -d * slopes[:, 0] / across, d * slopes[:, 1] / across, rim.radius / np.abs(across)
+
+
+def frame_throughput(scene: Scene, time: float, psf: PointSpread) -> Array:
+    """Share of the light of the middle of the frame that the lens gives its pixels, by vignetting and rims.
+
+    Parameters
+    ----------
+    scene : Scene
+        With a resolution.
+    time : float
+        s.
+    psf : PointSpread
+
+    Returns
+    -------
+    ndarray of float64, (rows, columns)
+
+    Notes
+    -----
+    A pixel sees the same of the lens through the rims whatever is before it: its own point in focus.
+    """
+    camera = camera_at(scene, time)
+    found = throughput(camera, "none" if scene.lens is None else scene.lens.vignetting)
+    if not psf.rims:
+        return found
+    (columns, rows), step, lens = camera.frame_size, ray_step(camera), lens_at(scene, time)
+    x, y = np.arange(columns) - 0.5 * (columns - 1), 0.5 * (rows - 1) - np.arange(rows)
+    slopes = step * np.stack(np.broadcast_arrays(x, y[:, None]), axis=-1).reshape(-1, 2)
+    in_focus = lens.blur_radius(0.0, (slopes * slopes).sum(axis=1)) / lens.blur_scale + np.zeros(len(slopes))
+    share = rim_throughput(lens, psf, slopes, in_focus, np.zeros(len(slopes)))
+    return np.asarray(found * share.reshape(found.shape))
 
 
 def rim_throughput(lens: Lens, psf: PointSpread, slopes: Array, w: Array, radius: Array) -> Array:

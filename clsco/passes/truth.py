@@ -16,10 +16,10 @@ from clsco.opencl.buffers import allocate, download_into
 from clsco.optics.depth_truth import MapPoints, map_flow, map_normal, map_occluded, map_stereo
 from clsco.optics.exposure import line_times, middle_time
 from clsco.optics.lens import Lens
-from clsco.optics.lens_path import camera_at, lens_at, lenses_at
+from clsco.optics.lens_path import lens_at, lenses_at
 from clsco.optics.line_truth import LinePoints, lines_of
 from clsco.optics.motion import Eye
-from clsco.optics.vignetting import throughput
+from clsco.optics.rims import frame_throughput
 from clsco.passes.blur import PIXELS, Events, Target
 from clsco.passes.pack import camera_grid, lens_struct
 from clsco.passes.placed import PlacedScene, TimeSample
@@ -70,8 +70,8 @@ class GroundTruth:
             found = self._of_lines(index, events)
         else:
             found = self._of_rays(*times, events) if plan.scene.is_analytic else self._of_maps(*times, events)
-        if "throughput" in plan.truth and plan.scene.lens is not None:
-            share = throughput(camera_at(plan.scene, times[1]), plan.scene.lens.vignetting)
+        if "throughput" in plan.truth:
+            share = frame_throughput(plan.scene, times[1], plan.psf)
             found["throughput"] = share.astype(np.float32)
         return {name: array for name, array in found.items() if name in plan.truth}
 

@@ -51,7 +51,7 @@ POSSIBLE = (
     (MOTION_NAMES, lambda scene: scene.moves, "nothing moves"),
     (MAPPING_NAMES, lambda scene: scene.has_mapped_textures, "no texture lies on a surface"),
     (SENSOR_NAMES, lambda scene: scene.sensor is not None, "there is no sensor"),
-    (LENS_NAMES, lambda scene: scene.darkens, "the lens darkens nothing"),
+    (LENS_NAMES, lambda scene: scene.darkens or bool(scene.aperture.rim), "the lens darkens nothing"),
     (ROLLING_NAMES, lambda scene: scene.rolls, "all rows are exposed at once"),
 )
 

@@ -11,17 +11,17 @@ from numpy.typing import NDArray
 
 from clsco.frame.frame import ALL_TRUTH, MAPPING_NAMES, MOTION_NAMES, Frame
 from clsco.inputs.depth_maps import load_scene_depths
-from clsco.inputs.pupils import scene_point_spread
+from clsco.inputs.pupils import dimmed, scene_point_spread
 from clsco.inputs.textures import Texture as TextureImage
-from clsco.inputs.textures import dimmed, load_scene_textures
+from clsco.inputs.textures import load_scene_textures
 from clsco.optics.depth_truth import MapPoints, map_flow, map_normal, map_occluded, map_stereo
 from clsco.optics.exposure import frame_exposure, middle_time
 from clsco.optics.lens_path import camera_at, lenses_at
 from clsco.optics.motion import Eye, poses_at
 from clsco.optics.point_spread import PointSpread, exposure_factor
+from clsco.optics.rims import frame_throughput
 from clsco.optics.sensor import camera_word
 from clsco.optics.texture_mapping import texture_map
-from clsco.optics.vignetting import throughput
 from clsco.plan.plan import Plan, make_plan
 from clsco.plan.predict import Maps
 from clsco.plan.request import Request
@@ -108,9 +108,9 @@ def _frame(plan: Plan, textures: tuple[Texture, ...], maps: Maps, index: int, su
         if not scene.is_analytic:
             arrays |= _map_truth(plan, textures, maps, middle, index)
     arrays |= {"missing": missing, "subframes": np.stack(alone) if alone else None}
-    if scene.lens is not None and scene.darkens:
+    if scene.darkens or scene.aperture.rim:
         middle_of_exposure = middle_time(scene.sequence, index) if plan.moves else 0.0
-        arrays["throughput"] = throughput(camera_at(scene, middle_of_exposure), scene.lens.vignetting)
+        arrays["throughput"] = frame_throughput(scene, middle_of_exposure, plan.psf)
     sharp = _without_channel(arrays.pop("sharp"))
     arrays["color"] = _without_channel(color)
     if plan.sensor_model is not None:

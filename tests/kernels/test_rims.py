@@ -196,3 +196,19 @@ def test_throughput_is_that_of_the_overlap() -> None:
         assert found == pytest.approx([overlap(size, abs(center)) for center, size in circles], abs=5e-3)
         assert found[1] == pytest.approx(found[2], abs=1e-12)
         assert found[3] == 0.0
+
+
+def test_light_of_an_even_surface_is_the_throughput() -> None:
+    """Wherever the surface is, with natural vignetting as well; device and reference."""
+    sheet = {"shape": "plane", "texture": np.ones((40, 60), np.float32)}
+    camera = {"f_number": 2.0, "focus_distance": 100.0, "pixel_pitch": 0.1, "resolution": [60, 40]}
+    for distance, rims in ((300.0, CUTS["front"]), (80.0, CUTS["both"])):
+        tables = {"camera": camera, "lens": {"vignetting": "natural"}, "aperture": {"rim": rims}}
+        wanted = scene_from(tables, sheet | {"distance": distance})
+        (found,), (exact,) = clsco.render(wanted, device="pocl"), reference.render(wanted)
+        assert found.throughput is not None
+        assert found.throughput.min() < 0.8
+        assert found.throughput.max() == pytest.approx(1.0, abs=1e-2)
+        assert np.abs(found.color - found.throughput)[8:-8, 8:-8].max() < 0.015
+        np.testing.assert_allclose(found.throughput, exact.throughput, rtol=0, atol=1e-6)
+        assert np.abs(found.color - exact.color).max() < FIGURE
