@@ -13,7 +13,8 @@ from clsco.frame.strips import Grid
 from clsco.opencl.buffers import allocate
 from clsco.opencl.session import Session
 from clsco.optics.depth_layers import LayerBounds
-from clsco.optics.lens import Lens
+from clsco.optics.lens import Lens, ray_step
+from clsco.optics.lens_path import colored
 from clsco.optics.quadrics import axial_blur_radius
 from clsco.passes.accumulate import FrameSum
 from clsco.passes.blur import Area, Image, Maps, Plane, Sources, blur_target, padded_plane, prepare_sources
@@ -58,6 +59,8 @@ class Workspace:
         The one that finds depth layers, where there is one.
     colors : tuple of Workspace
         Workspaces of red, green and blue, where each is blurred by itself.
+    aims : callable, optional
+        Gives an area the rays of a color, where each has its own.
     """
 
     session: Session
@@ -65,6 +68,7 @@ class Workspace:
     buffers: Mapping[str, cl.Buffer]
     clusters: tuple[Clusters, ...] = ()
     colors: tuple[Workspace, ...] = ()
+    aims: Callable[[Area, int], Area] | None = None
 
     def run(self, passes: Iterable[Pass], at: Area) -> Mapping[str, Any]:
         """Run passes on a part of a frame; what they hand on, by the names of `Pass`. Raises CanceledError."""
@@ -74,6 +78,8 @@ class Workspace:
             self.session.doing(step.kind)
             same = step.group is at.group and step.color == at.color
             part = at if same else replace(at, group=step.group, color=step.color)
+            if self.aims is not None and step.color is not None:
+                part = self.aims(part, step.color)
             of_color = self.colors and step.color is not None and step.kind != "join colors"
             runs = self.colors[step.color or 0].runs if of_color else self.runs
             return runs[step.kind](part, *given)
@@ -132,7 +138,21 @@ def scene_workspace(plan: Plan, lights: Sequence[Light], hits: Hits | None, grid
         runs |= _exposure_runs(FrameSum(session, sum_buffers(plan.grid), plan.scene.sequence.by_columns))
     if plan.sensor_model is not None:
         runs |= _sensor_runs(FrameSensor(session, plan.sensor_model, sensor_buffers(plan.sensor_model, plan.grid)))
-    return Workspace(session, runs, buffers, each[0].clusters, tuple(each) if plan.apart else ())
+    return Workspace(session, runs, buffers, each[0].clusters, tuple(each) if plan.apart else (), _aims(plan))
+
+
+def _aims(plan: Plan) -> Callable[[Area, int], Area] | None:
+    """See `Workspace.aims`."""
+    if not plan.scene.shifts_colors:
+        return None
+
+    def aimed(at: Area, color: int) -> Area:
+        assert isinstance(at, Moment)
+        camera, grid = colored(at.sample.camera, plan.scene.lens, color), at.grid.copy()
+        grid["step"] = ray_step(camera)
+        return replace(at, grid=grid, sample=replace(at.sample, camera=camera))
+
+    return aimed
 
 
 @dataclass(frozen=True)

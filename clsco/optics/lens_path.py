@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from itertools import chain, pairwise
 
@@ -82,15 +83,29 @@ def _rule(key: str, rule: str, got: float, time: float) -> str:
     return f'lens.keyframe: {key} must stay {rule}, as with interpolation = "linear"; got {got:.6g} at {time:.6g} s'
 
 
+def colored(camera: Camera, lens: SceneLens | None, color: int | None) -> Camera:
+    """The camera for light of one color, with its magnification; None for all."""
+    if lens is None or color is None or lens.lateral[color] == 1.0:
+        return camera
+    return camera.model_copy(update={"normalization_distance": camera.normalization_distance * lens.lateral[color]})
+
+
 def lens_at(scene: Scene, time: float, color: int | None = None) -> Lens:
     """The lens at a time, s, for all colors or for one, as `clsco.optics.lens.Lens.of` takes it. Raises SceneError as
     `camera_at`."""
-    return Lens.of(camera_at(scene, time), scene.lens, color)
+    return Lens.of(colored(camera_at(scene, time), scene.lens, color), scene.lens, color)
 
 
 def lenses_at(scene: Scene, time: float) -> tuple[Lens, ...]:
-    """The lenses of red, green and blue where they differ, else the one of all colors. As `lens_at`."""
-    return tuple(lens_at(scene, time, color) for color in (range(3) if scene.separates_colors else (None,)))
+    """The lenses of red, green and blue where they differ, else the one of all colors, on the rays of the camera.
+
+    A color of another magnification sees the same surface beside, blurred in proportion. As `lens_at`.
+    """
+    camera, lens = camera_at(scene, time), scene.lens
+    if lens is None or not scene.separates_colors:
+        return (Lens.of(camera, lens),)
+    each = (Lens.of(camera, lens, color) for color in range(3))
+    return tuple(replace(one, blur_scale=one.blur_scale * size) for one, size in zip(each, lens.lateral, strict=True))
 
 
 @lru_cache(maxsize=64)

@@ -172,12 +172,13 @@ class GroundTruth:
         """Turn radii into those of red, green and blue, where the lens tells these apart; times: of lines, s."""
         if not self.plan.scene.separates_colors or "blur_radius" not in found:
             return
-        shifts = np.empty((*times.shape, 3))
+        sizes, shifts = np.empty((*times.shape, 3)), np.empty((*times.shape, 3))
         for line in np.ndindex(times.shape):
-            middle, time = lens_at(self.plan.scene, float(times[line])), float(times[line])
-            powers = (lens.focus_power - middle.focus_power for lens in lenses_at(self.plan.scene, time))
-            shifts[line] = [middle.blur_scale * power for power in powers]
-        radius = found["blur_radius"][..., None] + shifts
+            time = float(times[line])
+            middle, lenses = lens_at(self.plan.scene, time), lenses_at(self.plan.scene, time)
+            sizes[line] = [lens.blur_scale / middle.blur_scale for lens in lenses]
+            shifts[line] = [lens.blur_scale * (lens.focus_power - middle.focus_power) for lens in lenses]
+        radius = found["blur_radius"][..., None] * sizes + shifts
         found["blur_radius"] = np.where(found["mask"][..., None], radius, 0.0).astype(np.float32)
 
     def _take_out_background(self, found: Arrays) -> NDArray[np.bool_]:

@@ -162,7 +162,7 @@ class ForwardWarp:
         """Enqueue the depth test: where each pixel of the reference pose moves, and which one is the nearest that
         comes to a pixel. Arguments as for `warp`."""
         scene, real = self.plan.scene, self.scene.real
-        if scene.lens_moves:
+        if scene.lens_moves or self.plan.only is not None:
             self.lens = self.filler.lens = lens_struct(Lens.of(sample.camera, scene.lens, self.plan.only), real)
             self.grid = self.filler.grid = camera_grid(sample.camera, self.plan.guard_px, real, reference=scene.camera)
         poses = self.scene.poses(sample)

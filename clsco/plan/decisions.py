@@ -221,7 +221,7 @@ def choose_texture_sampling(scene: Scene, eye: Eye, forward: bool) -> Choice[boo
     key = ("motion.texture_filter",)
     if forward:
         return Choice(False, WHOLE_PIXELS, key)
-    if scene.is_displaced or displaced(scene, eye) or scene.has_mapped_textures:
+    if scene.is_displaced or displaced(scene, eye) or scene.has_mapped_textures or scene.shifts_colors:
         return Choice(True)
     return Choice(False, "nothing moves: every pixel shows its own texel", key if scene.stereo is None else ())
 
@@ -306,6 +306,8 @@ def choose_still_sources(
         return Choice(False, "only sources from rays that are spread one by one are told apart")
     if scene.camera.moves:
         return Choice(False, "the camera moves")
+    if scene.shifts_colors:
+        return Choice(False, "each color has rays of its own")
     if scene.lens_moves:
         return Choice(False, "the lens changes")
     if "subframes" in asked:

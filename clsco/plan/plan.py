@@ -316,7 +316,8 @@ class Plan:
     def features(self) -> dict[str, int]:
         """Structure that the kernels that cast rays are compiled for."""
         scene, spec = self.scene, self.spec
-        moved = (scene.is_displaced or self.eye_moved) and not self.forward
+        aimed = self.only is not None and scene.shifts_colors
+        moved = (scene.is_displaced or self.eye_moved or aimed) and not self.forward
         psf = psf_features(self.psf)
         return self._shapes | {
             "CHANNELS": self.channels,

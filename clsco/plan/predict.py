@@ -14,7 +14,7 @@ from clsco.errors import SceneError
 from clsco.optics.exposure import middle_time, sequence_times, shutter_span
 from clsco.optics.lens import LARGEST_BLUR, ray_step
 from clsco.optics.lens import Lens as LensOptics
-from clsco.optics.lens_path import camera_at, lenses_at
+from clsco.optics.lens_path import camera_at, colored, lenses_at
 from clsco.optics.motion import Eye, Pose, poses_at, rest_center, static_rotation
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import cutting_bounds, place, predict_inverse_depth
@@ -88,7 +88,8 @@ def displaced(scene: Scene, eye: Eye) -> bool:
 def is_static_map(scene: Scene) -> bool:
     """True if every pixel shows its own pixel of a depth map and its image: there is nothing else, and nothing
     moves."""
-    return len(scene.objects) == 1 and not scene.is_analytic and not scene.moves and scene.stereo is None
+    alone = len(scene.objects) == 1 and not scene.is_analytic and scene.stereo is None
+    return alone and not scene.moves and not scene.shifts_colors
 
 
 def is_forward(scene: Scene, eye: Eye) -> bool:
@@ -221,6 +222,14 @@ def _check_curvature(scene: Scene, lens: LensOptics, squared: Array) -> None:
         raise SceneError(f"lens.field_curvature: {rule}; got {curvature:g}")
 
 
+def _widest(scene: Scene, time: float) -> Camera:
+    """The camera at a time for the color that sees most."""
+    camera = camera_at(scene, time)
+    if scene.lens is None or not scene.shifts_colors:
+        return camera
+    return colored(camera, scene.lens, int(np.argmin(scene.lens.lateral)))
+
+
 def _radii(scene: Scene, lenses: Sequence[Sequence[LensOptics]], w: Array, squared: Sequence[Array]) -> Array:
     """Blur radii (n,) in px of `Prediction.w` for the lenses of each time: of a lens that stays all times at once."""
     if scene.is_focus_curved and is_static_map(scene):  # extreme depths may be anywhere
@@ -241,7 +250,7 @@ def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
     that keyframes must cover."""
     check_keyframes(scene)
     times = sequence_times(scene)
-    poses, cameras, guard = [poses_at(scene, t, eye) for t in times], [camera_at(scene, t) for t in times], 0
+    poses, cameras, guard = [poses_at(scene, t, eye) for t in times], [_widest(scene, t) for t in times], 0
     samples, lenses = [*zip(cameras, poses, strict=True)], [lenses_at(scene, t) for t in times]
     seen = None if scene.moves or not scene.is_analytic else without_lens(scene)
     for _ in range(2):  # the second time with the guard band that the first asked for

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.inputs.textures import radiance_span
-from clsco.optics.lens_path import camera_at, lens_at
+from clsco.optics.lens_path import camera_at, colored, lens_at
 from clsco.optics.motion import Eye, Pose, poses_at, rest_poses
 from clsco.optics.quadrics import PlacedSurface, place
 from clsco.plan.passes import Kind, Pass, run_passes
@@ -77,7 +77,8 @@ def run(
     @cache
     def view(color: int | None) -> View:
         one, shown = lights[color]
-        return view_at(plan.scene, shown, time, plan.eye, moved, one.psf, color)
+        aimed = color is not None and plan.scene.shifts_colors
+        return view_at(plan.scene, shown, time, plan.eye, moved or aimed, one.psf, color)
 
     def run_pass(step: Pass, *given: Any) -> tuple[Any, ...]:
         one, shown = lights[step.color]
@@ -125,7 +126,7 @@ def _static_image(at: Moment) -> tuple[Light | Array, dict[str, int]]:
 
 def _reproject(at: Moment) -> tuple[Reprojected]:
     plan = at.plan
-    return (reprojected(plan.scene, at.textures, at.maps, plan.guard_px, at.time, plan.eye),)
+    return (reprojected(plan.scene, at.textures, at.maps, plan.guard_px, at.time, plan.eye, plan.only),)
 
 
 def _fill(at: Moment, moved: Reprojected) -> tuple[Any, ...]:
@@ -214,7 +215,7 @@ def warped_image(
 ) -> Warped:  # fmt: skip
     """The pixels of the reference pose at a time: the forward warp, with its holes filled, and radii for light of a
     color."""
-    moved = reprojected(scene, textures, maps, guard, time, eye)
+    moved = reprojected(scene, textures, maps, guard, time, eye, color)
     return filled(scene, textures, moved, guard, time, eye, color)
 
 
@@ -223,11 +224,12 @@ def _images(textures: tuple[Texture, ...]) -> tuple[Array, ...]:
 
 
 def reprojected(
-    scene: Scene, textures: tuple[Texture, ...], maps: Maps, guard: int, time: float, eye: Eye
+    scene: Scene, textures: tuple[Texture, ...], maps: Maps, guard: int, time: float, eye: Eye,
+    color: int | None = None,
 ) -> Reprojected:  # fmt: skip
-    """The pixels of the reference pose at their places at a time."""
+    """The pixels of the reference pose at their places at a time, in light of a color."""
     reference_pose = _placed(scene, rest_poses(scene))
-    poses, camera = poses_at(scene, time, eye), camera_at(scene, time)
+    poses, camera = poses_at(scene, time, eye), colored(camera_at(scene, time), scene.lens, color)
     return reproject(scene, _images(textures), reference_pose, maps, poses, guard, camera)
 
 
@@ -238,7 +240,7 @@ def filled(
     """The image of moved pixels, with what is missing filled."""
     mapped, allowed = not scene.is_analytic, None
     if scene.fill.domain == "surface" and not mapped:
-        view = view_at(scene, textures, time, eye, True)
+        view = view_at(scene, textures, time, eye, True, None, color)
         allowed = trace(view, everything(scene), guard).label > 0
     values = np.concatenate([new.radiance, new.inverse_depth[..., None]], axis=-1)
     far = mapped or len(scene.objects) > 1
@@ -252,7 +254,7 @@ def filled(
     status = np.where(new.entered & ~new.known, np.where(valid, FILLED, UNFILLED), status)
     if mapped:
         values, valid = extend_border(values, valid, guard)
-    rays = pixel_ray(camera_at(scene, time), *padded_grid(scene.camera, guard))
+    rays = pixel_ray(colored(camera_at(scene, time), scene.lens, color), *padded_grid(scene.camera, guard))
     radius = np.where(valid, blur_radius(lens_at(scene, time, color), rays, values[..., -1]), 0.0)
     flat = np.zeros((*radius.shape, 2))  # until its differences are taken
     sources = Sources(values[..., :-1], values[..., -1], valid.astype(np.uint8), radius, flat, valid)

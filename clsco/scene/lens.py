@@ -18,6 +18,7 @@ from clsco.scene.motions import (
 from clsco.scene.quantities import MAX_LENGTH_MM, Strict, Triple, Within, as_python, at_keys, fault
 
 MOST_VIGNETTING = 10.0
+Magnification = Annotated[float, Within(0.9, 1.1)]
 Shift = Annotated[float, Within(-MAX_LENGTH_MM, MAX_LENGTH_MM, "mm")]
 
 
@@ -75,6 +76,9 @@ class Lens(Strict):
     axial: Annotated[tuple[Shift, Shift, Shift], Triple] = NONE
     """Longitudinal chromatic aberration: focal lengths of red, green and blue less camera.focal_length, mm."""
 
+    lateral: Annotated[tuple[Magnification, Magnification, Magnification], Triple] = (1.0, 1.0, 1.0)
+    """Lateral chromatic aberration: magnification of red, green and blue, in that of the camera."""
+
     @field_validator("interpolation", "outside")
     @classmethod
     def _of_keyframes(cls, value: Any, info: ValidationInfo) -> Any:
@@ -108,7 +112,12 @@ class Lens(Strict):
     @property
     def separates_colors(self) -> bool:
         """True if it does not blur all colors alike."""
-        return any(self.axial)
+        return any(self.axial) or self.shifts_colors
+
+    @property
+    def shifts_colors(self) -> bool:
+        """True if colors are not of one size."""
+        return any(size != 1.0 for size in self.lateral)
 
 
 def check_opening(lens: Lens) -> None:

@@ -357,13 +357,10 @@ class Scene(Strict):
 
     @model_validator(mode="after")
     def _radii_need_a_plane(self) -> Self:
-        found: list[Fault] = []
-        for index, item in enumerate(self.objects if self.is_focus_curved else ()):
-            if isinstance(item, DepthMap) and item.unit == "coc":
-                rule = fault("coc belongs to lenses without field_curvature whose focus_surface is a plane")
-                found.append((("object", index, "unit"), rule, item.unit))
-        if found:
-            raise at_keys(found)
+        rule = fault("coc belongs to lenses without field_curvature whose focus_surface is a plane")
+        maps = [k for k, item in enumerate(self.objects) if isinstance(item, DepthMap) and item.unit == "coc"]
+        if self.is_focus_curved and maps:
+            raise at_keys([(("object", k, "unit"), rule, "coc") for k in maps])
         return self
 
     @model_validator(mode="after")
@@ -446,6 +443,11 @@ class Scene(Strict):
     def darkens(self) -> bool:
         """True if not all of the frame gets the light of its middle."""
         return self.lens is not None and self.lens.darkens
+
+    @property
+    def shifts_colors(self) -> bool:
+        """True if colors are not of one size."""
+        return self.lens is not None and self.lens.shifts_colors
 
     @property
     def separates_colors(self) -> bool:

@@ -26,6 +26,7 @@ MOVING = {"motion": {"velocity": [20.0, 5.0, 0.0], "angular_velocity": [0.0, 0.0
 EXPOSED = {"samples": 3, "shutter": 0.1, "interval": 0.1}
 AXIAL, CURVED, SPHERE = {"axial": [0.2, 0.0, -0.15]}, {"field_curvature": -1 / 30}, {"focus_surface": "sphere"}
 DARK: dict[str, Any] = {"vignetting": [-0.3, 0.1, -0.2]}
+LATERAL = {"lateral": [1.02, 1.0, 0.97]}
 ALL = AXIAL | CURVED | SPHERE
 BLADES = {"shape": "polygon", "blades": 5, "squeeze": 1.3, "exposure": "area"}
 RIMS = {"rim": [{"distance": 20.0, "diameter": 30.0}, {"distance": -10.0, "diameter": 30.0}]}
@@ -42,6 +43,11 @@ SCENES: dict[str, Scene] = {
     "dark": scene(BALL, WALL, lens=ALL | DARK),
     "dark, rolling": scene(BALL | MOVING, WALL, lens=DARK, sequence=EXPOSED | {"readout": 0.05}),
     "dark, sensor": scene(BALL, WALL, lens=ALL | DARK, sensor={"mosaic": "rggb"}),
+    "lateral": scene(BALL, WALL, lens=LATERAL),
+    "lateral and all": scene(BALL | MOVING, WALL, lens=ALL | LATERAL | DARK, sequence=EXPOSED),
+    "lateral, layered": scene(BALL, WALL, lens=ALL | LATERAL, psf={"occlusion": "layered"}),
+    "lateral, stereo": scene(BALL, WALL, lens=ALL | LATERAL, stereo={"baseline": 5.0}),
+    "lateral, forward": scene(BALL | MOVING, WALL, lens=ALL | LATERAL, sequence=EXPOSED, motion={"warp": "forward"}),
     "one radius": scene(WALL | {"slope_x": 0.0}, lens=AXIAL),
     "layered": scene(BALL, WALL, lens=ALL, psf={"occlusion": "layered"}),
     "moving": scene(BALL | MOVING, WALL, lens=ALL, sequence=EXPOSED),
@@ -60,7 +66,7 @@ SCENES: dict[str, Scene] = {
     ),
     "mapped": scene(BALL | {"texture": "checkerboard", "texture_mapping": "surface"}, lens=ALL),
 }
-FAST = ("dark", "in focus", "one radius", "forward", "layered")
+FAST = ("dark", "lateral", "in focus", "one radius", "forward", "layered")
 
 
 @pytest.mark.parametrize("name", mostly_slow(SCENES, FAST))
@@ -68,11 +74,11 @@ def test_device_against_reference(name: str) -> None:
     assert_agree(rendered(SCENES[name]), reference_frames(SCENES[name]))
 
 
-@pytest.mark.parametrize("how", ["static", "moving", "zoom"])
+@pytest.mark.parametrize("how", ["static", "moving", "zoom", "lateral"])
 def test_depth_maps_against_the_reference(tmp_path: Path, how: str) -> None:
     np.save(tmp_path / "depth.npy", 270.0 + np.add.outer(np.arange(32), np.arange(40.0)) / 2)
     given = {"shape": "depth_map", "depth": str(tmp_path / "depth.npy"), "texture": "bricks", "unit": "mm"}
-    lens = ALL | DARK | (ZOOM if how == "zoom" else {})
+    lens = ALL | DARK | (ZOOM if how == "zoom" else {}) | (LATERAL if how == "lateral" else {})
     found = scene(given | (MOVING if how == "moving" else {}), lens=lens, sequence=EXPOSED)
     assert_agree(rendered(found), reference_frames(found))
 
@@ -165,6 +171,19 @@ def test_a_response_is_darkened_as_the_frame_is(where: tuple[int, int]) -> None:
 def test_a_response_is_that_of_green_light() -> None:
     found, wanted = clsco.response(scene(WALL, lens=AXIAL), 20, 16), clsco.response(scene(WALL), 20, 16)
     assert (found == wanted).all()
+
+
+def test_colors_are_of_the_sizes_that_the_lens_says() -> None:
+    spot = {"shape": "disc", "center": [16.0, 8.0, 250.017], "radius": 5.0, "texture": "#ffffff"}
+    image = clsco.render_frame(scene(spot, lens=LATERAL), truth=()).color.astype(np.float64)
+    place = np.stack([np.arange(40) - 19.5, np.zeros(40)]), np.stack([np.zeros(32), 15.5 - np.arange(32)])
+    for color, size in enumerate(LATERAL["lateral"]):
+        light = image[..., color]
+        x, y = light.sum(axis=0) @ place[0][0] / light.sum(), light.sum(axis=1) @ place[1][1] / light.sum()
+        wanted = size * 20.0 / 0.1 / 250.017
+        assert x == pytest.approx(16.0 * wanted, abs=0.02)
+        assert y == pytest.approx(8.0 * wanted, abs=0.02)
+        assert light.sum() == pytest.approx(np.pi * (5.0 * wanted) ** 2, rel=2e-3)
 
 
 def test_radii_follow_the_lens_to_the_corners() -> None:

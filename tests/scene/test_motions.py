@@ -105,6 +105,7 @@ BAD_LENSES = [
         "lens.vignetting = [-5, 4, 0]",
         ".vignetting: must leave 1 + a1 r^2 + a2 r^4 + a3 r^6 at least 0 up to the corner, r = 1; got [-5, 4, 0]",
     ),
+    ("lens.lateral = [1, 1, 2]", ".lateral[2]: must be between 0.9 and 1.1; got 2"),
     ("lens.axial = [0, 0]", ".axial: must be a list of 3 numbers; got [0, 0]"),
     ("lens.axial = [0, 0, -20]", ".axial[2]: must leave a focal length, of camera.focal_length = 20 mm; got -20.0"),
     ("lens.keyframe = []", ".keyframe: must hold 1 to 256 keyframes; got 0"),

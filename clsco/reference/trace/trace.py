@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from clsco.inputs.pupils import scene_point_spread
 from clsco.optics.lens import Lens, ray_step
-from clsco.optics.lens_path import camera_at, lens_at, lenses_at
+from clsco.optics.lens_path import camera_at, colored, lens_at, lenses_at
 from clsco.optics.light import PlacedLight, place_light
 from clsco.optics.motion import Eye, poses_at
 from clsco.optics.point_spread import PointSpread, subpixel_offsets
@@ -130,8 +130,9 @@ def view_at(
 ) -> View:  # fmt: skip
     """The objects after `time` seconds, and the lens, for light of one color or all; other arguments as for `View`."""
     reference, lens, lenses = scene.camera, lens_at(scene, time, color), lenses_at(scene, time)
-    if scene.lens_moves:
-        scene = scene.model_copy(update={"camera": camera_at(scene, time), "lens": None})
+    if scene.lens_moves or (scene.shifts_colors and color is not None):
+        camera = colored(camera_at(scene, time), scene.lens, color)
+        scene = scene.model_copy(update={"camera": camera, "lens": None})
     placed = zip(scene.objects, poses_at(scene, time, eye), strict=True)
     surfaces = tuple(place(item, pose) for item, pose in placed)
     light, spread = place_light(scene, time, eye), psf or scene_point_spread(scene)
