@@ -8,7 +8,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from itertools import pairwise
 from math import atan2, ceil, cos, floor, hypot, pi, sin
 
@@ -17,10 +17,18 @@ import numpy as np
 from clsco.optics.pupils.differences import corner_share, grid_share, share_at
 from clsco.optics.pupils.pupil import Array, Edges, Pupil
 
-_NODES, _WEIGHTS = (0.5 * v for v in np.polynomial.legendre.leggauss(8))
-NODES, WEIGHTS = _NODES + 0.5, _WEIGHTS  # on [0, 1]; along arcs of LONGEST_ARC, cubics of both places to 1e-14
 LONGEST_ARC = pi / 4.0
 STRAIGHT = 1e-6  # arcs of a smaller angle are straight
+
+
+@cache
+def _nodes() -> tuple[Array, Array]:
+    """Nodes and weights of Gauss and Legendre on [0, 1]; along arcs of LONGEST_ARC, cubics of both places to 1e-14.
+
+    Found when they are first needed: numpy's polynomials take as long to import as a small scene takes to read.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    return 0.5 * nodes + 0.5, 0.5 * weights
 
 
 @dataclass(frozen=True)
@@ -158,7 +166,7 @@ class Outline(Pupil):
     @cached_property
     def area(self) -> float:
         """Area of the outline that is not squeezed; negative where it is walked with the inside on the right."""
-        return float(sum((WEIGHTS * x * dy).sum() for x, _, _, dy in self._walked()))
+        return float(sum((_nodes()[1] * x * dy).sum() for x, _, _, dy in self._walked()))
 
     @property
     def light(self) -> float:
@@ -166,14 +174,14 @@ class Outline(Pupil):
 
     @property
     def second_moment(self) -> float:
-        along_x = sum((WEIGHTS * x**3 * dy).sum() for x, _, _, dy in self._walked()) / 3.0
-        along_y = -sum((WEIGHTS * y**3 * dx).sum() for _, y, dx, _ in self._walked()) / 3.0
+        along_x = sum((_nodes()[1] * x**3 * dy).sum() for x, _, _, dy in self._walked()) / 3.0
+        along_y = -sum((_nodes()[1] * y**3 * dx).sum() for _, y, dx, _ in self._walked()) / 3.0
         return float(0.5 * (along_x / self.squeeze**2 + along_y) / self.area)
 
     def _walked(self) -> Iterable[tuple[Array, Array, Array, Array]]:
         """Places x, y at the nodes of each arc, and their changes."""
         for each in self.arcs:
-            yield *each.at(NODES), *each.slope(NODES)
+            yield *each.at(_nodes()[0]), *each.slope(_nodes()[0])
 
     def transmission(self, x: Array, y: Array) -> Array:
         """By how often outlines are to the left."""
@@ -206,7 +214,7 @@ class Outline(Pupil):
             first = np.maximum(first_x, first_y)
             length = np.maximum(np.minimum(last_x, last_y) - first, 0.0)
             found = np.zeros_like(total)
-            for node, weight in zip(NODES, WEIGHTS, strict=True):
+            for node, weight in zip(*_nodes(), strict=True):
                 t = first + node * length
                 (u, v), (_, change) = each.at(t), each.slope(t)
                 left = x - u
