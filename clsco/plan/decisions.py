@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 from clsco.errors import SceneError
@@ -46,7 +47,7 @@ FILL_KEYS = tuple(f"fill.{key}" for key in Fill.model_fields)
 NEEDS_SURFACES = 'needs analytic surfaces that rays are cast at, and psf.occlusion = "visibility" or "none"'
 SPREAD_KEYS = ("psf.tilt", "psf.occlusion", "psf.border")  # of light that leaves its pixel
 OPENING_KEYS = tuple(f"aperture.{key}" for key in Aperture.model_fields if key != "exposure")
-POSSIBLE = (
+POSSIBLE: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
     (STEREO_NAMES, lambda scene: scene.stereo is not None, "there is one view"),
     (MOTION_NAMES, lambda scene: scene.moves, "nothing moves"),
     (MAPPING_NAMES, lambda scene: scene.has_mapped_textures, "no texture lies on a surface"),

@@ -27,6 +27,7 @@ from clsco.studio.tables import (
     seed,
     with_value,
     without,
+    written,
 )
 
 STEPS = 200  # of undo
@@ -371,7 +372,7 @@ class Editor:
         parts = path_parts(path)
         if parts[-1] in FILE_KEYS and isinstance(value, str) and Path(value).is_absolute():
             rule = "must be relative to the folder of the scene"
-            raise SceneError(f"scene: object[{parts[1]}].{parts[-1]}: {rule}; got {shown(value)}")
+            raise SceneError(f"scene: {written(parts)}: {rule}; got {shown(value)}")
         if len(parts) == 3 and parts[0] == "object" and parts[2] == "shape":
             item = at(state.table, parts[:2])
             if item is not None and value != item["shape"]:
@@ -405,9 +406,9 @@ class Editor:
         scene = parse_sweep(table).scenes[state.shown] if swept_keys(table) else parse_scene(table)
         start = state.path.parent if state.path is not None else self.root
         faults = []
-        for index, key, name in named_files(table):
-            if rule := self._file_rule(start, key, name):
-                faults.append(f"scene: object[{index}].{key}: {rule}; got {shown(name)}")
+        for place, name in named_files(table):
+            if rule := self._file_rule(start, place[-1], name):
+                faults.append(f"scene: {written(place)}: {rule}; got {shown(name)}")
         if faults:
             raise SceneError(faults)
         return absolute(scene, start)

@@ -13,7 +13,7 @@ from clsco.scene.examples import EXAMPLES
 from clsco.scene.file import read_mapping
 from clsco.studio.folder import below
 from clsco.studio.session import Session
-from clsco.studio.tables import Table, named_files
+from clsco.studio.tables import Table, renamed
 from clsco.studio.uploads import holds, keep_image
 
 IMAGES = "images"  # folder below the root for those of presets
@@ -73,10 +73,7 @@ def load_preset(session: Session, name: str) -> None:
     if start.is_relative_to(session.root):
         session.load_table(table, start)
         return
-    objects = [dict(item) for item in table["object"]]
-    for index, key, file in named_files(table):
-        objects[index][key] = _copied(start / file, session.root)
-    session.load_table(table | {"object": objects}, session.root)
+    session.load_table(renamed(table, lambda file: _copied(start / file, session.root)), session.root)
 
 
 def _copied(path: Path, root: Path) -> str:

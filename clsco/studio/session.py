@@ -24,7 +24,7 @@ from clsco.studio.store import (
     read_scene,
     scene_text,
 )
-from clsco.studio.tables import Table, named_files
+from clsco.studio.tables import Table, renamed
 
 __all__ = ["ConflictError", "Session"]
 
@@ -136,10 +136,7 @@ class Session(Editor):
         if start.is_relative_to(self.root):
             self.take(replace(state, table=moved(table, start, self.root)))
             return
-        objects = [dict(item) for item in items(table)]
-        for index, key, name in named_files(table):
-            objects[index][key] = str(start / name)
-        self.take(replace(state, table=table | {"object": objects}))
+        self.take(replace(state, table=renamed(table, lambda name: str(start / name))))
 
     def keep(self, path: Path) -> None:
         """Write the scene so that `recover` finds it, if it changed since. Raises ImageError."""

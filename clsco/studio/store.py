@@ -20,7 +20,7 @@ from clsco.scene.file import read_mapping
 from clsco.scene.shapes import SHAPES
 from clsco.scene.toml import toml_text
 from clsco.studio.blocks import arranged
-from clsco.studio.tables import Table, named_files, sparse
+from clsco.studio.tables import Table, at, named_files, renamed, sparse, written
 
 LARGEST = 2**20  # bytes of a scene file, or of a link's content
 LARGEST_IMAGE = 2**30  # bytes of a file that has a digest
@@ -191,11 +191,11 @@ def moved(table: Table, start: Path, to: Path) -> Table:
     """The table with relative names of files as from another folder."""
     if start == to:
         return table
-    objects = [dict(item) for item in table["object"]]
-    for index, key, name in named_files(table):
-        if not Path(name).is_absolute():
-            objects[index][key] = Path(os.path.relpath(start / name, to)).as_posix()
-    return table | {"object": objects}
+
+    def other(name: str) -> str:
+        return name if Path(name).is_absolute() else Path(os.path.relpath(start / name, to)).as_posix()
+
+    return renamed(table, other)
 
 
 def link_of(table: Table, start: Path, root: Path) -> str:
@@ -216,13 +216,15 @@ def link_of(table: Table, start: Path, root: Path) -> str:
         "#s=" and JSON of the keys that differ from their defaults, deflated, in base64 for addresses; with the SHA-256
         of each file.
     """
-    few = sparse(table)
     files: dict[str, str] = {}
-    for index, key, name in named_files(few):
+
+    def shared(name: str) -> str:
         path = (start / name).resolve()
-        shared = path.relative_to(root).as_posix() if path.is_relative_to(root) else path.name
-        few["object"][index][key] = shared
-        files[shared] = digest_of(path)
+        found = path.relative_to(root).as_posix() if path.is_relative_to(root) else path.name
+        files[found] = digest_of(path)
+        return found
+
+    few = renamed(sparse(table), shared)
     content: Table = few | ({"files": files} if files else {})
     text = json.dumps(content, separators=(",", ":"), ensure_ascii=False).encode()
     pressed = zlib.compressobj(9, zlib.DEFLATED, -15)
@@ -255,26 +257,26 @@ def from_link(text: str, places: Iterable[Path]) -> tuple[Table, dict[str, tuple
     digests = content.pop("files", {})
     missing: dict[str, tuple[Any, str]] = {}
     first, *others = places
-    for index, key, name in named_files(content):
+    for place, name in list(named_files(content)):
         stated = digests.get(name) if isinstance(digests, Mapping) else None
         if Path(name).is_absolute():
-            raise SceneError(f"scene: object[{index}].{key}: must not be an absolute path in a link")
-        item = content["object"][index]
+            raise SceneError(f"scene: {written(place)}: must not be an absolute path in a link")
+        item, key = at(content, place[:-1]), place[-1]
         if digest_of(first / name) == stated and stated:
             continue
         found = [
             path
-            for place in others
-            for path in place.rglob("*")
+            for folder in others
+            for path in folder.rglob("*")
             if path.name == Path(name).name and digest_of(path) == stated
         ]
         if stated and found:
             item[key] = str(found[0])
             continue
         rule = f"needs the file {Path(name).name} (SHA-256 {str(stated)[:12]}...), which is not there: choose it"
-        if key == "depth":
-            raise SceneError(f"scene: object[{index}].{key}: {rule}")
-        missing[f"object.{index}.{key}"] = name, rule
+        if key in ("depth", "image"):
+            raise SceneError(f"scene: {written(place)}: {rule}")
+        missing[".".join(place)] = name, rule
         if key == "texture":
             item[key] = SHAPES["plane"].model_fields["texture"].default
             item.pop("texture_layer", None)
