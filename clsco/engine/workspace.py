@@ -68,7 +68,7 @@ class Workspace:
     buffers: Mapping[str, cl.Buffer]
     clusters: tuple[Clusters, ...] = ()
     colors: tuple[Workspace, ...] = ()
-    aims: Callable[[Area, int], Area] | None = None
+    aims: Callable[[Any, int], Area] | None = None
 
     def run(self, passes: Iterable[Pass], at: Area) -> Mapping[str, Any]:
         """Run passes on a part of a frame; what they hand on, by the names of `Pass`. Raises CanceledError."""
@@ -141,13 +141,12 @@ def scene_workspace(plan: Plan, lights: Sequence[Light], hits: Hits | None, grid
     return Workspace(session, runs, buffers, each[0].clusters, tuple(each) if plan.apart else (), _aims(plan))
 
 
-def _aims(plan: Plan) -> Callable[[Area, int], Area] | None:
+def _aims(plan: Plan) -> Callable[[Moment, int], Moment] | None:
     """See `Workspace.aims`."""
     if not plan.scene.shifts_colors:
         return None
 
-    def aimed(at: Area, color: int) -> Area:
-        assert isinstance(at, Moment)
+    def aimed(at: Moment, color: int) -> Moment:
         camera, grid = colored(at.sample.camera, plan.scene.lens, color), at.grid.copy()
         grid["step"] = ray_step(camera)
         return replace(at, grid=grid, sample=replace(at.sample, camera=camera))

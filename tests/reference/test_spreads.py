@@ -116,8 +116,8 @@ def test_each_color_has_its_own_lens() -> None:
     assert frame.blur_radius is not None
     np.testing.assert_allclose(frame.blur_radius[15, 19], stack.radius[:, 0, 0], rtol=1e-5)
     far, spread = stack.reach, clsco.response(scene, 19, 15)
-    shown = spread[15 - far : 16 + far, 19 - far : 20 + far]  # of red light, the first channel
-    np.testing.assert_allclose(shown, stack.weights[0, 0, 0], atol=1e-6 * spread.max())
+    shown = spread[15 - far : 16 + far, 19 - far : 20 + far]  # of green light
+    np.testing.assert_allclose(shown, stack.weights[1, 0, 0], atol=1e-6 * spread.max())
 
 
 @pytest.mark.parametrize("lens", [BENT, {"focus_surface": "sphere"}, BENT | RULER])
