@@ -1,5 +1,5 @@
-"""Peers of `clsco bench --compare`: the blur beside numba and OpenCV, whole frames beside a traced lens and Mitsuba,
-and the forward warp beside numba."""
+"""Peers of `clsco dev bench --compare`: the blur beside numba and OpenCV, whole frames beside a traced lens and
+Mitsuba, and the forward warp beside numba."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Compared(Bench):
 
 @dataclass(frozen=True)
 class Comparison:
-    """A run of `clsco bench --compare`; frames: None where only some sizes or radii are measured."""
+    """A run of `clsco dev bench --compare`; frames: None where only some sizes or radii are measured."""
 
     grid: Grid
     frames: Frames | None

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from copy import copy
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,33 +26,6 @@ SHOWN = 16  # samples on a sheet
 @click.group()
 def dataset() -> None:
     """Make data sets of many scenes drawn from distributions, look at them, and check them."""
-
-
-class _Former(click.Group):
-    """The command `batch`, of which `batch FILE` was `batch make FILE`; says what it is called now."""
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Put the default command first where none is named."""
-        if not args or args[0] not in self.commands:
-            args = ["make", *(args or ["--help"])]
-        _tell_new_name("batch", args[0])
-        return super().parse_args(ctx, args)
-
-
-def _tell_new_name(former: str, name: str) -> None:
-    echo(f"clsco {former}: is called clsco dataset {name} now; the former name goes in the next version", err=True)
-
-
-def _told(callback: Callable[..., Any] | None) -> Callable[..., Any]:
-    def told(**options: Any) -> None:
-        _tell_new_name("convert", "convert")
-        assert callback is not None
-        callback(**options)
-
-    return told
-
-
-batch = _Former("batch", hidden=True, help="Former name of clsco dataset.")
 
 
 def _parse_numbers(text: str) -> range:
@@ -324,7 +296,3 @@ def show(data: str, number: int, base: Path) -> None:
 
 
 dataset.add_command(convert)
-batch.commands = {name: dataset.commands[name] for name in ("make", "status", "verify", "show")}
-former_convert = copy(convert)
-former_convert.hidden = True
-former_convert.callback = _told(convert.callback)

@@ -14,22 +14,21 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from clsco import __version__
-from clsco.cli.dataset import batch, dataset, former_convert
+from clsco.cli.dataset import dataset
+from clsco.cli.dev import dev
 from clsco.cli.examples import examples
 from clsco.cli.focus import focus_at_option, focus_depth_option, focused_files, parsed_focus
+from clsco.cli.former import former_commands
 from clsco.cli.inputs import first_scene, report_inputs, report_loss, report_notes, report_stretched
 from clsco.cli.options import (
     PATH,
     Commands,
     Computation,
-    Extent,
-    bench_extent,
     computation_options,
     device_option,
     memory_option,
     no_color_option,
     one_scene,
-    precision_option,
     quiet_option,
     require_device,
     require_opencl,
@@ -37,7 +36,7 @@ from clsco.cli.options import (
     set_option,
     truth_option,
 )
-from clsco.cli.output import echo
+from clsco.cli.output import echo, show_log
 from clsco.cli.psf import psf
 from clsco.cli.render import render, render_to_folders, request_for, require_uncolored
 from clsco.cli.studio import studio
@@ -51,8 +50,11 @@ if TYPE_CHECKING:
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="clsco")
-def main() -> None:
+@click.option("-v", "--verbose", count=True, help="Say on stderr what is done; -vv: with all details.")
+def main(verbose: int) -> None:
     """Images of moving objects out of focus, with their ground truth."""
+    if verbose:
+        show_log(verbose)
 
 
 @main.command()
@@ -85,36 +87,6 @@ def demo(out: Path, device: str | None, quiet: bool) -> None:
     echo(f"{place}/contact_sheet.png: all scenes, and the ground truth of some")
     echo(f"{place}/NAME/frame_0000.png, .npz, .json: image, truth and parameters; NAME is one of")
     echo(f"  {', '.join(jobs)}")
-
-
-@main.command()
-@click.option("-o", "out", metavar="DIR", required=True, type=PATH, help="Folder for the figures and the page.")
-@click.option(
-    "--only", "wanted", metavar="NUMBER", multiple=True,
-    help="This figure or section, such as 4.14 or 4.3.3; may be given again. Default: all.",
-)  # fmt: skip
-@device_option
-@quiet_option
-def thesis(out: Path, wanted: tuple[str, ...], device: str | None, quiet: bool) -> None:
-    """Render the figures of the thesis, with a page of the numbers that it states and those that are measured.
-
-    DIR/thesis.html is the page, for a browser, and DIR/thesis.md the same as text; with --only they are called
-    thesis_only. They are written when all else is there; each scene has a folder with its frames in DIR.
-    """
-    from clsco.cli.thesis_figures import chosen
-
-    figures, numbers = chosen(wanted)
-    require_device(device)
-    from clsco.cli.thesis import PAGE, PART, render, write_page
-    from clsco.files.atomic import remove, writable_folder
-
-    name = PART if wanted else PAGE
-    pages = [writable_folder(out) / f"{name}{ending}" for ending in (".html", ".md")]
-    for page in pages:
-        remove(page)  # an older page is not whole any more
-    values = render(out, figures, numbers, device, quiet)
-    write_page(out, name, figures, values)
-    echo(f"{click.format_filename(pages[0])}: figures, and numbers as stated and as measured")
 
 
 @main.command()
@@ -152,31 +124,6 @@ def plan(
         echo(json.dumps(planned_values(first.plans, cost, cheaper), indent=2))
     else:
         print_tables(*plan_tables(first.plans, cost, cheaper))
-
-
-@main.command()
-@one_scene
-@set_option
-@device_option
-@precision_option
-def check(scene: Path, overrides: tuple[str, ...], device: str | None, precision: str | None) -> None:
-    """Compare the device with the NumPy reference, output by output.
-
-    Fails where color differs by more than 1e-5 of white; in single precision, by more than 1e-4 in more than 1 of
-    500 pixels.
-    """
-    first = first_scene(scene, overrides, request_for((), precision=precision))
-    require_device(device)
-    from clsco.cli.check import compare_frames
-    from clsco.cli.tables import check_tables, print_tables
-
-    for checked in compare_frames(first.scene, device, precision):
-        print_tables(*check_tables(checked))
-        color = checked.differences[0]
-        if not color.agrees:
-            view = f" ({checked.eye})" if checked.eye else ""
-            got = f"{color.largest:.2g} in frame {checked.index}{view} ({color.count} pixels above)"
-            raise ClscoError(f"{scene}: color must agree within {color.figure:g} of white; got {got}")
 
 
 @main.command()
@@ -253,40 +200,6 @@ def _long_frame(prepared: Prepared) -> str | None:
     from clsco.cost.cheaper import warning_of
 
     return warning_of(prepared)
-
-
-@main.command()
-@click.option("-o", "out", metavar="DIR", required=True, type=PATH, help="Folder for the figures and plots.")
-@bench_extent
-@click.option("--stability", is_flag=True, help="Measure errors of hard cases of numerics instead.")
-@device_option
-@quiet_option
-def bench(out: Path, extent: Extent, stability: bool, device: str | None, quiet: bool) -> None:
-    """Measure speed against error of the defocus pass: bench.json, bench.csv and plots in DIR.
-
-    Time is process CPU time, on a graphics card that of its kernels; from radii on the device to the frame on the host.
-    Errors are those of a crop, against the NumPy reference. Cases with long calls are left out, and named in the JSON.
-    In a checkout, --compare adds the blur of numba and OpenCV; whole frames beside a ray-traced lens and Mitsuba's, and
-    the forward warp beside numba's, but not where only some sizes or radii are asked for.
-    With --stability errors against an oracle of 106 bits: stability.json, CSV files and a plot.
-    """
-    from clsco.cli.bench.command import make_task
-    from clsco.files.atomic import writable_folder
-
-    task = make_task(extent, stability)
-    require_device(device)
-    from clsco.cli.progress import progress
-    from clsco.cli.tables import print_tables
-    from clsco.opencl.device import choose
-
-    for notice in task.notices():
-        echo(notice, err=True)
-    folder, chosen = writable_folder(out), choose(device)
-    with progress(task.steps(chosen), quiet, "calls") as advance:
-        tables, short = task.run(chosen, folder, advance)
-    print_tables(*tables)
-    if short:
-        raise ClscoError(short)
 
 
 def _ratio(text: str) -> float:
@@ -467,11 +380,5 @@ def inpaint(
         echo(f"no pixel is missing: {click.format_filename(out)} is a copy of {click.format_filename(image)}")
 
 
-main.add_command(dataset)
-main.add_command(examples)
-main.add_command(batch)
-main.add_command(former_convert)
-main.add_command(psf)
-main.add_command(render)
-main.add_command(video)
-main.add_command(studio)
+for command in (dataset, dev, examples, psf, render, video, studio, *former_commands(dataset, dev)):
+    main.add_command(command)

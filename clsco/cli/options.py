@@ -148,7 +148,7 @@ def one_value(name: str, kind: type[Any], *options: Callable[[Command], Command]
 
 @dataclass(frozen=True)
 class Extent:
-    """Extent of `clsco bench`: options of these names."""
+    """Extent of `clsco dev bench`: options of these names."""
 
     quick: bool = False
     compare: bool = False
@@ -227,10 +227,11 @@ quiet_option = click.option("--quiet", is_flag=True, help="Show no progress.")
 computation_options = one_value(
     "computation", Computation, device_option, precision_option, memory_option, tolerance_option
 )
+quick_option = click.option("--quick", is_flag=True, help="A small grid: a minute or two on a slow machine.")
 bench_extent = one_value(
     "extent",
     Extent,
-    click.option("--quick", is_flag=True, help="A small grid: a minute or two on a slow machine."),
+    quick_option,
     click.option(
         "--compare",
         is_flag=True,

@@ -25,6 +25,20 @@ def echo(text: str = "", *, err: bool = False, nl: bool = True) -> None:
     click.echo(visible(text, lines=True), err=err, nl=nl)
 
 
+def show_log(verbose: int) -> None:
+    """Print messages of the logger "clsco" to stderr, of other levels than warnings as well: 1 for what is done, 2 for
+    all details."""
+    import logging
+
+    class Stderr(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            echo(f"clsco: {record.getMessage()}", err=True)
+
+    logger = logging.getLogger("clsco")
+    logger.handlers, logger.propagate = [Stderr()], False
+    logger.setLevel(logging.INFO if verbose == 1 else logging.DEBUG)
+
+
 @contextmanager
 def visible_usage() -> Iterator[None]:
     """Errors of usage from inside have no characters that a terminal obeys: arguments may be names of files."""

@@ -42,9 +42,9 @@ INTRODUCTION = """\
 # The thesis, figure by figure
 
 This page compares the figures and numbers of K. Sathyanarayana's thesis *Generating Video Frames with Depth Of Field
-and Motion Blur Effects for 3D Animation* with those that clsco makes by the thesis' own method. `clsco thesis -o DIR`
-renders all of them, and writes this page, and DIR/thesis.html with the figures in full size. With `--only` the pages
-are called thesis_only.
+and Motion Blur Effects for 3D Animation* with those that clsco makes by the thesis' own method. `clsco dev thesis -o
+DIR` renders all of them, and writes this page, and DIR/thesis.html with the figures in full size. With `--only` the
+pages are called thesis_only.
 """
 NUMBERS_HEAD = """\
 ## Numbers

@@ -10,10 +10,10 @@ lock.
 from __future__ import annotations
 
 import json
+import logging
 import os
 import shutil
 import stat
-import sys
 import time
 import zlib
 from collections.abc import Iterator, MutableMapping
@@ -63,7 +63,8 @@ def prepare(environ: MutableMapping[str, str] = os.environ) -> None:
             environ[VARIABLE] = str(folder)
             return
     except ExposedFolderError as exposed:
-        print(f"clsco: {exposed}, as what is in it is executed; kernels go to a temporary folder", file=sys.stderr)
+        text = "%s, as what is in it is executed; kernels go to a temporary folder"
+        logging.getLogger("clsco").warning(text, exposed)
     except (OSError, RuntimeError):  # read-only, full, or a user without a home
         pass
     environ[VARIABLE] = str(_made(temporary_folder("kernels") / "clsco" / "pocl"))

@@ -15,9 +15,9 @@ To be deleted with the next wheel of PoCL.
 from __future__ import annotations
 
 import ctypes
+import logging
 import os
 import struct
-import sys
 import warnings
 from functools import lru_cache
 from pathlib import Path
@@ -79,7 +79,7 @@ def _builds_nothing(device: cl.Device) -> bool:
 def _report(name: str) -> None:
     """Once per process."""
     rule = f"builds nothing for this processor, which is newer; its name was set to {name} in PoCL's memory"
-    print(f"clsco: PoCL {rule} ({VARIABLE}=1 agrees to it without this line)", file=sys.stderr)
+    logging.getLogger("clsco").warning("PoCL %s (%s=1 agrees to it without this line)", rule, VARIABLE)
 
 
 def known_name(flags: set[str]) -> bytes | None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import os
+import time
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -24,6 +26,7 @@ from clsco.opencl.pieces import in_pieces
 from clsco.opencl.session import Program, Session
 from clsco.resources import folder
 
+_LOG = logging.getLogger("clsco")
 Argument: TypeAlias = cl.Buffer | np.generic | NDArray[np.void] | None
 HEADERS = ("common/geometry.clh",)
 # Built before all others: in OpenCL C 1.2, or for a processor in what its compiler makes more of.
@@ -280,7 +283,9 @@ def without_output() -> Iterator[None]:
 def _compiled(session: Session, where: str, text: str, options: list[str]) -> Program:
     with without_output():
         try:
+            began = time.perf_counter()
             built = cl.Program(session.context, text).build(options)
+            _LOG.info("%s: built in %.2f s", where, time.perf_counter() - began)
             return {kernel.function_name: kernel for kernel in built.all_kernels()}
         except cl.Error as error:
             raise KernelError(f"{where}: must build on {session.device}; got\n{error}") from error

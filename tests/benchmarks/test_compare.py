@@ -251,7 +251,7 @@ def test_missing_peers_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         monkeypatch.setattr(peers, "find_spec", lambda name: None if name in missing else there(name))
 
     without("numba", "cv2", "mitsuba")
-    result = CliRunner().invoke(main, ["bench", "-o", str(tmp_path / "out"), "--quick", "--compare"])
+    result = CliRunner().invoke(main, ["dev", "bench", "-o", str(tmp_path / "out"), "--quick", "--compare"])
     message = "error: --compare: needs numba or OpenCV or Mitsuba: pip install 'clsco[bench]'; got no such module"
     assert (result.exit_code, result.stdout, result.stderr.splitlines()) == (1, "", [message])
     assert not (tmp_path / "out").exists()

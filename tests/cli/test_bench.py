@@ -59,7 +59,7 @@ SMALL = Grid(
 
 
 def bench_(*words: object) -> Result:
-    return CliRunner().invoke(main, ["bench", *map(str, words)])
+    return CliRunner().invoke(main, ["dev", "bench", *map(str, words)])
 
 
 def test_a_grid_has_all_combinations_that_the_device_can_do() -> None:
@@ -349,10 +349,6 @@ def test_the_command_writes_and_shows(tmp_path: Path, monkeypatch: pytest.Monkey
         (("--radius", 61), "error: --radius: must be 0 to 60 px; got 61"),
         (("--minutes", 0), "error: --minutes: must be above 0; got 0"),
         (("--minutes", "nan"), "error: --minutes: must be above 0; got nan"),
-        (
-            ("--minutes", 1, "--stability"),
-            "error: --stability: must stand without --compare, --size, --radius and --minutes; got one of them",
-        ),
         (("--radius", "nan"), "error: --radius: must be 0 to 60 px; got nan"),
     ],
 )

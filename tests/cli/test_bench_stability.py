@@ -137,7 +137,7 @@ def test_a_shortfall_ends_the_command(measured: Stability, tmp_path: Path, monke
     worse = replace(measured, cases=[replace(measured.cases[0], bounds=(0.1, 0.1))])
     monkeypatch.setattr(stabilityreport, "run", lambda *given: worse)
     monkeypatch.setattr(stabilityreport, "plot", lambda cases: figure.Figure())
-    words = ["bench", "-o", str(tmp_path / "out"), "--stability", "--quick", "--device", "pocl"]
+    words = ["dev", "stability", "-o", str(tmp_path / "out"), "--quick", "--device", "pocl"]
     result = CliRunner().invoke(main, words)
     assert result.exit_code == 1
     message = "error: stability: every error must be within its bound; got 1 beyond: sphere far away: beyond its bound"
@@ -146,16 +146,7 @@ def test_a_shortfall_ends_the_command(measured: Stability, tmp_path: Path, monke
     assert (tmp_path / "out/stability.csv").is_file()
 
 
-def test_options_that_do_not_go_together(tmp_path: Path) -> None:
-    for words in (["--compare"], ["--size", "64"], ["--radius", "3"]):
-        result = CliRunner().invoke(main, ["bench", "-o", str(tmp_path / "out"), "--stability", *words])
-        rule = "must stand without --compare, --size, --radius and --minutes"
-        message = f"error: --stability: {rule}; got one of them"
-        assert (result.exit_code, result.stderr.splitlines()) == (1, [message])
-    assert not (tmp_path / "out").exists()
-
-
 def test_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("clsco.cli.bench.command.find_spec", lambda name: None)
-    with pytest.raises(ClscoError, match=r"^--stability: needs mpmath: pip install 'clsco\[bench\]'"):
+    with pytest.raises(ClscoError, match=r"^stability: needs mpmath: pip install 'clsco\[bench\]'"):
         Task(True).notices()

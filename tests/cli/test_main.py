@@ -236,7 +236,7 @@ def bad(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("name", BAD_SCENES)
 def test_a_bad_scene_is_reported_in_one_line(name: str, bad: Path) -> None:
     before = names(bad)
-    for command in (["render", bad / name, "-o", bad / "out"], ["plan", bad / name], ["check", bad / name]):
+    for command in (["render", bad / name, "-o", bad / "out"], ["plan", bad / name], ["dev", "check", bad / name]):
         (line,) = messages(clsco_(*command), 1)
         assert line.startswith(f"error: {bad / name}: ")
         assert BAD_SCENES[name][1] in line
@@ -281,7 +281,7 @@ def test_wrong_words(words: list[str], status: int, rule: str, ball: Path, tmp_p
 
 def test_folders_that_cannot_be_written(ball: Path, tmp_path: Path) -> None:
     for folder in (ball, ball / "under", tmp_path / ("x" * 300), Path("/proc/none")):
-        for command in (["render", ball, "-o", folder], ["demo", "-o", folder], ["thesis", "-o", folder]):
+        for command in (["render", ball, "-o", folder], ["demo", "-o", folder], ["dev", "thesis", "-o", folder]):
             (line,) = messages(clsco_(*command), 1)
             assert "must be a folder that can be written" in line
     assert "Missing option '-o'" in clsco_("render", ball).stderr
@@ -292,10 +292,10 @@ def test_without_a_device_it_says_what_to_install(ball: Path, tmp_path: Path, mo
     monkeypatch.setattr(device, "_devices", lambda: ())
     commands = (
         ["render", ball, "-o", tmp_path / "out"],
-        ["check", ball],
+        ["dev", "check", ball],
         ["devices"],
         ["demo", "-o", tmp_path / "out"],
-        ["thesis", "-o", tmp_path / "out"],
+        ["dev", "thesis", "-o", tmp_path / "out"],
     )
     for command in commands:
         (line,) = messages(clsco_(*command), 3)
@@ -332,7 +332,7 @@ def test_plan(ball: Path) -> None:
 
 
 def test_check_agrees(ball: Path) -> None:
-    result = clsco_("check", ball, "--set", "sequence.frames=2")
+    result = clsco_("dev", "check", ball, "--set", "sequence.frames=2")
     assert result.exit_code == 0, result.output
     rows = [line.split() for line in result.output.splitlines()]
     for name in ("color", *TRUTH_NAMES, *MOTION_NAMES):
@@ -357,14 +357,14 @@ def changed(**places: Any) -> Callable[..., Iterator[Frame]]:
 
 def test_check_notices_a_wrong_pixel(ball: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(check, "render", changed(color=((5, 7), np.nan), depth=((2, 3), 1.0), mask=((4, 4), True)))
-    result = clsco_("check", ball)
+    result = clsco_("dev", "check", ball)
     assert result.exit_code == 1
     assert f"error: {ball}: color must agree within 1e-05 of white; got inf in frame 0 (1 pixels" in result.stderr
     rows = {row[0]: row for row in (line.split() for line in result.stdout.splitlines()) if row}
     assert rows["color"][-4:] == ["5", "7", "1", "1e-05"]
     assert rows["depth"][-4:-1] == ["2", "3", "1"]
     assert rows["sharp"][-2] == "0"
-    assert clsco_("check", ball, "--precision", "single").exit_code == 1
+    assert clsco_("dev", "check", ball, "--precision", "single").exit_code == 1
 
 
 def test_devices() -> None:
@@ -401,9 +401,10 @@ def test_schema() -> None:
 
 def test_help_and_version() -> None:
     assert clsco_("--version").output == f"clsco, version {clsco.__version__}\n"
-    for name in ("render", "plan", "psf", "check", "demo", "devices", "schema", "thesis", "validate"):
-        assert name in clsco_("--help").output
-        assert clsco_(name, "--help").exit_code == 0
+    for name in ("render", "plan", "psf", "demo", "devices", "schema", "validate", "dev check", "dev thesis"):
+        *group, command = name.split()
+        assert f"\n  {command} " in clsco_(*group, "--help").output
+        assert clsco_(*group, command, "--help").exit_code == 0
     assert clsco_("paint").exit_code == 2
 
 

@@ -1,4 +1,4 @@
-"""`clsco thesis`: the figures of the thesis, its numbers and those measured, and the page of both."""
+"""`clsco dev thesis`: the figures of the thesis, its numbers and those measured, and the page of both."""
 
 from __future__ import annotations
 
@@ -39,7 +39,9 @@ def rows(page: str) -> list[str]:
 def test_some_figures_have_the_rows_of_the_document(tmp_path: Path) -> None:
     whole = tmp_path / "thesis.md"
     whole.write_text("all figures", "utf-8")
-    result = clsco_("thesis", "-o", tmp_path, "--only", "4.9", "--only", "4.14", "--only", "4.15", "--only", "4.3.3")
+    result = clsco_(
+        "dev", "thesis", "-o", tmp_path, "--only", "4.9", "--only", "4.14", "--only", "4.15", "--only", "4.3.3"
+    )
     assert (result.exit_code, result.stdout) == (0, f"{tmp_path}/thesis_only.html: {SAID}\n"), result.output
     assert whole.read_text("utf-8") == "all figures"
     page = (tmp_path / "thesis_only.md").read_text("utf-8")
@@ -66,7 +68,7 @@ def test_some_figures_have_the_rows_of_the_document(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_all_figures_are_the_document(tmp_path: Path) -> None:
-    assert clsco_("thesis", "-o", tmp_path).exit_code == 0
+    assert clsco_("dev", "thesis", "-o", tmp_path).exit_code == 0
     assert (tmp_path / "thesis.md").read_text("utf-8") == DOCUMENT
     pictures = {picture for figure in FIGURES for picture in figure.pictures}
     assert pictures <= set(names(tmp_path))
@@ -79,20 +81,20 @@ def test_all_figures_are_the_document(tmp_path: Path) -> None:
 
 
 def test_the_page_is_the_last_thing_that_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert clsco_("thesis", "-o", tmp_path, "--only", "4.15").exit_code == 0
+    assert clsco_("dev", "thesis", "-o", tmp_path, "--only", "4.15").exit_code == 0
     assert (tmp_path / "thesis_only.md").is_file()
 
     def no_space(out: Path, figure: Figure) -> None:
         raise ImageError(f"{out}: the file must be writable; got No space left on device")
 
     monkeypatch.setattr(thesis, "small_figure", no_space)
-    result = clsco_("thesis", "-o", tmp_path, "--only", "4.15")
+    result = clsco_("dev", "thesis", "-o", tmp_path, "--only", "4.15")
     assert messages(result, 1) == [f"error: {tmp_path}: the file must be writable; got No space left on device"]
     assert not list(tmp_path.glob("thesis_only.*"))
 
 
 def test_a_figure_that_is_not_there(tmp_path: Path) -> None:
-    result = clsco_("thesis", "-o", tmp_path / "out", "--only", "4.1")
+    result = clsco_("dev", "thesis", "-o", tmp_path / "out", "--only", "4.1")
     assert result.exit_code == 2
     assert "--only: must be one of 3.3, 3.4, 3.5, 3.8, 3.9, 3.12," in result.stderr
     assert "got 4.1" in result.stderr

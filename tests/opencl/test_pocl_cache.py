@@ -248,7 +248,7 @@ def chosen(root: Path) -> str:
 @pytest.mark.parametrize("place", ["clsco", "clsco/{versions}"])
 @pytest.mark.parametrize("mode", [0o777, 0o775, 0o702])
 def test_a_folder_that_others_may_write_to_is_not_used(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], place: str, mode: int
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, place: str, mode: int
 ) -> None:
     """Files in the folder are executed."""
     ours = tmp_path / "clsco" / f"pocl-{poclcache._versions()}"
@@ -258,10 +258,10 @@ def test_a_folder_that_others_may_write_to_is_not_used(
     for folder in (ours.parent, ours):
         folder.chmod(0o700)
     assert chosen(tmp_path) == str(ours)
-    assert capsys.readouterr().err == ""
+    assert caplog.messages == []
     (tmp_path / place.format(versions=ours.name)).chmod(mode)
     assert not chosen(tmp_path).startswith(str(tmp_path))
-    assert "must belong to you, and be writable by you alone" in capsys.readouterr().err
+    assert ["must belong to you, and be writable by you alone" in each for each in caplog.messages] == [True]
 
 
 def test_a_folder_of_another_user_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

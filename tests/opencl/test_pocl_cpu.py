@@ -89,7 +89,7 @@ UNKNOWN, KNOWN = (f"OpenCL 3.0 PoCL HSTR: pthread-x86_64-unknown-linux-gnu-{name
 
 @pytest.mark.parametrize("asked", [True, False])
 def test_an_unknown_processor_gets_a_name(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], asked: bool
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, asked: bool
 ) -> None:
     monkeypatch.setenv(pocl_cpu.VARIABLE, str(int(asked)))
     monkeypatch.setattr(pocl_cpu, "_flags", lambda: AVX2)
@@ -100,7 +100,7 @@ def test_an_unknown_processor_gets_a_name(
         for _ in range(2):  # a second session finds it done, and leaves what is not the device's
             pocl_cpu.ensure_known(structure)
             assert [structure.text(place) for place in (81, 82)] == [b"haswell", b"generic"]
-    lines = capsys.readouterr().err.splitlines()
+    lines = caplog.messages
     assert len(lines) == (0 if asked else 1)
     assert all(NOTHING in line and "haswell" in line and pocl_cpu.VARIABLE in line for line in lines)
 
@@ -109,7 +109,7 @@ def test_an_unknown_processor_gets_a_name(
     ("version", "flags", "builds"), [(KNOWN, AVX2, False), (UNKNOWN, set(), False), (UNKNOWN, AVX2, True)]
 )
 def test_all_else_stays(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], version: str, flags: set[str], builds: bool
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, version: str, flags: set[str], builds: bool
 ) -> None:
     monkeypatch.delenv(pocl_cpu.VARIABLE, raising=False)
     monkeypatch.setattr(pocl_cpu, "_flags", lambda: flags)
@@ -117,7 +117,7 @@ def test_all_else_stays(
     structure: Any = Structure(version, b"x86_64-unknown-linux-gnu", b"generic")
     pocl_cpu.ensure_known(structure)
     assert structure.text(81) == b"generic"
-    assert capsys.readouterr().err == ""
+    assert caplog.messages == []
 
 
 def test_a_session_can_build_whatever_the_processor(session: Session) -> None:

@@ -1,1 +1,1 @@
-"""The command `clsco bench`: speed against error of the defocus pass, over sizes, radii, methods and PSFs."""
+"""The command `clsco dev bench`: speed against error of the defocus pass, over sizes, radii, methods and PSFs."""

@@ -1,4 +1,4 @@
-"""Tasks of `clsco bench`: speed against error, or stability; each with its steps, files and tables."""
+"""Tasks of `clsco dev bench` and `clsco dev stability`; each with its steps, files and tables."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Stability:
     def notices(self) -> list[str]:
         require_matplotlib("bench", "bench")
         if find_spec("mpmath") is None:
-            raise ClscoError("--stability: needs mpmath: pip install 'clsco[bench]'; got no such module")
+            raise ClscoError("stability: needs mpmath: pip install 'clsco[bench]'; got no such module")
         return []
 
     def steps(self, device: Device) -> int:
@@ -86,14 +86,9 @@ class Stability:
         return stabilityreport.tables(found), line
 
 
-def make_task(extent: Extent, stability: bool) -> Task:
-    """Make the task that the command's options ask for. Raises ClscoError where they do not go together, or a peer is
-    missing."""
-    if stability:
-        if extent != Extent(quick=extent.quick):
-            rule = "must stand without --compare, --size, --radius and --minutes"
-            raise ClscoError(f"--stability: {rule}; got one of them")
-        return Stability(extent.quick)
+def speed_task(extent: Extent) -> Task:
+    """Make the task that the options of `clsco dev bench` ask for. Raises ClscoError for what cannot be measured, or
+    where a peer is missing."""
     grid = make_grid(extent.quick, extent.sizes, extent.radii, extent.minutes)
     if not extent.compare:
         return Speed(grid)

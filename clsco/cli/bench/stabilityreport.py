@@ -1,4 +1,4 @@
-"""Report of `clsco bench --stability`: tables, JSON, CSV, and one plot of error against conditioning."""
+"""Report of `clsco dev stability`: tables, JSON, CSV, and one plot of error against conditioning."""
 
 from __future__ import annotations
 

@@ -1,0 +1,45 @@
+"""Options that commands share, former names, and messages of the library."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner, Result
+
+from clsco.cli.main import main
+from clsco.scene import sweep
+from tests.scenes import PLANE, scene_file
+
+
+def clsco_(*words: object) -> Result:
+    return CliRunner().invoke(main, [str(word) for word in words])
+
+
+@pytest.mark.parametrize("words", [["bench"], ["bench", "--stability"], ["check"], ["thesis"]])
+def test_former_names_of_the_laboratory_say_what_they_are_called(words: list[str]) -> None:
+    result = clsco_(*words)
+    name = words[-1].removeprefix("--")
+    said = f"clsco {words[0]}: is called clsco dev {name} now; the former name goes in the next version"
+    assert (result.exit_code, result.stderr.splitlines()[0]) == (2, said)
+    assert "Missing " in result.stderr.splitlines()[-1]
+    assert f"\n  {name} " not in clsco_("--help").output
+
+
+def test_messages_of_the_library_are_shown_on_demand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = scene_file(tmp_path / "scene.toml", PLANE)
+    logger, load = logging.getLogger("clsco"), sweep.load_sweeps
+    for name, value in (("handlers", []), ("propagate", True), ("level", logging.WARNING)):
+        monkeypatch.setattr(logger, name, value)
+
+    def logged(*given: Any) -> Any:
+        logger.info("read")
+        logger.debug("all of it\x1b")
+        return load(*given)
+
+    monkeypatch.setattr(sweep, "load_sweeps", logged)
+    for words, said in ((), ""), (("-v",), "clsco: read\n"), (("-vv",), "clsco: read\nclsco: all of it\\x1b\n"):
+        result = clsco_(*words, "validate", scene)
+        assert (result.exit_code, result.stderr) == (0, said)
