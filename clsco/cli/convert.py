@@ -6,7 +6,7 @@ from contextlib import ExitStack
 
 import click
 
-from clsco.cli.options import quiet_option
+from clsco.cli.options import SET_FORMAT, quiet_option
 from clsco.cli.output import echo
 
 
@@ -14,8 +14,8 @@ from clsco.cli.output import echo
 @click.argument("data", metavar="DATA")
 @click.option("-o", "out", metavar="OUT", required=True, help="Folder for it, or an address like s3://bucket/set.")
 @click.option(
-    "--format", "form", metavar="NAME", required=True,
-    help="webdataset, folders, npz, hdf5 or zarr, each also uncompressed, like npz+raw; parquet; tfrecord.",
+    "--format", "form", metavar="NAME", type=SET_FORMAT, required=True,
+    help="webdataset, folders, npz, hdf5 or zarr, each also uncompressed, like npz+raw; parquet.",
 )  # fmt: skip
 @click.option("--resume", is_flag=True, help="Go on with the conversion in OUT.")
 @quiet_option

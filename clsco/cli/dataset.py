@@ -11,7 +11,17 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from clsco.cli.convert import convert
-from clsco.cli.options import PATH, precision_option, quiet_option, require_opencl, set_option
+from clsco.cli.options import (
+    ARRAYS,
+    PATH,
+    SET_FORMAT,
+    precision_option,
+    quiet_option,
+    require_opencl,
+    set_option,
+    types_option,
+    usage_error,
+)
 from clsco.cli.output import echo
 from clsco.cli.progress import progress
 from clsco.errors import ClscoError, SceneError
@@ -58,16 +68,15 @@ base_option = click.option(
     "--shard-size", metavar="N", type=click.IntRange(1, 10**6), default=256, show_default=True,
     help="Samples of a shard, which is one file.",
 )  # fmt: skip
-@click.option("--format", metavar="NAME", default="webdataset", show_default=True, help="Of the files.")
 @click.option(
-    "--truth", metavar="NAMES", default="sharp,depth,coc", show_default=True,
+    "--format", metavar="NAME", type=SET_FORMAT, default="webdataset", show_default=True, help="Of the files."
+)
+@click.option(
+    "--truth", metavar="NAME,...", type=ARRAYS, default="sharp,depth,coc", show_default=True,
     help="Arrays of a sample besides color.",
 )  # fmt: skip
 @click.option("--no-color", is_flag=True, help="Those arrays alone: no image is made, which is most of the work.")
-@click.option(
-    "--types", metavar="NAME=TYPE,...", default="",
-    help="Such as color=float32, linear instead of codes of 16 bits, or uint8, or depth=float16.",
-)  # fmt: skip
+@types_option
 @click.option("--split", "splits", metavar="NAME=SHARE,...", help="Such as train=0.9,test=0.1.")
 @click.option("--device", "devices", metavar="NAME", multiple=True, help="Where to render; may be given again.")
 @click.option("--devices", "every", type=click.Choice(["all"]), help="On all devices of the best kind.")
@@ -106,7 +115,7 @@ def make(distribution: Path, out: str, devices: tuple[str, ...], quiet: bool, **
         samples = making.numbers_wanted(options["count"], options["only"])
         arrays, _ = making.stored_arrays(options["truth"], color), parse_stored(options["types"])
     except SceneError as error:
-        raise click.UsageError("; ".join(error.messages)) from None
+        raise usage_error(error) from None
     if options.pop("dry_run"):
         _dry_run(distribution, out, samples, arrays, options)
         return

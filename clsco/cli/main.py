@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +25,8 @@ from clsco.cli.options import (
     PATH,
     Commands,
     Computation,
+    Names,
+    attribute,
     computation_options,
     device_option,
     memory_option,
@@ -34,7 +37,7 @@ from clsco.cli.options import (
     require_opencl,
     scenes_wanted,
     set_option,
-    truth_option,
+    truth_options,
 )
 from clsco.cli.output import echo, show_log
 from clsco.cli.psf import psf
@@ -92,7 +95,7 @@ def demo(out: Path, device: str | None, quiet: bool) -> None:
 @main.command()
 @one_scene
 @set_option
-@truth_option
+@truth_options
 @no_color_option
 @memory_option
 @click.option("--gpu", is_flag=True, help="On a graphics card instead of a processor.")
@@ -219,6 +222,15 @@ def _layer(name: str, argument: str) -> Callable[[Callable[..., None]], Callable
     return click.option(name, metavar="NAME", help=text)
 
 
+def _choice(place: str, key: str, metavar: str, text: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    kind = Names(attribute(f"{place}.{key}"))
+    return click.option(f"--{key.replace('_', '-')}", metavar=metavar, type=kind, help=text)
+
+
+_depth_option = partial(_choice, "clsco.scene.shapes:DepthMap")
+_spread_option = partial(_choice, "clsco.scene.spread:Psf")
+
+
 @main.command()
 @click.argument("image", type=PATH)
 @click.argument("depth", type=PATH)
@@ -228,23 +240,20 @@ def _layer(name: str, argument: str) -> Callable[[Callable[..., None]], Callable
 )  # fmt: skip
 @_layer("--image-layer", "IMAGE")
 @_layer("--depth-layer", "DEPTH")
-@click.option("--unit", metavar="UNIT", help="Of DEPTH: mm (default), m, inverse_mm, inverse_m, disparity or coc.")
+@_depth_option("unit", "UNIT", "Of DEPTH: mm (default), m, inverse_mm, inverse_m, disparity or coc.")
 @click.option("--scale", metavar="NUMBER", type=_ratio, help="What 1 in DEPTH is worth, such as 0.001 or 1/256.")
 @_number("--baseline", "Distance between the views of a disparity, mm.")
 @_number("--offset", "Added to a disparity, px, such as doffs of Middlebury's calibrations.")
-@click.option(
-    "--depth-kind",
-    metavar="KIND",
-    help="Of DEPTH: z (default), along the optical axis, or ray, the distance from the lens along each pixel's ray.",
+@_depth_option(
+    "depth_kind", "KIND",
+    "Of DEPTH: z (default), along the optical axis, or ray, the distance from the lens along each pixel's ray.",
+)  # fmt: skip
+@_depth_option(
+    "no_depth",
+    "WHERE",
+    "What has no depth, such as 0, is: around (default), at the depth around it, or far, as the sky.",
 )
-@click.option(
-    "--no-depth",
-    metavar="WHERE",
-    help="What has no depth, such as 0, is: around (default), at the depth around it, or far, as the sky.",
-)
-@click.option(
-    "--soft-edges", metavar="METHOD", help="Depths between two surfaces at their edge: assign to one (default) or keep."
-)
+@_depth_option("soft_edges", "METHOD", "Depths between two surfaces at their edge: assign to one (default) or keep.")
 @_number("--focal-length", "f, mm.")
 @_number("--f-number", "f / D.")
 @_number("--aperture-diameter", "D, mm; instead of the f-number.")
@@ -253,10 +262,10 @@ def _layer(name: str, argument: str) -> Callable[[Callable[..., None]], Callable
 @focus_depth_option
 @_number("--sensor-distance", "Distance from lens to detector, mm; instead of the distance in focus.")
 @_number("--pixel-pitch", "Distance between pixels on the detector, mm.")
-@click.option("--model", metavar="MODEL", help="Of the blur: pillbox (default) or gaussian.")
-@click.option("--edge", metavar="EDGE", help="Of the blur: integrated (default), area or sampled.")
-@click.option("--occlusion", metavar="METHOD", help="How near hides far: layered (default) or none.")
-@truth_option
+@_spread_option("model", "MODEL", "Of the blur: pillbox (default) or gaussian.")
+@_spread_option("edge", "EDGE", "Of the blur: integrated (default), area or sampled.")
+@_spread_option("occlusion", "METHOD", "How near hides far: layered (default) or none.")
+@truth_options
 @set_option
 @computation_options
 @quiet_option
@@ -321,12 +330,18 @@ def defocus(
     "--report", "folder", metavar="DIR", type=PATH, help="Folder for figures, plots and images of the stages."
 )
 @click.option(
-    "--method", metavar="METHOD", default="auto", show_default=True,
+    "--method", metavar="METHOD", type=Names(lambda: ("auto", "mean-median", "biharmonic", "texture")),
+    default="auto", show_default=True,
     help="mean-median, biharmonic, texture, or auto for the better of the last two.",
 )  # fmt: skip
 @_layer("--image-layer", "IMAGE")
 @_number("--threshold", "Values of MASK from this one on are missing; without it they must be 0 and white.")
-@click.option("--estimator", metavar="NAME", help="Of mean-median: scored (default), mean or median.")
+@click.option(
+    "--estimator",
+    metavar="NAME",
+    type=Names(lambda: ("scored", "mean", "median")),
+    help="Of mean-median: scored (default), mean or median.",
+)
 @click.option("--minimum", metavar="NUMBER", type=int, help="Of mean-median: known neighbors that a pixel needs, 4.")
 @click.option("--smoothing-rounds", metavar="NUMBER", type=int, help="Of mean-median: 20; 0 turns smoothing off.")
 @_number("--border-share", "Of mean-median: of the border, the share that is blended, 0.4; 0 turns it off.")

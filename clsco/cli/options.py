@@ -6,16 +6,19 @@ import os
 import re
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from functools import wraps
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, get_args
 
 import click
+from click.shell_completion import CompletionItem
 
+from clsco.cli.former import report_former
 from clsco.cli.output import echo, visible_usage
 from clsco.errors import ClscoError, DeviceError, SceneError
 
@@ -81,24 +84,82 @@ class Commands(click.Group):
             ctx.exit(NO_DEVICE if isinstance(error, DeviceError) else USER_ERROR)
 
 
-def parse_files(text: str) -> tuple[TruthFile, ...]:
-    if not text:
+class Names(click.ParamType):  # type: ignore[type-arg] # before click 8.2 it takes none
+    """Names that a shell completes; what takes them checks them.
+
+    Parameters
+    ----------
+    source : callable
+        Gives the names. It is called where a shell asks, as finding them takes imports.
+    many : bool
+        Several, with commas between them.
+    """
+
+    name = "name"
+
+    def __init__(self, source: Callable[[], Iterable[str]], many: bool = False) -> None:
+        self.source, self.many = source, many
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """Names that begin as the last one does."""
+        del ctx, param
+        head, comma, last = incomplete.rpartition(",") if self.many else ("", "", incomplete)
+        return [CompletionItem(f"{head}{comma}{name}") for name in self.source() if name.startswith(last)]
+
+
+def attribute(place: str) -> Callable[[], Iterable[str]]:
+    """Names in an object of a module, such as the keys of "clsco.files.video:PRESETS"; of a field of a model, as
+    "clsco.scene.shapes:DepthMap.unit", the values that it can have."""
+    module, _, path = place.partition(":")
+
+    def found() -> Iterable[str]:
+        name, _, field = path.partition(".")
+        value = getattr(import_module(module), name)
+        return get_args(value.model_fields[field].annotation) if field else value
+
+    return found
+
+
+def _arrays() -> tuple[str, ...]:
+    return "all", *attribute("clsco.frame.truth_files:ATTRIBUTES")()
+
+
+def _types() -> list[str]:
+    return [f"{name}={dtype}" for name in _arrays() for dtype in attribute("clsco.frame.truth_files:FLOATS")()]
+
+
+def usage_error(error: SceneError) -> click.UsageError:
+    """Error of usage for messages on values of options, which begin with the options' names."""
+    return click.UsageError("; ".join(f"--{message}" for message in error.messages))
+
+
+def _files(truth: str, formats: str, types: str) -> tuple[TruthFile, ...]:
+    """Files of ground truth that options ask for; --truth named formats, not arrays, before this release."""
+    if not (truth or formats or types):
         return ()
-    from clsco.frame.files import truth_files
+    from clsco.frame.files import TRUTH_FORMATS, files_of, truth_files
 
     try:
-        return truth_files(text)
+        if re.split("[:+,]", truth)[0] not in TRUTH_FORMATS:
+            return files_of(truth, formats, types)
+        files = truth_files(truth)
     except SceneError as error:
-        raise click.BadParameter(str(error)) from None
+        raise usage_error(error) from None
+    names = {name: None for file in files for name in file.names}
+    arrays = f"--truth {','.join(names)} " if names else ""
+    report_former(f"--truth {truth}", f"{arrays}--format {','.join(file.format for file in files)}")
+    return files
 
 
-def parse_preset(text: str) -> str:
-    """The name of a video preset."""
-    from clsco.files.video import PRESETS
+class _Preset(Names):
+    def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """The name of a video preset; click fails for none."""
+        if value not in (known := list(self.source())):
+            self.fail(f"must be one of {', '.join(known)}; got {value}", param, ctx)
+        return value
 
-    if text not in PRESETS:
-        raise click.BadParameter(f"must be one of {', '.join(PRESETS)}; got {text}")
-    return text
+
+PRESET = _Preset(attribute("clsco.files.video:PRESETS"))
 
 
 def parse_span(text: str) -> Span:
@@ -197,13 +258,37 @@ set_option = click.option(
     "--set", "overrides", metavar="KEY=VALUE", multiple=True,
     help="Set a key of the scene, such as camera.f_number=4 or object.0.radius=30; may be given again.",
 )  # fmt: skip
-truth_option = click.option(
-    "--truth", "files", metavar="FORMAT,...", type=parse_files, default="",
-    help="Also compute the ground truth, and write it in these formats: npz or exr, which hold all of it; npy or pfm, "
-    "a file per array; of the field flo, kitti_flow, kitti_disparity, kitti_depth, dpt; the camera as cam or colmap; "
-    "codes of a sensor as png or tiff. npz:depth,coc: these arrays alone; npz+float16: floats in 16 bits; "
-    "npz+compressed, npy+zstd: smaller files.",
+ARRAYS = Names(_arrays, many=True)
+SET_FORMAT = Names(attribute("clsco.data.containers:CONTAINERS"))
+_TRUTH = click.option(
+    "--truth", metavar="NAME,...", type=ARRAYS, default="",
+    help="Also compute the ground truth, and write these arrays, such as depth,coc; all: all that the formats hold.",
 )  # fmt: skip
+_FORMAT = click.option(
+    "--format", "formats", metavar="FORMAT,...", type=Names(attribute("clsco.frame.files:TRUTH_FORMATS"), many=True),
+    default="",
+    help="Files of the ground truth: npz (default) or exr, which hold all of it; npy or pfm, a file per array; of the "
+    "field flo, kitti_flow, kitti_disparity, kitti_depth, dpt; the camera as cam or colmap; codes of a sensor as png "
+    "or tiff. npz+compressed, npy+zstd: smaller files. Without --truth all that they hold.",
+)  # fmt: skip
+types_option = click.option(
+    "--types", metavar="NAME=TYPE,...", type=Names(_types, many=True), default="",
+    help="Such as depth=float16, or all=float16: floats in 16 bits; in a data set also color=float32, linear instead "
+    "of codes of 16 bits, or uint8.",
+)  # fmt: skip
+
+
+def truth_options(command: Command) -> Command:
+    """Give a command the argument `files`, the files of ground truth that are asked for."""
+
+    @wraps(command)
+    def call(truth: str, formats: str, types: str, **values: Any) -> Any:
+        return command(files=_files(truth, formats, types), **values)
+
+    found: Any = call
+    return _TRUTH(_FORMAT(types_option(found)))
+
+
 no_color_option = click.option(
     "--no-color", is_flag=True, help="The ground truth alone: no image is made, which is most of the work."
 )

@@ -13,16 +13,16 @@ from clsco.cli.focus import focus_at_option, focus_depth_option, focused_files, 
 from clsco.cli.inputs import report_inputs
 from clsco.cli.options import (
     PATH,
+    PRESET,
     Computation,
     computation_options,
     no_color_option,
-    parse_preset,
     parse_span,
     quiet_option,
     require_device,
     scenes_wanted,
     set_option,
-    truth_option,
+    truth_options,
 )
 from clsco.cli.output import echo
 from clsco.errors import SceneError
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 @click.command()
 @scenes_wanted
 @click.option("-o", "out", metavar="DIR", required=True, type=PATH, help="Folder for the frames.")
-@truth_option
+@truth_options
 @no_color_option
 @click.option(
     "--frames", "span", metavar="A:B", type=parse_span, default=":", help="Frames A to B - 1, counted from 0."
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 @computation_options
 @click.option("--subframes", is_flag=True, help="Also write the image of each time sample: frame_0000_sample_00.png.")
 @click.option(
-    "--video", "preset", metavar="PRESET", type=parse_preset,
+    "--video", "preset", metavar="PRESET", type=PRESET,
     help="When all frames are there, write a clip beside them, such as clip.mp4: mp4, ffv1, prores or another preset "
     "of clsco video. With -o - and y4m: to the standard output, and no files.",
 )  # fmt: skip

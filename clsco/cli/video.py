@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, BinaryIO
 
 import click
 
-from clsco.cli.options import PATH, parse_preset, quiet_option
+from clsco.cli.options import PATH, PRESET, quiet_option
 from clsco.cli.output import echo
 from clsco.errors import ImageError
 
@@ -35,7 +35,7 @@ def _rate(text: str) -> Fraction:
     help="File for the clip: .mp4, .webm, .mkv or .mov; - for y4m on the standard output.",
 )  # fmt: skip
 @click.option(
-    "--preset", metavar="NAME", type=parse_preset,
+    "--preset", metavar="NAME", type=PRESET,
     help="mp4, mp4-444, hevc10, av1, webm, h264-lossless, ffv1, ffv1-16, prores, prores-hq or y4m. Default: the first "
     "of these with the extension of OUT.",
 )  # fmt: skip
@@ -62,7 +62,8 @@ def video(
     """Make a clip of the frames in DIR, which clsco render wrote.
 
     Of stereo pairs each view has a clip, such as clip_left.mp4 and clip_right.mp4. Depth, blur radius and flow are
-    never stored as numbers, but as colors on one scale for the clip, which is reported; they need --truth npz or exr.
+    never stored as numbers, but as colors on one scale for the clip, which is reported; they need --truth all, as
+    npz or exr.
     """
     if fps is not None and speed is not None:
         raise click.UsageError("--speed: must be without --fps, which says how fast the clip is")

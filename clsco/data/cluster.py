@@ -40,9 +40,9 @@ def cluster_device(address: str) -> tuple[str, str]:
         try:
             family, precision = future.result(timeout=WORKERS_S)
         except TimeoutError:
-            raise ClscoError(f"--scheduler: {address} must have a worker; got none in {WORKERS_S:.0f} s") from None
+            raise ClscoError(f"scheduler: {address} must have a worker; got none in {WORKERS_S:.0f} s") from None
         except (ImportError, AttributeError) as error:
-            raise ClscoError(f"--scheduler: workers must have this version of clsco; got {error}") from error
+            raise ClscoError(f"scheduler: workers must have this version of clsco; got {error}") from error
         return str(family), str(precision)
 
 
@@ -115,8 +115,8 @@ def _ended_well(distributed: Any, schedule: Schedule, task: Task, future: Any, a
 
 
 def _lost(address: str) -> ClscoError:
-    rule = "must be there until the set is made, which --resume goes on with"
-    return ClscoError(f"--scheduler: {address} {rule}; got a lost connection")
+    rule = "must be there until the set is made, which may be resumed then"
+    return ClscoError(f"scheduler: {address} {rule}; got a lost connection")
 
 
 @contextmanager
@@ -126,7 +126,7 @@ def _client(distributed: Any, address: str) -> Iterator[Any]:
         client = distributed.Client(address, timeout=20, set_as_default=False)
     except (OSError, ValueError) as error:
         got = str(error) or type(error).__name__
-        raise ClscoError(f"--scheduler: must be the address of a scheduler; got {address}: {got}") from error
+        raise ClscoError(f"scheduler: must be the address of a scheduler; got {address}: {got}") from error
     try:
         yield client
     finally:
@@ -139,7 +139,7 @@ def _distributed() -> Any:
         return importlib.import_module("distributed")
     except ImportError:
         rule = "needs dask.distributed: pip install 'clsco[distributed]'"
-        raise ImageError(f"--scheduler: {rule}; got no such module") from None
+        raise ImageError(f"scheduler: {rule}; got no such module") from None
 
 
 def _workers(client: Any, address: str) -> Mapping[str, Any]:

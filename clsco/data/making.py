@@ -20,7 +20,7 @@ from clsco.data.sets import DataSet, Status, begun, finish, known_license
 from clsco.data.splits import SplitsLike
 from clsco.data.storage import open_storage
 from clsco.errors import ClscoError, DeviceError, SceneError
-from clsco.frame.truth_files import ATTRIBUTES, OF_THE_IMAGE
+from clsco.frame.truth_files import ATTRIBUTES, OF_THE_IMAGE, array_names
 from clsco.scene.text import shown
 
 if TYPE_CHECKING:
@@ -243,9 +243,7 @@ def distribution_of(
 
 def stored_arrays(truth: str | Iterable[str], color: bool = True) -> tuple[str, ...]:
     """Names of the arrays of a sample, in order. Raises SceneError."""
-    names = {*filter(None, truth.split(",") if isinstance(truth, str) else truth)}
-    if unknown := sorted(names - ATTRIBUTES.keys()):
-        raise SceneError(f"truth: must be some of {','.join(ATTRIBUTES)}; got {unknown[0]}")
+    names = {*array_names(truth)}
     if not color and (named := OF_THE_IMAGE.intersection(names) - {"color"}):
         raise SceneError(f"truth: without color no image is made, so it must be without {min(named)}; got it")
     wanted = names | {"color"} if color else names - {"color"}

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco import __version__
-from clsco.errors import SceneError
 from clsco.files.images import save_image, write_npz
 from clsco.files.ranges import refuse_values
 from clsco.files.transfer import decode, encode
 from clsco.frame.frame import FILE_NAMES, Frame
 from clsco.frame.shown import codes_to_show, html_to_show
+from clsco.frame.truth_files import FLOATS, in_float16, parse_types
 
 if TYPE_CHECKING:
     from clsco.data.distribution import Sample
@@ -203,8 +203,8 @@ def parse_stored(text: str) -> dict[str, str]:
     Parameters
     ----------
     text : str
-        Such as "color=float32,depth=float16". Images can be codes, uint8 or uint16 (default), or linear floats; what
-        else is in floats can be float32 (default) or float16.
+        Such as "color=float32,depth=float16", or "all=float16". Images can be codes, uint8 or uint16 (default), or
+        linear floats; what else is in floats can be float32 (default) or float16.
 
     Returns
     -------
@@ -215,22 +215,8 @@ def parse_stored(text: str) -> dict[str, str]:
     SceneError
         Anything else; one message for each.
     """
-    found: dict[str, str] = {}
-    faults = []
-    for part in text.split(",") if text else ():
-        name, _, dtype = part.partition("=")
-        known = ("float32", "float16", *(CODES if name in PICTURES else ()))
-        if name not in ABOUT:
-            faults.append(f"types: must name arrays, some of {', '.join(ABOUT)}; got {part}")
-        elif dtype not in known:
-            faults.append(f"types: {name} must be one of {', '.join(known)}; got {part}")
-        elif name in found:
-            faults.append(f"types: must name each array once; got {name} twice")
-        else:
-            found[name] = dtype
-    if faults:
-        raise SceneError(faults)
-    return found
+    known = {name: (*FLOATS, *(CODES if name in PICTURES else ())) for name in ABOUT}
+    return parse_types(text, known)
 
 
 def make_record(
@@ -318,11 +304,7 @@ def _stored(
         beyond = np.count_nonzero((array > 1 + half) | (array < -half))
         more = {"transfer": transfer, "clipped": float(beyond / array.size)}
         array = encode(array, bits, transfer)
-    elif dtype == "float16" and array.dtype.kind == "f":
-        with np.errstate(over="ignore"):  # what becomes infinite is refused next
-            half_precision = array.astype(np.float16)
-        beyond = np.isinf(half_precision) & np.isfinite(array)
-        refuse_values(where, "sizes must be at most 65504 in float16", array, beyond)
-        array = half_precision
+    elif dtype == "float16":
+        array = in_float16(where, array)
     about = {"dtype": array.dtype.name, "shape": list(array.shape), "unit": unit, "convention": convention}
     return np.ascontiguousarray(array), about | more

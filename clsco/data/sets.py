@@ -116,7 +116,7 @@ def begun(wanted: DataSet, goes_on: bool) -> bool:
         return False
     there = open_set(storage)
     if not goes_on:
-        raise SceneError(f"{where}: holds a data set already, which --resume goes on with; got no --resume")
+        raise SceneError(f"{where}: must hold no data set, unless that is resumed; got one")
     faults = there.identity.differences(wanted.identity.record())
     if there.samples.stop > wanted.samples.stop:
         faults.append(f"count must be at least {there.samples.stop}, as in the set; got {wanted.samples.stop}")

@@ -80,7 +80,7 @@ def verify_samples(
 
     folder: of the distribution file, where textures lie.
     """
-    chosen = choose(device, "--device")
+    chosen = choose(device, "device")
     if numbers and device_family(chosen) != there.identity.device_family:
         rule = f"samples must be rendered again on a device of the family {there.identity.device_family}"
         return [f"{rule}; got {device_family(chosen)}"]

@@ -54,7 +54,7 @@ def device_of(name: DeviceName) -> Device:
     """The device of a name or number. Raises DeviceError where there is none."""
     from clsco.opencl.device import choose, list_devices
 
-    return list_devices()[0][name] if isinstance(name, int) else choose(name, "--device")
+    return list_devices()[0][name] if isinstance(name, int) else choose(name, "device")
 
 
 def perform(maker: ShardMaker, task: Task, advance: Any = lambda: None) -> tuple[int, int]:

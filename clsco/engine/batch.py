@@ -81,7 +81,7 @@ def wanted(scene: Scene, span: Span, where: str) -> range:
     count = scene.sequence.frames
     first, end = span[0] or 0, count if span[1] is None else span[1]
     if not first < end <= count:
-        raise SceneError(f"{where}: --frames: must lie within 0:{count} and hold a frame; got {first}:{end}")
+        raise SceneError(f"{where}: frames: must lie within 0:{count} and hold a frame; got {first}:{end}")
     return range(first, end)
 
 
@@ -160,7 +160,7 @@ def _require_arrays(planned: Sequence[PreparedFile], files: Sequence[TruthFile])
     named = {ATTRIBUTES[name]: file for file in files for name in _required(file)}
     for path, _, prepared in planned:
         missing = [name for each in prepared for name in named if name not in each.plan.truth]
-        faults.update({f"{path}: --truth: the scene must have {name}; got {named[name]}": None for name in missing})
+        faults.update({f"{path}: truth: the scene must have {name}; got {named[name]}": None for name in missing})
     if faults:
         raise SceneError(list(faults))
 

@@ -149,14 +149,14 @@ def rate_of(interval: float, where: str, speed: Fraction = Fraction(1)) -> Fract
     """Frames per second of frames that are `interval` seconds apart, played `speed` times as fast.
 
     An interval of 1001 / 30000 s, as a float, gives 30000/1001. Raises ImageError below 1 and above 240 per second,
-    where --fps has to say how fast a clip is.
+    where a rate has to be given.
     """
     rate = Fraction(0)
     if 1e-9 < interval < 1e9:
         period = Fraction(interval).limit_denominator(STANDARD_RATES)
         rate = speed / period if period else Fraction(0)
     if not SLOWEST <= rate <= FASTEST:
-        rule = f"must give {SLOWEST} to {FASTEST} frames per second; otherwise --fps has to say how many"
+        rule = f"must give {SLOWEST} to {FASTEST} frames per second; otherwise a rate must be given"
         faster = "" if speed == 1 else f" at {float(speed):g} times its speed"
         raise ImageError(f"{where}: sequence.interval {rule}; got {interval:g} s{faster}")
     return parse_rate(rate, where)

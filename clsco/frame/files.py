@@ -26,7 +26,7 @@ from clsco.files.transfer import encode
 from clsco.frame.cameras import all_pinholes, exr_attributes, eye_of, gets_behind, pinhole
 from clsco.frame.channels import exr_channels
 from clsco.frame.frame import ALL_TRUTH, FILE_NAMES, IMAGE_NAMES, Frame
-from clsco.frame.truth_files import ATTRIBUTES, Shot, TruthFile, TruthFormat, parse_truth
+from clsco.frame.truth_files import ATTRIBUTES, Shot, TruthFile, TruthFormat, parse_truth, wanted_files
 from clsco.optics.motion import Eye
 from clsco.resources import read_regular
 from clsco.scene.model import Scene
@@ -133,7 +133,7 @@ def _known(shot: Shot, wanted: TruthFile) -> NDArray[np.bool_]:
 
 
 _FLOWS, _WHERE_FLOW_HOLDS = ("flow", "flow_backward"), ("mask", "depth", "object_id")
-# By name, one row for each format: `clsco render --truth` takes its names from here.
+# By name, one row for each format: `clsco render --format` takes its names from here.
 LARGEST_JSON = 2**22  # bytes; 64 objects with all of their keys take a fiftieth
 TRUTH_FORMATS = {
     "npz": TruthFormat("{stem}.npz", _write_npz, options=("float16", "compressed")),
@@ -159,8 +159,13 @@ TRUTH_FORMATS = {
 
 
 def truth_files(text: str) -> tuple[TruthFile, ...]:
-    """Files of ground truth by their names, none for "". Raises SceneError as `parse_truth`."""
+    """Files of ground truth as they are recorded, none for "". Raises SceneError as `parse_truth`."""
     return parse_truth(text, TRUTH_FORMATS) if text else ()
+
+
+def files_of(truth: str, formats: str = "", types: str = "") -> tuple[TruthFile, ...]:
+    """Files of ground truth that hold arrays in formats. Raises SceneError as `wanted_files`."""
+    return wanted_files(truth, formats, types, TRUTH_FORMATS)
 
 
 def needed_truth(files: Iterable[TruthFile]) -> tuple[str, ...]:
@@ -179,7 +184,7 @@ def require_truth_formats(files: Sequence[TruthFile]) -> None:
         for needs in (TRUTH_FORMATS[file.format].needs, ZSTD if file.zstd else None):
             if needs is not None and find_spec(needs[0]) is None:
                 got = "got no such module"
-                raise ImageError(f"truth: {file} needs {needs[0]}: pip install 'clsco[{needs[1]}]'; {got}")
+                raise ImageError(f"format: {file} needs {needs[0]}: pip install 'clsco[{needs[1]}]'; {got}")
 
 
 def _stem(index: int, eye: str) -> str:

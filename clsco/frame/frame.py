@@ -190,7 +190,7 @@ class Frame:
         ----------
         path : path
             .png, .tif or .tiff: the image, PNG in sRGB codes of 8 bits, or of 16 where the textures have more, TIFF in
-            linear float32. .exr and .npz: the image and all truth of the frame, linear, as `clsco render --truth`
+            linear float32. .exr and .npz: the image and all truth of the frame, linear, as `clsco render --format`
             writes them.
 
         Raises

@@ -1,9 +1,13 @@
-"""Files of ground truth, as `clsco render --truth` names them: "npz", "flo", "npz:depth,coc", "npz+float16"."""
+"""Files of ground truth: arrays by name, the formats that hold them, and the types of their numbers.
+
+The JSON file of a frame records a file as FORMAT+OPTION:ARRAY,..., such as "npz", "npz:depth,coc", "npz+float16" or
+"npy+depth=float16+zstd:depth,mask".
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,10 +17,12 @@ from numpy.typing import NDArray
 from clsco.errors import SceneError
 from clsco.files.color import SRGB, Color
 from clsco.files.ranges import refuse_values
-from clsco.frame.frame import FILE_NAMES, Frame
+from clsco.frame.frame import ALL_TRUTH, FILE_NAMES, Frame
 from clsco.scene.model import Scene
 
-OPTIONS = ("float16", "compressed", "zstd")
+OPTIONS = ("compressed", "zstd")
+ALL = "all"
+FLOATS = ("float32", "float16")  # types of an array of floats
 ATTRIBUTES = {in_file: name for name, in_file in FILE_NAMES.items()}
 OF_THE_IMAGE = frozenset({"color", "alpha", "subframes", "raw", "electrons", "noise_sigma", "saturated"})
 """Arrays that are not made without color."""
@@ -32,8 +38,8 @@ class TruthFile:
         Key of `clsco.frame.files.TRUTH_FORMATS`.
     names : tuple of str
         Arrays in it, as they are called in files; () for all of them.
-    float16 : bool
-        Floats have 16 bits: 11 significant ones, and sizes up to 65504.
+    float16 : tuple of str
+        Arrays whose floats have 16 bits: 11 significant ones, and sizes up to 65504; ("all",) for all of them.
     compressed : bool
         Floats are compressed as well.
     zstd : bool
@@ -42,28 +48,32 @@ class TruthFile:
 
     format: str
     names: tuple[str, ...] = ()
-    float16: bool = False
+    float16: tuple[str, ...] = ()
     compressed: bool = False
     zstd: bool = False
 
     def __str__(self) -> str:
-        options = "".join(f"+{name}" for name in OPTIONS if getattr(self, name))
+        options = "".join("+float16" if name == ALL else f"+{name}=float16" for name in self.float16)
+        options += "".join(f"+{name}" for name in OPTIONS if getattr(self, name))
         return f"{self.format}{options}" + (f":{','.join(self.names)}" if self.names else "")
 
     def arrays(self, frame: Frame) -> dict[str, NDArray[Any]]:
         """The arrays of a frame in it, as they are called in files. Raises ImageError for floats beyond float16."""
         known = frame.arrays()
         found = {name: array for name, array in known.items() if name in (self.names or known)}
-        return {name: self._stored(f"frame {frame.index}: {name}", array) for name, array in found.items()}
+        halves = found if ALL in self.float16 else self.float16
+        where = f"frame {frame.index}"
+        return {name: in_float16(f"{where}: {name}", each) if name in halves else each for name, each in found.items()}
 
-    def _stored(self, where: str, array: NDArray[Any]) -> NDArray[Any]:
-        if not self.float16 or array.dtype.kind != "f" or array.ndim < 2:  # times keep their digits
-            return array
-        with np.errstate(over="ignore"):  # what becomes infinite is refused next
-            half = array.astype(np.float16)
-        beyond = np.isinf(half) & np.isfinite(array)
-        refuse_values(where, "sizes must be at most 65504 in float16", array, beyond)
-        return half
+
+def in_float16(where: str, array: NDArray[Any]) -> NDArray[Any]:
+    """An array of floats in 16 bits; all others, and times, as they are. Raises ImageError for what is beyond them."""
+    if array.dtype.kind != "f" or array.ndim < 2:  # times keep their digits
+        return array
+    with np.errstate(over="ignore"):  # what becomes infinite is refused next
+        half = array.astype(np.float16)
+    refuse_values(where, "sizes must be at most 65504 in float16", array, np.isinf(half) & np.isfinite(array))
+    return half
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +113,7 @@ class TruthFormat:
     besides : tuple of str
         Attributes of a frame that it needs to know where its arrays hold.
     options : tuple of str
-        Some of `OPTIONS`.
+        Some of `OPTIONS`, and "float16" where its floats may have 16 bits.
     needs : (str, str), optional
         Module that it needs, and the extra of clsco that brings it.
     """
@@ -117,8 +127,109 @@ class TruthFormat:
     needs: tuple[str, str] | None = None
 
 
+def array_names(truth: str | Iterable[str]) -> tuple[str, ...]:
+    """Names of arrays in files, in the order of these; "blur_radius" is "coc", and "all" is all truth of the scene.
+    Raises SceneError for other names."""
+    if truth == ALL:
+        truth = ALL_TRUTH
+    names = {FILE_NAMES.get(name, name) for name in (truth.split(",") if isinstance(truth, str) else truth) if name}
+    if unknown := sorted(names - ATTRIBUTES.keys()):
+        raise SceneError(f"truth: must be some of {','.join(ATTRIBUTES)}; got {unknown[0]}")
+    return tuple(name for name in ATTRIBUTES if name in names)
+
+
+def parse_types(text: str, known: Mapping[str, Sequence[str]]) -> dict[str, str]:
+    """Types in which arrays are stored, by name.
+
+    Parameters
+    ----------
+    text : str
+        Such as "color=float32,depth=float16"; "all=float16" is for every array that is not named and can have it.
+    known : mapping of str to sequence of str
+        Types that each array can have.
+
+    Returns
+    -------
+    dict
+
+    Raises
+    ------
+    SceneError
+        Anything else; one message for each.
+    """
+    found: dict[str, str] = {}
+    faults = []
+    every = {dtype for dtypes in known.values() for dtype in dtypes}
+    for part in text.split(",") if text else ():
+        name, _, dtype = part.partition("=")
+        dtypes = sorted(every) if name == ALL else known.get(name)
+        if dtypes is None:
+            faults.append(f"types: must name arrays, some of {', '.join(known)}; got {part}")
+        elif dtype not in dtypes:
+            faults.append(f"types: {name} must be one of {', '.join(dtypes)}; got {part}")
+        elif name in found:
+            faults.append(f"types: must name each array once; got {name} twice")
+        else:
+            found[name] = dtype
+    if faults:
+        raise SceneError(faults)
+    others = found.pop(ALL, "")
+    return {name: others for name, dtypes in known.items() if others in dtypes} | found
+
+
+def wanted_files(truth: str, formats: str, types: str, known: Mapping[str, TruthFormat]) -> tuple[TruthFile, ...]:
+    """Files of ground truth that hold arrays in formats.
+
+    Parameters
+    ----------
+    truth : str
+        Names of arrays, such as "depth,coc"; "all", and "" with formats, for all that they can hold.
+    formats : str
+        Formats with their options, such as "npz+compressed,exr"; by default "npz".
+    types : str
+        As `parse_types` takes them, float32 or float16.
+    known : mapping of str to TruthFormat
+
+    Returns
+    -------
+    tuple of TruthFile
+        None without truth and formats.
+
+    Raises
+    ------
+    SceneError
+        Other words; an array that no format can hold; a format that can hold none of the arrays.
+    """
+    if not (truth or formats):
+        if types:
+            raise SceneError(f"types: are those of arrays in files, which truth or format name; got {types} alone")
+        return ()
+    names = () if truth in (ALL, "") else array_names(truth)
+    stored = parse_types(types, dict.fromkeys(ATTRIBUTES, FLOATS))
+    halves = tuple(name for name, dtype in stored.items() if dtype == "float16")
+    found = [_in_format(part, names, halves, known) for part in (formats or "npz").split(",")]
+    if lost := [name for name in names if all(name not in file.names for file in found)]:
+        raise SceneError(f"format: must be one that holds {lost[0]}; got {formats or 'npz'}")
+    return _once(found, formats)
+
+
+def _in_format(text: str, names: Sequence[str], halves: Sequence[str], known: Mapping[str, TruthFormat]) -> TruthFile:
+    """A file of a format, given with its options, that holds what it can of arrays."""
+    form, *options = text.split("+")
+    if form not in known:
+        raise SceneError(f"format: must be some of {','.join(known)}; got {text}")
+    if "float16" in options:
+        raise SceneError(f"format: must be {form}, with types all=float16; got {text}")
+    file, held = _parsed(text, known), known[form].arrays
+    chosen = tuple(name for name in names if name in held)
+    if names and held and not chosen:
+        raise SceneError(f"format: {form} must hold some of {','.join(names)}; got {','.join(held)}")
+    shared = tuple(name for name in halves if name in (chosen or held) and "float16" in known[form].options)
+    return replace(file, names=chosen, float16=(ALL,) if shared and len(shared) == len(chosen or held) else shared)
+
+
 def parse_truth(text: str, formats: Mapping[str, TruthFormat]) -> tuple[TruthFile, ...]:
-    """Files of ground truth by their names: formats, each with options and names of arrays.
+    """Files of ground truth as they are recorded: formats, each with options and names of arrays.
 
     Parameters
     ----------
@@ -144,10 +255,15 @@ def parse_truth(text: str, formats: Mapping[str, TruthFormat]) -> tuple[TruthFil
             found[-1].append(part)
         else:
             raise SceneError(f"must be some of {','.join(formats)}; got {text}")
-    files = tuple(dict.fromkeys(_parsed(",".join(parts), formats) for parts in found))
-    if len({file.format for file in files}) < len(files):
-        raise SceneError(f"must name each format once; got {text}")
-    return files
+    return _once([_parsed(",".join(parts), formats) for parts in found], text)
+
+
+def _once(files: Iterable[TruthFile], text: str) -> tuple[TruthFile, ...]:
+    """Files without repetitions. Raises SceneError where two of one format are left."""
+    found = tuple(dict.fromkeys(files))
+    if len({file.format for file in found}) < len(found):
+        raise SceneError(f"format: must name each format once; got {text}")
+    return found
 
 
 def _parsed(text: str, formats: Mapping[str, TruthFormat]) -> TruthFile:
@@ -157,14 +273,14 @@ def _parsed(text: str, formats: Mapping[str, TruthFormat]) -> TruthFile:
     names = [FILE_NAMES.get(name, name) for name in listed.split(",")] if colon else []
     for name in names:
         if not known.arrays:
-            raise SceneError(f"must be {form} without names, as it holds no arrays; got {text}")
+            raise SceneError(f"format: must be {form} without names, as it holds no arrays; got {text}")
         if name not in known.arrays:
-            raise SceneError(f"must name arrays after {form}:, some of {', '.join(known.arrays)}; got {name or text}")
-    for option in options:
-        if not known.options:
-            raise SceneError(f"must be {form} without options; got {head}")
-        if option not in known.options:
-            allowed = f"the option{'s' * (len(known.options) > 1)} {' and '.join(known.options)} alone"
-            raise SceneError(f"must have {allowed}, like {form}+{known.options[0]}; got {option}")
+            some = ", ".join(known.arrays)
+            raise SceneError(f"format: must name arrays after {form}:, some of {some}; got {name or text}")
+    if unknown := [option for option in options if option not in known.options]:
+        named = [option for option in known.options if option in OPTIONS]
+        rule = f"{form} or {form}+{'+'.join(named)}" if named else f"{form} without options"
+        raise SceneError(f"format: must be {rule}; got {form}+{unknown[0]}")
     ordered = tuple(name for name in ATTRIBUTES if name in names)
-    return TruthFile(form, ordered, **{option: option in options for option in OPTIONS})
+    halves = (ALL,) if "float16" in options else ()
+    return TruthFile(form, ordered, halves, **{option: option in options for option in OPTIONS})

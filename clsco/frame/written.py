@@ -80,7 +80,7 @@ class WrittenFrames:
                 where = exr
             else:
                 files = exr.name if only == "exr" else f"{npz.name} or {exr.name}"
-                rule = f"must hold {files}, as from clsco render --truth {only or 'npz'}:{name}"
+                rule = f"must hold {files}, with {name}"
                 refuse(self.folder, rule, "neither" if not only else "none")
             if array.shape[2:] not in _COMPONENTS.get(name, ((),)):
                 refuse(where, f"{name} must have its channels", f"shape {array.shape}")

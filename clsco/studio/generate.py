@@ -31,17 +31,17 @@ STEPS = 16  # at which the progress of a data set is seen, at least
 class Wanted:
     """Outputs besides the frames.
 
-    truth: formats as for `clsco render --truth`; preset: of a clip beside the frames, "" for none.
+    formats: of ground truth, as for `clsco render --format`; preset: of a clip beside the frames, "" for none.
     """
 
-    truth: str = ""
+    formats: str = ""
     subframes: bool = False
     preset: str = ""
     device: str = ""
 
     def options(self) -> list[str]:
         """Options of `clsco render` for these outputs."""
-        found = ["--truth", self.truth] if self.truth else []
+        found = ["--format", self.formats] if self.formats else []
         found += ["--subframes"] if self.subframes else []
         found += ["--video", self.preset] if self.preset else []
         return found + (["--device", self.device] if self.device else [])

@@ -19,7 +19,7 @@ _SETS = "sets"  # folder of the distributions that are shipped, and of their cop
 
 
 def truth_formats() -> dict[str, str]:
-    """Formats of `clsco render --truth`, each with the extra that it lacks; "" for none."""
+    """Formats of `clsco render --format`, each with the extra that it lacks; "" for none."""
     return {name: _missing(form.needs) for name, form in TRUTH_FORMATS.items()}
 
 

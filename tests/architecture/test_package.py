@@ -100,7 +100,7 @@ def test_the_wheel_renders_an_example(wheel: Path, tmp_path: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(tmp_path / "site")
     example = tmp_path / "site/clsco/examples/sphere.toml"
-    words = ["render", str(example), "-o", "frames", "--set", "camera.resolution=[32, 24]", "--truth", "npz"]
+    words = ["render", str(example), "-o", "frames", "--set", "camera.resolution=[32, 24]", "--format", "npz"]
     said = python(f"from clsco.cli.main import main; main({words})", tmp_path, tmp_path / "site")
     assert said == "frames: 1 frame, from frame_0000 on: png, json, npz\n"
     assert sorted(path.suffix for path in (tmp_path / "frames").iterdir()) == [".json", ".npz", ".png"]

@@ -131,7 +131,7 @@ def test_a_set_is_gone_on_with_and_grows(place: Path) -> None:
     assert make("-o", "grown", "--count", 6).exit_code == 0
     before = (place / "grown" / "data" / "000000.tar").stat().st_mtime_ns
     assert fault(make("-o", "grown", "--count", 10)) == [
-        f"error: {place}/grown: holds a data set already, which --resume goes on with; got no --resume"
+        f"error: {place}/grown: must hold no data set, unless that is resumed; got one"
     ]
     (
         place / "grown" / f".work.{open_storage(place).scratch().name.split('.')[2].split('-')[0]}-999999999-0.part"

@@ -262,7 +262,7 @@ def test_the_command_tells_of_wrong_usage_and_of_what_it_was_given(files: tuple[
     write_png(other, DEPTHS[:4])
     cases: list[tuple[list[object], int, str]] = [
         ([image, depth], 2, "Missing option '-o'"),
-        ([image, depth, "-o", tmp_path / "a.png", "--truth", "npz"], 2, "--truth: OUT must be a folder; got "),
+        ([image, depth, "-o", tmp_path / "a.png", "--format", "npz"], 2, "--truth: OUT must be a folder; got "),
         ([image, depth, "-o", tmp_path / "a", "--scale", "1/0"], 2, "like 1/256; got 1/0"),
         ([image, depth, "-o", tmp_path / "a", "--scale", "1e"], 2, "like 1/256; got 1e"),
         ([image, depth, "-o", tmp_path / "a.jpg"], 1, "a.jpg: must be a folder, or end in one of .png .tif .tiff .exr"),

@@ -81,13 +81,13 @@ def test_render_ends_with_what_it_wrote(ball: Path, tmp_path: Path) -> None:
     assert said(*words) == f"{tmp_path / 'out'}: 2 frames, from frame_0001 on: png, json\n"
     assert said(*words, "--resume") == f"{tmp_path / 'out'}: all frames are there already\n"
     assert said(*words, "--quiet") == ""
-    two = ("--set", "camera.f_number=[2,4]", "--frames", "0:1", "--truth", "npz:depth")
+    two = ("--set", "camera.f_number=[2,4]", "--frames", "0:1", "--truth", "depth", "--format", "npz")
     both = said(ball, "-o", tmp_path / "two", *two)
     assert both == f"{tmp_path / 'two'}: 2 frames in 2 folders, from frame_0000 on: png, json, npz\n"
 
 
 def test_render_writes_frames(ball: Path, tmp_path: Path) -> None:
-    result = clsco_("render", ball, "-o", tmp_path / "new" / "out", "--truth", "npz,exr", "--frames", "1:", "--quiet")
+    result = clsco_("render", ball, "-o", tmp_path / "new" / "out", "--format", "npz,exr", "--frames", "1:", "--quiet")
     assert (result.exit_code, result.output) == (0, "")
     wanted = [f"frame_000{n}.{suffix}" for n in (1, 2) for suffix in ("exr", "json", "npz", "png")]
     assert names(tmp_path / "new") == [f"out/{name}" for name in wanted]
@@ -175,7 +175,7 @@ def test_resume_renders_what_is_missing_damaged_or_of_another_scene(ball: Path, 
     (out / "frame_0002.json").write_text("{")
     assert redone("--resume", "--frames", "0:2") == set()
     assert redone("--resume") == {"0002"}
-    assert redone("--resume", "--truth", "npz", "--frames", ":1") == {"0000"}
+    assert redone("--resume", "--format", "npz", "--frames", ":1") == {"0000"}
     assert redone("--resume") == set()  # a file more does no harm
     assert redone("--resume", "--precision", "double") == set()
     assert redone("--resume", "--precision", "single") == {"0000", "0001", "0002"}
@@ -261,12 +261,12 @@ def test_validate_tells_all_faults_of_all_files(bad: Path, ball: Path) -> None:
         (["--set", "nonsense"], 1, 'override must be KEY=VALUE, like camera.f_number=4; got "nonsense"'),
         (["--set", "object.0.radius=nan"], 1, "object[0].radius: must be a finite number; got nan"),
         (["--set", "object.7.radius=3"], 1, "object has 1 entries, counted from 0; got 7"),
-        (["--frames", "2:9"], 1, "--frames: must lie within 0:3 and hold a frame; got 2:9"),
-        (["--frames", "2:2"], 1, "--frames: must lie within 0:3 and hold a frame; got 2:2"),
-        (["--frames", "3:"], 1, "--frames: must lie within 0:3 and hold a frame; got 3:3"),
+        (["--frames", "2:9"], 1, "frames: must lie within 0:3 and hold a frame; got 2:9"),
+        (["--frames", "2:2"], 1, "frames: must lie within 0:3 and hold a frame; got 2:2"),
+        (["--frames", "3:"], 1, "frames: must lie within 0:3 and hold a frame; got 3:3"),
         (["--frames", "-1:2"], 2, "must be A:B, frames A to B - 1 counted from 0; got -1:2"),
         (["--frames", "9" * 5000 + ":"], 2, "must be A:B"),
-        (["--truth", "npz,pdf"], 2, "must be some of npz,exr,npy,pfm,flo,"),
+        (["--format", "npz,pdf"], 2, "must be some of npz,exr,npy,pfm,flo,"),
         (["--precision", "half"], 2, "is not one of 'single', 'double'"),
         (["--device", "abacus"], 3, '--device: must be a part of the name of one of'),
         (["--nonsense"], 2, "No such option"),
@@ -326,7 +326,7 @@ def test_plan(ball: Path) -> None:
     assert "guard band" in text
     assert "MiB" in text
     assert "weights per frame" in text
-    assert "nobody asked for it" not in clsco_("plan", ball, "--truth", "npz").output
+    assert "nobody asked for it" not in clsco_("plan", ball, "--format", "npz").output
     for words, method in (((), "gather"), (("--gpu",), "tiles")):
         assert f"blur method {method}" in " ".join(clsco_("plan", ball, *words).output.split())
 
@@ -462,7 +462,7 @@ def test_too_little_memory(ball: Path, tmp_path: Path, monkeypatch: pytest.Monke
 def test_a_killed_run_leaves_whole_frames_and_is_resumed(kill: signal.Signals, ball: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     code = "import sys; from clsco.cli.main import main; main(sys.argv[1:])"
-    options = ["--set", "sequence.frames=100000", "--truth", "npz", "--resume"]
+    options = ["--set", "sequence.frames=100000", "--format", "npz", "--resume"]
     command = [sys.executable, "-c", code, "render", str(ball), "-o", str(out), *options]
     process = subprocess.Popen(command, env=os.environ | {"PYTHONPATH": str(ROOT)}, stderr=subprocess.PIPE)
     try:

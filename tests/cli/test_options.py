@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from click.shell_completion import BashComplete
 from click.testing import CliRunner, Result
 
 from clsco.cli.main import main
@@ -43,3 +44,32 @@ def test_messages_of_the_library_are_shown_on_demand(tmp_path: Path, monkeypatch
     for words, said in ((), ""), (("-v",), "clsco: read\n"), (("-vv",), "clsco: read\nclsco: all of it\\x1b\n"):
         result = clsco_(*words, "validate", scene)
         assert (result.exit_code, result.stderr) == (0, said)
+
+
+def test_truth_named_formats_before(tmp_path: Path) -> None:
+    scene = scene_file(tmp_path / "scene.toml", PLANE)
+    for former, now in (("npz:depth,coc,exr", "--truth depth,coc --format npz,exr"), ("npz+float16", "--format npz")):
+        result = clsco_("plan", scene, "--truth", former)
+        said = f"--truth {former}: is called {now} now; the former name goes in the next version\n"
+        assert (result.exit_code, result.stderr) == (0, said)
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        ("render --truth depth,no", ["depth,normal", "depth,noise_sigma"]),
+        ("render --format npz,kitti_f", ["npz,kitti_flow"]),
+        ("render --types depth=", ["depth=float32", "depth=float16"]),
+        ("dataset make --format za", ["zarr", "zarr+raw"]),
+        ("defocus --unit inv", ["inverse_mm", "inverse_m"]),
+        ("defocus --occlusion l", ["layered"]),
+        ("video --preset ff", ["ffv1", "ffv1-16"]),
+        ("inpaint --method t", ["texture"]),
+        ("dev s", ["stability"]),
+    ],
+)
+def test_a_shell_completes_names(words: str, found: list[str]) -> None:
+    *given, last = words.split()
+    shell = BashComplete(main, {}, "clsco", "_CLSCO_COMPLETE")
+    completed = [item.value for item in shell.get_completions(given, last)]
+    assert [value for value in completed if not value.startswith("-")] == found

@@ -36,7 +36,7 @@ def ball(tmp_path: Path) -> Path:
 def test_plan_predicts_seconds(ball: Path) -> None:
     words = " ".join(clsco_("plan", ball).output.split())
     assert re.search(r"predicted time [\d.]+ m?s per frame on \d+ cores?, \d+% of it in the pass \w+", words)
-    result = clsco_("plan", ball, "--json", "--truth", "npz:depth")
+    result = clsco_("plan", ball, "--json", "--truth", "depth")
     found = json.loads(result.stdout)
     (view,) = found["views"]
     assert [each["pass"] for each in view["passes"]] == ["trace", "silhouettes", "blur", "accumulate", "ground truth"]
@@ -50,7 +50,7 @@ def test_plan_predicts_seconds(ball: Path) -> None:
 
 
 def test_a_sensor_and_ground_truth_are_run_once_a_frame(ball: Path) -> None:
-    found = json.loads(clsco_("plan", ball, "--json", "--truth", "npz:depth", "--set", "sensor.bits=10").stdout)
+    found = json.loads(clsco_("plan", ball, "--json", "--truth", "depth", "--set", "sensor.bits=10").stdout)
     times = {each["pass"]: each["times"] for each in found["views"][0]["passes"]}
     assert (times["sensor"], times["ground truth"], times["blur"], times["accumulate"]) == (1, 1, 400, 400)
 

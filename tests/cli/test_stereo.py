@@ -63,7 +63,7 @@ def marks(folder: Path) -> dict[str, int]:
 
 def test_both_views_are_written_as_they_are_rendered(scene: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    result = clsco_("render", scene, "-o", out, "--truth", "npz,exr", "--frames", "1:")
+    result = clsco_("render", scene, "-o", out, "--format", "npz,exr", "--frames", "1:")
     assert (result.exit_code, result.stderr) == (0, "")
     apart = [f"frame_0001_{eye}.{suffix}" for eye in ("left", "right") for suffix in ("npz", "png")]
     assert sorted(marks(out)) == ["frame_0001.exr", "frame_0001.json", *apart]
@@ -108,7 +108,7 @@ def test_a_pair_is_resumed_as_one(scene: Path, tmp_path: Path) -> None:
     assert redone() == first
     (out / "frame_0000_left.png").unlink()
     assert redone() == first
-    assert redone("--truth", "exr", "--frames", ":1") == first | {"frame_0000.exr"}
+    assert redone("--format", "exr", "--frames", ":1") == first | {"frame_0000.exr"}
     assert redone("--precision", "double") == set()
     assert redone("--precision", "single", "--frames", ":1") == first
     content = read_complete(out, 0)
@@ -120,7 +120,7 @@ def test_a_pair_is_resumed_as_one(scene: Path, tmp_path: Path) -> None:
 
 
 def test_scenes_that_share_rays_are_those_rendered_alone(scene: Path, tmp_path: Path) -> None:
-    sweep = ["--set", "camera.f_number=[2, 4, 8]", "--frames", "1:", "--truth", "npz"]
+    sweep = ["--set", "camera.f_number=[2, 4, 8]", "--frames", "1:", "--format", "npz"]
     batch_size = batch.TOGETHER
     assert batch_size > 3
     assert clsco_("render", scene, "-o", tmp_path / "out", *sweep).exit_code == 0
@@ -155,7 +155,7 @@ def test_long_sweeps_are_rendered_in_parts(
 
 
 def test_the_plan_reports_both_views(scene: Path) -> None:
-    result = clsco_("plan", scene, "--set", "stereo.toe_in=1.5", "--truth", "npz")
+    result = clsco_("plan", scene, "--set", "stereo.toe_in=1.5", "--format", "npz")
     text = " ".join(result.output.split())
     assert "views left and right, 6 mm apart, each turned inwards by 1.5 deg" in text
     assert "disparity, occluded" in text

@@ -37,7 +37,7 @@ def test_they_are_files_of_the_frame(ball: Path, tmp_path: Path) -> None:
 
 
 def test_arrays_of_them_beside_the_truth(ball: Path, tmp_path: Path) -> None:
-    assert clsco_("render", ball, "-o", tmp_path, "--truth", "npz:subframes,missing", "--frames", ":1").exit_code == 0
+    assert clsco_("render", ball, "-o", tmp_path, "--truth", "subframes,missing", "--frames", ":1").exit_code == 0
     with np.load(tmp_path / "frame_0000.npz") as arrays:
         assert set(arrays) == {"subframes", "missing"}
         assert arrays["subframes"].shape == (3, 24, 40)

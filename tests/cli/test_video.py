@@ -59,7 +59,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def ball(scene: Path) -> Path:
     """Frames of a ball that moves, with their truth, and a clip."""
     folder = scene.parent / "out"
-    result = clsco_("render", scene, "-o", folder, "--truth", "npz,exr", "--video", "ffv1")
+    result = clsco_("render", scene, "-o", folder, "--format", "npz,exr", "--video", "ffv1")
     wanted = f"{folder}/clip.mkv: 4 frames at 25 frames per second, as sequence.interval = 0.04 s"
     assert lines(result, 0) == [wanted]
     return folder
@@ -121,7 +121,7 @@ def test_each_folder_and_each_eye_has_a_clip(scene: Path, tmp_path: Path) -> Non
 
 def test_a_scene_without_a_rate_is_refused_before_it_is_rendered(scene: Path, tmp_path: Path) -> None:
     result = clsco_("render", scene, "-o", tmp_path / "out", "--set", "sequence.interval=2", "--video", "mp4")
-    rule = "sequence.interval must give 1 to 240 frames per second; otherwise --fps has to say how many"
+    rule = "sequence.interval must give 1 to 240 frames per second; otherwise a rate must be given"
     assert lines(result, 1) == [f"error: {scene}: {rule}; got 2 s"]
     result = clsco_("render", scene, "-o", tmp_path / "out", "--video", "hevc10")
     assert lines(result, 1)[0].startswith(f"error: {scene}: hevc10 needs 66 columns and rows or more")
@@ -217,7 +217,7 @@ def test_a_reader_that_has_had_enough_is_no_error(ball: Path) -> None:
             2,
             "must be exact: a Fraction, a whole number, or text like 24 or 30000/1001",
         ),
-        (["-o", "a.mp4", "--speed", "0.01"], 1, "otherwise --fps has to say how many; got 0.04 s at 0.01 times"),
+        (["-o", "a.mp4", "--speed", "0.01"], 1, "otherwise a rate must be given; got 0.04 s at 0.01 times"),
         (["-o", "a.mp4", "--view", "depth", "--from-exr"], 2, "--from-exr: is for color, sharp and compare; got"),
         (["-o", "a.mp4", "--view", "normal"], 2, "'normal' is not one of"),
         (["-o", "none/a.mp4"], 1, "none/a.mp4: the file must be writable; got No such file or directory"),
@@ -239,7 +239,7 @@ def test_wrong_use_of_a_pipe_by_render(scene: Path, tmp_path: Path, monkeypatch:
     for words, message in (
         ([], "-o -: needs --video y4m, which alone goes to a pipe; got no --video"),
         (["--video", "mp4"], "-o -: needs --video y4m, which alone goes to a pipe; got mp4"),
-        (["--video", "y4m", "--truth", "npz"], "-o -: writes no files, so must be without --truth, --subframes and"),
+        (["--video", "y4m", "--format", "npz"], "-o -: writes no files, so must be without --truth, --subframes and"),
         (["--video", "y4m", "--set", "camera.f_number=[2, 4]"], "-o -: must be one scene with one view; got 2 scenes"),
         (["--video", "y4m", "--set", "stereo.baseline=9"], "-o -: must be one scene with one view; got a stereo pair"),
     ):
@@ -253,7 +253,7 @@ def test_frames_without_arrays_have_no_views(ball: Path, tmp_path: Path) -> None
     for path in (*ball.glob("*.png"), *ball.glob("*.json")):
         (tmp_path / path.name).write_bytes(path.read_bytes())
     (line,) = lines(clsco_("video", tmp_path, "-o", tmp_path / "a.mkv", "--view", "depth"), 1)
-    rule = "must hold frame_0000.npz or frame_0000.exr, as from clsco render --truth npz:depth; got neither"
+    rule = "must hold frame_0000.npz or frame_0000.exr, with depth; got neither"
     assert line == f"error: {tmp_path}: {rule}"
     (tmp_path / "frame_0002.png").write_bytes((ball / "frame_0002.png").read_bytes()[:200])
     (line,) = lines(clsco_("video", tmp_path, "-o", tmp_path / "a.mkv"), 1)

@@ -60,7 +60,7 @@ def test_codes_need_an_image(name: str, tmp_path_factory: pytest.TempPathFactory
     assert found.exit_code == 2
     assert f"without color no image is made, so it must be without {name}" in found.output
     (folder / "s.toml").write_text(SCENE + "[sensor]\n")
-    command = ["render", str(folder / "s.toml"), "-o", str(folder / "out"), "--truth", f"npz:{name}", "--no-color"]
+    command = ["render", str(folder / "s.toml"), "-o", str(folder / "out"), "--truth", name, "--no-color"]
     found = CliRunner().invoke(main, command)
     assert found.exit_code == 2
     assert f"--no-color: makes no image, so --truth must be without {name}" in found.output

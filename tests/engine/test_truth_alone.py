@@ -117,7 +117,7 @@ def ball(tmp_path: Path) -> Path:
 
 
 def test_files_are_those_of_the_truth(ball: Path, tmp_path: Path) -> None:
-    out, words = tmp_path / "out", ("--truth", "npz:depth,coc", "--no-color")
+    out, words = tmp_path / "out", ("--truth", "depth,coc", "--format", "npz", "--no-color")
     assert clsco_("render", ball, "-o", out, *words).stdout == f"{out}: 1 frame, from frame_0000 on: json, npz\n"
     assert sorted(path.name for path in out.iterdir()) == ["frame_0000.json", "frame_0000.npz"]
     assert "already" in clsco_("render", ball, "-o", out, *words, "--resume").stdout
@@ -132,8 +132,8 @@ def test_files_are_those_of_the_truth(ball: Path, tmp_path: Path) -> None:
     ("words", "message"),
     [
         ((), "--no-color: needs --truth"),
-        (("--truth", "npz:depth", "--subframes"), "must be without --subframes and --video"),
-        (("--truth", "npz:depth,color"), "--truth must be without color; got npz:color,depth"),
+        (("--truth", "depth", "--format", "npz", "--subframes"), "must be without --subframes and --video"),
+        (("--truth", "depth,color", "--format", "npz"), "--truth must be without color; got npz:color,depth"),
     ],
 )
 def test_what_the_image_is_needed_for_is_refused(ball: Path, tmp_path: Path, words: Any, message: str) -> None:

@@ -150,7 +150,7 @@ def render(scene: Path, out: Path, log: Path, naive: bool) -> int:
     if naive:
         make_naive()
     try:
-        command(["render", str(scene), "-o", str(out), "--truth", "npz", "--resume", "--quiet"])
+        command(["render", str(scene), "-o", str(out), "--format", "npz", "--resume", "--quiet"])
     except SystemExit as ended:
         return int(ended.code or 0)
     return 0

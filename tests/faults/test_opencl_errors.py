@@ -48,7 +48,7 @@ def scene(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
 
 def rendered(scene: Path, out: Path, counter: Counter) -> tuple[int, dict[str, str]]:
     """Exit status of `clsco render` with that failing call, and the SHA-256 of its images; checks all else."""
-    words = ["render", str(scene), "-o", str(out), "--truth", "npz", "--quiet"]
+    words = ["render", str(scene), "-o", str(out), "--format", "npz", "--quiet"]
     session_on.cache_clear()  # contexts, queues and builds are to fail, too
     with failing(counter):
         result = CliRunner().invoke(main, words)

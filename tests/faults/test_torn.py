@@ -111,7 +111,7 @@ def check_folder(out: Path) -> int:
     return len(described)
 
 
-@pytest.mark.parametrize("truth", [("--truth", "npz"), pytest.param(("--truth", "npz,exr"), marks=pytest.mark.soak)])
+@pytest.mark.parametrize("truth", [("--format", "npz"), pytest.param(("--format", "npz,exr"), marks=pytest.mark.soak)])
 def test_the_disk_fails_at_every_call(tmp_path: Path, truth: tuple[str, str]) -> None:
     (tmp_path / "scene.toml").write_text(SCENE)
 
@@ -172,7 +172,7 @@ def test_a_small_disk(tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text(SCENE.replace("[12, 9]", "[120, 90]"))
     (tmp_path / "disk").mkdir()
     words = [sys.executable, "-W", "error", "-c", "from clsco.cli.main import main; main()"]
-    words += ["render", str(tmp_path / "scene.toml"), "-o", str(tmp_path / "disk" / "out"), "--truth", "npz"]
+    words += ["render", str(tmp_path / "scene.toml"), "-o", str(tmp_path / "disk" / "out"), "--format", "npz"]
     # Only Linux has them, and there the administrator may forbid them; full disks are also injected, above.
     if not shutil.which("unshare") or subprocess.run(["unshare", "-rm", "true"], capture_output=True).returncode:
         pytest.skip("a file system of its own needs name spaces, which this system does not allow")

@@ -290,7 +290,7 @@ def test_frames_in_a_folder_have_the_profile(tmp_path: Path) -> None:
     icc = made("adobergb")  # which has its time within
     image = saved(tmp_path / "image.png", PHOTO, icc)
     np.save(tmp_path / "radius.npy", np.zeros(PHOTO.shape[:2]))
-    words = ("-o", tmp_path / "all", "--unit", "coc", "--truth", "exr")
+    words = ("-o", tmp_path / "all", "--unit", "coc", "--format", "exr")
     result = clsco_("defocus", image, tmp_path / "radius.npy", *words)
     assert result.exit_code == 0, result.output
     assert icc_in(tmp_path / "all" / "frame_0000.png") == icc

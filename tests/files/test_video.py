@@ -224,7 +224,7 @@ def test_the_rate_of_an_interval() -> None:
     for interval in (1.01, 1 / 241, 1e-300, 1e300):
         with pytest.raises(ImageError, match=r"^DIR: sequence.interval must give 1 to 240 frames per second; oth"):
             rate_of(interval, "DIR")
-    with pytest.raises(ImageError, match=r"--fps has to say how many; got 1 s at 0\.25 times its speed$"):
+    with pytest.raises(ImageError, match=r"a rate must be given; got 1 s at 0\.25 times its speed$"):
         rate_of(1.0, "DIR", Fraction(1, 4))
 
 

@@ -119,7 +119,7 @@ def exr_model(header: dict[str, Any]) -> Model:
 def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("cameras")
     scene = scene_file(folder / "scene.toml", SCENE)
-    words = ["render", str(scene), "-o", str(folder), "--truth", "npz,exr,dpt,cam,colmap", "--frames", "0:2"]
+    words = ["render", str(scene), "-o", str(folder), "--format", "npz,exr,dpt,cam,colmap", "--frames", "0:2"]
     result = CliRunner().invoke(main, words)
     assert (result.exit_code, result.stderr) == (0, "")
     return folder

@@ -71,7 +71,7 @@ def npy(path: Path) -> NDArray[Any]:
 
 def test_a_rendered_pair_is_read_by_everybody(tmp_path: Path) -> None:
     scene, out = scene_file(tmp_path / "pair.toml", PAIR), tmp_path / "out"
-    result = clsco_("render", scene, "-o", out, "--truth", FIELD, "--frames", "1:")
+    result = clsco_("render", scene, "-o", out, "--format", FIELD, "--frames", "1:")
     assert (result.exit_code, result.stderr) == (0, "")
     frames = list(clsco.render(clsco.load_scene(scene), frames=[1]))
     stem = "frame_0001_"
@@ -135,31 +135,33 @@ SCENES = {
 def test_frames_are_resumed_by_the_names_of_their_arrays(tmp_path: Path, more: str) -> None:
     scene, out = scene_file(tmp_path / "plane.toml", f"[camera]\nresolution = [12, 9]\n{more}"), tmp_path / "out"
 
-    def rendered(truth: str) -> bool:
+    def rendered(*truth: str) -> bool:
         before = (out / "frame_0000.json").stat().st_mtime_ns if out.exists() else 0
-        result = clsco_("render", scene, "-o", out, "--resume", "--truth", truth)
+        result = clsco_("render", scene, "-o", out, "--resume", *truth)
         assert result.exit_code == 0, result.output
         return (out / "frame_0000.json").stat().st_mtime_ns != before
 
-    assert rendered("npy,flo,cam")
-    assert not rendered("npy,flo,cam")
-    assert not rendered("flo,colmap")
+    assert rendered("--format", "npy,flo,cam")
+    assert not rendered("--format", "npy,flo,cam")
+    assert not rendered("--format", "flo,colmap")
     assert " frame_0000.png\n" in (out / "sparse/0/images.txt").read_text()
-    assert rendered("npy+float16:depth,alpha")
-    assert not rendered("npy+float16:alpha,depth")
+    assert rendered("--truth", "depth,alpha", "--format", "npy", "--types", "all=float16")
+    assert not rendered("--truth", "alpha,depth", "--format", "npy", "--types", "all=float16")
     assert np.load(out / "frame_0000_depth.npy").dtype == np.float16
-    assert rendered("npy")
+    assert rendered("--format", "npy")
     (out / "frame_0000_flow.npy").unlink()
-    assert rendered("npy")
+    assert rendered("--format", "npy")
 
 
 def test_a_scene_without_the_array_of_a_format_is_refused(tmp_path: Path) -> None:
     scene = scene_file(tmp_path / "plane.toml", '[camera]\nresolution = [12, 9]\n[[object]]\nshape = "plane"\n')
-    for truth, missing in (("flo,kitti_disparity", "disparity"), ("flo:flow_backward", "flow_backward")):
-        result = clsco_("render", scene, "-o", tmp_path / "out", "--truth", truth)
-        assert result.exit_code == 1
-        got = truth.split(",")[-1]
-        assert result.stderr == f"error: {scene}: --truth: the scene must have {missing}; got {got}\n"
+    wanted = (
+        (("--format", "flo,kitti_disparity"), "disparity; got kitti_disparity"),
+        (("--truth", "flow_backward", "--format", "flo"), "flow_backward; got flo:flow_backward"),
+    )
+    for words, missing in wanted:
+        result = clsco_("render", scene, "-o", tmp_path / "out", *words)
+        assert (result.exit_code, result.stderr) == (1, f"error: {scene}: truth: the scene must have {missing}\n")
     assert not (tmp_path / "out").exists()
 
 
@@ -219,7 +221,9 @@ def test_a_camera_needs_its_scene(tmp_path: Path) -> None:
 def test_the_extra_that_zstd_needs_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("clsco.frame.files.find_spec", lambda name: None)
     require_truth_formats(truth_files("npy,pfm,flo,kitti_flow,cam"))
-    with pytest.raises(ImageError, match=r"truth: npy\+zstd needs imagecodecs: pip install 'clsco\[formats\]'; got no"):
+    with pytest.raises(
+        ImageError, match=r"format: npy\+zstd needs imagecodecs: pip install 'clsco\[formats\]'"
+    ):
         require_truth_formats(truth_files("npy+zstd"))
 
 
@@ -247,8 +251,8 @@ def test_what_gets_behind_the_lens_has_no_flow(tmp_path: Path) -> None:
     distance = 900.0
     """
     scene = scene_file(tmp_path / "past.toml", text)
-    truth = "npz:flow,object_id,depth,flo,kitti_flow,pfm:flow"
-    result = clsco_("render", scene, "-o", tmp_path, "--truth", truth)
+    words = ("--truth", "flow,flow_backward,object_id,depth", "--format", "npz,flo,kitti_flow,pfm")
+    result = clsco_("render", scene, "-o", tmp_path, *words)
     assert (result.exit_code, result.stderr) == (0, "")
     with np.load(tmp_path / "frame_0000.npz") as found:
         flow, ball = found["flow"], found["object_id"] == 0

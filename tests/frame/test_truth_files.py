@@ -14,7 +14,7 @@ from click.testing import CliRunner
 
 from clsco.cli.main import main
 from clsco.errors import ImageError, SceneError
-from clsco.frame.files import holds_truth, needed_truth, truth_files, write_frame
+from clsco.frame.files import files_of, holds_truth, needed_truth, truth_files, write_frame
 from clsco.frame.frame import ALL_TRUTH, Frame
 from clsco.frame.truth_files import TruthFile
 from tests.scenes import PLANE, scene_file
@@ -38,7 +38,7 @@ def test_names_are_read() -> None:
     assert truth_files("npz,exr,npz") == (TruthFile("npz"), TruthFile("exr"))
     assert truth_files("npz:coc,depth,exr") == (TruthFile("npz", ("depth", "coc")), TruthFile("exr"))
     assert truth_files("npz:blur_radius") == truth_files("npz:coc")
-    wanted = TruthFile("npz", ("color", "flow"), float16=True, compressed=True)
+    wanted = TruthFile("npz", ("color", "flow"), float16=("all",), compressed=True)
     assert truth_files("npz+compressed+float16:flow,color") == (wanted,)
     assert truth_files(str(wanted)) == (wanted,)
     assert needed_truth(truth_files("npz:flow,color,exr:depth,coc")) == ("depth", "blur_radius", "flow")
@@ -46,7 +46,7 @@ def test_names_are_read() -> None:
     assert needed_truth(truth_files("npz:color")) == ()
     assert needed_truth(truth_files("npz:alpha,color,depth")) == ("depth", "alpha")
     assert truth_files("npy+float16+zstd:depth,flo") == (
-        TruthFile("npy", ("depth",), True, zstd=True),
+        TruthFile("npy", ("depth",), ("all",), zstd=True),
         TruthFile("flo"),
     )
     assert needed_truth(truth_files("flo,kitti_depth,cam,colmap")) == (
@@ -64,10 +64,10 @@ def test_names_are_read() -> None:
         ("npz:", "must name arrays after npz:, some of color, sharp, .*; got npz:$"),
         ("npz:depht", "must name arrays after npz:, .*; got depht$"),
         ("npz:depth,", "must name arrays after npz:, .*; got npz:depth,$"),
-        ("npz+zip", r"must have the options float16 and compressed alone, like npz\+float16; got zip"),
-        ("exr+compressed", r"must have the option float16 alone, like exr\+float16; got compressed"),
+        ("npz+zip", r"must be npz or npz\+compressed; got npz\+zip"),
+        ("exr+compressed", r"must be exr without options; got exr\+compressed"),
         ("flo+float16:flow", r"must be flo without options; got flo\+float16"),
-        ("npz+zstd", "must have the options float16 and compressed alone, .*; got zstd"),
+        ("npz+zstd", r"must be npz or npz\+compressed; got npz\+zstd"),
         ("flo:depth", "must name arrays after flo:, some of flow, flow_backward; got depth"),
         ("pfm:mask", "must name arrays after pfm:, some of color, .*; got mask"),
         ("cam:depth", "must be cam without names, as it holds no arrays; got cam:depth"),
@@ -77,6 +77,35 @@ def test_names_are_read() -> None:
 def test_other_names_are_refused(text: str, message: str) -> None:
     with pytest.raises(SceneError, match=message):
         truth_files(text)
+
+
+def test_arrays_go_to_the_formats_that_can_hold_them() -> None:
+    assert files_of("", "", "") == ()
+    assert files_of("depth,blur_radius") == (TruthFile("npz", ("depth", "coc")),)
+    assert files_of("all") == files_of("", "npz") == (TruthFile("npz"),)
+    found = files_of("flow,depth", "npz+compressed,flo,cam,exr", "depth=float16")
+    assert list(map(str, found[:2])) == ["npz+depth=float16+compressed:depth,flow", "flo:flow"]
+    assert list(map(str, found[2:])) == ["cam", "exr+depth=float16:depth,flow"]
+    assert files_of("", "npy", "all=float16,depth=float32")[0].float16[:3] == ("color", "sharp", "coc")
+    assert files_of("coc", "exr", "all=float16") == (TruthFile("exr", ("coc",), ("all",)),)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("npz",), "truth: must be some of color,sharp,.*; got npz"),
+        (("depth", "flo"), "format: flo must hold some of depth; got flow,flow_backward"),
+        (("depth,flow", "flo"), "format: must be one that holds depth; got flo"),
+        (("depth", "npz,tif"), "format: must be some of npz,exr,.*; got tif"),
+        (("depth", "npz+float16"), r"format: must be npz, with types all=float16; got npz\+float16"),
+        (("depth", "npz,npz+compressed"), "format: must name each format once; got npz,npz"),
+        (("depth", "", "depth=uint8"), "types: depth must be one of float32, float16; got depth=uint8"),
+        (("", "", "depth=float16"), "types: are those of arrays in files, .*; got depth=float16 alone"),
+    ],
+)
+def test_arrays_that_no_format_can_hold_are_refused(words: tuple[str, ...], message: str) -> None:
+    with pytest.raises(SceneError, match=message):
+        files_of(*words)
 
 
 def arrays(path: Path) -> dict[str, Any]:
@@ -150,24 +179,28 @@ def test_what_files_hold_is_known_from_their_record() -> None:
 def test_render_writes_and_resumes_them(tmp_path: Path) -> None:
     out, scene = tmp_path / "out", scene_file(tmp_path / "plane.toml", PLANE)
 
-    def render(truth: str) -> bool:
+    def render(*truth: str) -> bool:
         """True if the frame was rendered."""
         before = (out / "frame_0000.json").stat().st_mtime_ns if out.exists() else 0
-        words = ["render", str(scene), "-o", str(out), "--resume", "--truth", truth]
+        words = ["render", str(scene), "-o", str(out), "--resume", *truth]
         result = CliRunner().invoke(main, words)
         assert result.exit_code == 0, result.output
         return (out / "frame_0000.json").stat().st_mtime_ns != before
 
-    assert render("npz:depth,coc")
+    assert render("--truth", "depth,coc")
     assert arrays(out / "frame_0000.npz").keys() == {"depth", "coc"}
     recorded = json.loads((out / "frame_0000.json").read_text("utf-8"))
     assert recorded["truth"] == ["npz:depth,coc"]
-    assert not render("npz:coc,depth")
-    assert render("npz+float16:coc,depth")
-    assert render("npz")
-    assert not render("npz")
+    assert not render("--truth", "coc,depth", "--format", "npz")
+    assert render("--truth", "coc,depth", "--types", "all=float16")
+    assert render("--truth", "coc,depth", "--types", "coc=float16")
+    assert json.loads((out / "frame_0000.json").read_text("utf-8"))["truth"] == ["npz+coc=float16:depth,coc"]
+    found = arrays(out / "frame_0000.npz")
+    assert (found["coc"].dtype, found["depth"].dtype) == (np.float16, np.float32)
+    assert render("--truth", "all")
+    assert not render("--format", "npz")
     assert "normal" in arrays(out / "frame_0000.npz")
-    assert render("npz:alpha,exr:alpha")
+    assert render("--truth", "alpha", "--format", "npz,exr")
     assert (arrays(out / "frame_0000.npz")["alpha"] > 0.9).any()
     assert OpenEXR.File(str(out / "frame_0000.exr"), separate_channels=True).channels().keys() == {"A"}
 
@@ -175,9 +208,9 @@ def test_render_writes_and_resumes_them(tmp_path: Path) -> None:
 def test_arrays_that_a_scene_does_not_have_are_refused(tmp_path: Path) -> None:
     scene = scene_file(tmp_path / "plane.toml", PLANE)
     result = CliRunner().invoke(
-        main, ["render", str(scene), "-o", str(tmp_path / "out"), "--truth", "npz:depth,disparity"]
+        main, ["render", str(scene), "-o", str(tmp_path / "out"), "--truth", "depth,disparity", "--format", "npz"]
     )
     assert result.exit_code == 1
-    message = f"error: {scene}: --truth: the scene must have disparity; got npz:depth,disparity\n"
+    message = f"error: {scene}: truth: the scene must have disparity; got npz:depth,disparity\n"
     assert result.stderr == message
     assert not (tmp_path / "out").exists()

@@ -63,7 +63,7 @@ def test_arrays_come_from_exr_too(tmp_path: Path) -> None:
         list(found.arrays("coc", "left", "exr"))
     (tmp_path / "frame_0000.exr").unlink()
     (tmp_path / "frame_0000_left.npz").unlink()
-    with pytest.raises(ImageError, match=r"must hold frame_0000_left.npz or frame_0000.exr, as from clsco"):
+    with pytest.raises(ImageError, match=r"must hold frame_0000_left.npz or frame_0000.exr, with"):
         list(found.arrays("depth", "left"))
 
 

@@ -65,7 +65,7 @@ def test_a_folder_gets_frames_and_a_file_the_same_image(wall: tuple[Path, Path],
     depths[0, :3] = 0, np.nan, -1
     np.save(wall[1], depths)
     for out in ("all", "one.png", "one.exr"):
-        result = clsco_("defocus", *wall, "-o", tmp_path / out, *OPTIONS, *(["--truth", "npz"] if out == "all" else []))
+        result = clsco_("defocus", *wall, "-o", tmp_path / out, *OPTIONS, *(["--truth", "all"] if out == "all" else []))
         assert result.exit_code == 0, result.output
         counted, lens = result.stderr.splitlines()
         assert counted == f"{wall[1]}: 3 of 1280 pixels have no depth (1 zero, 1 negative, 1 NaN)"
@@ -87,7 +87,7 @@ def test_where_there_is_no_depth_nothing_is_without_filling(wall: tuple[Path, Pa
     depths = np.full((32, 40), 0.4, np.float32)
     depths[10:14, 20:] = 0
     np.save(wall[1], depths)
-    more = ("--truth", "npz", "--set", "motion.warp=forward", "--set", "fill.method=none")
+    more = ("--format", "npz", "--set", "motion.warp=forward", "--set", "fill.method=none")
     assert clsco_("defocus", *wall, "-o", tmp_path / "out", *OPTIONS, *more).exit_code == 0
     with np.load(tmp_path / "out" / "frame_0000.npz") as truth:
         np.testing.assert_array_equal(truth["mask"], depths > 0)
@@ -140,7 +140,7 @@ def test_files_of_other_programs(tmp_path: Path, kind: str) -> None:
     path, options, recorded = depth_files(tmp_path)[kind]
     camera = ("--pixel-pitch", CAMERA.pixel_pitch, "--focus-distance", CAMERA.focus_distance)
     result = clsco_(
-        "defocus", tmp_path / "photo.png", path, "-o", tmp_path / "out", *options, *camera, "--truth", "npz"
+        "defocus", tmp_path / "photo.png", path, "-o", tmp_path / "out", *options, *camera, "--format", "npz"
     )
     assert (result.exit_code, "".join(result.stderr.splitlines(keepends=True)[:-1])) == (0, f"{path}: {recorded}")
     with np.load(tmp_path / "out" / "frame_0000.npz") as truth:

@@ -202,7 +202,7 @@ def test_files(tmp_path: Path) -> None:
     tifffile = pytest.importorskip("tifffile")
     scene = tmp_path / "s.toml"
     scene.write_text(SCENE)
-    run("render", scene, "-o", tmp_path, "--truth", "npz,exr,png,tiff", "--quiet")
+    run("render", scene, "-o", tmp_path, "--format", "npz,exr,png,tiff", "--quiet")
     arrays = np.load(tmp_path / "frame_0000.npz")
     frame = clsco.render_frame(str(scene))
     for name in ("color", *SENSOR_NAMES):
@@ -220,7 +220,7 @@ def test_files(tmp_path: Path) -> None:
     assert about["scene"]["sensor"]["mosaic"] == "rggb"
     assert about["units"]["sensor.read_noise"] == "e-"
     before = {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
-    run("render", scene, "-o", tmp_path, "--truth", "npz,exr,png,tiff", "--quiet", "--resume")
+    run("render", scene, "-o", tmp_path, "--format", "npz,exr,png,tiff", "--quiet", "--resume")
     assert before == {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
     assert "raw" in run("dev", "check", scene)
 
@@ -228,9 +228,9 @@ def test_files(tmp_path: Path) -> None:
 def test_codes_of_a_scene_without_a_sensor_are_refused(tmp_path: Path) -> None:
     scene = tmp_path / "s.toml"
     scene.write_text('[[object]]\nshape = "sphere"\n')
-    found = CliRunner().invoke(main, ["render", str(scene), "-o", str(tmp_path / "out"), "--truth", "png"])
+    found = CliRunner().invoke(main, ["render", str(scene), "-o", str(tmp_path / "out"), "--format", "png"])
     assert found.exit_code == 1
-    assert "--truth: the scene must have raw; got png" in found.output
+    assert "truth: the scene must have raw; got png" in found.output
 
 
 @pytest.mark.parametrize("scan", ["top_to_bottom", "left_to_right"])

@@ -161,7 +161,7 @@ def test_the_choice_is_reported_and_a_frame_of_another_tolerance_is_made_again(t
 def test_frames_without_color_have_all_samples_and_are_left_as_they_are(tmp_path: Path) -> None:
     text = '[camera]\nresolution = [24, 16]\npixel_pitch = 0.1\n[[object]]\nshape = "sphere"\n'
     command = ["render", str(scene_file(tmp_path / "ball.toml", text)), "-o", str(tmp_path / "out"), "--resume"]
-    command += ["--no-color", "--truth", "npz", "--tolerance", "0.1"]
+    command += ["--no-color", "--format", "npz", "--tolerance", "0.1"]
     outputs = [CliRunner().invoke(main, command) for _ in range(2)]
     assert [done.exit_code for done in outputs] == [0, 0], outputs[0].output
     assert "all frames are there already" in outputs[1].output

@@ -62,7 +62,7 @@ def point_at(page: Any, place: tuple[float, float]) -> tuple[int, int]:
 
 
 def test_values_are_those_of_the_files(page: Any, root: Path, tmp_path: Path) -> None:
-    command = ["render", str(root / "occlusion_three.toml"), "-o", str(tmp_path), "--truth", "npz", "--device", "pocl"]
+    command = ["render", str(root / "occlusion_three.toml"), "-o", str(tmp_path), "--format", "npz", "--device", "pocl"]
     result = CliRunner().invoke(main, command)
     assert result.exit_code == 0, result.output
     (path,) = tmp_path.glob("**/*.npz")

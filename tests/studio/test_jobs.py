@@ -319,7 +319,7 @@ def test_command_lines(jobs: Jobs, slow: None) -> None:
     session = Session(jobs.root)
     (jobs.root / "d.toml").write_text("")
     work(jobs, "busy", 1, 30.0)
-    options = Wanted(truth="npz", subframes=True, preset="mp4", device="pocl")
+    options = Wanted(formats="npz", subframes=True, preset="mp4", device="pocl")
     made = [
         generate(session, jobs, "-o/x", options),
         focal_stack(session, jobs, "stack", 200.0, 300.0, 5),
@@ -327,7 +327,7 @@ def test_command_lines(jobs: Jobs, slow: None) -> None:
         data_set(session, jobs, "d.toml", "data", 100, 7, "npz"),
     ]
     assert [job.line for job in made] == [
-        "clsco render ./-o/x/scene.toml -o ./-o/x --truth npz --subframes --video mp4 --device pocl",
+        "clsco render ./-o/x/scene.toml -o ./-o/x --format npz --subframes --video mp4 --device pocl",
         "clsco render stack/scene.toml -o stack",
         "clsco video stack -o 'clips/a b.mp4' --view depth --preset mp4",
         "clsco dataset make d.toml -o data --count 100 --seed 7 --shard-size 7 --format npz --resume --quiet",

@@ -145,7 +145,7 @@ def clip_dialog(session: Session, jobs: Jobs) -> Callable[[Job], None]:
             say("p", f"Of the frames in {job.folder}")
             clips = clip_presets()
             choice("Preset", list(clips), answers["preset"], lambda name: answers.update(preset=name), clips)
-            needs = "" if "--truth" in job.arguments else "needs ground truth beside the frames, in npz or exr"
+            needs = "" if "--format" in job.arguments else "needs ground truth beside the frames, in npz or exr"
             missing = {view: needs for view in VIEWS if view != "color"}
             choice("View", VIEWS, answers["view"], lambda view: answers.update(view=view), missing)
             button("Make the clip", lambda: begin(job)).classes("primary")
