@@ -25,6 +25,7 @@ from clsco.cli.options import (
 from clsco.cli.output import echo
 from clsco.cli.progress import progress
 from clsco.errors import ClscoError, SceneError
+from clsco.scene.text import size_words, time_words
 
 if TYPE_CHECKING:
     from clsco.data.making import Progress
@@ -159,15 +160,7 @@ def _line(out: str, status: Status) -> str:
     failed = f", {status.failed} failed" if status.failed else ""
     whole = "" if status.is_whole else f" of {status.shards}, as far as it is made"
     made = f"{status.made} samples in {len(status.done)} shards"
-    return f"{click.format_filename(out)}: {made}{whole}{failed}, {_size(status.bytes)}"
-
-
-def _size(count: int) -> str:
-    for unit in ("B", "KiB", "MiB", "GiB"):
-        if count < 1024:
-            return f"{count:.0f} {unit}" if unit == "B" else f"{count:.1f} {unit}"
-        count /= 1024  # type: ignore[assignment]
-    return f"{count:.1f} TiB"
+    return f"{click.format_filename(out)}: {made}{whole}{failed}, {size_words(status.bytes)}"
 
 
 @dataset.command()
@@ -180,18 +173,13 @@ def status(data: str) -> None:
     there = open_set(open_storage(data))
     found = status_of(there)
     echo(f"shards: {len(found.done)} of {found.shards}")
-    echo(f"samples: {found.made} made, {found.failed} failed, of {found.samples}; {_size(found.bytes)}")
+    echo(f"samples: {found.made} made, {found.failed} failed, of {found.samples}; {size_words(found.bytes)}")
     if found.rate is not None and not found.is_whole:
-        echo(f"rate: {found.rate:.3g} samples/s, {_duration(found.seconds_left or 0.0)} left at this rate")
+        echo(f"rate: {found.rate:.3g} samples/s, {time_words(found.seconds_left or 0.0)} left at this rate")
     if missing := [shard for shard in there.shards if shard not in found.done]:
         echo(f"missing: {ranges(missing)}")
     for fault in found.faults:
         echo(f"incomplete: {fault}")
-
-
-def _duration(seconds: float) -> str:
-    hours, rest = divmod(round(seconds), 3600)
-    return f"{hours} h {rest // 60} min" if hours else f"{rest // 60} min {rest % 60} s"
 
 
 @dataset.command()

@@ -6,6 +6,7 @@ from rich.console import RenderableType
 
 from clsco.cli.tables import print_tables, table
 from clsco.data.dryrun import DryRun, Histogram
+from clsco.scene.text import size_words, time_words
 
 BAR = 40  # characters of the longest bar
 
@@ -36,13 +37,13 @@ def dry_run_tables(found: DryRun) -> list[RenderableType]:
     of = f"{found.looked_at} of {found.count} samples"
     tables.append(table(f"Looked at: {of}, with rays on a coarse grid", ("what", "how much"), seen))
     tables += [_histogram(one) for one in found.histograms]
-    sizes = [(name, _bytes(size), _bytes(size * found.count)) for name, size in found.bytes.items()]
+    sizes = [(name, size_words(size), size_words(size * found.count)) for name, size in found.bytes.items()]
     total = sum(found.bytes.values())
-    sizes.append(("in all", _bytes(total), _bytes(total * found.count)))
+    sizes.append(("in all", size_words(total), size_words(total * found.count)))
     tables.append(
         table("Size before compression", ("array", "per sample", "of the set"), sizes, ("per sample", "of the set"))
     )
-    duration = "not known" if found.seconds is None else _duration(found.seconds)
+    duration = "not known" if found.seconds is None else time_words(found.seconds)
     tables.append(table("Time", ("predicted", "from"), [(duration, found.basis)]))
     return tables
 
@@ -65,18 +66,3 @@ def _histogram(one: Histogram) -> RenderableType:
 
 def _number(value: float | None) -> str:
     return "" if value is None else f"{value:.5g}"
-
-
-def _bytes(size: float) -> str:
-    for unit in ("B", "KiB", "MiB", "GiB", "TiB"):
-        if size < 1024.0 or unit == "TiB":
-            break
-        size /= 1024.0
-    return f"{size:.4g} {unit}"
-
-
-def _duration(seconds: float) -> str:
-    for unit, size in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
-        if seconds >= 2.0 * size:
-            return f"{seconds / size:.3g} {unit}"
-    return f"{seconds:.3g} s"

@@ -3,19 +3,17 @@ processes."""
 
 from __future__ import annotations
 
-import os
 import shutil
-import subprocess
-import sys
-import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
+from multiprocessing.connection import Connection
 
 import numpy as np
 
 from clsco.data.pool import stoppable
+from clsco.engine.child import Child, how_ended
 from clsco.engine.defocus import defocus
 from clsco.engine.inpaint import inpaint
 from clsco.engine.warm import run_near
@@ -79,45 +77,38 @@ def warm_cache(device: str | None, processes: int | None = None) -> Warmed:
 
 def _together(device: str | None, count: int) -> tuple[int, int]:
     """Have processes compile, each into a folder of its own; how many plans and programs there were."""
-    base, running = temporary_folder("warm"), list[subprocess.Popen[str]]()
+    base, running = temporary_folder("warm"), list[Child]()
     try:
         found = [base / str(k) / "clsco" / "pocl" for k in range(count)]
         for k, folder in enumerate(found):
             folder.mkdir(mode=0o700, parents=True)
-            code = f"from clsco.cli.warm import child; child({device!r}, {k}, {count})"
-            process = subprocess.Popen(
-                [sys.executable, "-P", "-c", code], env=os.environ | {VARIABLE: str(folder)},
-                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-            )  # fmt: skip
-            running.append(process)
-        plans = sum(_answer(process) for process in running)
+            running.append(Child(_work, device, k, count, environ={VARIABLE: str(folder)}))
+        plans = sum(map(_answer, running))
         return plans, sum(adopt(folder) for folder in found)
     finally:
-        for process in running:
-            with process:
-                process.kill()
+        for child in running:
+            child.kill()
+            child.end()
         shutil.rmtree(base, ignore_errors=True)
 
 
-def _answer(process: subprocess.Popen[str]) -> int:
-    """Wait for a process, and read the number that it prints at last."""
-    assert process.stdout is not None
-    lines = process.stdout.read().strip().splitlines()
-    if process.wait():
-        got = lines[-1] if lines else f"status {process.returncode}"
+def _answer(child: Child) -> int:
+    """Wait for the number of a process, which says why it has none."""
+    try:
+        got = child.pipe.recv()
+    except EOFError:
+        got = how_ended(child.end())
+    if isinstance(got, str):
         raise DeviceError(f"device: PoCL must compile kernels ahead; got {got}")
-    return int(lines[-1])
+    return int(got)
 
 
-def child(device: str | None, first: int, step: int) -> None:
-    """Do a process' part of the work, and end at once where the parent ends, which holds the other end of the input."""
-
-    def wait() -> None:
-        os.read(sys.stdin.fileno(), 1)
-        os._exit(1)
-
-    threading.Thread(target=wait, daemon=True).start()
-    print(work(device, first, step))
+def _work(pipe: Connection, device: str | None, first: int, step: int) -> None:
+    """Do a process' part of the work."""
+    try:
+        pipe.send(work(device, first, step))
+    except Exception as error:
+        pipe.send(f"{error!r}")
 
 
 def work(device: str | None, first: int, step: int) -> int:

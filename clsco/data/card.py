@@ -116,8 +116,6 @@ def _encoding(form: str, about: Mapping[str, Any]) -> str:
         return "npy" if raw else "png" if picture else "npy.zst"
     if name == "parquet":
         return "Image" if picture else f"Array{len(about['shape'])}D"
-    if name == "tfrecord":
-        return "png in bytes_list" if picture else "flat list, with its shape in NAME/shape"
     return {"npz": "npy", "hdf5": "dataset", "zarr": "array"}[name]
 
 
@@ -141,7 +139,6 @@ def _loading(form: str, first: _First) -> dict[str, str]:
         "hdf5": {"h5py": f"h5py.File({_text(shard)})[{_text(place)}][()]"},
         "zarr": {"zarr": f'zarr.open_group({_text(shard)}, mode="r")[{_text(array)}][0]'},
         "npz": {"numpy": f"numpy.load({_text(f'{shard}/{first.key}.npz')})[{_text(array)}]"},
-        "tfrecord": {"tensorflow": f"tf.data.TFRecordDataset(tf.io.gfile.glob({pattern}))"},
     }
     return found | more.get(name, {})
 

@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
-import multiprocessing
+import logging
 import os
 import signal
 import threading
 from collections.abc import Callable, Iterator, MutableMapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from multiprocessing.connection import Connection, wait
-from multiprocessing.context import SpawnProcess
+from multiprocessing.connection import wait
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from clsco.data.schedule import RETRIES, Schedule, Task
 from clsco.data.storage import open_storage
 from clsco.data.worker import DeviceName, run_worker
+from clsco.engine.child import Child, how_ended
 from clsco.errors import ClscoError, DeviceError
 from clsco.resources import processors
 
 if TYPE_CHECKING:
     from clsco.data.shards import Job
 
+_LOG = logging.getLogger("clsco")
 RECYCLED_SHARDS = 32  # after so many a process is replaced: what leaks in drivers goes with it
 END_S = 20.0  # until a process that was asked to end is killed
 THREADS = "POCL_MAX_PTHREAD_COUNT"
@@ -44,8 +45,7 @@ Advance = Callable[[int], object]
 
 @dataclass
 class _Worker:
-    process: SpawnProcess
-    pipe: Connection
+    child: Child
     place: Place
     is_ready: bool = False
     is_leaving: bool = False
@@ -120,27 +120,23 @@ class _Pool:
                 self._end()
 
     def _start(self, place: Place) -> _Worker:
-        own, other = multiprocessing.get_context("spawn").Pipe()
-        overlapped = not place.threads
-        process = multiprocessing.get_context("spawn").Process(
-            target=run_worker, args=(other, self.job, place.device, overlapped), daemon=True
-        )
-        with _threads(place.threads):
-            process.start()
-        other.close()
-        return _Worker(process, own, place)
+        environ = dict(os.environ)
+        if place.threads:
+            limit_threads(place.threads, environ)
+        child = Child(run_worker, self.job, place.device, not place.threads, environ=environ)
+        _LOG.info("process %d: makes shards", child.pid)
+        return _Worker(child, place)
 
     def _step(self) -> None:
         """Give tasks to processes that wait, and take the answer of any of them."""
         for worker in self.workers:
             if worker.is_ready and worker.task is None and not worker.is_leaving and self.schedule.waiting:
                 worker.task = self.schedule.waiting.popleft()
-                with suppress(OSError):  # it has died, which is heard next
-                    worker.pipe.send(worker.task)
-        heard = wait([worker.pipe for worker in self.workers])
-        for worker in [worker for worker in self.workers if worker.pipe in heard]:
+                worker.child.send(worker.task)
+        heard = wait([worker.child.pipe for worker in self.workers])
+        for worker in [worker for worker in self.workers if worker.child.pipe in heard]:
             try:
-                self._hear(worker, worker.pipe.recv())
+                self._hear(worker, worker.child.pipe.recv())
             except (EOFError, OSError):
                 self._buried(worker)
 
@@ -167,7 +163,7 @@ class _Pool:
             worker.shards += 1
             if worker.shards >= RECYCLED_SHARDS or content[2] > self.memory:
                 worker.is_leaving = True
-                worker.pipe.send(None)
+                worker.child.send(None)
 
     def _count(self, shard: int, done: int) -> None:
         before = self.seen.get(shard, 0)
@@ -177,8 +173,9 @@ class _Pool:
 
     def _buried(self, worker: _Worker) -> None:
         """After the end of a process: its task is done again, and another process takes its place."""
-        worker.process.join()
-        worker.pipe.close()
+        status = worker.child.end(END_S)
+        if not worker.is_leaving:
+            _LOG.info("process %d: ended with %s", worker.child.pid, how_ended(status))
         self.workers.remove(worker)
         open_storage(self.job.where).tidy()
         if worker.task is not None:
@@ -186,8 +183,7 @@ class _Pool:
         elif not worker.is_ready:
             self.stillborn += 1
             if self.stillborn >= RETRIES * len(self.where):
-                got = f"exit status {worker.process.exitcode}"
-                raise ClscoError(f"worker: a process must start and find its device; got {got}")
+                raise ClscoError(f"worker: a process must start and find its device; got {how_ended(status)}")
         if not self.schedule.is_over:
             self.workers.append(self._start(worker.place))
 
@@ -195,19 +191,11 @@ class _Pool:
         """Have all processes end, by force where they do not."""
         for worker in self.workers:
             if self.schedule.is_over:
-                with suppress(OSError):
-                    worker.pipe.send(None)
+                worker.child.send(None)
             else:
-                worker.process.terminate()
-        forced = False
-        for worker in self.workers:
-            worker.process.join(END_S)
-            if worker.process.is_alive():
-                worker.process.kill()
-                worker.process.join()
-            forced |= worker.process.exitcode not in (0, None)
-            worker.pipe.close()
-        if forced:
+                worker.child.terminate()
+        statuses = [worker.child.end(END_S) for worker in self.workers]
+        if any(statuses):
             with suppress(ClscoError):
                 open_storage(self.job.where).tidy()
 
@@ -233,16 +221,3 @@ def limit_threads(count: int, environ: MutableMapping[str, str]) -> None:
     """Have libraries that are loaded from now on, or processes with this environment, take so many threads."""
     for name in _THREAD_VARIABLES:
         environ.setdefault(name, str(count))
-
-
-@contextmanager
-def _threads(count: int) -> Iterator[None]:
-    """Have a process that is started in the block take so many threads on a processor; 0: what it likes."""
-    before = dict(os.environ)
-    if count:
-        limit_threads(count, os.environ)
-    try:
-        yield
-    finally:
-        for name in os.environ.keys() - before.keys():
-            del os.environ[name]

@@ -6,22 +6,20 @@ import os
 import resource
 import signal
 import sys
-import threading
 import time
-from multiprocessing import parent_process
-from multiprocessing.connection import Connection, wait
+from multiprocessing.connection import Connection
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from clsco.data.schedule import Task
-from clsco.data.storage import Storage, open_storage
+from clsco.data.storage import open_storage
+from clsco.engine.child import at_forced_end
 from clsco.errors import ClscoError
 
 if TYPE_CHECKING:
     from clsco.data.shards import Job, ShardMaker
     from clsco.opencl.device import Device
 
-ORPHAN_S = 10.0  # for the end of a process whose parent was killed
 REPORT_S = 0.2  # between reports of how far a shard has come
 
 DeviceName = str | int | None
@@ -30,10 +28,9 @@ DeviceName = str | int | None
 
 def run_worker(pipe: Connection, job: Job, name: DeviceName, overlapped: bool) -> None:
     """Make what comes through the pipe, and report it there, until the parent says None or ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes: the parent decides
+    signal.signal(signal.SIGTERM, _ended)  # so that no file is written any more when all are removed
     storage = open_storage(job.where)
-    signal.signal(signal.SIGTERM, _ended)
-    threading.Thread(target=_end_with_parent, args=(storage,), daemon=True).start()
+    at_forced_end(storage.close)
     try:
         device = device_of(name)
         from clsco.data.shards import ShardMaker, device_family
@@ -42,8 +39,6 @@ def run_worker(pipe: Connection, job: Job, name: DeviceName, overlapped: bool) -
         pipe.send(("ready", device_family(device)))
         while (task := pipe.recv()) is not None:
             pipe.send(_answer(maker, task, pipe))
-    except EOFError:
-        pass
     except (ClscoError, OSError) as error:
         pipe.send(("fatal", str(error)))
     finally:
@@ -108,14 +103,3 @@ def _answer(maker: ShardMaker, task: Task, pipe: Connection) -> tuple[Any, ...]:
 
 def _ended(number: int, _: FrameType | None) -> None:
     raise SystemExit(128 + number)
-
-
-def _end_with_parent(storage: Storage) -> None:
-    """Leave nothing where the parent was killed."""
-    parent = parent_process()
-    if parent is not None:
-        wait([parent.sentinel])
-        os.kill(os.getpid(), signal.SIGTERM)  # so that no file is written any more when all are removed
-        time.sleep(ORPHAN_S)
-        storage.close()
-        os._exit(1)

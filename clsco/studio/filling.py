@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from multiprocessing.connection import Connection
 from threading import Lock
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.engine.child import Child
 from clsco.errors import ClscoError, ImageError
 
 
@@ -30,8 +30,7 @@ class Filler:
     def __init__(self, device: str | None = None) -> None:
         self.device = device
         self.share = 0.0
-        self._process: multiprocessing.process.BaseProcess | None = None
-        self._pipe: Connection | None = None
+        self._child: Child | None = None
         self._working, self._is_canceled = Lock(), False
 
     def fill(
@@ -48,10 +47,11 @@ class Filler:
             raise ImageError(f"{method}: must wait for what is being filled")
         try:
             self.share, self._is_canceled = 0.0, False
-            pipe = self._begun()
-            pipe.send((image, mask, method, self.device))
+            if self._child is None:
+                self._child = Child(_work)
+            self._child.send((image, mask, method, self.device))
             while True:
-                what, *content = pipe.recv()
+                what, *content = self._child.pipe.recv()
                 if what == "share":
                     (self.share,) = content
                 elif what == "refused":
@@ -60,7 +60,9 @@ class Filler:
                     image, figures = content
                     return image, figures
         except (EOFError, OSError):
-            self._process = None
+            if self._child is not None:
+                self._child.end()
+            self._child = None
             if self._is_canceled:
                 return None
             raise ImageError(f"{method}: its process ended; it is begun again with the next try") from None
@@ -75,18 +77,8 @@ class Filler:
 
     def close(self) -> None:
         """End the process."""
-        if self._process is not None:
-            self._process.kill()
-
-    def _begun(self) -> Connection:
-        if self._process is None or not self._process.is_alive():
-            context = multiprocessing.get_context("spawn")
-            self._pipe, theirs = context.Pipe()
-            self._process = context.Process(target=_work, args=(theirs,), daemon=True)
-            self._process.start()
-            theirs.close()  # so that its end is heard here
-        assert self._pipe is not None
-        return self._pipe
+        if self._child is not None:
+            self._child.kill()
 
 
 def _work(pipe: Connection) -> None:
@@ -94,10 +86,7 @@ def _work(pipe: Connection) -> None:
     from clsco.engine.inpaint import inpaint
 
     while True:
-        try:
-            image, mask, method, device = pipe.recv()
-        except (EOFError, OSError, KeyboardInterrupt):
-            return
+        image, mask, method, device = pipe.recv()
         try:
             filled, report = inpaint(
                 image, mask, method=method, device=device, return_report=True,

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-import multiprocessing
 import os
-import signal
 import time
 from collections.abc import Callable, Coroutine
 from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import Any
 
+from clsco.engine.child import Child
 from clsco.errors import ClscoError, SceneError
 from clsco.scene.model import Scene
+from clsco.scene.text import time_words
 from clsco.studio.pictures import REFERENCE, Picture, picture_of
 from clsco.studio.renderer import Job, RendererEndedError
 
@@ -41,14 +41,10 @@ async def reference_picture(job: Job, predicted: Callable[[float], Coroutine[Any
     RendererEndedError
         The process ended before it was done.
     """
-    context = multiprocessing.get_context("spawn")
-    ours, theirs = context.Pipe(duplex=False)
-    process = context.Process(target=_work, args=(theirs, job), daemon=True)
-    process.start()
-    theirs.close()
+    child = Child(_work, job)
     try:
         while True:
-            said = await asyncio.to_thread(ours.recv)
+            said = await asyncio.to_thread(child.pipe.recv)
             if isinstance(said, Picture):
                 return said
             if isinstance(said, ClscoError):
@@ -57,7 +53,7 @@ async def reference_picture(job: Job, predicted: Callable[[float], Coroutine[Any
     except EOFError:
         raise RendererEndedError("reference: its process must not end by itself; got an end") from None
     finally:
-        process.terminate()
+        child.terminate()
 
 
 def _work(pipe: Connection, job: Job) -> None:
@@ -65,15 +61,14 @@ def _work(pipe: Connection, job: Job) -> None:
     from clsco import reference
     from clsco.inputs.textures import load_scene_textures
 
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server, which ends this
     if hasattr(os, "nice"):
         os.nice(NICE)
     try:
         check_memory(job.scene)
         seconds = predicted_seconds(job.scene, job.index)
         if seconds > MOST_SECONDS:
-            rule = f"must take at most {_words(MOST_SECONDS)}"
-            raise SceneError(f"reference: {rule}; got {_words(seconds)} for this scene")
+            rule = f"must take at most {time_words(MOST_SECONDS)}"
+            raise SceneError(f"reference: {rule}; got {time_words(seconds)} for this scene")
         pipe.send(seconds)
         start = time.perf_counter()
         frames = reference.render(job.scene, frames=(job.index,))
@@ -117,7 +112,3 @@ def predicted_seconds(scene: Scene, index: int) -> float:
     next(reference.render(small, frames=(index,)))
     probe = prepare(small).plan
     return (time.perf_counter() - start) * work / (probe.width * probe.height)
-
-
-def _words(seconds: float) -> str:
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import multiprocessing
-import os
 import threading
 import time
 import traceback
@@ -14,6 +12,7 @@ from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from typing import Any
 
+from clsco.engine.child import Child, how_ended
 from clsco.errors import CanceledError, ClscoError, DeviceError, SceneError
 from clsco.frame.frame import Frame
 from clsco.optics.motion import Eye
@@ -108,28 +107,22 @@ class Renderer:
     def __init__(self, device: str | None = None) -> None:
         self._device = device
         self._turn = asyncio.Lock()
-        self._process: multiprocessing.process.BaseProcess | None = None
-        self._pipe: Connection | None = None
+        self._child: Child | None = None
         self._number = 0
         self._answers: asyncio.Queue[tuple[int, Any]] = asyncio.Queue()
 
     @property
     def pid(self) -> int | None:
         """Id of the process, if there is one."""
-        return self._process.pid if self._process is not None else None
+        return self._child.pid if self._child is not None else None
 
     def start(self) -> None:
         """Start the process, if there is none."""
-        if self._process is not None:
+        if self._child is not None:
             return
-        context = multiprocessing.get_context("spawn")
-        self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=_work, args=(theirs, self._device), daemon=True)
-        self._process.start()
-        theirs.close()
-        self._answers = asyncio.Queue()
+        self._child, self._answers = Child(_work, self._device), asyncio.Queue()
         loop = asyncio.get_running_loop()
-        threading.Thread(target=_listen, args=(self._pipe, loop, self._answers), daemon=True).start()
+        threading.Thread(target=_listen, args=(self._child.pipe, loop, self._answers), daemon=True).start()
 
     async def pictures(self, job: Job, watch: Watch | None = None) -> AsyncGenerator[Picture, None]:
         """Pictures of a job, as they come.
@@ -185,11 +178,11 @@ class Renderer:
         await self._wait_for_turn(watch)
         try:
             self.start()
-            assert self._pipe is not None
+            assert self._child is not None
             self._number += 1
             number, is_whole = self._number, False
             try:
-                self._pipe.send((what, number, content))
+                self._child.send((what, number, content))
                 while (answer := await self._answer(number, watch)) is not None:
                     if is_whole := isinstance(answer, ClscoError):
                         raise answer
@@ -197,12 +190,14 @@ class Renderer:
                 is_whole = True
             except TimeoutError:  # an OSError, too
                 is_whole = True
-                self._kill()
+                self._child.kill()  # one that is stopped does not end by itself
+                self._end()
                 rule = f"renderer: must say something within {SILENCE:g} s; got nothing; it is started again"
                 raise RendererEndedError(rule) from None
             except (OSError, EOFError):
                 is_whole = True
-                raise RendererEndedError(self._buried()) from None
+                rule = f"renderer: must not end by itself; got {self._end()}; it is started again"
+                raise RendererEndedError(rule) from None
             finally:
                 if not is_whole:
                     self.cancel()
@@ -224,35 +219,20 @@ class Renderer:
 
     def cancel(self) -> None:
         """End the job that is worked on before its next pass."""
-        if self._pipe is not None:
-            with suppress(OSError):
-                self._pipe.send(("cancel", self._number, None))
+        if self._child is not None:
+            self._child.send(("cancel", self._number, None))
 
     def close(self) -> None:
         """End the process."""
-        if self._process is not None:
-            self._process.terminate()
-            self._process.join(1.0)
-            self._kill()
+        if self._child is not None:
+            self._child.terminate()
+            self._end()
 
-    def _kill(self) -> None:
-        """End a process that need not end by itself: one that is stopped does not."""
-        assert self._process is not None
-        self._process.kill()
-        self._buried()
-
-    def _buried(self) -> str:
-        """Let go of a process that has ended, and say how."""
-        process, pipe = self._process, self._pipe
-        assert process is not None
-        assert pipe is not None
-        self._process = self._pipe = None
-        process.join(1.0)
-        with suppress(OSError):
-            pipe.close()
-        code = process.exitcode
-        how = f"signal {-code}" if code is not None and code < 0 else f"status {code}"
-        return f"renderer: must not end by itself; got {how}; it is started again"
+    def _end(self) -> str:
+        """Let go of the process, which has ended or is about to; says how."""
+        child, self._child = self._child, None
+        assert child is not None
+        return how_ended(child.end())
 
 
 def _listen(pipe: Connection, loop: asyncio.AbstractEventLoop, answers: asyncio.Queue[tuple[int, Any]]) -> None:
@@ -268,22 +248,18 @@ def _listen(pipe: Connection, loop: asyncio.AbstractEventLoop, answers: asyncio.
 def _work(pipe: Connection, device: str | None) -> None:
     """The process: a thread that listens, and this one that renders."""
     import queue
-    import signal
 
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server, which ends this
     jobs: queue.SimpleQueue[tuple[str, int, Any]] = queue.SimpleQueue()
     worker = _Worker(pipe, device)
 
     def listen() -> None:
-        try:
+        with suppress(EOFError, OSError):  # the server has ended
             while True:
                 what, number, content = pipe.recv()
                 if what == "cancel":
                     worker.cancel(number)
                 else:
                     jobs.put((what, number, content))
-        except (EOFError, OSError):
-            os._exit(0)  # the server has ended
 
     for task in (listen, worker.watch):
         threading.Thread(target=task, daemon=True).start()

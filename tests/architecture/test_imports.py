@@ -15,8 +15,8 @@ PACKAGE = Path(__file__).resolve().parents[2] / "clsco"
 
 # A package or module imports only what stands before it.
 ORDER = (
-    "cache", "constants", "errors", "resources", "records", "scene", "optics", "files", "frame", "inputs", "plan",
-    "opencl", "inpainting", "passes", "engine", "reference", "cost", "data", "studio", "cli",
+    "cache", "constants", "errors", "resources", "records", "scene", "optics", "files", "frame", "inputs",
+    "plan", "opencl", "inpainting", "passes", "engine", "reference", "cost", "data", "studio", "cli",
     "__main__",
 )  # fmt: skip
 # Narrower than the order: what knows OpenCL knows no scenes, and codecs know none either.

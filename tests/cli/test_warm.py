@@ -26,7 +26,9 @@ PATIENCE_S = 60.0
 
 
 def children(pid: int) -> list[int]:
-    return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    """Children of a process, without the one by which Python keeps track of shared memory."""
+    found = [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    return [each for each in found if b"resource_tracker" not in Path(f"/proc/{each}/cmdline").read_bytes()]
 
 
 def until(condition: Callable[[], object]) -> None:

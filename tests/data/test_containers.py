@@ -171,7 +171,7 @@ def test_meta_of_a_tar_has_one_type_for_each_key(tmp_path: Path) -> None:
 
 
 def test_unknown_and_missing_formats(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(SceneError, match=r"format: must be one of webdataset, .*tfrecord; got tar"):
+    with pytest.raises(SceneError, match=r"format: must be one of webdataset, .*parquet; got tar"):
         container_named("tar")
     monkeypatch.setattr("clsco.data.containers.find_spec", lambda name: None)
     with pytest.raises(ImageError, match=r"format: hdf5 needs h5py: pip install 'clsco\[data\]'; got no such module"):

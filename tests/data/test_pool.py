@@ -31,7 +31,7 @@ def test_a_worker_that_is_killed_costs_nothing(tmp_path: Path, monkeypatch: pyte
     def hear_and_kill(self: pool._Pool, worker: pool._Worker, message: tuple[object, ...]) -> None:
         hear(self, worker, message)
         if message[0] == "ready" and not killed:
-            process = worker.process.pid
+            process = worker.child.pid
             assert process is not None
             killed.append(process)
             os.kill(process, signal.SIGKILL)

@@ -115,19 +115,6 @@ def test_pyarrow(tmp_path: Path) -> None:
     check(RECORDS[1], pictures | lists, exact=False)
 
 
-def test_tfrecord(tmp_path: Path) -> None:
-    reader = pytest.importorskip("tfrecord.reader")
-    features = {"depth": "float", "depth/shape": "int", "object_id": "int"} | dict.fromkeys(
-        ("color", "mask", "meta"), "byte"
-    )
-    found = list(reader.tfrecord_loader(str(written(tmp_path, "tfrecord")), None, features))[1]
-    assert json.loads(bytes(found["meta"])) == RECORDS[1].meta
-    depth = found["depth"].reshape(found["depth/shape"])
-    pictures = {name: png(bytes(found[name])) for name in ("color", "mask")}
-    check(RECORDS[1], {"depth": depth, **pictures}, exact=False)
-    np.testing.assert_array_equal(found["object_id"].reshape(9, 12), RECORDS[1]["object_id"])
-
-
 def test_opencv(tmp_path: Path) -> None:
     cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed")
     folder = written(tmp_path, "folders") / RECORDS[0].key
@@ -175,7 +162,7 @@ RECIPES = Path(__file__).resolve().parents[2] / "docs/datasets.md"
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize(
-    ("package", "form"), [("torch", "webdataset"), ("jax", "webdataset"), ("tensorflow", "tfrecord")]
+    ("package", "form"), [("torch", "webdataset"), ("jax", "webdataset"), ("tensorflow", "webdataset")]
 )
 def test_recipes_of_the_documentation(package: str, form: str, tmp_path: Path) -> None:
     """Each recipe gives `color` and `depth`, a batch of two, as a script of its own."""

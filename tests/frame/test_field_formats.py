@@ -221,9 +221,7 @@ def test_a_camera_needs_its_scene(tmp_path: Path) -> None:
 def test_the_extra_that_zstd_needs_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("clsco.frame.files.find_spec", lambda name: None)
     require_truth_formats(truth_files("npy,pfm,flo,kitti_flow,cam"))
-    with pytest.raises(
-        ImageError, match=r"format: npy\+zstd needs imagecodecs: pip install 'clsco\[formats\]'"
-    ):
+    with pytest.raises(ImageError, match=r"format: npy\+zstd needs imagecodecs: pip install 'clsco\[formats\]'"):
         require_truth_formats(truth_files("npy+zstd"))
 
 

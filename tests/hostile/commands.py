@@ -138,7 +138,7 @@ TABLE: Table = (
     ("render good.toml -o out --memory {0}", NO_SIZES, 2, "--memory"),
     ("plan good.toml --memory {0}", NO_SIZES, 2, "--memory"),
     ("render good.toml -o out --frames {0}", NO_SPANS[1:], 2, "--frames"),
-    ("render good.toml -o out --frames {0}", OUTSIDE_SPANS, 1, "--frames"),
+    ("render good.toml -o out --frames {0}", OUTSIDE_SPANS, 1, "frames"),
     ("render good.toml -o out --truth {0}", ("x", "depth;coc", "depth, coc", "DEPTH", "npz,", "tif", "npz,x"), 2, "--"),
     ("render good.toml -o out --format {0}", ("x", "npz;exr", "npz, exr", "NPZ", ",", "npz,", "tif", "npz+zip",
         "npz+float16", "npz,npz+compressed"), 2, "--format"),

@@ -147,7 +147,7 @@ class TestNoRegularFiles:
         ("form", "name"),
         [
             ("webdataset", "dataset.json"), ("webdataset", part_key(0)), ("webdataset", "train/000000.tar"),
-            ("npz", "train/000000/000000000.npz"), ("hdf5", "train/000000.h5"), ("tfrecord", "train/000000.tfrecord"),
+            ("npz", "train/000000/000000000.npz"), ("hdf5", "train/000000.h5"),
             ("folders+raw", "train/000000/000000000/meta.json"), ("folders+raw", "train/000000/000000000/depth.npy"),
             ("zarr", "train/000000.zarr/zarr.json"), ("zarr", "train/000000.zarr/depth/zarr.json"),
             ("zarr", "train/000000.zarr/depth/c/0/0/0"), ("zarr", "train/000000.zarr/keys/c/0"),

@@ -418,7 +418,7 @@ def test_all_formats_of_truth_are_written(tmp_path: Path, jobs: Jobs, name: str)
     session = Session(tmp_path)
     load_preset(session, "stereo" if name == "kitti_disparity" else "sphere_moving")
     session.patch("camera.resolution", [48, 32])
-    job = generate(session, jobs, "out", Wanted(truth=name))
+    job = generate(session, jobs, "out", Wanted(formats=name))
     until(jobs, lambda: not jobs.job(job.number).is_unfinished, 120.0)
     assert jobs.job(job.number).status == "done", jobs.job(job.number).message
     plain = {"frame_0000.png", "frame_0000.json", "frame_0000_left.png", "frame_0000_right.png", "scene.toml"}

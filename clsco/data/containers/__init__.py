@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from importlib.util import find_spec
 
-from clsco.data.containers import folders, hdf5, npz, parquet, tfrecord, webdataset, zarr3
+from clsco.data.containers import folders, hdf5, npz, parquet, webdataset, zarr3
 from clsco.data.containers.base import Container as Container
 from clsco.data.containers.base import ShardReader as ShardReader
 from clsco.data.encoding import NEEDS
@@ -27,7 +27,6 @@ CONTAINERS = {
         Container("zarr", ".zarr", zarr3.write, zarr3.ZarrReader, zarr3.NEEDS),
         Container("zarr+raw", ".zarr", partial(zarr3.write, raw=True), zarr3.ZarrReader, zarr3.NEEDS),
         Container("parquet", ".parquet", parquet.write, parquet.ParquetReader, parquet.NEEDS),
-        Container("tfrecord", ".tfrecord", tfrecord.write, tfrecord.TfRecordReader, tfrecord.NEEDS),
     )
 }
 

@@ -13,6 +13,7 @@ from urllib.parse import quote
 from nicegui import ui
 
 from clsco.errors import ClscoError
+from clsco.scene.text import time_words
 from clsco.studio.generate import Wanted, clip, data_set, focal_stack, free_folder, generate
 from clsco.studio.jobs import Job, Jobs
 from clsco.studio.offers import clip_name, clip_presets, distributions, first_format, set_formats, truth_formats
@@ -206,18 +207,8 @@ def _state(job: Job) -> str:
     if job.status != "running":
         return WORDS[job.status]
     left = job.seconds_left(time.time())
-    rest = f", about {_duration(left)} left" if left is not None else ""
+    rest = f", about {time_words(left)} left" if left is not None else ""
     return f"{job.done} of {job.total}{rest}" if job.total else f"{job.done} files"
-
-
-def _duration(seconds: float) -> str:
-    return (
-        f"{seconds:.0f} s"
-        if seconds < 100
-        else f"{seconds / 60:.0f} min"
-        if seconds < 6000
-        else f"{seconds / 3600:.1f} h"
-    )
 
 
 def _draw(jobs: Jobs, job: Job, make_clip: Callable[[Job], None]) -> Callable[[Job], None]:
