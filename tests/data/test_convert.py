@@ -43,7 +43,7 @@ def test_a_conversion_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     assert sorted(each.name for each in (tmp_path / "out/manifest").iterdir()) == ["000000.jsonl"]
     monkeypatch.undo()
     run = convert(source, tmp_path / "out", "npz")
-    assert "holds a data set already, which --resume goes on with; got no --resume" in run.output
+    assert "must hold no data set, unless that is resumed; got one" in run.output
     kept = (tmp_path / "out/manifest/000000.jsonl").stat().st_ino
     assert convert(source, tmp_path / "out", "npz", "--resume").exit_code == 0
     assert contents(tmp_path / "out") == wanted
@@ -143,5 +143,5 @@ def test_types_are_part_of_what_a_set_is(tmp_path: Path) -> None:
         main, ["dataset", "make", "a.toml", "-o", str(tmp_path / "b"), "--count", "1", "--types", "color=int,x=1"]
     )
     assert run.exit_code == 2
-    message = "types: color must be one of float32, float16, uint8, uint16; got color=int; types: must name arrays"
+    message = "types: color must be one of float32, float16, uint8, uint16; got color=int; --types: must name arrays"
     assert message in " ".join(run.output.split())
