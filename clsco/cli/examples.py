@@ -19,13 +19,15 @@ from clsco.errors import SceneError
 @click.argument("names", metavar="[NAME]...", nargs=-1)
 @click.option("-o", "out", metavar="DIR", type=PATH, help="Folder for copies of these examples, with their images.")
 def examples(names: tuple[str, ...], out: Path | None) -> None:
-    """List the example files, or copy some: scenes for clsco render, and sets/NAME for clsco dataset make."""
+    """List the example files, or copy some: scenes for clsco render, sets/NAME for clsco dataset make, and images with
+    their masks for clsco inpaint."""
     from clsco.cli.tables import print_tables, table
     from clsco.resources import folder
     from clsco.scene.text import shown
 
     with as_file(folder("examples")) as place:
         files = {str(path.relative_to(place).with_suffix("")): path for path in sorted(place.rglob("*.toml"))}
+        files |= {path.stem: path for path in sorted(place.glob("*.png")) if _mask(path).is_file()}
         known = {name: path for name, path in files.items() if not name.startswith("thesis/")}
         if unknown := [name for name in names if name not in files]:
             raise SceneError(f"examples: must be some of {', '.join(known)}; got {shown(unknown[0])}")
@@ -47,12 +49,18 @@ def _content(path: Path) -> dict[str, Any]:
     return tomllib.loads(path.read_text("utf-8"))
 
 
+def _mask(image: Path) -> Path:
+    return image.with_stem(f"{image.stem}_mask")
+
+
 def _title(path: Path) -> str:
-    return str(_content(path).get("title", ""))
+    return str(_content(path).get("title", "")) if path.suffix == ".toml" else "Image with missing pixels, and its mask"
 
 
 def _named(path: Path) -> list[Path]:
-    """Files that a file names, beside it."""
+    """Files that a file names, beside it; the mask of an image."""
+    if path.suffix != ".toml":
+        return [_mask(path)]
     names = {text for text in _texts(_content(path)) if "/" not in text}
     return sorted(each for name in names if (each := path.parent / name).is_file())
 

@@ -378,14 +378,14 @@ def application(studio: Studio, attach: Attach) -> FastAPI:
 
 
 class _Server(uvicorn.Server):
-    """A server that has something done, by a thread that nobody waits for, as soon as it serves."""
+    """A server that has something done as soon as it serves."""
 
     begun: Callable[[], object] | None = None
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await super().startup(sockets)
         if self.begun is not None:
-            threading.Thread(target=self.begun, daemon=True).start()
+            self.begun()
 
 
 def serve(
@@ -422,13 +422,19 @@ def serve(
         guarded, log_level="warning", access_log=False, server_header=False, proxy_headers=False,
         ws_max_size=MAX_MESSAGE, timeout_graceful_shutdown=1, http=door(guarded.cookie),
     )  # fmt: skip
-    show(f"http://{shown}:{port}/?t={token}")
     server = _Server(config)
+
+    def begin() -> None:
+        """Show the address: from here on Ctrl-C is the server's, and is not lost in what Python collects."""
+        show(f"http://{shown}:{port}/?t={token}")
+        if opens_browser:
+            state.write(OPENING, _OPENING.format(address=f"http://{shown}:{port}/?c={guarded.new_code()}").encode())
+            address = (state.path / OPENING).as_uri()
+            threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()  # which nobody waits for
+
+    server.begun = begin
     gc.collect()
     gc.freeze()  # what stays is not looked through for what pages leave
-    if opens_browser:
-        state.write(OPENING, _OPENING.format(address=f"http://{shown}:{port}/?c={guarded.new_code()}").encode())
-        server.begun = lambda: webbrowser.open((state.path / OPENING).as_uri())
     try:
         with suppress(KeyboardInterrupt):
             server.run(sockets=[listener])

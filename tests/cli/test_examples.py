@@ -28,6 +28,8 @@ def test_all_are_listed_and_copied(tmp_path: Path) -> None:
     for _, sweep in load_sweeps(sorted((tmp_path / "scenes").glob("*.toml")), ()):
         assert not isinstance(sweep, Exception), sweep
     assert (tmp_path / "scenes" / "depth_map_depth.png").read_bytes() == (ROOT / "depth_map_depth.png").read_bytes()
+    assert examples("damaged", "-o", tmp_path).exit_code == 0
+    assert (tmp_path / "damaged_mask.png").read_bytes() == (ROOT / "damaged_mask.png").read_bytes()
     assert examples(*(f"sets/{name}" for name in sets), "-o", tmp_path / "sets").exit_code == 0
     for name in sets:
         load_distribution(tmp_path / "sets" / f"{name}.toml")

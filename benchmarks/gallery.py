@@ -1,0 +1,103 @@
+"""Pictures and page of docs/gallery.md, one for each example: python -m benchmarks.gallery [NAME ...]"""
+
+from __future__ import annotations
+
+import argparse
+import tomllib
+from pathlib import Path
+
+from PIL import Image
+
+import clsco
+from clsco.data.distribution import load_distribution
+
+ROOT = Path(__file__).resolve().parents[1]
+EXAMPLES, PAGE, PICTURES = ROOT / "examples", ROOT / "docs/gallery.md", ROOT / "docs/gallery"
+WIDTH, QUALITY = 320, 82  # px, of 100
+SEED = 2026
+TOLERANCE = 0.004  # of white, a code of 8 bits
+
+CHAPTERS = (
+    "Shapes", "Several objects", "Motion", "Lenses", "Sensors and shutters", "Photographs, pairs and stacks",
+    "Data sets",
+)  # fmt: skip
+
+HEAD = """# Gallery
+
+Each example with its picture, its file and what it shows. `clsco examples NAME -o .` copies it with its images, and
+`clsco render NAME.toml -o frames` renders it, `clsco dataset make NAME.toml -o DATA --count 100` makes a set of it.
+`python -m benchmarks.gallery` makes this page and its pictures. The figures of [the thesis](thesis.md) are examples as
+well.
+"""
+
+
+def title_and_words(path: Path) -> tuple[str, str]:
+    """Title of an example, and the comment at its top."""
+    text = path.read_text("utf-8")
+    top = []
+    for line in text.splitlines():
+        if not line.startswith("#"):
+            break
+        top.append(line.removeprefix("#").strip())
+    return tomllib.loads(text)["title"], " ".join(top)
+
+
+def chapter(name: str, scene: clsco.Scene, several: bool) -> str:
+    """Heading of the gallery under which a scene stands."""
+    shapes = {item.shape for item in scene.objects}
+    if name.startswith("sets/"):
+        return "Data sets"
+    if several or scene.stereo is not None or "depth_map" in shapes:
+        return "Photographs, pairs and stacks"
+    if scene.sensor is not None or scene.sequence.readout:
+        return "Sensors and shutters"
+    if scene.aperture != clsco.Aperture() or scene.lens is not None or scene.psf.model == "wave":
+        return "Lenses"
+    if scene.moves:
+        return "Motion"
+    return "Several objects" if len(scene.objects) > 1 else "Shapes"
+
+
+def first_scene(name: str) -> tuple[clsco.Scene, bool]:
+    """A scene of an example, and whether it is one of several."""
+    path = EXAMPLES / f"{name}.toml"
+    if name.startswith("sets/"):
+        return load_distribution(path).draw(SEED, 0).scenes[0], True
+    sweep = clsco.load_sweep(path)
+    return sweep.scenes[len(sweep.scenes) // 2], len(sweep.scenes) > 1
+
+
+def picture_name(name: str) -> str:
+    return f"{name.replace('sets/', 'set_')}.jpg"
+
+
+def make_picture(name: str, scene: clsco.Scene) -> None:
+    views = clsco.render(scene, frames=[scene.sequence.frames // 2], truth=(), tolerance=TOLERANCE)
+    picture = Image.fromarray(next(iter(views)).image())
+    size = WIDTH, round(picture.height * WIDTH / picture.width)
+    path = PICTURES / picture_name(name)
+    path.parent.mkdir(exist_ok=True)
+    picture.resize(size, Image.Resampling.LANCZOS).save(path, quality=QUALITY)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", metavar="NAME", nargs="*", help="of pictures to make; by default all")
+    wanted = parser.parse_args().names
+    chapters: dict[str, list[str]] = {}
+    for path in sorted([*EXAMPLES.glob("*.toml"), *EXAMPLES.glob("sets/*.toml")]):
+        name = path.relative_to(EXAMPLES).with_suffix("").as_posix()
+        title, words = title_and_words(path)
+        scene, several = first_scene(name)
+        if not wanted or name in wanted:
+            make_picture(name, scene)
+            print(name)
+        picture = f"![{title}](gallery/{picture_name(name)})"
+        row = f"| {picture} | **{title}**<br>[{name}](../examples/{name}.toml)<br>{words} |"
+        chapters.setdefault(chapter(name, scene, several), []).append(row)
+    tables = ["\n".join((f"## {heading}\n", "| | |", "|---|---|", *chapters[heading])) for heading in CHAPTERS]
+    PAGE.write_text("\n\n".join((HEAD.rstrip(), *tables)) + "\n", "utf-8")
+
+
+if __name__ == "__main__":
+    main()
