@@ -237,7 +237,7 @@ def load_distribution(
     Parameters
     ----------
     distribution : str, os.PathLike or mapping
-        A .toml or .json file of at most 1 MiB, see docs/datasets.md, or its content.
+        A .toml or .json file of at most 1 MiB, see docs/distributions.md, or its content.
     overrides : sequence of str
         As for `clsco.load_scene`; a key that is given does not vary any more.
     splits : str, mapping, sequence of (str, float) or None

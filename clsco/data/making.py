@@ -125,7 +125,7 @@ def make(
     splits : str or mapping, optional
         Shares of the splits, such as {"train": 0.9, "test": 0.1}.
     format : str
-        Format of the files: "webdataset", "npz", "hdf5" and so on, see docs/datasets.md.
+        Format of the files: "webdataset", "npz", "hdf5" and so on, see docs/loading.md.
     shard_size : int
         Samples of a shard, which is one file.
     devices : str or sequence of str

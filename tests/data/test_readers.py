@@ -34,7 +34,7 @@ def png(content: bytes) -> np.ndarray[Any, Any]:
 
 
 def npy(content: bytes) -> np.ndarray[Any, Any]:
-    """The two lines of docs/datasets.md."""
+    """The two lines of docs/loading.md."""
     zstandard = pytest.importorskip("zstandard")
     found: np.ndarray[Any, Any] = np.load(io.BytesIO(zstandard.decompress(content)))
     return found
@@ -156,7 +156,7 @@ def test_spawned_workers_read_a_set(tmp_path: Path) -> None:
     assert list(found[0].arrays) == ["depth"]
 
 
-RECIPES = Path(__file__).resolve().parents[2] / "docs/datasets.md"
+RECIPES = Path(__file__).resolve().parents[2] / "docs/loading.md"
 
 
 @pytest.mark.slow
