@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -159,7 +160,8 @@ def _line(out: str, status: Status) -> str:
     """Summary of a set in one line."""
     failed = f", {status.failed} failed" if status.failed else ""
     whole = "" if status.is_whole else f" of {status.shards}, as far as it is made"
-    made = f"{status.made} samples in {len(status.done)} shards"
+    shards = len(status.done)
+    made = f"{status.made} samples in {shards} shard{'' if shards == 1 else 's'}"
     return f"{click.format_filename(out)}: {made}{whole}{failed}, {size_words(status.bytes)}"
 
 
@@ -257,12 +259,14 @@ def open_data(data: str, sheet: Path | None) -> None:
         (name, about["dtype"], " x ".join(map(str, about["shape"])), about["unit"], about["convention"])
         for name, about in card.get("arrays", {}).items()
     ]
+    place = json.dumps(data)[:-1]
+    loading = {name: code.replace('"DATA', place) for name, code in card.get("load", {}).items()}
     splits = ", ".join(f"{sum(count for _, count in files)} of {name}" for name, files in card["files"].items() if name)
     about = f"{len(found)} samples{f' ({splits})' if splits else ''}, {card['identity']['format']}"
     print_tables(
         f"{click.format_filename(data)}: {about}",
         table("Arrays", ("array", "type", "shape", "unit", "what it is"), rows),
-        *(f"{package}: {code}" for package, code in card.get("load", {}).items()),
+        *(f"{package}: {code}" for package, code in loading.items()),
     )
     if sheet is not None:
         write_png(sheet, record_sheet(found[:SHOWN]))

@@ -81,7 +81,7 @@ def test_a_set_is_made_looked_at_and_checked(place: Path) -> None:
         result = make("-o", "parts", "--count", 10, "--seed", 5, "--part", f"{k}/3", "--license", "CC0-1.0")
         assert result.exit_code == 0
         if k == 2:
-            assert result.stdout.startswith("parts: 2 samples in 1 shards of 3, as far as it is made, ")
+            assert result.stdout.startswith("parts: 2 samples in 1 shard of 3, as far as it is made, ")
             shown = dataset("status", "parts").stdout.splitlines()
             assert shown[:2] == ["shards: 1 of 3", f"samples: 2 made, 0 failed, of 10; {size(place / 'parts')}"]
             assert shown[2].startswith("rate: ")
@@ -242,7 +242,7 @@ def test_a_set_is_opened(place: Path) -> None:
     result = dataset("open", "one", "--sheet", "sheet.png")
     assert result.exit_code == 0
     assert result.stdout.startswith("one: 5 samples (")
-    for text in ("depth", "float32", "16 x 24", "mm", 'clsco.data.open("DATA", ', "sheet.png: pictures of 5 samples"):
+    for text in ("depth", "float32", "16 x 24", "mm", 'clsco.data.open("one", ', "sheet.png: pictures of 5 samples"):
         assert text in result.stdout
     assert read_image(Path("sheet.png")).data.ndim == 3
 
