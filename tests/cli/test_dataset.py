@@ -207,7 +207,7 @@ def test_help_has_the_commands() -> None:
 
 def test_former_names_work_for_one_version(place: Path) -> None:
     result = CliRunner().invoke(main, ["batch", "set.toml", "-o", "one", "--count", "2"])
-    assert (result.exit_code, result.stdout) == (0, f"one: 2 samples in 1 shards, {size(place / 'one')}\n")
+    assert (result.exit_code, result.stdout) == (0, f"one: 2 samples in 1 shard, {size(place / 'one')}\n")
     said = "clsco batch: is called clsco dataset make now; the former name goes in the next version\n"
     assert result.stderr == said
     result = CliRunner().invoke(main, ["batch", "status", "one"])
