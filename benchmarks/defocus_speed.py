@@ -26,7 +26,7 @@ from rich.table import Table
 from benchmarks.speed.direct import THREADS, axis_table, dense_table, gaussian_bands, scatter
 from benchmarks.tables import write_table
 from clsco.cli.bench.cases import radius_map
-from clsco.cli.bench.passes import Pass
+from clsco.cli.bench.passes import MeasuredPass
 from clsco.opencl.device import choose
 from clsco.opencl.session import Session
 from clsco.optics.point_spread import point_spread
@@ -93,7 +93,7 @@ def main() -> None:
             shape = (options.side, options.side, channels)
             image, radius = np.random.default_rng(0).random(shape, np.float32), radius_map(options.side, largest)
             for name, (psf, ways) in cases_of(image, radius).items():
-                device_pass = Pass(session, image, radius, psf, "gather", "double")
+                device_pass = MeasuredPass(session, image, radius, psf, "gather", "double")
                 passes: dict[str, Callable[[], object]] = {
                     **{f"numba {n}": way for n, way in enumerate(ways)},
                     "prepass": partial(finished, session, device_pass.prepare),

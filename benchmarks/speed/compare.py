@@ -14,7 +14,7 @@ from benchmarks.speed.lens import Lens, LensRow
 from benchmarks.speed.lensreport import lens_plot, lens_table
 from benchmarks.speed.warp import WarpRow, warp_table
 from clsco.cli.bench import measure, report
-from clsco.cli.bench.cases import Grid, Peer
+from clsco.cli.bench.cases import BenchGrid, Peer
 from clsco.cli.bench.measure import Bench
 from clsco.files.plots import require_matplotlib
 from clsco.opencl.device import Device
@@ -56,7 +56,7 @@ class Compared(Bench):
 class Comparison:
     """A run of `clsco dev bench --compare`; frames: None where only some sizes or radii are measured."""
 
-    grid: Grid
+    grid: BenchGrid
     frames: Frames | None
     tools: Sequence[str]
     missing: dict[str, str]
@@ -110,12 +110,12 @@ class Comparison:
         return Compared(**vars(replace(base, versions=versions, settings=settings)), lens=frames, warp=warps)
 
 
-def comparison(grid: Grid, quick: bool, whole: bool) -> Comparison:
+def comparison(grid: BenchGrid, quick: bool, whole: bool) -> Comparison:
     """Make the comparison that the command's options ask for.
 
     Parameters
     ----------
-    grid : Grid
+    grid : BenchGrid
         Grid of the blur.
     quick : bool
         Mitsuba gets fewer rays.

@@ -20,7 +20,7 @@ from rich.table import Table
 from benchmarks.defocus_speed import measured
 from benchmarks.speed.peers import opencv
 from benchmarks.tables import write_table
-from clsco.cli.bench.passes import Pass
+from clsco.cli.bench.passes import MeasuredPass
 from clsco.opencl.device import choose
 from clsco.opencl.session import Session
 from clsco.optics.point_spread import point_spread
@@ -42,7 +42,7 @@ def error_of(psf: Psf, side: int, radius: float, session: Session) -> tuple[floa
     span = np.arange(-point_spread(psf).reach(radius), point_spread(psf).reach(radius) + 1.0)
     kernel = point_spread(psf).weights(span[None, :], span[:, None], np.asarray(radius))
     expected = cv2.filter2D(image.astype(np.float64), -1, kernel, borderType=cv2.BORDER_CONSTANT)
-    found = Pass(session, image, np.full(image.shape, radius), psf, "convolve", "double")([])
+    found = MeasuredPass(session, image, np.full(image.shape, radius), psf, "convolve", "double")([])
     return float(np.sqrt(np.mean((found - expected) ** 2))), float(np.abs(found - expected).max())
 
 
@@ -65,7 +65,7 @@ def main() -> None:
                 radii = np.full((side, side), radius)
                 for name in options.psf:
                     psf = PSFS[name]
-                    own = Pass(session, image, radii, psf, "convolve", "double")
+                    own = MeasuredPass(session, image, radii, psf, "convolve", "double")
                     passes: dict[str, Callable[[], object]] = {
                         "clsco": partial(own, []),
                         "filter2D": opencv("filter2D", psf, image, radius),

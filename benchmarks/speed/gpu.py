@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 import clsco
 from benchmarks.tables import Figures, write_table
 from clsco.cli.bench.cases import channels_of, picture, radius_map
-from clsco.cli.bench.passes import Pass
+from clsco.cli.bench.passes import MeasuredPass
 from clsco.frame.frame import Frame
 from clsco.opencl.device import choose
 from clsco.opencl.pace import spent
@@ -89,9 +89,11 @@ def spread(method: str, radius: float, channels: int) -> Call:
     image, radii = channels_of(picture(2048), channels), radius_map(2048, radius)
 
     @cache
-    def made(device: str) -> Pass:
+    def made(device: str) -> MeasuredPass:
         session = session_on(choose(device))
-        return Pass(session, image, radii, Psf(), "gather" if session.device.kind == "cpu" else method, "double")
+        return MeasuredPass(
+            session, image, radii, Psf(), "gather" if session.device.kind == "cpu" else method, "double"
+        )
 
     def call(device: str) -> tuple[Array, Spent]:
         events: Events = []

@@ -18,7 +18,7 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from clsco.cli.bench.stages import Stages
+from clsco.cli.bench.stages import MeasuredStages
 from clsco.inputs.textures import load_scene_textures
 from clsco.opencl.device import Device
 from clsco.opencl.session import Session
@@ -88,7 +88,7 @@ def run(device: Device, size: int, advance: Callable[[], object]) -> list[WarpRo
     with Session(device) as session:
         for name in SCENES:
             scene, texture = scene_at(name, size)
-            stages, tests = Stages(session, scene, texture), numba_depth_tests(scene)
+            stages, tests = MeasuredStages(session, scene, texture), numba_depth_tests(scene)
             spent = _measured([stages.depth_test, stages.gather, stages.fill, *tests.values()], advance)
             peers = dict(zip(tests, spent[3:], strict=True))
             fastest = min(peers, key=lambda key: peers[key])

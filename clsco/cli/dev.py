@@ -10,7 +10,7 @@ import click
 from clsco.cli.inputs import first_scene
 from clsco.cli.options import (
     PATH,
-    Extent,
+    BenchExtent,
     bench_extent,
     device_option,
     one_scene,
@@ -25,7 +25,7 @@ from clsco.cli.render import request_for
 from clsco.errors import ClscoError
 
 if TYPE_CHECKING:
-    from clsco.cli.bench.command import Task
+    from clsco.cli.bench.command import BenchTask
 
 
 @click.group()
@@ -98,7 +98,7 @@ _bench_out = click.option(
 @bench_extent
 @device_option
 @quiet_option
-def bench(out: Path, extent: Extent, device: str | None, quiet: bool) -> None:
+def bench(out: Path, extent: BenchExtent, device: str | None, quiet: bool) -> None:
     """Measure speed against error of the defocus pass: bench.json, bench.csv and plots in DIR.
 
     Time is process CPU time, on a graphics card that of its kernels; from radii on the device to the frame on the host.
@@ -118,12 +118,12 @@ def bench(out: Path, extent: Extent, device: str | None, quiet: bool) -> None:
 @quiet_option
 def stability(out: Path, quick: bool, device: str | None, quiet: bool) -> None:
     """Measure errors of hard cases of numerics against an oracle of 106 bits: stability.json, CSV files and a plot."""
-    from clsco.cli.bench.command import Stability
+    from clsco.cli.bench.command import StabilityTask
 
-    _run(Stability(quick), out, device, quiet)
+    _run(StabilityTask(quick), out, device, quiet)
 
 
-def _run(task: Task, out: Path, device: str | None, quiet: bool) -> None:
+def _run(task: BenchTask, out: Path, device: str | None, quiet: bool) -> None:
     """Measure, print the tables, and fail where something is beyond its bound."""
     require_device(device)
     from clsco.cli.progress import progress

@@ -5,7 +5,7 @@ from __future__ import annotations
 from rich.console import RenderableType
 
 from clsco.cli.tables import print_tables, table
-from clsco.data.dryrun import DryRun, Histogram
+from clsco.data.dryrun import DryRun, SeenHistogram
 from clsco.scene.text import size_words, time_words
 
 BAR = 40  # characters of the longest bar
@@ -55,7 +55,7 @@ def print_dry_run(found: DryRun) -> None:
         print_tables(f"{found.sheet}: pictures of some samples")
 
 
-def _histogram(one: Histogram) -> RenderableType:
+def _histogram(one: SeenHistogram) -> RenderableType:
     most = max(one.shares)
     rows = [
         (f"{low:.4g} to {high:.4g}", f"{share:.1%}", "#" * round(BAR * share / most))

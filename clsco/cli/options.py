@@ -208,7 +208,7 @@ def one_value(name: str, kind: type[Any], *options: Callable[[Command], Command]
 
 
 @dataclass(frozen=True)
-class Extent:
+class BenchExtent:
     """Extent of `clsco dev bench`: options of these names."""
 
     quick: bool = False
@@ -315,7 +315,7 @@ computation_options = one_value(
 quick_option = click.option("--quick", is_flag=True, help="A small grid: a minute or two on a slow machine.")
 bench_extent = one_value(
     "extent",
-    Extent,
+    BenchExtent,
     quick_option,
     click.option(
         "--compare",

@@ -16,8 +16,8 @@ from clsco.cli.thesis_figures import (
     OTHERS,
     TRUTH,
     Figure,
-    Made,
     Number,
+    RenderedScene,
     numbers_named,
     union_of_missing,
 )
@@ -102,7 +102,7 @@ def render(
             stem = job.folder.name
             rendered[stem] += frames
             if len(rendered[stem]) == len(job.frames):
-                made = Made(job.prepared.scene, tuple(rendered.pop(stem)))
+                made = RenderedScene(job.prepared.scene, tuple(rendered.pop(stem)))
                 if (mask := f"{stem}/missing.png") in pictures:
                     write_png(out / mask, np.where(union_of_missing(made.frames), 255, 0).astype(np.uint8))
                 for number in numbers:

@@ -21,7 +21,7 @@ TRUTH = ("depth", "blur_radius", "missing", "mask", "object_id", "normal", "flow
 
 
 @dataclass(frozen=True)
-class Made:
+class RenderedScene:
     """A scene with its frames, which have `TRUTH`, and `subframes` where a figure shows them."""
 
     scene: Scene
@@ -82,7 +82,7 @@ class Number:
     scenes : tuple of str
         Scenes that it is measured in; none for a default of clsco.
     measure : callable
-        Measures it in a `Made`; of several scenes the largest counts.
+        Measures it in a `RenderedScene`; of several scenes the largest counts.
     digits : int
         Decimals that are shown.
     most : float, optional
@@ -127,7 +127,7 @@ def _missing(scene: str) -> str:
 def _slope(axis: int) -> Measure:
     """Slope of a plane along x (0) or y (1), from its normals."""
 
-    def measure(made: Made) -> float:
+    def measure(made: RenderedScene) -> float:
         normal = made.of_surface("normal")
         return float(np.mean(normal[:, axis] / -normal[:, 2]))
 
@@ -139,23 +139,23 @@ def _spread(name: str, axis: int | None = None) -> Measure:
     return lambda made: float(np.ptp(getattr(made.frames[0], name), axis=(0, 1) if axis is None else axis).max())
 
 
-def _focused_depth(made: Made) -> float:
+def _focused_depth(made: RenderedScene) -> float:
     """Depth at which R is 0: R is linear in inverse depth (2.33)."""
     slope, offset = np.polyfit(1.0 / made.of_surface("depth").astype(np.float64), made.of_surface("blur_radius"), 1)
     return float(-slope / offset)
 
 
-def _largest_blur(made: Made) -> float:
+def _largest_blur(made: RenderedScene) -> float:
     return float(np.abs(made.of_surface("blur_radius")).max())
 
 
-def _middle_blur(made: Made) -> float:
+def _middle_blur(made: RenderedScene) -> float:
     radius = made.frames[0].blur_radius
     assert radius is not None
     return float(np.abs(radius[tuple(n // 2 for n in radius.shape)]))
 
 
-def _diagonal_blur(made: Made) -> float:
+def _diagonal_blur(made: RenderedScene) -> float:
     radius = made.frames[0].blur_radius
     assert radius is not None
     return float(np.abs(np.diagonal(radius)).max())
@@ -164,7 +164,7 @@ def _diagonal_blur(made: Made) -> float:
 def _displacement(name: str) -> Measure:
     """Length of the flow of an object, px."""
 
-    def measure(made: Made) -> float:
+    def measure(made: RenderedScene) -> float:
         frame, (number,) = made.frames[0], [k for k, item in enumerate(made.scene.objects) if item.name == name]
         assert frame.flow is not None
         return float(np.linalg.norm(frame.flow[frame.object_id == number], axis=-1).mean())
@@ -172,12 +172,12 @@ def _displacement(name: str) -> Measure:
     return measure
 
 
-def _step(made: Made) -> float:
+def _step(made: RenderedScene) -> float:
     """Time between time samples, s."""
     return float(np.mean(np.diff([sample["time"] for sample in made.samples()])))
 
 
-def _turn(made: Made) -> float:
+def _turn(made: RenderedScene) -> float:
     """Angle about y between time samples, deg."""
     return _step(made) * made.scene.objects[0].motion.angular_velocity[1]
 
@@ -187,11 +187,11 @@ def _of_samples(name: str) -> Measure:
     return lambda made: sum(sample[name] for sample in made.samples())
 
 
-def _missing_pixels(made: Made) -> float:
+def _missing_pixels(made: RenderedScene) -> float:
     return float(union_of_missing(made.frames).sum())
 
 
-def _grazing_angle(made: Made) -> float:
+def _grazing_angle(made: RenderedScene) -> float:
     """Angle between the optical axis and a plane, deg."""
     return float(np.degrees(np.arcsin(np.abs(made.of_surface("normal")[:, 2]).mean())))
 

@@ -74,7 +74,7 @@ def video(
         raise click.UsageError(f"-o -: needs --preset y4m, which alone goes to a pipe; got {preset}")
     from clsco.cli.progress import progress
     from clsco.files.video import preset_for, require_video
-    from clsco.frame.video import Playing, Shown, clip_path, write_folder_clip
+    from clsco.frame.video import Playing, ShownFrames, clip_path, write_folder_clip
     from clsco.frame.written import written_frames
 
     name = "y4m" if to_pipe else preset_for(out, preset)
@@ -86,7 +86,9 @@ def video(
         for eye in frames.eyes:
             target = clip_path(out, eye)
             stream = standard_output() if to_pipe else target
-            facts = write_folder_clip(stream, frames, Shown(eye, view, from_exr), name, playing, transfer_tag, advance)
+            facts = write_folder_clip(
+                stream, frames, ShownFrames(eye, view, from_exr), name, playing, transfer_tag, advance
+            )
             _report(target, facts)
 
 
@@ -133,7 +135,7 @@ def remove_clips(jobs: Sequence[Job], preset: str) -> None:
 def write_clips(jobs: Sequence[Job], preset: str) -> None:
     """Write a clip beside the frames of each job, where all of its scene's are there; otherwise say so."""
     from clsco.frame.files import frame_json
-    from clsco.frame.video import Playing, Shown, write_folder_clip
+    from clsco.frame.video import Playing, ShownFrames, write_folder_clip
     from clsco.frame.written import written_frames
 
     for job in jobs:
@@ -150,4 +152,4 @@ def write_clips(jobs: Sequence[Job], preset: str) -> None:
             _report(job.folder, ["no clip, as some of the frames are of another scene"])
             continue
         for eye, path in _clips(job, preset):
-            _report(path, write_folder_clip(path, frames, Shown(eye), preset, Playing()))
+            _report(path, write_folder_clip(path, frames, ShownFrames(eye), preset, Playing()))

@@ -1,14 +1,16 @@
-"""From the values of one sample to its table, which is a scene file, and its scenes."""
+"""From the values of one sample to its table, which is a scene file, and its scenes; and scenes of extreme values, as a
+file that can give an invalid one is refused when it is read."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from clsco.data.acceptance import UnfitError, derived
-from clsco.data.parts import FILE_KEYS, Location, Parameter, Parts, Population, copied, is_file
+from clsco.data.compile import FILE_KEYS, Location, Parameter, Population, VariedKeys, copied, is_file
 from clsco.data.values import Placed
 from clsco.errors import ImageError, SceneError
 from clsco.inputs.textures import texture_size
@@ -43,12 +45,12 @@ class Builder:
 
     Parameters
     ----------
-    parts : Parts
+    parts : VariedKeys
     folder : Path
         Start of paths.
     """
 
-    def __init__(self, parts: Parts, folder: Path) -> None:
+    def __init__(self, parts: VariedKeys, folder: Path) -> None:
         self._parts, self._folder = parts, folder
         self._table: dict[str, Any] = copied(parts.scene)
         self._parameters: dict[str, Any] = {}
@@ -188,3 +190,50 @@ def _first(key: str, value: Any) -> Any:
         return value.get("from")
     several = isinstance(value, list) and value and (key != "resolution" or isinstance(value[0], list))
     return value[0] if several else value
+
+
+MAX_CORNERS = 400
+MAX_EXTREMES = 48  # of one distribution
+
+
+def corner_faults(parts: VariedKeys, folder: Path) -> list[str]:
+    """Messages on scenes of extreme values, each once: the lowest of all, the highest of all, and each extreme of one
+    parameter with the lowest and the highest values of the others."""
+    found: dict[str, str] = {}  # by what is asked for
+    for corner in _corners(parts):
+        try:
+            Builder(parts, folder).build(corner, derive=False)
+        except SceneError as error:
+            for message in error.messages:
+                found.setdefault(message.partition("; got ")[0], message)
+    return list(found.values())
+
+
+def _corners(parts: VariedKeys) -> Iterator[Values]:
+    every = [*parts.parameters, *(rows.parameter for rows in parts.rows)]
+    every += [one for population in parts.populations for one in population.parameters]
+    extremes = {one.name: _some(one.form.extremes()) for one in every}
+    lowest, highest = ({name: values[end] for name, values in extremes.items()} for end in (0, -1))
+    yield _values(parts, lowest, 0)
+    yield _values(parts, highest, -1)
+    varied = ((name, value, others) for name in extremes for value in extremes[name] for others in (lowest, highest))
+    for name, value, others in islice(varied, MAX_CORNERS):
+        yield _values(parts, others | {name: value}, None)
+
+
+def _values(parts: VariedKeys, picked: dict[str, Any], many: int | None) -> Values:
+    """Values by the names of their parameters; many: which extreme of the size of each population, None for one object
+    of each."""
+    members = []
+    for population in parts.populations:
+        counts = population.count.form.extremes()
+        count = min(1, max(counts)) if many is None else sorted(counts)[many]
+        members.append([[picked[one.name] for one in population.parameters]] * count)
+    rows = [picked[one.parameter.name] for one in parts.rows]
+    return Values([picked[one.name] for one in parts.parameters], rows, members)
+
+
+def _some(values: tuple[Any, ...]) -> list[Any]:
+    """At most MAX_EXTREMES of the values, the first and the last among them."""
+    count = min(len(values), MAX_EXTREMES)
+    return [values[(len(values) - 1) * k // max(1, count - 1)] for k in range(count)]

@@ -9,7 +9,7 @@ from typing import Any
 
 from clsco.data.containers import CONTAINERS
 from clsco.data.encoding import is_png
-from clsco.data.manifest import UNSPLIT, Identity, Parts, files_of, parsed_part
+from clsco.data.manifest import UNSPLIT, Identity, ManifestParts, files_of, parsed_part
 from clsco.data.storage import Storage
 
 CARD, README = "dataset.json", "README.md"
@@ -40,7 +40,7 @@ def split_files(storage: Storage) -> dict[str, list[tuple[str, int]]]:
         A part is damaged.
     """
     found: dict[str, list[tuple[str, int]]] = {}
-    for _, data in Parts(storage).read():
+    for _, data in ManifestParts(storage).read():
         for split, listed in files_of(parsed_part(data), data).items():
             found.setdefault(split, []).extend(listed)
     return {split: found[split] for split in sorted(found)}

@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING, Any
 
 from clsco import __version__
 from clsco.data.pool import limit_threads, stoppable
-from clsco.data.schedule import DIED, Schedule, Task
+from clsco.data.schedule import DIED, Schedule, ShardTask
 from clsco.data.storage import open_storage
 from clsco.data.worker import device_of, failure_of, perform
 from clsco.errors import ClscoError, DeviceError, ImageError
 from clsco.resources import processors
 
 if TYPE_CHECKING:
-    from clsco.data.shards import Job, ShardMaker
+    from clsco.data.shards import SetJob, ShardMaker
 
 WORKERS_S = 600.0  # until a cluster has a worker, which may wait in a queue
 LOOK_S = 1.0  # between looks at the workers there are
@@ -46,12 +46,12 @@ def cluster_device(address: str) -> tuple[str, str]:
         return str(family), str(precision)
 
 
-def run_cluster(job: Job, shards: Sequence[int], address: str, advance: Callable[[int], object]) -> None:
+def run_cluster(job: SetJob, shards: Sequence[int], address: str, advance: Callable[[int], object]) -> None:
     """Make shards on the workers of a cluster, one at a time on each.
 
     Parameters
     ----------
-    job : Job
+    job : SetJob
     shards : sequence of int
     address : str
         Address of the scheduler, such as tcp://host:8786.
@@ -66,7 +66,7 @@ def run_cluster(job: Job, shards: Sequence[int], address: str, advance: Callable
     distributed = _distributed()
     schedule = Schedule((shard, job.numbers(shard)) for shard in shards)
     packed = pickle.dumps(job)
-    running: dict[Any, Task] = {}
+    running: dict[Any, ShardTask] = {}
     ended = threading.Event()
     with stoppable(), _client(distributed, address) as client:
         try:
@@ -93,7 +93,7 @@ def run_cluster(job: Job, shards: Sequence[int], address: str, advance: Callable
     open_storage(job.where).tidy()
 
 
-def _ended_well(distributed: Any, schedule: Schedule, task: Task, future: Any, address: str) -> bool:
+def _ended_well(distributed: Any, schedule: Schedule, task: ShardTask, future: Any, address: str) -> bool:
     """Record how a task ended; True if it gave its result. Raises ClscoError where every other task would fail as
     well."""
     if future.status == "cancelled":
@@ -180,7 +180,7 @@ def _described(per_host: Mapping[str, int]) -> tuple[str, str]:
         return device_family(device), "double" if device.has_fp64 else "single"
 
 
-def _perform(packed: bytes, task: Task, per_host: Mapping[str, int]) -> tuple[str, str]:
+def _perform(packed: bytes, task: ShardTask, per_host: Mapping[str, int]) -> tuple[str, str]:
     """In a worker: do a task; "done", "failed" or "fatal", and why."""
     with _lock:
         try:
@@ -199,7 +199,7 @@ def _maker(packed: bytes, per_host: Mapping[str, int]) -> ShardMaker:
 
     name = hashlib.sha256(packed).hexdigest()
     if name not in _makers:
-        job: Job = pickle.loads(packed)
+        job: SetJob = pickle.loads(packed)
         if job.identity.version != __version__:
             rule = f"worker: must have version {job.identity.version} of clsco"
             raise ClscoError(f"{rule}; got {__version__}") from OSError()

@@ -14,8 +14,8 @@ from clsco.data.manifest import part_bytes, part_key
 from clsco.data.record import Record
 from clsco.data.sets import DataSet, Status, begun, finish, open_set, status_of
 from clsco.data.storage import Storage, remove_path
-from clsco.data.strict import strict_json
 from clsco.errors import ImageError
+from clsco.files.bounded import strict_json
 
 OWN = ("identity", "samples", "counts", "arrays", "conventions", "load", "cite", "files")  # of a card, not carried over
 

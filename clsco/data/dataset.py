@@ -20,9 +20,9 @@ from clsco.data.containers import ShardReader, container_named
 from clsco.data.draws import shuffled
 from clsco.data.record import ABOUT, PICTURES, Record, is_wanted
 from clsco.data.storage import Storage, checked_key, open_storage, remove_path
-from clsco.data.strict import strict_json
 from clsco.errors import ImageError, SceneError
 from clsco.files.atomic import refuse
+from clsco.files.bounded import strict_json
 from clsco.frame.shown import html_to_show
 
 MOST_OPEN = 16  # shards, of the formats that keep a file or a row group

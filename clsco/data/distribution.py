@@ -14,13 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.data.acceptance import Bounds, UnfitError, bounds_of, refusal
-from clsco.data.build import Builder, Values
-from clsco.data.corners import corner_faults
+from clsco.data.build import Builder, Values, corner_faults
+from clsco.data.compile import Parameter, Reader, VariedKeys
 from clsco.data.draws import MAX_SEED, Words, stream_words
 from clsco.data.folder import Folder
-from clsco.data.parts import Parameter, Parts, Reader
 from clsco.data.splits import Splits, SplitsLike, of_samples, splits_of
-from clsco.data.tables import Tables, read_tables
+from clsco.data.tables import RowTables, read_tables
 from clsco.data.values import Column, Draw
 from clsco.errors import SceneError
 from clsco.resources import read_regular
@@ -99,10 +98,10 @@ class Distribution:
         SHA-256 in hexadecimal of all that decides samples: the tables with base and overrides, the splits, and names
         and contents of the files that samples may have.
     splits : tuple of (str, float)
-    parts : Parts
+    parts : VariedKeys
     accept : tuple of (str, float, float)
         Measures with the least and the largest value.
-    tables : Tables
+    tables : RowTables
         Content of the file, joined with its base and overrides.
     recipe : str
         All of it as text: that of the file, where that has no base and there are no overrides.
@@ -112,9 +111,9 @@ class Distribution:
     folder: Path
     digest: str
     splits: Splits
-    parts: Parts
+    parts: VariedKeys
     accept: Bounds
-    tables: Tables
+    tables: RowTables
     recipe: str
 
     @property
@@ -281,13 +280,13 @@ def load_distribution(
     )
 
 
-def _recipe(where: str, content: Mapping[str, Any] | None, tables: Tables, overrides: Sequence[str]) -> str:
+def _recipe(where: str, content: Mapping[str, Any] | None, tables: RowTables, overrides: Sequence[str]) -> str:
     if content is None and not overrides and not tables.is_joined:
         return read_regular(where, MAX_FILE_BYTES, follow=True).decode("utf-8-sig")
     return toml_text(tables.content())
 
 
-def _not_analytic(parts: Parts) -> list[str]:
+def _not_analytic(parts: VariedKeys) -> list[str]:
     """Objects that rays cannot be cast at."""
     shapes = [(f"object[{k}]", item.get("shape")) for k, item in enumerate(parts.scene.get("object", ()))]
     shapes += [(f"vary.object[{p.entry}]", shape) for p in parts.populations for shape in p.shapes]
@@ -295,6 +294,6 @@ def _not_analytic(parts: Parts) -> list[str]:
     return [f'{key}.shape: {rule}; got "depth_map"' for key, shape in shapes if shape == "depth_map"]
 
 
-def _digest(tables: Tables, splits: Splits, folder: Folder) -> str:
+def _digest(tables: RowTables, splits: Splits, folder: Folder) -> str:
     content = [VERSION, tables.scene, tables.vary, tables.accept, tables.derive, splits, sorted(folder.digests.items())]
     return hashlib.sha256(json.dumps(content, default=str).encode()).hexdigest()

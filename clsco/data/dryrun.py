@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from clsco.data.acceptance import Look, looks_of
 from clsco.data.build import located
+from clsco.data.compile import Parameter
 from clsco.data.distribution import Distribution, Drawn, Sample
-from clsco.data.parts import Parameter
 from clsco.data.sheet import TILE, contact_sheet
 from clsco.data.splits import of_samples
-from clsco.data.values import Choice, Column, Files, Frustum, Turned
+from clsco.data.values import ChoiceForm, Column, Files, Frustum, Turned
 from clsco.errors import ClscoError, DeviceError, SceneError
 from clsco.files.images import write_png
 from clsco.files.transfer import encode
@@ -58,7 +58,7 @@ class Summary:
 
 
 @dataclass(frozen=True)
-class Histogram:
+class SeenHistogram:
     """Shares of values in BINS bins, or in one where all are the same; edges: one more."""
 
     name: str
@@ -84,7 +84,7 @@ class DryRun:
         Number of draws in all.
     failed : tuple of str
         Messages of those that give no sample.
-    histograms : tuple of Histogram
+    histograms : tuple of SeenHistogram
     frames : float
         Mean number of frames of a sample, all variants and views counted.
     bytes : dict of str to float
@@ -105,7 +105,7 @@ class DryRun:
     looked_at: int
     attempts: int
     failed: tuple[str, ...]
-    histograms: tuple[Histogram, ...]
+    histograms: tuple[SeenHistogram, ...]
     frames: float
     bytes: dict[str, float]
     weights: float
@@ -193,7 +193,7 @@ class _Collected:
         self.number, self.total, self.low, self.high = 0, 0.0, math.inf, -math.inf
 
     def add(self, column: Column) -> None:
-        if isinstance(self.form, Choice | Files):
+        if isinstance(self.form, ChoiceForm | Files):
             codes, many = np.unique(column, return_counts=True)
             self.counts.update(dict(zip(codes.tolist(), many.tolist(), strict=True)))
         elif column.size and not isinstance(self.form, Turned):
@@ -235,7 +235,7 @@ def _summaries(distribution: Distribution, seed: int, count: int) -> tuple[Summa
     return tuple(one.summary() for one in [*fixed, *(one for size, own in groups for one in (size, *own))])
 
 
-def _histograms(samples: Sequence[Sample]) -> tuple[Histogram, ...]:
+def _histograms(samples: Sequence[Sample]) -> tuple[SeenHistogram, ...]:
     """Histograms of depth, blur and motion over samples; samples with depth maps, at which no rays are cast, are left
     out."""
     looks = list[Look]()
@@ -254,13 +254,13 @@ def _histograms(samples: Sequence[Sample]) -> tuple[Histogram, ...]:
     return tuple(one for one in found if one is not None)
 
 
-def _histogram(name: str, values: NDArray[np.float64]) -> Histogram | None:
+def _histogram(name: str, values: NDArray[np.float64]) -> SeenHistogram | None:
     if not values.size:
         return None
     low, high = float(values.min()), float(values.max())
     edges = np.linspace(low, high, BINS + 1) if high > low else np.array([low, high])
     shares = np.histogram(values, edges)[0] / values.size if high > low else np.ones(1)
-    return Histogram(name, tuple(edges.tolist()), tuple(shares.tolist()))
+    return SeenHistogram(name, tuple(edges.tolist()), tuple(shares.tolist()))
 
 
 def _sized(scene: Scene) -> Scene:

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.data.record import Record
-from clsco.data.strict import strict_json
 from clsco.errors import ImageError
 from clsco.files.atomic import refuse
 from clsco.files.bounded import npy_array as npy_array
 from clsco.files.bounded import npy_size as npy_size
+from clsco.files.bounded import strict_json
 from clsco.files.decoders import codec, unzstd
 from clsco.files.png import GRAY, RGB, SIGNATURE, png_parts
 

@@ -12,11 +12,11 @@ import numpy as np
 from clsco.data.folder import Folder, RefusedError
 from clsco.data.splits import Splits, of_files
 from clsco.data.values import (
-    Choice,
+    ChoiceForm,
     Files,
     Form,
     Frustum,
-    Grid,
+    GridForm,
     Integers,
     LatinHypercube,
     LogUniform,
@@ -39,7 +39,7 @@ MAX_DIMENSIONS = 64
 
 
 @dataclass
-class Found:
+class FormContext:
     """Context that the forms of a file share: its folder and splits, and the number of dimensions of a Sobol
     sequence."""
 
@@ -94,18 +94,18 @@ def _word(word: str) -> Callable[[Any], str]:
     return check
 
 
-def _uniform(given: Mapping[str, Any], _: Found) -> Form:
+def _uniform(given: Mapping[str, Any], _: FormContext) -> Form:
     return Uniform(_size(given), *_at("uniform", given, _range))
 
 
-def _log_uniform(given: Mapping[str, Any], _: Found) -> Form:
+def _log_uniform(given: Mapping[str, Any], _: FormContext) -> Form:
     low, high = _at("log_uniform", given, _range)
     if low < 1e-30:
         raise RefusedError("log_uniform must be [low, high] of numbers above 0", shown(given["log_uniform"]))
     return LogUniform(_size(given), low, high)
 
 
-def _normal(given: Mapping[str, Any], _: Found) -> Form:
+def _normal(given: Mapping[str, Any], _: FormContext) -> Form:
     mean, deviation = _at("normal", given, lambda value: _pair(value, "[mean, standard deviation]"))
     if deviation <= 0:
         raise RefusedError("normal must be [mean, standard deviation], the latter above 0", shown(given["normal"]))
@@ -113,7 +113,7 @@ def _normal(given: Mapping[str, Any], _: Found) -> Form:
     return Normal(_size(given), mean, deviation, clip)
 
 
-def _integers(given: Mapping[str, Any], _: Found) -> Form:
+def _integers(given: Mapping[str, Any], _: FormContext) -> Form:
     value = given["integers"]
     if not isinstance(value, list) or len(value) != 2:
         raise RefusedError("integers must be [low, high]", shown(value))
@@ -138,24 +138,24 @@ def _deep(entry: Any) -> bool:
     return tables or any(isinstance(part, list | Mapping) for one in inner for part in one)
 
 
-def _choice(given: Mapping[str, Any], _: Found) -> Form:
+def _choice(given: Mapping[str, Any], _: FormContext) -> Form:
     entries = _at("choice", given, _entries)
     if "weights" not in given:
-        return Choice(None, entries, shares([1.0] * len(entries)))
+        return ChoiceForm(None, entries, shares([1.0] * len(entries)))
     weights = given["weights"]
     if not isinstance(weights, list) or len(weights) != len(entries):
         raise RefusedError(f"weights must be a list of {len(entries)} numbers", shown(weights))
     numbers = [_at("weights", {"weights": weight}, _number) for weight in weights]
     if min(numbers) < 0 or not math.fsum(numbers) > 0:
         raise RefusedError("weights must be at least 0, and one above it", shown(weights))
-    return Choice(None, entries, shares(numbers))
+    return ChoiceForm(None, entries, shares(numbers))
 
 
-def _constant(given: Mapping[str, Any], _: Found) -> Form:
-    return Choice(None, _at("constant", {"constant": [given["constant"]]}, _entries), (1.0,))
+def _constant(given: Mapping[str, Any], _: FormContext) -> Form:
+    return ChoiceForm(None, _at("constant", {"constant": [given["constant"]]}, _entries), (1.0,))
 
 
-def _files(given: Mapping[str, Any], found: Found) -> Form:
+def _files(given: Mapping[str, Any], found: FormContext) -> Form:
     names = _at("files", given, found.folder.match)
     digests = [_at("files", {"files": name}, found.folder.take) for name in names]
     all_of_them = np.arange(len(names))
@@ -171,7 +171,7 @@ def _files(given: Mapping[str, Any], found: Found) -> Form:
     return Files(None, tuple(names), of_split)
 
 
-def _frustum(given: Mapping[str, Any], _: Found) -> Form:
+def _frustum(given: Mapping[str, Any], _: FormContext) -> Form:
     table = given["frustum"]
     if not isinstance(table, Mapping) or "depth" not in table:
         raise RefusedError("frustum must be { depth = [near, far], margin = px }", shown(table))
@@ -187,24 +187,24 @@ def _frustum(given: Mapping[str, Any], _: Found) -> Form:
     return Frustum(None, near, far, margin, density == "volume")
 
 
-def _direction(given: Mapping[str, Any], _: Found) -> Form:
+def _direction(given: Mapping[str, Any], _: FormContext) -> Form:
     _at("direction", given, _word("sphere"))
     return Turned(3)
 
 
-def _rotation(given: Mapping[str, Any], _: Found) -> Form:
+def _rotation(given: Mapping[str, Any], _: FormContext) -> Form:
     _at("rotation", given, _word("uniform"))
     return Turned(4)
 
 
-def _grid(given: Mapping[str, Any], _: Found) -> Form:
+def _grid(given: Mapping[str, Any], _: FormContext) -> Form:
     if "steps" not in given:
         raise RefusedError("grid needs steps, the number of its values", "nothing")
     low, high = _at("grid", given, _range)
-    return Grid(None, low, high, _at("steps", given, lambda value: _whole(value, 2, MAX_STEPS)), 1)
+    return GridForm(None, low, high, _at("steps", given, lambda value: _whole(value, 2, MAX_STEPS)), 1)
 
 
-def _sobol(given: Mapping[str, Any], found: Found) -> Form:
+def _sobol(given: Mapping[str, Any], found: FormContext) -> Form:
     low, high = _at("sobol", given, _range)
     try:
         qmc()
@@ -216,14 +216,14 @@ def _sobol(given: Mapping[str, Any], found: Found) -> Form:
     return Sobol(None, low, high, found.dimensions - 1)
 
 
-def _latin_hypercube(given: Mapping[str, Any], _: Found) -> Form:
+def _latin_hypercube(given: Mapping[str, Any], _: FormContext) -> Form:
     if "of" not in given:
         raise RefusedError("latin_hypercube needs of, the number of samples that it spreads", "nothing")
     low, high = _at("latin_hypercube", given, _range)
     return LatinHypercube(None, low, high, _at("of", given, lambda value: _whole(value, 2, MAX_STEPS)))
 
 
-FORMS: dict[str, tuple[Callable[[Mapping[str, Any], Found], Form], tuple[str, ...]]] = {
+FORMS: dict[str, tuple[Callable[[Mapping[str, Any], FormContext], Form], tuple[str, ...]]] = {
     "constant": (_constant, ()),
     "uniform": (_uniform, ("size",)),
     "log_uniform": (_log_uniform, ("size",)),
@@ -246,7 +246,7 @@ def is_form(value: Any) -> bool:
     return isinstance(value, Mapping) and any(key in FORMS for key in value)
 
 
-def form_of(given: Mapping[str, Any], found: Found) -> Form:
+def form_of(given: Mapping[str, Any], found: FormContext) -> Form:
     """The distribution that a table states. Raises RefusedError."""
     names = [key for key in given if key in FORMS]
     if len(names) > 1:

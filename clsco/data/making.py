@@ -24,7 +24,7 @@ from clsco.frame.truth_files import ATTRIBUTES, OF_THE_IMAGE, array_names
 from clsco.scene.text import shown
 
 if TYPE_CHECKING:
-    from clsco.data.shards import Job
+    from clsco.data.shards import SetJob
 
 WORKER_SHARE = 0.5  # of the machine's memory, for all processes together
 TRUTH = ("sharp", "depth", "coc")
@@ -64,7 +64,7 @@ class Workers:
     scheduler: str = ""
 
 
-class Options(TypedDict, total=False):
+class MakeOptions(TypedDict, total=False):
     """Keywords of `make`, see there."""
 
     truth: str | Iterable[str]
@@ -87,7 +87,7 @@ class Options(TypedDict, total=False):
     progress: Progress | None
 
 
-_DEFAULTS = Options(
+_DEFAULTS = MakeOptions(
     truth=TRUTH, color=True, types="", splits=None, format="webdataset", shard_size=256, devices=(), workers=None,
     scheduler="", precision=None, resume=False, only=None, part=None, overrides=(), folder=None, license="",
     allow_failures=0, progress=None,
@@ -100,7 +100,7 @@ def make(
     *,
     count: int | None = None,
     seed: int = 0,
-    **options: Unpack[Options],
+    **options: Unpack[MakeOptions],
 ) -> Status:
     """Make a data set of scenes drawn from a distribution.
 
@@ -182,13 +182,13 @@ def make(
     >>> clsco.data.make(distribution, "BALLS", count=2, workers=1)  # doctest: +SKIP
     <Status: 2 of 2 samples made, 0 failed>
     """
-    from clsco.data.shards import Job
+    from clsco.data.shards import SetJob
 
     if unknown := sorted(options.keys() - _DEFAULTS.keys()):
         raise TypeError(f"make() got an unexpected keyword argument {unknown[0]!r}")
     given = _DEFAULTS | options
     identity, drawn, samples, who = _identity(distribution, count, seed, given)
-    job = Job(drawn, identity, samples, open_storage(data).where)
+    job = SetJob(drawn, identity, samples, open_storage(data).where)
     status, failures = _make_shards(job, who, given)
     if len(failures) > (allowed := given["allow_failures"]):
         first = f"the first, sample {failures[0]['number']}: {failures[0]['error']}"
@@ -199,7 +199,7 @@ def make(
 
 
 def _identity(
-    distribution: DistributionLike, count: int | None, seed: int, given: Options
+    distribution: DistributionLike, count: int | None, seed: int, given: MakeOptions
 ) -> tuple[Identity, Distribution | ScriptedDistribution, range, Workers]:
     """All that decides the bytes of a set, and who makes it. Raises SceneError or DeviceError."""
     container_named(given["format"])
@@ -308,13 +308,13 @@ def _cluster(address: str) -> Workers:
     return Workers((), *cluster_device(address), address)
 
 
-def _own(job: Job, part: tuple[int, int] | None) -> list[int]:
+def _own(job: SetJob, part: tuple[int, int] | None) -> list[int]:
     """Shards of a set, or of one part of it."""
     index, parts = part or (0, 1)
     return [shard for shard in shard_numbers(job.samples, job.identity.shard_size) if shard % parts == index]
 
 
-def _make_shards(job: Job, who: Workers, given: Options) -> tuple[Status, list[dict[str, Any]]]:
+def _make_shards(job: SetJob, who: Workers, given: MakeOptions) -> tuple[Status, list[dict[str, Any]]]:
     """Make the shards of a set, or of its part, that are not there yet; lines of the samples in them that failed."""
     part, progress = given["part"], given["progress"]
     storage = open_storage(job.where)

@@ -14,8 +14,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from clsco.data.storage import Storage, checked_key
-from clsco.data.strict import strict_json
 from clsco.errors import ImageError
+from clsco.files.bounded import strict_json
 
 PARTS, MERGED, FAILED, LOG = "manifest", "manifest.jsonl", "failed.jsonl", "log"
 CONFLICT = "conflict"  # folder of shards that were made otherwise before
@@ -80,7 +80,7 @@ class Identity:
 
 
 @dataclass(frozen=True)
-class Part:
+class ManifestPart:
     """The part of the manifest of a shard.
 
     Attributes
@@ -129,19 +129,19 @@ def part_bytes(
 ) -> bytes:  # fmt: skip
     """The content of a part."""
     body = "".join(f"{line(row)}\n" for row in (*rows, *failures)).encode()
-    head = Part(
+    head = ManifestPart(
         shard, identity, numbers.start, len(numbers), len(rows), len(failures), files, hashlib.sha256(body).hexdigest()
     )
     return f"{line(asdict(head))}\n".encode() + body
 
 
-def parsed_part(data: bytes) -> Part:
+def parsed_part(data: bytes) -> ManifestPart:
     """The description of a shard from the first line of its part. Raises ImageError where it is none."""
     try:
         found = strict_json(data.partition(b"\n")[0])
         files = {checked_key(str(key)): (int(size), str(digest)) for key, (size, digest) in found.pop("files").items()}
         numbers = {name: int(found.pop(name)) for name in ("shard", "first", "count", "made", "failed")}
-        part = Part(**numbers, files=files, identity=str(found.pop("identity")), rows=str(found.pop("rows")))
+        part = ManifestPart(**numbers, files=files, identity=str(found.pop("identity")), rows=str(found.pop("rows")))
         counts_agree = min(numbers.values()) >= 0 and part.made + part.failed == part.count
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ImageError(f"manifest: a part must begin with a line about its shard; got {error!r}") from None
@@ -185,7 +185,7 @@ def _is_count(value: Any) -> bool:
     return type(value) is int and 0 <= value <= 10**12
 
 
-def require_rows(part: Part, data: bytes) -> None:
+def require_rows(part: ManifestPart, data: bytes) -> None:
     """Raise ImageError where the lines of a part are not those that its first line describes."""
     if hashlib.sha256(data.partition(b"\n")[2]).hexdigest() != part.rows:
         raise ImageError(f"{part_key(part.shard)}: lines must have the SHA-256 that the first one names; got another")
@@ -201,7 +201,7 @@ def numbers_of(shard: int, samples: range, size: int) -> range:
     return range(max(samples.start, shard * size), min(samples.stop, (shard + 1) * size))
 
 
-class Parts:
+class ManifestParts:
     """The parts of a set in a storage, and which of its shards are done.
 
     Parameters
@@ -227,7 +227,7 @@ class Parts:
     def done(
         self, identity: Identity, samples: range, shards: Iterable[int], hashes: bool, faults: list[str],
         merged: Merged | None = None,
-    ) -> dict[int, Part]:  # fmt: skip
+    ) -> dict[int, ManifestPart]:  # fmt: skip
         """Shards whose part is there, of this set, with all of their samples, and whose files are whole.
 
         Parameters
@@ -250,7 +250,7 @@ class Parts:
         dict
             Number to part.
         """
-        there, found = set(self.keys), dict[int, Part]()
+        there, found = set(self.keys), dict[int, ManifestPart]()
         keys, digest = {part_key(shard): shard for shard in shards}, identity.digest
         for key, data in self.read(key for key in keys if key in there):
             wanted = numbers_of(keys[key], samples, identity.shard_size)
@@ -273,7 +273,7 @@ class Parts:
                     merged.add(part, data)
         return found
 
-    def _fault(self, part: Part, data: bytes, hashes: bool) -> str:
+    def _fault(self, part: ManifestPart, data: bytes, hashes: bool) -> str:
         """Message on the first fault of a part's files, "" for none."""
         if hashes:
             require_rows(part, data)
@@ -311,7 +311,7 @@ class Merged:
         for path in self.paths.values():
             path.write_bytes(b"")
 
-    def add(self, part: Part, data: bytes) -> None:
+    def add(self, part: ManifestPart, data: bytes) -> None:
         """Add a part."""
         lines = data.partition(b"\n")[2].splitlines(keepends=True)
         for key, own in ((MERGED, lines[: part.made]), (FAILED, lines[part.made :])):
@@ -327,7 +327,7 @@ class Merged:
             self.storage.put(key, path)
 
 
-def files_of(part: Part, data: bytes) -> dict[str, list[tuple[str, int]]]:
+def files_of(part: ManifestPart, data: bytes) -> dict[str, list[tuple[str, int]]]:
     """Files of a part by their splits, with the number of samples in them. Raises ImageError where it is damaged."""
     counts: dict[str, int] = {}
     if len(part.files) == 1 and (only := next(iter(part.files))).count("/") == 1:

@@ -13,7 +13,7 @@ from multiprocessing.connection import wait
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from clsco.data.schedule import RETRIES, Schedule, Task
+from clsco.data.schedule import RETRIES, Schedule, ShardTask
 from clsco.data.storage import open_storage
 from clsco.data.worker import DeviceName, run_worker
 from clsco.engine.child import Child, how_ended
@@ -21,7 +21,7 @@ from clsco.errors import ClscoError, DeviceError
 from clsco.resources import processors
 
 if TYPE_CHECKING:
-    from clsco.data.shards import Job
+    from clsco.data.shards import SetJob
 
 _LOG = logging.getLogger("clsco")
 RECYCLED_SHARDS = 32  # after so many a process is replaced: what leaks in drivers goes with it
@@ -49,7 +49,7 @@ class _Worker:
     place: Place
     is_ready: bool = False
     is_leaving: bool = False
-    task: Task | None = None
+    task: ShardTask | None = None
     shards: int = 0
 
 
@@ -79,12 +79,12 @@ def places(devices: Sequence[tuple[DeviceName, bool]], workers: int | None) -> l
     ]
 
 
-def run_pool(job: Job, shards: Sequence[int], where: Sequence[Place], advance: Advance, memory: int) -> None:
+def run_pool(job: SetJob, shards: Sequence[int], where: Sequence[Place], advance: Advance, memory: int) -> None:
     """Make shards in processes.
 
     Parameters
     ----------
-    job : Job
+    job : SetJob
     shards : sequence of int
     where : sequence of Place
         One for each process.
@@ -102,7 +102,9 @@ def run_pool(job: Job, shards: Sequence[int], where: Sequence[Place], advance: A
 
 
 class _Pool:
-    def __init__(self, job: Job, shards: Sequence[int], where: Sequence[Place], advance: Advance, memory: int) -> None:
+    def __init__(
+        self, job: SetJob, shards: Sequence[int], where: Sequence[Place], advance: Advance, memory: int
+    ) -> None:
         self.job, self.advance, self.memory = job, advance, memory
         self.schedule = Schedule((shard, job.numbers(shard)) for shard in shards)
         self.where = list(where[: max(1, len(shards))])

@@ -13,7 +13,7 @@ DIED = f"sample: must be made; got a process that ended, {RETRIES} times"
 
 
 @dataclass(frozen=True)
-class Task:
+class ShardTask:
     """A shard that is to be made, or some of its samples that are tried only.
 
     Attributes
@@ -44,8 +44,8 @@ class Schedule:
 
     def __init__(self, shards: Iterable[tuple[int, range]]) -> None:
         self.samples = dict(shards)
-        self.waiting = deque(Task(shard) for shard in self.samples)
-        self._deaths: Counter[Task] = Counter()
+        self.waiting = deque(ShardTask(shard) for shard in self.samples)
+        self._deaths: Counter[ShardTask] = Counter()
         self._trials: Counter[int] = Counter()  # of each shard, those that are waiting or under way
         self._rounds: Counter[int] = Counter()  # of trials of each shard
         self._failed: dict[int, dict[int, str]] = {}
@@ -56,14 +56,14 @@ class Schedule:
         """True if all shards are made."""
         return self._left == 0
 
-    def done(self, task: Task) -> None:
+    def done(self, task: ShardTask) -> None:
         """A task has ended well."""
         if task.tried is None:
             self._left -= 1
         else:
             self._after_trial(task.shard)
 
-    def died(self, task: Task, cause: str | None = None) -> None:
+    def died(self, task: ShardTask, cause: str | None = None) -> None:
         """A task has failed.
 
         cause: what it raised; None where its process ended, so that it may succeed at the next time.
@@ -96,9 +96,9 @@ class Schedule:
 
     def _try(self, shard: int, numbers: range) -> None:
         self._trials[shard] += 1
-        self.waiting.append(Task(shard, numbers))
+        self.waiting.append(ShardTask(shard, numbers))
 
     def _after_trial(self, shard: int) -> None:
         self._trials[shard] -= 1
         if not self._trials[shard]:
-            self.waiting.appendleft(Task(shard, failed=tuple(sorted(self._failed[shard].items()))))
+            self.waiting.appendleft(ShardTask(shard, failed=tuple(sorted(self._failed[shard].items()))))

@@ -8,10 +8,20 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from clsco.data.card import CARD, write_card
-from clsco.data.manifest import LOG, Identity, Merged, Part, Parts, numbers_of, part_key, rows_of, shard_numbers
+from clsco.data.manifest import (
+    LOG,
+    Identity,
+    ManifestPart,
+    ManifestParts,
+    Merged,
+    numbers_of,
+    part_key,
+    rows_of,
+    shard_numbers,
+)
 from clsco.data.storage import Storage
-from clsco.data.strict import strict_json
 from clsco.errors import ImageError, SceneError
+from clsco.files.bounded import strict_json
 
 MOST_SHARDS = 10**6
 LATEST = 64  # shards from whose times the rate is taken
@@ -42,7 +52,7 @@ class DataSet:
 
     def listed(self) -> frozenset[str]:
         """Keys of the parts that are there."""
-        return frozenset(Parts(self.storage).keys)
+        return frozenset(ManifestParts(self.storage).keys)
 
     def numbers(self, shard: int) -> range:
         """Numbers of the samples of a shard."""
@@ -50,9 +60,9 @@ class DataSet:
 
     def done(
         self, shards: Iterable[int], hashes: bool, faults: list[str], merged: Merged | None = None
-    ) -> dict[int, Part]:
-        """`Parts.done` of this set."""
-        return Parts(self.storage).done(self.identity, self.samples, shards, hashes, faults, merged)
+    ) -> dict[int, ManifestPart]:
+        """`ManifestParts.done` of this set."""
+        return ManifestParts(self.storage).done(self.identity, self.samples, shards, hashes, faults, merged)
 
     def lines(self, shard: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
         """Rows of the manifest about the samples of a shard, and about those that failed; none without a part."""
@@ -143,7 +153,7 @@ class Status:
 
     shards: int
     samples: int
-    done: Mapping[int, Part]
+    done: Mapping[int, ManifestPart]
     faults: tuple[str, ...]
     rate: float | None
 

@@ -14,10 +14,10 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.data.ahead import ahead
 from clsco.data.containers import Container, container_named
 from clsco.data.distribution import Distribution, Sample
 from clsco.data.manifest import CONFLICT, LOG, UNSPLIT, Identity, line, numbers_of, parsed_part, part_bytes, part_key
+from clsco.data.prefetch import prefetch
 from clsco.data.record import Record, make_record
 from clsco.data.scripted import ScriptedDistribution
 from clsco.data.storage import Storage, remove_path
@@ -41,7 +41,7 @@ QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
 
 
 @dataclass(frozen=True)
-class Job:
+class SetJob:
     """A set that is to be made; it travels to worker processes.
 
     Attributes
@@ -65,7 +65,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Made:
+class MadeShard:
     """Files of a shard in the scratch folder, with the content of its part."""
 
     shard: int
@@ -87,7 +87,7 @@ def device_family(device: Device) -> str:
     return f"{device.kind}, {device.platform}, {device.name}, {device.driver}"
 
 
-class Renderer:
+class SampleRenderer:
     """Renders samples one after the other on one device; data that several of them need are kept.
 
     Parameters
@@ -127,19 +127,19 @@ class ShardMaker:
 
     Parameters
     ----------
-    job : Job
+    job : SetJob
     storage : Storage
     device : Device
     overlapped : bool
         Samples are encoded while the next ones are rendered, in another thread.
     """
 
-    def __init__(self, job: Job, storage: Storage, device: Device, overlapped: bool) -> None:
+    def __init__(self, job: SetJob, storage: Storage, device: Device, overlapped: bool) -> None:
         self.job, self.storage, self.overlapped = job, storage, overlapped
         identity = job.identity
         self.container: Container = container_named(identity.format)
         self.arrays, self.types = identity.arrays, dict(identity.types)
-        self.renderer = Renderer(device, self.arrays, identity.precision)
+        self.renderer = SampleRenderer(device, self.arrays, identity.precision)
 
     def make(
         self,
@@ -147,7 +147,7 @@ class ShardMaker:
         numbers: Iterable[int] | None = None,
         failed: Mapping[int, str] | None = None,
         advance: Callable[[], object] = lambda: None,
-    ) -> Made:
+    ) -> MadeShard:
         """Make the files of a shard in the scratch folder.
 
         Parameters
@@ -211,7 +211,7 @@ class ShardMaker:
             key = f"{split or UNSPLIT}/{shard:06d}{self.container.suffix}"
             path = folder / key.replace("/", "_")
             produced = records(splits[split], key)
-            with closing(ahead(produced) if self.overlapped else produced) as source:
+            with closing(prefetch(produced) if self.overlapped else produced) as source:
                 first = next(source, None)
                 if first is None:
                     continue
@@ -227,7 +227,7 @@ class ShardMaker:
             [rows[number] for number in sorted(rows)], [failures[number] for number in sorted(failures)],
         )  # fmt: skip
         spent["all"] = time.perf_counter() - spent["all"]
-        return Made(shard, files, part, len(rows), len(failures), began, spent)
+        return MadeShard(shard, files, part, len(rows), len(failures), began, spent)
 
     def _portable(self, error: object) -> str:
         """Message of an error, without the folder of the distribution on this machine."""
@@ -235,7 +235,7 @@ class ShardMaker:
         text = str(error).replace(distribution.where, Path(distribution.where).name)
         return text.replace(f"{distribution.folder}/", "")
 
-    def deliver(self, made: Made, about: Mapping[str, Any]) -> None:
+    def deliver(self, made: MadeShard, about: Mapping[str, Any]) -> None:
         """Move the files of a shard to the set, then its part, and note in the log how long it took.
 
         about: of the process, for the log. Raises ImageError where another process has made other bytes of the shard;
@@ -269,7 +269,7 @@ class ShardMaker:
         same = (part.shard, part.identity, part.numbers) == (shard, self.job.identity.digest, self.job.numbers(shard))
         return same and all(self.storage.digest(name) == digest for name, (_, digest) in part.files.items())
 
-    def _keep_both(self, made: Made) -> NoReturn:
+    def _keep_both(self, made: MadeShard) -> NoReturn:
         """Put a shard beside another one that should be the same: a device is broken, of this process or another."""
         beside = f"{CONFLICT}/{hashlib.sha256(made.part).hexdigest()[:16]}"
         for name, path in made.files.items():
@@ -278,7 +278,7 @@ class ShardMaker:
         rule = "all that make a shard must make the same bytes"
         raise ImageError(f"{part_key(made.shard)}: {rule}; got others, which are in {beside}") from OSError(rule)
 
-    def drop(self, made: Made) -> None:
+    def drop(self, made: MadeShard) -> None:
         """Remove the files of a shard from the scratch folder."""
         for path in made.files.values():
             remove_path(path)

@@ -121,7 +121,7 @@ class Integers(Form):
 
 
 @dataclass(frozen=True)
-class Choice(Form):
+class ChoiceForm(Form):
     """{ choice = [...], weights = [...] }; below: what the weights are up to and including each entry, of 1."""
 
     entries: tuple[Any, ...]
@@ -228,7 +228,7 @@ class Turned(Form):
 
 
 @dataclass(frozen=True)
-class Row(Form):
+class RowForm(Form):
     """A row of a table, by which several keys vary together; count: of rows. A column has the position."""
 
     count: int
@@ -241,7 +241,7 @@ class Row(Form):
 
 
 @dataclass(frozen=True)
-class Grid(Form):
+class GridForm(Form):
     """{ grid = [low, high], steps = n }; every: samples in a row that have the same value."""
 
     low: float

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from clsco import __version__
 from clsco.data.build import located
+from clsco.data.compile import FILE_KEYS
 from clsco.data.containers import container_named
 from clsco.data.distribution import Sample
-from clsco.data.manifest import Merged, Parts, parsed_part, part_key
-from clsco.data.parts import FILE_KEYS
+from clsco.data.manifest import ManifestParts, Merged, parsed_part, part_key
 from clsco.data.record import Record, make_record
 from clsco.data.sets import DataSet
-from clsco.data.shards import Renderer, device_family
+from clsco.data.shards import SampleRenderer, device_family
 from clsco.errors import ClscoError, ImageError, SceneError
 from clsco.files.atomic import sha256
 from clsco.frame.frame import Frame
@@ -88,7 +88,7 @@ def verify_samples(
         return [f"samples must be rendered again by clsco {there.identity.version}; got {__version__}"]
     more = ("object_id", "depth") if "flow" in there.identity.arrays else ()
     arrays = tuple(dict.fromkeys((*there.identity.arrays, *more)))
-    renderer = Renderer(chosen, arrays, there.identity.precision)
+    renderer = SampleRenderer(chosen, arrays, there.identity.precision)
     findings: list[str] = []
     for number in numbers:
         try:
@@ -209,7 +209,7 @@ def _compared(where: str, there: DataSet, row: Mapping[str, Any], record: Record
             yield f"{where}: {name} must have the SHA-256 in the manifest; got another"
 
 
-def _verify_sample(there: DataSet, number: int, renderer: Renderer, folder: Path) -> Iterator[str]:
+def _verify_sample(there: DataSet, number: int, renderer: SampleRenderer, folder: Path) -> Iterator[str]:
     rows, _ = there.lines(number // there.identity.shard_size)
     row = next((row for row in rows if row["number"] == number), None)
     if row is None:
@@ -258,17 +258,19 @@ def _stored(there: DataSet, row: Mapping[str, Any]) -> Record:
 
 def _strays(there: DataSet) -> list[str]:
     """Files beside those that parts name."""
-    known = {key for _, data in Parts(there.storage).read() for key in parsed_part(data).files}
+    known = {key for _, data in ManifestParts(there.storage).read() for key in parsed_part(data).files}
     folders = sorted({key.partition("/")[0] for key in known} | {name for name, _ in there.identity.splits})
     strays = [key for folder in folders for key in there.storage.sizes(folder) if key not in known]
-    strays += [key for key in Parts(there.storage).keys if key not in {part_key(shard) for shard in there.shards}]
+    strays += [
+        key for key in ManifestParts(there.storage).keys if key not in {part_key(shard) for shard in there.shards}
+    ]
     return [f"{key}: must be a file of a shard of the set; got one that no part names" for key in strays]
 
 
 def _merged(there: DataSet) -> list[str]:
     """Differences of the manifest of all shards, where it is there, from the parts."""
     merged, findings = Merged(there.storage), []
-    for _, data in Parts(there.storage).read():
+    for _, data in ManifestParts(there.storage).read():
         merged.add(parsed_part(data), data)
     for key, path in merged.paths.items():
         got = there.storage.digest(key)

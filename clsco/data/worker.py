@@ -11,13 +11,13 @@ from multiprocessing.connection import Connection
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
-from clsco.data.schedule import Task
+from clsco.data.schedule import ShardTask
 from clsco.data.storage import open_storage
 from clsco.engine.child import at_forced_end
 from clsco.errors import ClscoError
 
 if TYPE_CHECKING:
-    from clsco.data.shards import Job, ShardMaker
+    from clsco.data.shards import SetJob, ShardMaker
     from clsco.opencl.device import Device
 
 REPORT_S = 0.2  # between reports of how far a shard has come
@@ -26,7 +26,7 @@ DeviceName = str | int | None
 """Part of a name as for `clsco.render`, or the number of a device among all, where several have one name."""
 
 
-def run_worker(pipe: Connection, job: Job, name: DeviceName, overlapped: bool) -> None:
+def run_worker(pipe: Connection, job: SetJob, name: DeviceName, overlapped: bool) -> None:
     """Make what comes through the pipe, and report it there, until the parent says None or ends."""
     signal.signal(signal.SIGTERM, _ended)  # so that no file is written any more when all are removed
     storage = open_storage(job.where)
@@ -52,7 +52,7 @@ def device_of(name: DeviceName) -> Device:
     return list_devices()[0][name] if isinstance(name, int) else choose(name, "device")
 
 
-def perform(maker: ShardMaker, task: Task, advance: Any = lambda: None) -> tuple[int, int]:
+def perform(maker: ShardMaker, task: ShardTask, advance: Any = lambda: None) -> tuple[int, int]:
     """Do a task; the number of samples made, and of those that failed."""
     made = maker.make(task.shard, task.tried, dict(task.failed), advance)
     if task.tried is None:
@@ -84,7 +84,7 @@ def resident_bytes() -> int:
         return most if sys.platform == "darwin" else most << 10
 
 
-def _answer(maker: ShardMaker, task: Task, pipe: Connection) -> tuple[Any, ...]:
+def _answer(maker: ShardMaker, task: ShardTask, pipe: Connection) -> tuple[Any, ...]:
     count, reported = 0, time.monotonic()
 
     def advance() -> None:

@@ -30,7 +30,7 @@ _BT709_PRIMARIES, _RGB_MATRIX, _BT709_MATRIX, _LIMITED, _FULL = 1, 0, 1, 1, 2
 
 
 @dataclass(frozen=True)
-class Preset:
+class VideoPreset:
     """Storage of a clip: container, codec and pixel format.
 
     Attributes
@@ -75,22 +75,22 @@ _FFV1 = {"level": "3", "slicecrc": "1", "slices": "4", "g": "1"}
 _X264 = {"crf": "16", "x264-params": "mbtree=0"}  # mbtree reads memory that it did not write: bits differ by run
 # One row for each preset. Every encoder has one thread, as bits of most depend on their number.
 PRESETS = {
-    "mp4": Preset(".mp4", "mp4", "libx264", "yuv420p", 8, _X264),
-    "mp4-444": Preset(".mp4", "mp4", "libx264", "yuv444p", 8, _X264),
-    "hevc10": Preset(
+    "mp4": VideoPreset(".mp4", "mp4", "libx264", "yuv420p", 8, _X264),
+    "mp4-444": VideoPreset(".mp4", "mp4", "libx264", "yuv444p", 8, _X264),
+    "hevc10": VideoPreset(
         ".mp4", "mp4", "libx265", "yuv420p10le", 10,
         {"crf": "16", "x265-params": "log-level=none:pools=none:frame-threads=1"}, least=66,
     ),  # with one block of 64 columns x265 reads and writes beyond its memory
-    "av1": Preset(
+    "av1": VideoPreset(
         ".mp4", "mp4", "libsvtav1", "yuv420p10le", 10, {"crf": "20", "preset": "8", "svtav1-params": "lp=1"}, least=4
     ),
-    "webm": Preset(".webm", "webm", "libvpx-vp9", "yuv444p", 8, {"crf": "20", "b": "0"}),
-    "h264-lossless": Preset(".mp4", "mp4", "libx264rgb", "bgr0", 8, {"qp": "0"}),
-    "ffv1": Preset(".mkv", "matroska", "ffv1", "bgr0", 8, _FFV1, gray="gray"),
-    "ffv1-16": Preset(".mkv", "matroska", "ffv1", "gbrp16le", 16, _FFV1, gray="gray16le"),
-    "prores": Preset(".mov", "mov", "prores_ks", "yuv444p10le", 10, {"profile": "4444", "vendor": "apl0"}),
-    "prores-hq": Preset(".mov", "mov", "prores_ks", "yuv422p10le", 10, {"profile": "hq", "vendor": "apl0"}),
-    "y4m": Preset(".y4m", "yuv4mpegpipe", "wrapped_avframe", "yuv444p", 8),
+    "webm": VideoPreset(".webm", "webm", "libvpx-vp9", "yuv444p", 8, {"crf": "20", "b": "0"}),
+    "h264-lossless": VideoPreset(".mp4", "mp4", "libx264rgb", "bgr0", 8, {"qp": "0"}),
+    "ffv1": VideoPreset(".mkv", "matroska", "ffv1", "bgr0", 8, _FFV1, gray="gray"),
+    "ffv1-16": VideoPreset(".mkv", "matroska", "ffv1", "gbrp16le", 16, _FFV1, gray="gray16le"),
+    "prores": VideoPreset(".mov", "mov", "prores_ks", "yuv444p10le", 10, {"profile": "4444", "vendor": "apl0"}),
+    "prores-hq": VideoPreset(".mov", "mov", "prores_ks", "yuv422p10le", 10, {"profile": "hq", "vendor": "apl0"}),
+    "y4m": VideoPreset(".y4m", "yuv4mpegpipe", "wrapped_avframe", "yuv444p", 8),
 }  # fmt: skip
 
 
@@ -301,7 +301,7 @@ class _Clip:
     """Arguments of `write_clip`, with the first frame."""
 
     where: Path
-    preset: Preset
+    preset: VideoPreset
     rate: Fraction
     transfer: str
     transfer_tag: str

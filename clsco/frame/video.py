@@ -133,7 +133,7 @@ class Playing:
 
 
 @dataclass(frozen=True)
-class Shown:
+class ShownFrames:
     """Pictures of a folder's frames that a clip shows.
 
     Attributes
@@ -155,7 +155,7 @@ class Shown:
 def write_folder_clip(
     target: Path | BinaryIO,
     frames: WrittenFrames,
-    shown: Shown,
+    shown: ShownFrames,
     preset: str,
     playing: Playing,
     transfer_tag: str | None = None,
@@ -168,7 +168,7 @@ def write_folder_clip(
     target : Path or BinaryIO
         As for `write_clip`.
     frames : WrittenFrames
-    shown : Shown
+    shown : ShownFrames
     preset : str
     playing : Playing
     transfer_tag : str, optional
@@ -219,7 +219,7 @@ def _measured(frames: WrittenFrames, name: str, eye: str) -> Iterator[NDArray[An
     return (np.where(np.isfinite(depth), radius, np.inf) for radius, depth in pairs)
 
 
-def _pictures(frames: WrittenFrames, shown: Shown) -> Iterator[NDArray[Any]]:
+def _pictures(frames: WrittenFrames, shown: ShownFrames) -> Iterator[NDArray[Any]]:
     """Color, sharp, or both."""
     sharp = frames.arrays("sharp", shown.eye, "exr" if shown.from_exr else "")
     if shown.view == "sharp":

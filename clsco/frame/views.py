@@ -25,7 +25,7 @@ _WHEEL = ((15, (255, 0, 0)), (6, (255, 255, 0)), (4, (0, 255, 0)), (11, (0, 255,
 
 
 @dataclass(frozen=True)
-class View:
+class FrameView:
     """An array as colors.
 
     Attributes
@@ -94,8 +94,8 @@ def _flow_extent(flow: NDArray[Any]) -> tuple[float, ...]:
 
 
 VIEWS = {
-    "depth": View("depth", _depth_extent, _paint_depth, _depth_label),
-    "coc": View(
+    "depth": FrameView("depth", _depth_extent, _paint_depth, _depth_label),
+    "coc": FrameView(
         "coc",
         _radius_extent,
         _paint_radius,
@@ -104,7 +104,7 @@ VIEWS = {
             "nothing is black"
         ),
     ),
-    "flow": View(
+    "flow": FrameView(
         "flow",
         _flow_extent,
         lambda flow, scale: flow_colors(flow, scale[0]),

@@ -13,7 +13,7 @@ from clsco.engine.child import Child
 from clsco.errors import ClscoError, ImageError
 
 
-class Filler:
+class FillingProcess:
     """Fills images one after the other; its process is begun with the first, and stays.
 
     Parameters

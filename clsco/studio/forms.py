@@ -18,7 +18,7 @@ from clsco.scene.quantities import Within
 from clsco.scene.schema import scene_schema
 from clsco.scene.shapes import SHAPES
 from clsco.scene.texture_keys import BUILT_IN_TEXTURES
-from clsco.studio.session import Session
+from clsco.studio.session import Document
 from clsco.studio.tables import FILE_KEYS, at, without
 from clsco.studio.words import (
     BY_FOCAL_LENGTH,
@@ -45,7 +45,7 @@ class Field:
     Attributes
     ----------
     path : str
-        "object.0.radius", as `Session.patch` takes it.
+        "object.0.radius", as `Document.patch` takes it.
     label, symbol, unit : str
         Symbol of the thesis, "" where it has none.
     kind : {"number", "vector", "choice", "text", "flag", "image"}
@@ -134,12 +134,12 @@ def flat(value: Any) -> list[Any]:
     return [entry for part in value for entry in (part if isinstance(part, list | tuple) else [part])]
 
 
-def panels(session: Session, index: int = 0) -> tuple[Panel, ...]:
+def panels(session: Document, index: int = 0) -> tuple[Panel, ...]:
     """Panels with a field for every key that a scene may have.
 
     Parameters
     ----------
-    session : Session
+    session : Document
     index : int
         Index of the object whose keys are shown.
 
@@ -206,7 +206,7 @@ def panels(session: Session, index: int = 0) -> tuple[Panel, ...]:
     return tuple(panel for panel in found if panel.fields)
 
 
-def field_at(session: Session, path: str) -> Field | None:
+def field_at(session: Document, path: str) -> Field | None:
     """The field of a path, or of the vector that it is a component of; None where there is none."""
     index = int(path.split(".")[1]) if path.startswith("object.") else 0
     listed = [field for panel in panels(session, index) for field in panel.fields]
@@ -218,7 +218,7 @@ def _schema() -> dict[str, Any]:
     return scene_schema()
 
 
-def _of_scene(session: Session) -> Iterator[Field]:
+def _of_scene(session: Document) -> Iterator[Field]:
     """Fields of all that is not of an object or a group."""
     for key, entry in _schema()["properties"].items():
         if key in ("object", "group"):
@@ -229,7 +229,7 @@ def _of_scene(session: Session) -> Iterator[Field]:
             yield _field(session, Scene, key, key, entry, _kinds(entry), None)
 
 
-def _fields(session: Session, model: Any, start: str) -> Iterator[Field]:
+def _fields(session: Document, model: Any, start: str) -> Iterator[Field]:
     """Fields of the keys of a model, which is at `start` in the scene."""
     definition = _schema()["$defs"][model.__name__]
     for key, entry in definition["properties"].items():
@@ -281,7 +281,13 @@ def _limits(field: Any) -> Within | None:
 
 
 def _field(
-    session: Session, model: Any, path: str, key: str, entry: Mapping[str, Any], kinds: Any, limits: Within | None
+    session: Document,
+    model: Any,
+    path: str,
+    key: str,
+    entry: Mapping[str, Any],
+    kinds: Any,
+    limits: Within | None,
 ) -> Field:
     """The field of one key."""
     shape = kinds[0]
@@ -327,7 +333,7 @@ def _kind(path: str, key: str, shape: Mapping[str, Any]) -> tuple[str, tuple[tup
     return "number", (), ()
 
 
-def _symbol(session: Session, path: str, key: str) -> str:
+def _symbol(session: Document, path: str, key: str) -> str:
     """Symbol of a key in formulas; of an object by its shape."""
     where = path.split(".")
     if where[0] != "object" or len(where) < 3:
@@ -336,7 +342,7 @@ def _symbol(session: Session, path: str, key: str) -> str:
     return SYMBOLS.get(f"{session.known('.'.join(where[:2]) + '.shape')}.{key}", "") or motion
 
 
-def _slider(session: Session, key: str, limits: Within | None) -> tuple[float, float] | None:
+def _slider(session: Document, key: str, limits: Within | None) -> tuple[float, float] | None:
     """Ends of a slider: where useful values are, within what is valid."""
     if key in BY_FOCAL_LENGTH and isinstance(f := session.known("camera.focal_length"), int | float):
         return BY_FOCAL_LENGTH[key][0] * f, BY_FOCAL_LENGTH[key][1] * f
@@ -355,7 +361,7 @@ def _step(slider: tuple[float, float] | None, is_integer: bool) -> float:
     return next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= rough * 0.999)
 
 
-def _default(session: Session, model: Any, path: str, key: str) -> Any:
+def _default(session: Document, model: Any, path: str, key: str) -> Any:
     """The value that a key has if it is not given, where it follows from the keys beside it."""
     field = model.model_fields[key]
     if field.default_factory is None:

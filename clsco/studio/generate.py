@@ -15,9 +15,9 @@ from clsco.scene.model import Scene
 from clsco.scene.sweep import parse_sweep
 from clsco.scene.text import key_name
 from clsco.scene.toml import toml_text
-from clsco.studio.jobs import Job, Jobs
+from clsco.studio.jobs import CommandJob, Jobs
 from clsco.studio.offers import shipped_distributions
-from clsco.studio.session import Session
+from clsco.studio.session import Document
 from clsco.studio.store import moved
 from clsco.studio.tables import Table, sparse, with_value
 
@@ -47,7 +47,7 @@ class Wanted:
         return found + (["--device", self.device] if self.device else [])
 
 
-def free_folder(session: Session, kind: str = "frames") -> str:
+def free_folder(session: Document, kind: str = "frames") -> str:
     """A name for an output folder, of the scene's file or title, that nothing has below the root."""
     stem = session.path.stem if session.path is not None else str(session.table.get("title", ""))
     stem = re.sub(r"[^a-z0-9]+", "_", stem.lower()).strip("_")[:40] or "scene"
@@ -55,12 +55,12 @@ def free_folder(session: Session, kind: str = "frames") -> str:
     return next(name for name in names if not (session.root / name).exists())
 
 
-def generate(session: Session, jobs: Jobs, folder: str, wanted: Wanted = Wanted()) -> Job:
+def generate(session: Document, jobs: Jobs, folder: str, wanted: Wanted = Wanted()) -> CommandJob:
     """Write all frames of the scene as `clsco render` does.
 
     Parameters
     ----------
-    session : Session
+    session : Document
     jobs : Jobs
     folder : str
         For the frames, and the scene file that they are made of; below the root.
@@ -68,7 +68,7 @@ def generate(session: Session, jobs: Jobs, folder: str, wanted: Wanted = Wanted(
 
     Returns
     -------
-    Job
+    CommandJob
 
     Raises
     ------
@@ -79,14 +79,14 @@ def generate(session: Session, jobs: Jobs, folder: str, wanted: Wanted = Wanted(
 
 
 def focal_stack(
-    session: Session, jobs: Jobs, folder: str, nearest: float, farthest: float, steps: int, wanted: Wanted = Wanted()
-) -> Job:  # fmt: skip
+    session: Document, jobs: Jobs, folder: str, nearest: float, farthest: float, steps: int, wanted: Wanted = Wanted()
+) -> CommandJob:  # fmt: skip
     """Write frames at focus distances at equal steps from `nearest` to `farthest`, mm. As `generate`."""
     table = _stack_table(session, nearest, farthest, steps)
     return _render(session, jobs, folder, table, f"Focal stack of {steps}", wanted)
 
 
-def stack_scenes(session: Session, nearest: float, farthest: float, steps: int) -> tuple[Scene, ...]:
+def stack_scenes(session: Document, nearest: float, farthest: float, steps: int) -> tuple[Scene, ...]:
     """The scenes of a focal stack that is looked at, as `focal_stack` writes it.
 
     Raises
@@ -104,12 +104,12 @@ def stack_scenes(session: Session, nearest: float, farthest: float, steps: int) 
     return tuple(absolute(scene, session.folder) for scene in scenes)
 
 
-def _stack_table(session: Session, nearest: float, farthest: float, steps: int) -> Table:
+def _stack_table(session: Document, nearest: float, farthest: float, steps: int) -> Table:
     focus = {"from": nearest, "to": farthest, "steps": steps}
     return with_value(session.table, ["camera", "focus_distance"], focus)
 
 
-def clip(session: Session, jobs: Jobs, frames: str, file: str, view: str = "color", preset: str = "") -> Job:
+def clip(session: Document, jobs: Jobs, frames: str, file: str, view: str = "color", preset: str = "") -> CommandJob:
     """Make a clip of frames that are there, by `clsco video`. Raises ClscoError as `Jobs.add`."""
     source, target = _name(session, frames), Path(_name(session, file))
     arguments = ["video", source, "-o", str(target), "--view", view] + (["--preset", preset] if preset else [])
@@ -117,14 +117,14 @@ def clip(session: Session, jobs: Jobs, frames: str, file: str, view: str = "colo
 
 
 def data_set(
-    session: Session, jobs: Jobs, distribution: str, folder: str, count: int, seed: int = 0, form: str = DEFAULT,
+    session: Document, jobs: Jobs, distribution: str, folder: str, count: int, seed: int = 0, form: str = DEFAULT,
     device: str = "",
-) -> Job:  # fmt: skip
+) -> CommandJob:  # fmt: skip
     """Make a data set from a distribution file, by `clsco dataset make`.
 
     Parameters
     ----------
-    session : Session
+    session : Document
     jobs : Jobs
     distribution : str
         Its name below the root; one of `offers.shipped_distributions` is copied there first.
@@ -137,7 +137,7 @@ def data_set(
 
     Returns
     -------
-    Job
+    CommandJob
 
     Raises
     ------
@@ -170,7 +170,7 @@ def data_set(
     return jobs.add(f"Data set of {count}", [*arguments, "--resume", "--quiet"], name, "", count)
 
 
-def _render(session: Session, jobs: Jobs, folder: str, table: Table, what: str, wanted: Wanted) -> Job:
+def _render(session: Document, jobs: Jobs, folder: str, table: Table, what: str, wanted: Wanted) -> CommandJob:
     """Write a scene into a folder, and begin to render it."""
     if session.refused:
         raise ClscoError(f"{next(iter(session.faults))}: must be valid before frames are generated")
@@ -189,7 +189,7 @@ def _render(session: Session, jobs: Jobs, folder: str, table: Table, what: str, 
     return jobs.add(f"{what}: {title}", arguments, name, pattern, count)
 
 
-def _name(session: Session, path: str) -> str:
+def _name(session: Document, path: str) -> str:
     """A path below the root, relative to it, that is no option of a command. Raises SceneError."""
     name = session.inside(Path(path)).relative_to(session.root).as_posix()
     return f"./{name}" if name.startswith("-") else name

@@ -19,11 +19,11 @@ from clsco.files.color import SRGB
 from clsco.files.images import Picture, read_image, write_png
 from clsco.files.png import png_parts
 from clsco.files.transfer import encode
-from clsco.studio.filling import Filler
+from clsco.studio.filling import FillingProcess
 from clsco.studio.folder import below
-from clsco.studio.jobs import Job, Jobs
+from clsco.studio.jobs import CommandJob, Jobs
 from clsco.studio.removals import REMOVALS
-from clsco.studio.session import Session
+from clsco.studio.session import Document
 
 FILLERS = ("mean-median", "biharmonic", "texture")
 """Methods of `clsco inpaint`, that of the thesis first."""
@@ -41,7 +41,7 @@ ROWS = {  # of the table in figure 5.21, with what `Report.figures` calls them
 
 
 @dataclass(frozen=True, eq=False)
-class Filled:
+class FilledImage:
     """Image that a method has filled.
 
     method : str
@@ -66,18 +66,18 @@ class Inpainting:
 
     Attributes
     ----------
-    filler : Filler
+    filler : FillingProcess
         Runs the methods.
     """
 
     def __init__(self, root: Path, device: str | None = None) -> None:
         self.root = root.resolve()
-        self.filler = Filler(device)
+        self.filler = FillingProcess(device)
         self.name = ""
         self.image: NDArray[Any] = np.zeros((1, 1), np.uint8)
         self.color = SRGB
         self.mask = np.zeros((1, 1), np.bool_)
-        self.results: dict[str, Filled] = {}
+        self.results: dict[str, FilledImage] = {}
 
     def open(self, name: str) -> None:
         """Take another image, without a mask.
@@ -183,7 +183,7 @@ class Inpainting:
             raise ImageError(f"mask: must not take the place of the image; got {name!r}")
         write_png(writable_folder(target.parent) / target.name, self._mask_codes())
 
-    def fill(self, method: str) -> Filled | None:
+    def fill(self, method: str) -> FilledImage | None:
         """Fill the missing pixels, and keep the result beside those of other methods.
 
         Returns
@@ -201,12 +201,12 @@ class Inpainting:
         made = self.filler.fill(self.image, mask, method)
         if made is None:
             return None
-        found = Filled(method, *made)
+        found = FilledImage(method, *made)
         if mask is self.mask:  # unless it was painted meanwhile
             self.results[method] = found
         return found
 
-    def begin(self, jobs: Jobs, methods: Sequence[str], folder: str) -> list[Job]:
+    def begin(self, jobs: Jobs, methods: Sequence[str], folder: str) -> list[CommandJob]:
         """Write image and mask into a folder, and have methods fill it as jobs. Raises ClscoError."""
         for method in methods:
             self._require(method)
@@ -268,7 +268,7 @@ class Inpainting:
     def _mask_codes(self) -> NDArray[np.uint8]:
         return np.where(self.mask, 255, 0).astype(np.uint8)
 
-    def _write(self, folder: str, results: Sequence[Filled]) -> list[str]:
+    def _write(self, folder: str, results: Sequence[FilledImage]) -> list[str]:
         """Write image, mask and results, all or none."""
         target = self._target(folder)
         if self.image.dtype.kind == "f":
@@ -309,10 +309,10 @@ def _figure(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-_OPENED: WeakKeyDictionary[Session, Inpainting] = WeakKeyDictionary()
+_OPENED: WeakKeyDictionary[Document, Inpainting] = WeakKeyDictionary()
 
 
-def inpainting_of(session: Session, device: str | None = None) -> Inpainting:
+def inpainting_of(session: Document, device: str | None = None) -> Inpainting:
     """The inpainting of a tab, by its session."""
     if session not in _OPENED:
         _OPENED[session] = Inpainting(session.root, device)

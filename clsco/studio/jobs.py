@@ -40,7 +40,7 @@ UNFINISHED = ("waiting", "running")
 
 
 @dataclass(frozen=True)
-class Job:
+class CommandJob:
     """One command.
 
     Attributes
@@ -133,7 +133,7 @@ class Jobs:
         self._jobs = _read(self.state)
 
     @property
-    def listed(self) -> tuple[Job, ...]:
+    def listed(self) -> tuple[CommandJob, ...]:
         """All jobs, the last one first."""
         return tuple(reversed(self._jobs))
 
@@ -142,7 +142,7 @@ class Jobs:
         self._listeners.append(listener)
         return lambda: self._listeners.remove(listener) if listener in self._listeners else None
 
-    def add(self, title: str, arguments: Sequence[str], folder: str, pattern: str, total: int) -> Job:
+    def add(self, title: str, arguments: Sequence[str], folder: str, pattern: str, total: int) -> CommandJob:
         """Begin a command, or have it wait for those before.
 
         Raises
@@ -152,7 +152,7 @@ class Jobs:
         """
         self.require_free(folder)
         number = 1 + max((job.number for job in self._jobs), default=0)
-        self._put(Job(number, title[:_TITLE], tuple(arguments), folder, pattern, total))
+        self._put(CommandJob(number, title[:_TITLE], tuple(arguments), folder, pattern, total))
         self.poll()
         return self.job(number)
 
@@ -165,7 +165,7 @@ class Jobs:
             if other.is_unfinished and (self.root / other.folder).resolve() == target:
                 raise ClscoError(f"output folder: job {other.number} writes to it already; got {folder!r}")
 
-    def job(self, number: int) -> Job:
+    def job(self, number: int) -> CommandJob:
         """A job by its number. Raises KeyError."""
         return {job.number: job for job in self._jobs}[number]
 
@@ -179,7 +179,7 @@ class Jobs:
             _signal(job, signal.SIGINT, number in self._processes)
         self.poll()
 
-    def again(self, number: int) -> Job:
+    def again(self, number: int) -> CommandJob:
         """Run a finished job once more; frames that are whole are left out."""
         job = self.job(number)
         arguments = job.arguments
@@ -222,11 +222,11 @@ class Jobs:
         """Let go of the folder; a running command goes on."""
         self.state.close()
 
-    def _drop(self, job: Job) -> None:
+    def _drop(self, job: CommandJob) -> None:
         """Remove what a job has said."""
         self.state.remove(_log(job), _end(job), f"{_end(job)}.part")
 
-    def _begin(self, job: Job) -> None:
+    def _begin(self, job: CommandJob) -> None:
         self._drop(job)
         command = ["sh", "-c", _SHELL, str(self.state.path / _end(job)), *_PYTHON, *job.arguments]
         try:
@@ -244,7 +244,7 @@ class Jobs:
             replace(job, status="running", began=now, process=process.pid, process_began=_began(process.pid) or 0)
         )
 
-    def _look_at(self, job: Job) -> bool:
+    def _look_at(self, job: CommandJob) -> bool:
         """Bring a running job up to date; whether it changed."""
         process = self._processes.get(job.number)
         if process is not None:
@@ -276,7 +276,7 @@ class Jobs:
         self._put(replace(job, status=status, done=done, ended=time.time(), message=message))
         return True
 
-    def _count(self, job: Job, is_over: bool) -> int:
+    def _count(self, job: CommandJob, is_over: bool) -> int:
         """Files that were made since the job began, or that it need not make again; samples of a data set."""
         if job.command == "dataset":
             return self._count_samples(job, is_over)
@@ -287,7 +287,7 @@ class Jobs:
                 count += path.stat().st_mtime >= since
         return min(count, job.total) if job.total else count
 
-    def _count_samples(self, job: Job, is_over: bool) -> int:
+    def _count_samples(self, job: CommandJob, is_over: bool) -> int:
         """Samples of a data set, which take a tenth of the time at most to count while it is made."""
         began = time.monotonic()
         if not is_over and began < self._next_count:
@@ -297,14 +297,14 @@ class Jobs:
         self._next_count = now + 9.0 * (now - began)
         return made
 
-    def _code(self, job: Job) -> int | None:
+    def _code(self, job: CommandJob) -> int | None:
         """Exit status of a command that ended, None where it was killed with all that was around it."""
         try:
             return int(self.state.read(_end(job), 16))
         except (OSError, ValueError):
             return None
 
-    def _said(self, job: Job) -> str:
+    def _said(self, job: CommandJob) -> str:
         """The end of what a command said."""
         try:
             text = self.state.tail(_log(job), _TAIL).decode(errors="replace")
@@ -312,7 +312,7 @@ class Jobs:
             return ""
         return "\n".join(text.strip().splitlines()[-8:])
 
-    def _put(self, job: Job) -> None:
+    def _put(self, job: CommandJob) -> None:
         """Take a job in place of that of its number, or as the last one, on the disk, too."""
         others = [job if other.number == job.number else other for other in self._jobs]
         self._jobs = others if job in others else [*others, job]
@@ -331,19 +331,19 @@ class Jobs:
             listener()
 
 
-def _log(job: Job) -> str:
+def _log(job: CommandJob) -> str:
     return f"job_{job.number}.log"
 
 
-def _end(job: Job) -> str:
+def _end(job: CommandJob) -> str:
     return f"job_{job.number}.end"
 
 
-def _read(state: StateFolder) -> list[Job]:
+def _read(state: StateFolder) -> list[CommandJob]:
     """Jobs of a list; none where it is not what a studio wrote."""
     try:
         listed = json.loads(state.read(LIST, LARGEST))
-        return [Job(**{**entry, "arguments": tuple(entry["arguments"])}) for entry in listed]
+        return [CommandJob(**{**entry, "arguments": tuple(entry["arguments"])}) for entry in listed]
     except (OSError, ValueError, TypeError, KeyError, RecursionError):
         return []
 
@@ -367,7 +367,7 @@ def _has_group(group: int) -> bool:
     return False
 
 
-def _signal(job: Job, number: signal.Signals, is_ours: bool) -> None:
+def _signal(job: CommandJob, number: signal.Signals, is_ours: bool) -> None:
     """Send a signal to the group of a job's command, if that is still the one; is_ours: this process began it."""
     if job.process and (_began(job.process) == job.process_began or (is_ours and _has_group(job.process))):
         with contextlib.suppress(ProcessLookupError, PermissionError):

@@ -13,7 +13,7 @@ from clsco.optics.motion import keyframe_at
 from clsco.scene.model import Scene
 from clsco.scene.motions import ObjectMotion
 from clsco.scene.text import brief, shown
-from clsco.studio.session import Session
+from clsco.studio.session import Document
 from clsco.studio.tables import Table, at, with_value, without
 from clsco.studio.words import SHAPE_LABELS, words
 
@@ -44,17 +44,17 @@ class Track:
     times: tuple[float | None, ...]
 
 
-def tracks(session: Session) -> tuple[Track, ...]:
+def tracks(session: Document) -> tuple[Track, ...]:
     """The camera, its lens, groups and objects of a scene, but for backgrounds, which cannot move."""
     return tuple(Track(path, name, _times(session, path)) for path, name in _named(session))
 
 
-def add_keyframe(session: Session, path: str, time: float) -> None:
+def add_keyframe(session: Document, path: str, time: float) -> None:
     """Add a keyframe with the pose, or the lens, that there is at a time, as one step of undo.
 
     Parameters
     ----------
-    session : Session
+    session : Document
     path : str
         Path of a `Track`.
     time : float
@@ -95,7 +95,7 @@ def add_keyframe(session: Session, path: str, time: float) -> None:
     session.take(replace(session.state, table=with_value(table, path.split("."), keys)))
 
 
-def remove_keyframe(session: Session, path: str, index: int) -> None:
+def remove_keyframe(session: Document, path: str, index: int) -> None:
     """Remove a keyframe, as one step of undo. With the last one all keys that only keyframes have are gone.
 
     Raises
@@ -118,7 +118,7 @@ def remove_keyframe(session: Session, path: str, index: int) -> None:
     session.take(replace(session.state, table=table))
 
 
-def _named(session: Session) -> Iterator[tuple[str, str]]:
+def _named(session: Document) -> Iterator[tuple[str, str]]:
     yield "camera.motion.keyframe", "Camera"
     yield LENS, "Lens"
     for number, group in enumerate(session.table.get("group", ())):
@@ -129,12 +129,12 @@ def _named(session: Session) -> Iterator[tuple[str, str]]:
             yield f"object.{number}.motion.keyframe", f"{number + 1} {name}"
 
 
-def _known(session: Session, path: str) -> None:
+def _known(session: Document, path: str) -> None:
     if path not in (known for known, _ in _named(session)):
         raise SceneError(f"keyframe: must be of the camera, its lens, a group or an object; got {brief(path)}")
 
 
-def _times(session: Session, path: str) -> tuple[float | None, ...]:
+def _times(session: Document, path: str) -> tuple[float | None, ...]:
     """Times of keyframes as they are in the boxes, if numbers are."""
     keys = at(session.table, path.split("."))
     if not isinstance(keys, list):
@@ -153,7 +153,7 @@ def _number(value: Any) -> float | None:
     return float(value) if is_one and abs(value) <= LATEST else None
 
 
-def _motion(session: Session, path: str) -> ObjectMotion:
+def _motion(session: Document, path: str) -> ObjectMotion:
     """The motion in the scene that is shown."""
     scene, parts = session.scene, path.split(".")
     if parts[0] == "camera":

@@ -13,7 +13,7 @@ from clsco.optics.exposure import middle_time
 from clsco.optics.lens import ray_step
 from clsco.optics.motion import Eye, eye_pose, static_rotation
 from clsco.scene.model import Camera, Plane
-from clsco.studio.session import Session
+from clsco.studio.session import Document
 
 PLACES = {"cone": "apex", "plane": "distance", "depth_map": "", "background": ""}
 """Keys that say where an object is, by shape; "": none. That of all others is `center`."""
@@ -76,12 +76,12 @@ class Grip:
         return [round(old + float(new), _DIGITS) for old, new in zip(self.start, by, strict=True)]
 
 
-def grip(session: Session, index: int, object_id: int, depth: float, eye: Eye = "left") -> Grip:
+def grip(session: Document, index: int, object_id: int, depth: float, eye: Eye = "left") -> Grip:
     """Take hold of an object.
 
     Parameters
     ----------
-    session : Session
+    session : Document
     index : int
         Number of the frame.
     object_id : int

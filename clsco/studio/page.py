@@ -9,12 +9,12 @@ from nicegui import Client, ui
 
 from clsco.studio.pictures import VIEWS
 from clsco.studio.server import Studio
-from clsco.studio.session import Session
+from clsco.studio.session import Document
 from clsco.studio.widgets.files import open_dialog, preset_dialog, save_dialog, share_dialog
+from clsco.studio.widgets.html import button, say
 from clsco.studio.widgets.inpainting import inpainting_dialog
 from clsco.studio.widgets.jobs import draw_jobs, generate_dialog
 from clsco.studio.widgets.panels import draw_panels
-from clsco.studio.widgets.plain import button, say
 from clsco.studio.widgets.sweep import draw_sweep
 
 KEYS = (
@@ -47,8 +47,8 @@ COMPARISONS = (
     ("64", "difference × 64"),
 )
 SCRIPTS = (
-    "colors", "studio", "badge", "keep", "tools", "line", "keyframes", "compare", "progress", "inspect", "forms",
-    "brush",
+    "colors", "studio", "badge", "persistence", "tools", "timeline", "keyframes", "compare", "progress", "inspect",
+    "forms", "brush",
 )  # fmt: skip
 MOST_UNSHOWN = 8  # pages
 STYLES = ("studio", "forms")
@@ -114,7 +114,7 @@ def draw(name: str, studio: Studio) -> None:
         ui.context.client.on_delete(end)
 
 
-def _header(session: Session, studio: Studio, name: str) -> None:
+def _header(session: Document, studio: Studio, name: str) -> None:
     """Title, files, and the way back."""
     say("button", "☰", id="drawer", aria_label="Panels", data_toggle="open")
     say("h1", id="title")

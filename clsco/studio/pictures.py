@@ -42,7 +42,7 @@ QUALITY = {DRAGGING: 80, LOSSY: 95}
 
 
 @dataclass(frozen=True)
-class Picture:
+class ViewPicture:
     """Picture of a frame, as it is sent to the page.
 
         Attributes
@@ -98,7 +98,7 @@ def truth_of(view: str) -> tuple[str, ...]:
     return () if view == "color" else (VIEWS[view],)
 
 
-def picture_of(frame: Frame, scene: Scene, view: str, rung: int, full: tuple[int, int], seconds: float) -> Picture:
+def picture_of(frame: Frame, scene: Scene, view: str, rung: int, full: tuple[int, int], seconds: float) -> ViewPicture:
     """Encode a view of a frame.
 
     Images are JPEG, but for EXACT the PNG that `clsco render` writes; all else is floats, for DRAGGING of 16 bits, but
@@ -122,7 +122,7 @@ def picture_of(frame: Frame, scene: Scene, view: str, rung: int, full: tuple[int
         with np.errstate(over="ignore"):  # infinite in 16 bits
             payload = np.ascontiguousarray(data, dtype).tobytes()
     rows, columns = data.shape[:2]
-    return Picture(rung, view, (columns, rows), full, encoding, payload, seconds, eye=frame.eye)
+    return ViewPicture(rung, view, (columns, rows), full, encoding, payload, seconds, eye=frame.eye)
 
 
 def _jpeg(codes: NDArray[Any], quality: int) -> bytes:

@@ -11,7 +11,7 @@ from clsco.optics.lens_path import camera_at
 from clsco.scene.model import Camera
 from clsco.studio.moving import Grip, grip
 from clsco.studio.preview import MEASURE, Preview
-from clsco.studio.session import Session
+from clsco.studio.session import Document
 
 MOST_PX = 1e6  # of a drag
 
@@ -21,12 +21,12 @@ class Pointer:
 
     Parameters
     ----------
-    session : Session
+    session : Document
     preview : Preview
         Knows the surface at a pixel.
     """
 
-    def __init__(self, session: Session, preview: Preview) -> None:
+    def __init__(self, session: Document, preview: Preview) -> None:
         self._session, self._preview = session, preview
         self._held: tuple[int, Grip, Camera] | None = None  # by the drag of this number
 

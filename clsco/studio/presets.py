@@ -12,7 +12,7 @@ from clsco.resources import folder
 from clsco.scene.examples import EXAMPLES
 from clsco.scene.file import read_mapping
 from clsco.studio.folder import below
-from clsco.studio.session import Session
+from clsco.studio.session import Document
 from clsco.studio.tables import Table, renamed
 from clsco.studio.uploads import holds, keep_image
 
@@ -22,7 +22,7 @@ _METHOD = ("psf", "image", "motion", "fill")  # sections that say how, and not w
 
 
 @dataclass(frozen=True)
-class Preset:
+class ScenePreset:
     """A scene that is shipped with the package.
 
     Attributes
@@ -44,20 +44,20 @@ class Preset:
 
 
 @cache
-def presets() -> tuple[Preset, ...]:
+def presets() -> tuple[ScenePreset, ...]:
     """The figures of the thesis in their order, then the examples."""
     root = Path(str(folder("examples")))
     paths = sorted((root / "thesis").glob("*.toml"))
     figures = [
-        Preset(f"thesis/{path.stem}", str(read_mapping(str(path), ())["title"]), OF_THE_THESIS) for path in paths
+        ScenePreset(f"thesis/{path.stem}", str(read_mapping(str(path), ())["title"]), OF_THE_THESIS) for path in paths
     ]
-    examples = [Preset(name, text[:1].upper() + text[1:], OTHERS) for name, text in EXAMPLES.items()]
+    examples = [ScenePreset(name, text[:1].upper() + text[1:], OTHERS) for name, text in EXAMPLES.items()]
     titles = [figure.title for figure in figures]
     figures = [_numbered(figure) if titles.count(figure.title) > 1 else figure for figure in figures]
     return (*figures, *examples)
 
 
-def load_preset(session: Session, name: str) -> None:
+def load_preset(session: Document, name: str) -> None:
     """Go to the scene of a preset, as a step of undo; its images are copied below the root.
 
     Raises
@@ -88,12 +88,12 @@ def _copied(path: Path, root: Path) -> str:
     return name
 
 
-def is_as_the_thesis(session: Session) -> bool:
+def is_as_the_thesis(session: Document) -> bool:
     """True if PSF and method are the thesis'."""
     return {key: session.table.get(key) for key in _METHOD[:2]} == {key: _thesis()[key] for key in _METHOD[:2]}
 
 
-def choose_method(session: Session, as_the_thesis: bool) -> None:
+def choose_method(session: Document, as_the_thesis: bool) -> None:
     """Take PSF and method of the thesis, or the defaults of clsco, as a step of undo. Raises SceneError.
 
     Forward warp and filling come with the thesis' method; objects, camera and sequence stay.
@@ -110,7 +110,7 @@ def _thesis() -> Table:
     return read_mapping(str(Path(str(folder("examples"))) / "thesis" / "fig_4_13.toml"), ())
 
 
-def _numbered(preset: Preset) -> Preset:
+def _numbered(preset: ScenePreset) -> ScenePreset:
     """A preset whose title others have, too, with the part of its figure."""
     part = re.search(r"_([a-z])$", preset.name)
     return replace(preset, title=preset.title.replace(":", f" {part[1]}:", 1)) if part else preset

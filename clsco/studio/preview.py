@@ -12,10 +12,20 @@ from typing import Any, Protocol
 from clsco.errors import CanceledError, ClscoError
 from clsco.optics.motion import Eye
 from clsco.scene.model import Scene
-from clsco.studio.moments import moment_of
-from clsco.studio.pictures import DRAGGING, EXACT, NO_NUMBER, PINNED, REFERENCE, STACKED, VIEWS, Picture, packed_message
+from clsco.studio.exposure_views import moment_of
+from clsco.studio.pictures import (
+    DRAGGING,
+    EXACT,
+    NO_NUMBER,
+    PINNED,
+    REFERENCE,
+    STACKED,
+    VIEWS,
+    ViewPicture,
+    packed_message,
+)
 from clsco.studio.reference import reference_picture
-from clsco.studio.renderer import Job, Progress, Question, RendererEndedError, Watch
+from clsco.studio.renderer import PictureJob, Question, RendererEndedError, RenderProgress, Watch
 
 REST = 0.120  # s without a change
 LATEST = 1e9  # s, of a time sample
@@ -25,11 +35,11 @@ _MOST_CRASHES = 2  # of the renderer with the same scene
 
 
 Report = Callable[[dict[str, Any]], Awaitable[None]]
-Refer = Callable[[Job, Callable[[float], Coroutine[Any, Any, None]]], Awaitable[Picture]]
+Refer = Callable[[PictureJob, Callable[[float], Coroutine[Any, Any, None]]], Awaitable[ViewPicture]]
 
 
 class Edited(Protocol):
-    """Part of a `Session` that a preview needs."""
+    """Part of a `Document` that a preview needs."""
 
     @property
     def scene(self) -> Scene: ...
@@ -38,9 +48,9 @@ class Edited(Protocol):
 
 
 class Renders(Protocol):
-    """Part of a `Renderer` that a preview needs."""
+    """Part of a `RendererProcess` that a preview needs."""
 
-    def pictures(self, job: Job, watch: Watch | None = None) -> AsyncGenerator[Picture, None]: ...
+    def pictures(self, job: PictureJob, watch: Watch | None = None) -> AsyncGenerator[ViewPicture, None]: ...
     async def inspect(self, question: Question, watch: Watch | None = None) -> dict[str, Any]: ...
     async def warm(self, scene: Scene) -> None: ...
     def cancel(self) -> None: ...
@@ -55,7 +65,7 @@ class Preview:
     Parameters
     ----------
     session : Session
-    renderer : Renderer
+    renderer : RendererProcess
     send : coroutine function of bytes
         Takes pictures to the browser.
     refer : coroutine function, optional
@@ -81,7 +91,7 @@ class Preview:
         self._asked: dict[str, tuple[int, int, Report]] = {}
         self._other: Scene | None = None
         self._reference: asyncio.Task[None] | None = None
-        self._ready: tuple[int, Picture] | None = None  # by the reference, and of which revision
+        self._ready: tuple[int, ViewPicture] | None = None  # by the reference, and of which revision
         self._stack: list[tuple[int, Scene]] = []  # what is missing of it, with its numbers
         self._warm: set[Any] = set()  # kinds of scenes whose kernels, and those near, are compiled
 
@@ -159,7 +169,7 @@ class Preview:
         """Have the frame made by the reference meanwhile; it is sent once there is nothing else to do."""
         self.cancel_reference()
         scene, index = self._at_rest()
-        job = Job(scene, index, self._view, REFERENCE, self._eye)
+        job = PictureJob(scene, index, self._view, REFERENCE, self._eye)
         self._reference = asyncio.create_task(self._by_reference(job, self._session.revision))
 
     def cancel_reference(self) -> None:
@@ -167,7 +177,7 @@ class Preview:
         if self._reference is not None:
             self._reference.cancel()
 
-    async def _by_reference(self, job: Job, revision: int) -> None:
+    async def _by_reference(self, job: PictureJob, revision: int) -> None:
         async def predicted(seconds: float) -> None:
             await self.tell(reference={"revision": revision, "seconds": seconds})
 
@@ -234,7 +244,7 @@ class Preview:
             scene = moment_of(scene, index, self._time)
         return scene, index
 
-    async def _watch(self, progress: Progress) -> None:
+    async def _watch(self, progress: RenderProgress) -> None:
         await self.tell(progress=asdict(progress))
 
     async def _room(self) -> None:
@@ -280,7 +290,7 @@ class Preview:
         finally:
             self._is_exact_underway = False
 
-    def _next_job(self, rung: int, other: Scene | None, step: tuple[int, Scene] | None) -> tuple[Job, int]:
+    def _next_job(self, rung: int, other: Scene | None, step: tuple[int, Scene] | None) -> tuple[PictureJob, int]:
         """Job of the session's scene, of another one or of a step of a focal stack, and the number of its pictures."""
         scene = other or self._session.scene
         index = number = min(self._index, scene.sequence.frames - 1)
@@ -288,11 +298,11 @@ class Preview:
             number, scene = step
         if self._time is not None and scene.moves:
             scene, number = moment_of(scene, index, self._time), number if step is not None else NO_NUMBER
-        return Job(scene, index, self._view, rung, self._eye), number
+        return PictureJob(scene, index, self._view, rung, self._eye), number
 
-    async def _post_all(self, job: Job, revision: int, number: int) -> bool:
+    async def _post_all(self, job: PictureJob, revision: int, number: int) -> bool:
         """Send the pictures of a job; False where there is a later state before the last of them."""
-        state, late = self._state, list[Picture]()
+        state, late = self._state, list[ViewPicture]()
         self._is_exact_underway = job.rung != DRAGGING
         async with aclosing(self._renderer.pictures(job, self._watch)) as pictures:
             async for picture in pictures:
@@ -310,7 +320,7 @@ class Preview:
             await self._post(picture, revision, number)
         return True
 
-    async def _post(self, picture: Picture, revision: int, number: int) -> None:
+    async def _post(self, picture: ViewPicture, revision: int, number: int) -> None:
         self._unseen.append((revision, picture.rung))
         await self._send(picture.packed(revision, number))
         if picture.about is not None:

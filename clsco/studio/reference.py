@@ -14,8 +14,8 @@ from clsco.engine.child import Child
 from clsco.errors import ClscoError, SceneError
 from clsco.scene.model import Scene
 from clsco.scene.text import time_words
-from clsco.studio.pictures import REFERENCE, Picture, picture_of
-from clsco.studio.renderer import Job, RendererEndedError
+from clsco.studio.pictures import REFERENCE, ViewPicture, picture_of
+from clsco.studio.renderer import PictureJob, RendererEndedError
 
 MOST_SECONDS = 600.0
 PROBE = 32  # px, sides of the frame whose time is measured to predict that of the whole
@@ -24,12 +24,12 @@ OF_MAPS = 15e-6  # s per pixel and time sample of a scene with depth maps, which
 NICE = 10  # the preview comes first
 
 
-async def reference_picture(job: Job, predicted: Callable[[float], Coroutine[Any, Any, None]]) -> Picture:
+async def reference_picture(job: PictureJob, predicted: Callable[[float], Coroutine[Any, Any, None]]) -> ViewPicture:
     """The picture of a job by the reference; canceling the task ends its process.
 
     Parameters
     ----------
-    job : Job
+    job : PictureJob
         Job of any rung.
     predicted : coroutine function of float
         Is given about how many seconds it will take.
@@ -45,7 +45,7 @@ async def reference_picture(job: Job, predicted: Callable[[float], Coroutine[Any
     try:
         while True:
             said = await asyncio.to_thread(child.pipe.recv)
-            if isinstance(said, Picture):
+            if isinstance(said, ViewPicture):
                 return said
             if isinstance(said, ClscoError):
                 raise said
@@ -56,7 +56,7 @@ async def reference_picture(job: Job, predicted: Callable[[float], Coroutine[Any
         child.terminate()
 
 
-def _work(pipe: Connection, job: Job) -> None:
+def _work(pipe: Connection, job: PictureJob) -> None:
     """The process."""
     from clsco import reference
     from clsco.inputs.textures import load_scene_textures

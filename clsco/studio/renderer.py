@@ -18,7 +18,7 @@ from clsco.frame.frame import Frame
 from clsco.optics.motion import Eye
 from clsco.scene.model import Scene
 from clsco.studio.ladder import Ladders, coarser, unblurred, work_of
-from clsco.studio.pictures import DRAGGING, EXACT, IMAGES, LOSSY, UNBLURRED, Picture
+from clsco.studio.pictures import DRAGGING, EXACT, IMAGES, LOSSY, UNBLURRED, ViewPicture
 
 TICK = 0.5  # s between words of what takes long
 SILENCE = 30.0  # s without one, after which the process is given up: it is stopped, or its driver hangs
@@ -29,7 +29,7 @@ class RendererEndedError(ClscoError):
 
 
 @dataclass(frozen=True)
-class Job:
+class PictureJob:
     """A picture that is wanted.
 
     Attributes
@@ -73,7 +73,7 @@ class Question:
 
 
 @dataclass(frozen=True)
-class Progress:
+class RenderProgress:
     """Progress of long work.
 
     Attributes
@@ -92,10 +92,10 @@ class Progress:
     still: float
 
 
-Watch = Callable[[Progress], Coroutine[Any, Any, None]]
+Watch = Callable[[RenderProgress], Coroutine[Any, Any, None]]
 
 
-class Renderer:
+class RendererProcess:
     """Handle of the renderer's process: jobs go in, one at a time, and pictures come out.
 
     Parameters
@@ -124,13 +124,13 @@ class Renderer:
         loop = asyncio.get_running_loop()
         threading.Thread(target=_listen, args=(self._child.pipe, loop, self._answers), daemon=True).start()
 
-    async def pictures(self, job: Job, watch: Watch | None = None) -> AsyncGenerator[Picture, None]:
+    async def pictures(self, job: PictureJob, watch: Watch | None = None) -> AsyncGenerator[ViewPicture, None]:
         """Pictures of a job, as they come.
 
         Parameters
         ----------
-        job : Job
-        watch : coroutine function of Progress, optional
+        job : PictureJob
+        watch : coroutine function of RenderProgress, optional
             Called twice a second while it takes long.
 
         Raises
@@ -168,7 +168,7 @@ class Renderer:
         try:
             while not (await asyncio.wait({turn}, timeout=TICK))[0]:
                 if watch is not None:
-                    await watch(Progress("another tab", 0, 0, time.monotonic() - start))
+                    await watch(RenderProgress("another tab", 0, 0, time.monotonic() - start))
         except BaseException:
             if not turn.cancel():
                 self._turn.release()
@@ -212,7 +212,7 @@ class Renderer:
                 raise EOFError
             if of != number:
                 continue  # of a job that nobody waits for any more
-            if not isinstance(answer, Progress):
+            if not isinstance(answer, RenderProgress):
                 return answer
             if watch is not None:
                 await watch(answer)
@@ -250,7 +250,7 @@ def _work(pipe: Connection, device: str | None) -> None:
     import queue
 
     jobs: queue.SimpleQueue[tuple[str, int, Any]] = queue.SimpleQueue()
-    worker = _Worker(pipe, device)
+    worker = _RenderWorker(pipe, device)
 
     def listen() -> None:
         with suppress(EOFError, OSError):  # the server has ended
@@ -267,7 +267,7 @@ def _work(pipe: Connection, device: str | None) -> None:
         worker.answer(*jobs.get())
 
 
-def _needed(job: Job) -> Scene:
+def _needed(job: PictureJob) -> Scene:
     """The scene of a job, without what its view does not show and takes the time: the blur."""
     return unblurred(job.scene) if job.view in UNBLURRED and job.scene.is_analytic else job.scene
 
@@ -282,7 +282,7 @@ class _Known:
     seconds: float
 
 
-class _Worker:
+class _RenderWorker:
     """Renders in the process."""
 
     def __init__(self, pipe: Connection, device: str | None) -> None:
@@ -328,7 +328,7 @@ class _Worker:
         self._current = None
         self._send(number, error)
 
-    def _short_of_memory(self, content: Job | Question | Scene) -> ClscoError:
+    def _short_of_memory(self, content: PictureJob | Question | Scene) -> ClscoError:
         """Error where the device is too small even for strips, or the host for the frame."""
         from clsco.plan.memory import device_bytes, free_bytes
         from clsco.plan.prepare import prepare
@@ -355,15 +355,15 @@ class _Worker:
             if current is None or now - current[1] < TICK:
                 continue
             progress = live.session.progress if live is not None else None
-            found = Progress("starting the device", 0, 0, 0.0)
+            found = RenderProgress("starting the device", 0, 0, 0.0)
             if progress is not None:
-                found = Progress(progress.doing, progress.done, progress.total, 0.0)
+                found = RenderProgress(progress.doing, progress.done, progress.total, 0.0)
             if before != (current, found):
                 before, since = (current, found), now
             with suppress(OSError):
                 self._send(current[0], replace(found, still=now - since))
 
-    def _coarse(self, number: int, job: Job) -> None:
+    def _coarse(self, number: int, job: PictureJob) -> None:
         from clsco.inputs.textures import texture_size
         from clsco.studio.pictures import picture_of, truth_of
 
@@ -380,7 +380,7 @@ class _Worker:
         ladder.measured(work, eighths, time.perf_counter() - start)
         self._send(number, replace(picture, is_plain=is_plain))
 
-    def _exact(self, number: int, job: Job) -> None:
+    def _exact(self, number: int, job: PictureJob) -> None:
         from clsco.studio.pictures import picture_of, truth_of
 
         self._check(number)
@@ -397,10 +397,10 @@ class _Worker:
                 picture = replace(picture, about=self._about(job, scene, frame, seconds))
             self._send(number, picture)
 
-    def _about(self, job: Job, rendered: Scene, frame: Frame, seconds: float) -> dict[str, Any]:
+    def _about(self, job: PictureJob, rendered: Scene, frame: Frame, seconds: float) -> dict[str, Any]:
         from clsco.plan.prepare import prepare
         from clsco.plan.request import Request
-        from clsco.studio.moments import exposure_of
+        from clsco.studio.exposure_views import exposure_of
         from clsco.studio.pictures import truth_of
         from clsco.studio.planned import plan_line
 
@@ -409,7 +409,7 @@ class _Worker:
         whole = prepared if rendered is job.scene else prepare(job.scene, request, device, files)
         return {"plan": plan_line(prepared, seconds)} | exposure_of(frame, job.scene, whole.plan.samples)
 
-    def _ladders_of(self, job: Job) -> Ladders:
+    def _ladders_of(self, job: PictureJob) -> Ladders:
         return self._ladders.setdefault((job.view, len(job.scene.objects), job.scene.moves), Ladders())
 
     def _inspect(self, number: int, question: Question) -> dict[str, Any]:
@@ -443,7 +443,7 @@ class _Worker:
             self._known = _Known(question.frame, frame, plan.tilt and plan.occlusion != "layered", seconds)
         return self._known
 
-    def _frame(self, scene: Scene, of: Job | Question, truth: tuple[str, ...]) -> Frame:
+    def _frame(self, scene: Scene, of: PictureJob | Question, truth: tuple[str, ...]) -> Frame:
         from clsco.engine.sequence import render
 
         if scene.stereo is not None:

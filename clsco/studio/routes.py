@@ -16,10 +16,10 @@ from clsco.inputs.textures import load_texture
 from clsco.studio.inpainting import Inpainting, inpainting_of
 from clsco.studio.jobs import Jobs
 from clsco.studio.samples import SMALL, sample_picture
-from clsco.studio.session import Session
+from clsco.studio.session import Document
 from clsco.studio.tables import FILE_KEYS
 
-Sessions = Callable[[str], Session | None]
+Sessions = Callable[[str], Document | None]
 _TYPES = {".png": "image/png", ".mp4": "video/mp4", ".webm": "video/webm"}
 
 
@@ -143,7 +143,7 @@ def _none() -> JSONResponse:
     return JSONResponse({"error": "no such tab"}, 404)
 
 
-def small_picture(session: Session, path: str) -> tuple[bytes, str]:
+def small_picture(session: Document, path: str) -> tuple[bytes, str]:
     """A PNG of at most 160 x 160 px of a texture with its size and bits in words; nothing where the path is not of one.
 
     Raises ClscoError.

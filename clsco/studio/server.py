@@ -32,9 +32,9 @@ from clsco.studio.keyframes import add_keyframe, remove_keyframe, tracks
 from clsco.studio.pointing import Pointer
 from clsco.studio.presets import choose_method
 from clsco.studio.preview import Preview
-from clsco.studio.renderer import Renderer
+from clsco.studio.renderer import RendererProcess
 from clsco.studio.routes import add_routes
-from clsco.studio.session import Session
+from clsco.studio.session import Document
 from clsco.studio.tables import is_path
 from clsco.studio.uploads import keep_image
 
@@ -60,7 +60,7 @@ _OPENING = """<!DOCTYPE html>
 class Tab:
     """A tab of the browser: its session, and where its pictures go while it is there."""
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: Document) -> None:
         self.session = session
         self.preview: Preview | None = None
         self.watched: tuple[str, ...] = ()
@@ -82,15 +82,15 @@ class Studio:
 
     def __init__(self, root: Path, scene: Path | None = None, device: str | None = None) -> None:
         self.root, self.scene, self.device = root.resolve(), scene, device
-        self.renderer = Renderer(device)
+        self.renderer = RendererProcess(device)
         self.jobs = Jobs(self.root)
         self.tabs: dict[str, Tab] = {}
         self._ended = 0  # pages
         self.jobs.state.remove(*(path.name for path in self.kept_scenes()[MOST_KEPT:]))
 
-    def new_session(self) -> Session:
+    def new_session(self) -> Document:
         """A session with the scene of the command line."""
-        session = Session(self.root)
+        session = Document(self.root)
         if self.scene is not None:
             session.open(self.scene.absolute())
             session.forget_past()
@@ -261,7 +261,7 @@ def _point(pointer: Pointer, said: dict[str, Any]) -> bool:
     return True
 
 
-async def _look(session: Session, preview: Preview, said: dict[str, Any]) -> bool:
+async def _look(session: Document, preview: Preview, said: dict[str, Any]) -> bool:
     """Act on a message about the pictures; False for others."""
     match said:
         case {"ack": [int(revision), int(rung)]}:
@@ -299,9 +299,9 @@ def _is_flat(value: Any, levels: int) -> bool:
     return levels > 0 and all(_is_flat(each, levels - 1) for each in inner)
 
 
-def as_the_thesis(session: Session) -> Scene:
+def as_the_thesis(session: Document) -> Scene:
     """The scene with PSF and method of the thesis; the session stays as it is."""
-    other = Session(session.root)
+    other = Document(session.root)
     other.take(session.state)
     choose_method(other, True)
     return other.scene

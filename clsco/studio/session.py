@@ -26,10 +26,10 @@ from clsco.studio.store import (
 )
 from clsco.studio.tables import Table, renamed
 
-__all__ = ["ConflictError", "Session"]
+__all__ = ["ConflictError", "Document"]
 
 
-class Session(Editor):
+class Document(Editor):
     """A scene that is changed key by key, opened and saved, and shared as a link.
 
     Parameters

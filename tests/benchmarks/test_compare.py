@@ -22,10 +22,10 @@ from benchmarks.speed.lensreport import lens_table
 from benchmarks.speed.warp import WarpRow
 from benchmarks.truth import mitsuba
 from clsco.cli.bench import measure, report
-from clsco.cli.bench.cases import PSFS, Grid, Peer, radius_map
-from clsco.cli.bench.measure import Row
+from clsco.cli.bench.cases import PSFS, BenchGrid, Peer, radius_map
+from clsco.cli.bench.measure import BenchRow
 from clsco.cli.bench.roofline import Roof
-from clsco.cli.bench.stages import Stages
+from clsco.cli.bench.stages import MeasuredStages
 from clsco.cli.main import main
 from clsco.constants import NO_WINNER
 from clsco.inputs.textures import load_scene_textures
@@ -138,7 +138,7 @@ def test_stages_of_the_forward_warp(name: str, session: Session) -> None:
     """The device's winners are numba's and the reference's, and filling fills what the thesis' captions say."""
     pytest.importorskip("numba")
     scene, texture = warp.scene_at(name, 128)
-    stages = Stages(session, scene, texture)
+    stages = MeasuredStages(session, scene, texture)
     stages.depth_test()
     winners = stages.winners()
     numba = warp.numba_depth_tests(scene)["numba, one thread"]()
@@ -183,7 +183,7 @@ def test_rows_of_the_forward_warp(session: Session) -> None:
 
 def test_the_report_has_frames_and_warps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("matplotlib")
-    row = Row(
+    row = BenchRow(
         512, 6.0, "varying", "sampled", 1, "double", "clsco", "gather", cost_ns=9.0, cpu_ns=9.0, wall_ns=5.0,
         device_ns=8.0, kernels_ns={"gather": 8.0}, first_call_s=0.5, crop_px=64, rms_error=1e-8, largest_error=1e-7,
         psnr_db=160.0, device_bytes=2**20, calls=3, taps=52.0, flop_per_byte=9.0, gflop_per_s=13.0, of_peak=0.2,
@@ -219,7 +219,7 @@ def test_tables_mark_what_was_not_measured(capsys: pytest.CaptureFixture[str]) -
 def test_what_is_asked_for_alone_has_no_frames(session: Session) -> None:
     pytest.importorskip("numba")
     pytest.importorskip("scipy")
-    grid, device = Grid(sizes=(16,), radii=(0.0,)), session.device
+    grid, device = BenchGrid(sizes=(16,), radii=(0.0,)), session.device
     alone, whole = (Comparison(grid, frames, ["numba"], {}) for frames in (None, compare.QUICK))
     cases = measure.steps(grid, device, [peer for peer in peers.PEERS if peer.tool == "numba"])
     assert alone.steps(device) == cases > measure.steps(grid, device, [])
@@ -232,7 +232,7 @@ def test_what_is_asked_for_alone_has_no_frames(session: Session) -> None:
 @pytest.mark.slow  # each peer takes its time
 def test_a_comparison_has_the_rows_of_its_peers(session: Session) -> None:
     pytest.importorskip("cv2")
-    grid = replace(Grid(), sizes=(24,), radii=(2.0,), channels=(1,), rounds=1, longest_s=100.0, slowest=inf)
+    grid = replace(BenchGrid(), sizes=(24,), radii=(2.0,), channels=(1,), rounds=1, longest_s=100.0, slowest=inf)
     task = Comparison(grid, None, ["OpenCV"], {})
     calls: list[int] = []
     found = task.measured(session.device, lambda: calls.append(1))

@@ -21,8 +21,8 @@ from clsco.cli.bench.cases import (
     FULL,
     PSFS,
     QUICK,
+    BenchGrid,
     Case,
-    Grid,
     Precision,
     channels_of,
     crop_of,
@@ -33,7 +33,7 @@ from clsco.cli.bench.cases import (
 )
 from clsco.cli.bench.measure import Bench, front
 from clsco.cli.bench.paces import Paces
-from clsco.cli.bench.passes import Pass
+from clsco.cli.bench.passes import MeasuredPass
 from clsco.cli.bench.roofline import Roof, intensity, multiply_add_rate, tap_rate, triad_rate
 from clsco.cli.main import main
 from clsco.errors import ClscoError, ImageError
@@ -46,7 +46,7 @@ from clsco.scene.model import Psf
 FIGURE = 1e-5  # of white, as in tests/engine/test_defocus.py
 METHODS = set(get_args(Blur)) - {"none"}
 FILES = ["bench.csv", "bench.json", "radius.png", "roofline.png", "size.png", "speed_error.png"]
-SMALL = Grid(
+SMALL = BenchGrid(
     sizes=(24, 40),
     radii=(2.5,),
     channels=(3,),
@@ -149,7 +149,7 @@ def test_bytes_on_the_device_are_those_of_its_buffers(session: Session) -> None:
     """In focus nothing hangs over: record, validity, color, radius, the frame with its margins, and scratch."""
     radii = np.zeros((16, 16))
     psf = Psf(edge="sampled")
-    one = Pass(session, np.zeros((16, 16), np.float32), radii, psf, "gather", "double")
+    one = MeasuredPass(session, np.zeros((16, 16), np.float32), radii, psf, "gather", "double")
     blur = one.blur
     assert isinstance(blur, Gather)
     margins = 4 * 16 * blur.pitch
@@ -209,7 +209,7 @@ def test_light_beyond_the_crop_counts(session: Session) -> None:
 
 def test_light_beyond_the_crop_costs_those_who_blur_it() -> None:
     """A crop of 39 px with R to 60 px is all border: what is blurred there is four times as wide and high."""
-    first = measure._First(first_call_s=0.1, crop_px=39, rms=0.0, largest=0.0, warm_s=1e-3)
+    first = measure._FirstCall(first_call_s=0.1, crop_px=39, rms=0.0, largest=0.0, warm_s=1e-3)
     whole = Case(3900, 60.0, "constant", "sampled", 1, "double", "clsco", "convolve")
     assert measure._by_crop(whole, first) == pytest.approx(1e-3 * (3900 / (39 + 2 * 60)) ** 2, rel=0.05)
     left = replace(whole, scene="varying", method="private", tool="numba")

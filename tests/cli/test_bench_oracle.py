@@ -13,7 +13,17 @@ from numpy.typing import NDArray
 from clsco.cli.bench import oracle
 from clsco.cli.bench.doubledouble import Wide, rounded, wide
 from clsco.cli.bench.hardgeometry import textbook
-from clsco.cli.bench.rays import DOUBTFUL, FAMILIES, Target, Window, certain, closer, random_target, single_depth, ulps
+from clsco.cli.bench.rays import (
+    DOUBTFUL,
+    FAMILIES,
+    RayTarget,
+    Window,
+    certain,
+    closer,
+    random_target,
+    single_depth,
+    ulps,
+)
 from clsco.scene.model import ObjectMotion, Sphere
 
 U = Fraction(1, 2**53)
@@ -66,7 +76,7 @@ def test_depths_are_those_of_mpmath(family: str) -> None:
     rng = np.random.default_rng(11)
     hits = compared = 0
     for _ in range(6):
-        target: Target | None = random_target(family, rng)
+        target: RayTarget | None = random_target(family, rng)
         for _ in range(2):
             assert target is not None
             of = oracle.surface(target.item, target.motion)
@@ -95,7 +105,7 @@ def test_agreement_counts_bits() -> None:
 
 def test_the_textbook_form_is_found() -> None:
     """A sphere of 1 mm at 1e4 mm in float32: most rays are of another class, and the band hides none of it."""
-    target = Target(Sphere(radius=1.0, center=(0.0, 0.0, 1e4)), ObjectMotion(), Window(2.4e-4 / 64))
+    target = RayTarget(Sphere(radius=1.0, center=(0.0, 0.0, 1e4)), ObjectMotion(), Window(2.4e-4 / 64))
     of = oracle.surface(target.item, target.motion)
     x, y = target.window.slopes()
     exact = oracle.solve(of, x, y)

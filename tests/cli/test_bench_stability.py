@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from clsco.cli.bench import degenerate, stabilityreport
-from clsco.cli.bench.command import Stability as Task
+from clsco.cli.bench.command import StabilityTask
 from clsco.cli.bench.hardimages import large_angles, near_objects
 from clsco.cli.bench.rays import FAMILIES
 from clsco.cli.bench.stability import Compared, HardCase, hard_case
@@ -149,4 +149,4 @@ def test_a_shortfall_ends_the_command(measured: Stability, tmp_path: Path, monke
 def test_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("clsco.cli.bench.command.find_spec", lambda name: None)
     with pytest.raises(ClscoError, match=r"^stability: needs mpmath: pip install 'clsco\[bench\]'"):
-        Task(True).notices()
+        StabilityTask(True).notices()

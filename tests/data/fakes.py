@@ -10,7 +10,7 @@ from typing import Any
 from clsco import __version__
 from clsco.data.distribution import Sample
 from clsco.data.manifest import Identity
-from clsco.data.shards import Job, ShardMaker, device_family
+from clsco.data.shards import SetJob, ShardMaker, device_family
 from clsco.data.storage import open_storage
 from clsco.errors import SceneError
 from clsco.opencl.device import choose
@@ -64,16 +64,16 @@ class Fake:
         return kind(number, split, 1, parameters, table, sweep.labels, sweep.scenes)
 
 
-def job_of(where: Path | str, count: int, *, size: int = 4, seed: int = 1, **options: Any) -> Job:
+def job_of(where: Path | str, count: int, *, size: int = 4, seed: int = 1, **options: Any) -> SetJob:
     """A job for a fake distribution on the default device."""
     fake, device = Fake(**options), choose()
     identity = Identity(
         fake.digest, seed, 0, size, "webdataset", ARRAYS, "double", fake.splits, __version__, device_family(device)
     )
-    return Job(fake, identity, range(count), str(where))  # type: ignore[arg-type]
+    return SetJob(fake, identity, range(count), str(where))  # type: ignore[arg-type]
 
 
-def make_here(job: Job) -> None:
+def make_here(job: SetJob) -> None:
     """Make all shards of a job in this process."""
     storage = open_storage(job.where)
     maker = ShardMaker(job, storage, choose(), False)

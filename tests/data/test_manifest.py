@@ -13,9 +13,9 @@ import pytest
 
 from clsco.data.manifest import (
     Identity,
+    ManifestPart,
+    ManifestParts,
     Merged,
-    Part,
-    Parts,
     line,
     numbers_of,
     parsed_part,
@@ -81,7 +81,7 @@ def test_a_part_is_read_as_it_was_written_and_damage_is_found() -> None:
 
 def merge(storage: Storage) -> Merged:
     merged = Merged(storage)
-    for _, data in Parts(storage).read():
+    for _, data in ManifestParts(storage).read():
         merged.add(parsed_part(data), data)
     merged.put()
     return merged
@@ -153,7 +153,7 @@ def test_a_million_rows_of_a_thousand_parts_are_merged_in_seconds(tmp_path: Path
     for shard in range(1000):
         body = "".join(text % number for number in range(1000 * shard, 1000 * shard + 1000)).encode()
         files = {f"data/{shard:06d}.tar": (1, "0")}
-        head = Part(shard, "id", 1000 * shard, 1000, 1000, 0, files, hashlib.sha256(body).hexdigest())
+        head = ManifestPart(shard, "id", 1000 * shard, 1000, 1000, 0, files, hashlib.sha256(body).hexdigest())
         storage.write(part_key(shard), f"{line(asdict(head))}\n".encode() + body)
     start = time.perf_counter()
     merge(storage)

@@ -10,7 +10,7 @@ import pytest
 
 from clsco.data import pool
 from clsco.data.pool import Place, places, run_pool
-from clsco.data.shards import Job
+from clsco.data.shards import SetJob
 from clsco.errors import ClscoError
 from tests.data.fakes import job_of, make_here
 from tests.data.test_shards import files
@@ -18,7 +18,7 @@ from tests.data.test_shards import files
 MEMORY = 2**34
 
 
-def run(job: Job, workers: int, shards: int) -> int:
+def run(job: SetJob, workers: int, shards: int) -> int:
     """Make all shards; the number of samples that were counted."""
     counted: list[int] = []
     run_pool(job, range(shards), [Place(None, 1)] * workers, counted.append, MEMORY)

@@ -6,13 +6,13 @@ import random
 
 import pytest
 
-from clsco.data.schedule import DIED, RETRIES, Schedule, Task
+from clsco.data.schedule import DIED, RETRIES, Schedule, ShardTask
 from clsco.errors import ClscoError
 
 
-def run(schedule: Schedule, deadly: set[int], rng: random.Random, cause: str | None = None) -> list[Task]:
+def run(schedule: Schedule, deadly: set[int], rng: random.Random, cause: str | None = None) -> list[ShardTask]:
     """Do all tasks, several at a time; those with a deadly sample fail. The ones that made a shard."""
-    made, running = [], list[Task]()
+    made, running = [], list[ShardTask]()
     while not schedule.is_over:
         while schedule.waiting and len(running) < 3:
             running.append(schedule.waiting.popleft())
@@ -45,7 +45,7 @@ def test_a_process_that_dies_by_chance_costs_nothing() -> None:
     for _ in range(RETRIES - 1):
         schedule.died(schedule.waiting.popleft())
     task = schedule.waiting.popleft()
-    assert task == Task(0)
+    assert task == ShardTask(0)
     schedule.done(task)
     assert schedule.is_over
 

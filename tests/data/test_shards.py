@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 import clsco
-from clsco.data.ahead import ahead
 from clsco.data.containers import container_named
 from clsco.data.distribution import Sample, load_distribution
+from clsco.data.prefetch import prefetch
 from clsco.data.sets import DataSet, begun, finish, open_set, ranges, status_of
-from clsco.data.shards import Job, Renderer, ShardMaker
+from clsco.data.shards import SampleRenderer, SetJob, ShardMaker
 from clsco.data.storage import open_storage
 from clsco.data.verify import verify_samples
 from clsco.errors import DeviceError, ImageError, SceneError
@@ -37,7 +37,7 @@ def files(folder: Path) -> dict[str, bytes]:
     }
 
 
-def set_of(job: Job) -> DataSet:
+def set_of(job: SetJob) -> DataSet:
     return DataSet(open_storage(job.where), job.identity, job.samples)
 
 
@@ -129,7 +129,7 @@ def test_a_set_is_gone_on_with_only_as_it_was_begun(tmp_path: Path) -> None:
     assert not begun(wanted, goes_on=False)
     wanted.write({"license": "CC0"})
     assert open_set(wanted.storage) == wanted or open_set(wanted.storage).identity == wanted.identity
-    with pytest.raises(SceneError, match="holds a data set already, which --resume goes on with"):
+    with pytest.raises(SceneError, match="must hold no data set, unless that is resumed; got one"):
         begun(wanted, goes_on=False)
     assert begun(wanted, goes_on=True)
     assert begun(replace(wanted, samples=range(20)), goes_on=True)
@@ -190,7 +190,7 @@ def test_frames_of_variants_and_of_pairs_are_those_of_render(pair: bool) -> None
         table["stereo"] = {"baseline": 5.0}
     sweep = parse_sweep(table)
     sample = Sample(0, "", 1, {}, table, sweep.labels, sweep.scenes)
-    renderer = Renderer(choose(), ("color", "depth", "flow"), "double")
+    renderer = SampleRenderer(choose(), ("color", "depth", "flow"), "double")
     for _ in range(3):  # what is kept changes nothing
         found = renderer.render(sample)
         for frames, scene in zip(found, sweep.scenes, strict=True):
@@ -235,12 +235,12 @@ def test_two_that_make_a_shard_otherwise_are_told_and_both_are_kept(tmp_path: Pa
 
 
 def test_values_come_in_order_and_errors_arrive() -> None:
-    assert list(ahead(iter_of(5))) == [0, 1, 2, 3, 4]
-    found = ahead(iter_of(100))
+    assert list(prefetch(iter_of(5))) == [0, 1, 2, 3, 4]
+    found = prefetch(iter_of(100))
     assert next(found) == 0
     found.close()
     with pytest.raises(ValueError, match="at 3"):
-        list(ahead(iter_of(5, wrong=3)))
+        list(prefetch(iter_of(5, wrong=3)))
 
 
 def iter_of(count: int, wrong: int | None = None):  # type: ignore[no-untyped-def]
@@ -251,5 +251,5 @@ def iter_of(count: int, wrong: int | None = None):  # type: ignore[no-untyped-de
 
 
 def test_a_set_without_color_makes_no_image() -> None:
-    assert not Renderer(choose(), ("depth",), "double").request.color
-    assert Renderer(choose(), ("color", "depth"), "double").request.color
+    assert not SampleRenderer(choose(), ("depth",), "double").request.color
+    assert SampleRenderer(choose(), ("color", "depth"), "double").request.color

@@ -11,9 +11,9 @@ import pytest
 
 import clsco
 from clsco.data.distribution import Sample
-from clsco.data.manifest import Parts, part_key
+from clsco.data.manifest import ManifestParts, part_key
 from clsco.data.sets import DataSet, finish
-from clsco.data.shards import Renderer
+from clsco.data.shards import SampleRenderer
 from clsco.data.storage import open_storage
 from clsco.data.verify import chosen_samples, flow_error, scene_table, verify_files, verify_samples
 from clsco.errors import SceneError
@@ -78,7 +78,7 @@ def test_a_flipped_bit_a_missing_shard_and_one_of_another_seed_are_found(there: 
 def test_arrays_and_seeds_that_a_forged_manifest_agrees_with_are_found(there: DataSet, tmp_path: Path) -> None:
     other = job_of(there.storage.where, 8, seed=2, undrawable=frozenset({3}), unrenderable=frozenset({6}))
     make_here(other)  # of another seed, under the same keys
-    parts = Parts(there.storage)
+    parts = ManifestParts(there.storage)
     for key in parts.keys:  # as if it were of this set
         data = there.storage.read(key) or b""
         there.storage.write(key, data.replace(other.identity.digest.encode(), there.identity.digest.encode()))
@@ -86,16 +86,16 @@ def test_arrays_and_seeds_that_a_forged_manifest_agrees_with_are_found(there: Da
 
 
 def test_a_sample_that_is_rendered_otherwise_is_found(there: DataSet, monkeypatch: pytest.MonkeyPatch) -> None:
-    render = Renderer.render
+    render = SampleRenderer.render
 
-    def other(self: Renderer, sample: Sample) -> list[list[Frame]]:
+    def other(self: SampleRenderer, sample: Sample) -> list[list[Frame]]:
         ((frame,),) = render(self, sample)
         assert frame.depth is not None
         changed = frame.depth.copy()
         changed[8, 12] = np.nextafter(changed[8, 12], np.float32(0))
         return [[replace(frame, depth=changed)]]
 
-    monkeypatch.setattr(Renderer, "render", other)
+    monkeypatch.setattr(SampleRenderer, "render", other)
     assert verify_samples(there, [4], None, lambda: None, Path()) == [
         "data/000001.tar: sample 4: depth must be what is rendered again, bit by bit; got other values"
     ]

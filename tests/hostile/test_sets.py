@@ -17,9 +17,9 @@ from clsco.cli.main import main
 from clsco.cli.tables import print_tables, table
 from clsco.data.manifest import part_key
 from clsco.data.storage import open_storage
-from clsco.data.strict import MOST_DEEP, strict_json
 from clsco.errors import ClscoError, ImageError, SceneError, visible
 from clsco.files.array_cache import ArrayCache
+from clsco.files.bounded import MOST_DEEP, strict_json
 from clsco.files.images import read_image
 from clsco.frame.files import frame_json, read_complete
 from clsco.scene.toml import toml_text

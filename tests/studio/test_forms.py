@@ -11,15 +11,15 @@ import pytest
 from clsco.scene.schema import scene_schema
 from clsco.scene.shapes import SHAPES
 from clsco.studio.forms import Field, Panel, field_at, flat, panels
-from clsco.studio.session import Session
+from clsco.studio.session import Document
 
 
 @pytest.fixture
-def session(tmp_path: Path) -> Session:
-    return Session(tmp_path)
+def session(tmp_path: Path) -> Document:
+    return Document(tmp_path)
 
 
-def of_shape(session: Session, shape: str) -> dict[str, Panel]:
+def of_shape(session: Document, shape: str) -> dict[str, Panel]:
     """Panels of a shape, whether its object is complete or not."""
     session.patch("object.0.shape", shape)
     return {panel.title: panel for panel in panels(session)}
@@ -40,7 +40,7 @@ def keys(schema: dict[str, Any], entry: dict[str, Any], start: str) -> Iterator[
         yield start
 
 
-def test_every_key_of_the_schema_has_a_field(session: Session) -> None:
+def test_every_key_of_the_schema_has_a_field(session: Document) -> None:
     schema = scene_schema()
     session.patch("group", [{"name": "both"}])
     session.patch("object.0.group", "both")
@@ -65,7 +65,7 @@ def test_every_key_of_the_schema_has_a_field(session: Session) -> None:
                 assert field.unit or "mm" not in field.help.split(";")[0].split()[-1:], field.path
 
 
-def test_keyframes_have_fields_for_those_that_there_are(session: Session) -> None:
+def test_keyframes_have_fields_for_those_that_there_are(session: Document) -> None:
     of_shape(session, "sphere")
     frames = [{"time": 0.0}, {"time": 2.0, "position": [1.0, 2.0, 3.0], "rotation": [0.0, 45.0, 0.0]}]
     session.patch("object.0.motion", {"keyframe": frames, "interpolation": "linear"})
@@ -83,7 +83,7 @@ def test_keyframes_have_fields_for_those_that_there_are(session: Session) -> Non
     assert not session.patch(f"{start}.time", -1.0)
 
 
-def test_the_five_panels_are_those_of_the_thesis(session: Session) -> None:
+def test_the_five_panels_are_those_of_the_thesis(session: Document) -> None:
     titles = [panel.title for panel in panels(session)]
     assert titles[:5] == [
         "Input Image File", "Select Object Type", "Select Object Properties", "Motion parameters",
@@ -119,7 +119,7 @@ def test_the_five_panels_are_those_of_the_thesis(session: Session) -> None:
         ("ellipsoid", ["", ""]),
     ],
 )
-def test_properties_follow_the_shape(session: Session, shape: str, expected: list[str]) -> None:
+def test_properties_follow_the_shape(session: Document, shape: str, expected: list[str]) -> None:
     fields = of_shape(session, shape)["Select Object Properties"].fields
     assert [field.symbol for field in fields] == expected
     assert {field.unit for field in fields if field.kind != "choice"} <= {"mm", "mm per mm", "deg", ""}
@@ -127,7 +127,7 @@ def test_properties_follow_the_shape(session: Session, shape: str, expected: lis
         assert session.known(field.path) == field.default
 
 
-def test_defaults_follow_from_keys_beside(session: Session) -> None:
+def test_defaults_follow_from_keys_beside(session: Document) -> None:
     session.patch("camera.focal_length", 30.0)
     session.patch("camera.f_number", 3.0)
     session.patch("sequence.interval", 0.5)
@@ -136,7 +136,7 @@ def test_defaults_follow_from_keys_beside(session: Session) -> None:
     assert field_at(session, "camera.nothing") is None
 
 
-def test_components(session: Session) -> None:
+def test_components(session: Document) -> None:
     of_shape(session, "sphere")
     center = field_at(session, "object.0.center.2")
     assert center is not None
@@ -162,7 +162,7 @@ def test_components(session: Session) -> None:
 )
 @pytest.mark.parametrize("before", [None, [5.0, 0.0, 0.0], {"quaternion": [0.0, 0.0, 1.0, 0.0]}])
 def test_a_pose_takes_the_form_of_what_is_given(
-    session: Session, path: str, value: Any, rotation: Any, before: Any
+    session: Document, path: str, value: Any, rotation: Any, before: Any
 ) -> None:
     of_shape(session, "sphere")
     session.patch("object.0.rotation", before)
@@ -171,7 +171,7 @@ def test_a_pose_takes_the_form_of_what_is_given(
         assert session.table["object"][0]["rotation"] == rotation
 
 
-def test_sliders_are_within_what_is_valid(session: Session) -> None:
+def test_sliders_are_within_what_is_valid(session: Document) -> None:
     def numbers(field: Field) -> list[Field]:
         return [field.component(k) for k in range(len(field.components))] or [field]
 

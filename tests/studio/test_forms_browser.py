@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from clsco.files.images import read_image
-from clsco.studio.session import Session
+from clsco.studio.session import Document
 from tests.studio.browser import box, open_scene, opened, rest, type_in
 from tests.studio.running import Running, studio
 
@@ -45,7 +45,7 @@ def test_boxes_keep_what_is_typed_when_the_page_changes(page: Any) -> None:
 def test_save_asks_before_it_overwrites(page: Any, root: Path) -> None:
     open_scene(page, "sphere.toml")
     type_in(page, "object.0.radius", "28")
-    other = Session(root)
+    other = Document(root)
     other.open(Path("sphere.toml"))
     other.patch("title", "theirs")
     other.save()
@@ -57,7 +57,7 @@ def test_save_asks_before_it_overwrites(page: Any, root: Path) -> None:
 
 
 def test_a_link_opens_the_scene(running: Running, root: Path) -> None:
-    session = Session(root)
+    session = Document(root)
     session.patch("object.0.distance", 333.0)
     with opened(running) as page:
         page.evaluate("link => { location.hash = link; }", session.share())

@@ -24,7 +24,7 @@ from clsco.frame.files import TRUTH_FORMATS
 from clsco.studio import jobs as jobs_module
 from clsco.studio import offers
 from clsco.studio.generate import Wanted, clip, data_set, focal_stack, free_folder, generate
-from clsco.studio.jobs import LARGEST, LIST, Job, Jobs
+from clsco.studio.jobs import LARGEST, LIST, CommandJob, Jobs
 from clsco.studio.offers import (
     clip_name,
     clip_presets,
@@ -36,7 +36,7 @@ from clsco.studio.offers import (
 )
 from clsco.studio.presets import load_preset, presets
 from clsco.studio.samples import sample_picture
-from clsco.studio.session import Session
+from clsco.studio.session import Document
 
 # In place of clsco: `work FOLDER COUNT SECONDS` writes files as frames are written, one after the other.
 SLOW = """
@@ -79,7 +79,7 @@ def until(jobs: Jobs, holds: Callable[[], bool], seconds: float = 60.0) -> None:
         time.sleep(0.02)
 
 
-def work(jobs: Jobs, name: str, count: object, seconds: float = 0.0) -> Job:
+def work(jobs: Jobs, name: str, count: object, seconds: float = 0.0) -> CommandJob:
     (jobs.root / name).mkdir(exist_ok=True)
     return jobs.add(
         name, ["work", name, str(count), str(seconds)], name, "frame_*.json", int(str(count).replace("none", "0"))
@@ -98,7 +98,7 @@ def written(folder: Path) -> dict[str, bytes]:
     return found
 
 
-def same_as_the_command(session: Session, jobs: Jobs) -> None:
+def same_as_the_command(session: Document, jobs: Jobs) -> None:
     """Generate, save, and render what was saved."""
     folder = free_folder(session)
     job = generate(session, jobs, folder)
@@ -116,7 +116,7 @@ def same_as_the_command(session: Session, jobs: Jobs) -> None:
 
 
 def test_generated_files_are_those_of_the_command(tmp_path: Path, jobs: Jobs) -> None:
-    session = Session(tmp_path)
+    session = Document(tmp_path)
     for path, value in {"title": "A; b $(c)", "camera.resolution": [24, 16], "sequence.frames": 2}.items():
         session.patch(path, value)
     session.patch("object.0.motion.velocity.0", 1.0)
@@ -128,7 +128,7 @@ def test_generated_files_are_those_of_the_command(tmp_path: Path, jobs: Jobs) ->
 
 
 def test_images_are_found_from_a_folder_that_is_made_for_the_frames(jobs: Jobs, slow: None) -> None:
-    session = Session(jobs.root)
+    session = Document(jobs.root)
     load_preset(session, "depth_map")
     job = generate(session, jobs, "new/frames")
     scene = load_scene(jobs.root / job.folder / "scene.toml")
@@ -138,7 +138,7 @@ def test_images_are_found_from_a_folder_that_is_made_for_the_frames(jobs: Jobs, 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [preset.name for preset in presets()])
 def test_presets_generated_are_those_of_the_command(tmp_path: Path, jobs: Jobs, name: str) -> None:
-    session = Session(tmp_path)
+    session = Document(tmp_path)
     load_preset(session, name)
     if session.scene.is_analytic:  # a depth map has its size
         session.patch("camera.resolution", [64, 48])
@@ -148,7 +148,7 @@ def test_presets_generated_are_those_of_the_command(tmp_path: Path, jobs: Jobs, 
 @pytest.mark.slow
 @pytest.mark.parametrize("shape", ["plane", "cylinder", "sphere", "cone", "ellipsoid"])
 def test_shapes_generated_are_those_of_the_command(tmp_path: Path, jobs: Jobs, shape: str) -> None:
-    session = Session(tmp_path)
+    session = Document(tmp_path)
     session.patch("object.0.shape", shape)
     session.patch("camera.resolution", [64, 48])
     same_as_the_command(session, jobs)
@@ -287,7 +287,7 @@ def test_results_are_listed_while_folders_of_unfinished_work_come_and_go(jobs: J
 def test_nothing_is_written_elsewhere(jobs: Jobs, tmp_path_factory: pytest.TempPathFactory, folder: str) -> None:
     outside = tmp_path_factory.mktemp("outside")
     (jobs.root / "link").symlink_to(outside)
-    session = Session(jobs.root)
+    session = Document(jobs.root)
     with pytest.raises(ClscoError, match="below the folder of the studio"):
         generate(session, jobs, folder)
     with pytest.raises(ClscoError, match="below the folder of the studio"):
@@ -297,14 +297,14 @@ def test_nothing_is_written_elsewhere(jobs: Jobs, tmp_path_factory: pytest.TempP
 
 
 def test_values_that_are_not_valid_are_not_left_out_silently(jobs: Jobs) -> None:
-    session = Session(jobs.root)
+    session = Document(jobs.root)
     session.patch("object.0.distance", -1.0)
     with pytest.raises(ClscoError, match=r"object\.0\.distance: must be valid before frames"):
         generate(session, jobs, "out")
 
 
 def test_what_is_beyond_the_limits_is_said_before_it_is_begun(jobs: Jobs) -> None:
-    session = Session(jobs.root)
+    session = Document(jobs.root)
     session.patch("camera.pixel_pitch", 1e-4)
     session.patch("camera.focus_distance", 30.0)
     with pytest.raises(ClscoError, match="the blur radius must be at most 512 px"):
@@ -316,7 +316,7 @@ def test_what_is_beyond_the_limits_is_said_before_it_is_begun(jobs: Jobs) -> Non
 
 
 def test_command_lines(jobs: Jobs, slow: None) -> None:
-    session = Session(jobs.root)
+    session = Document(jobs.root)
     (jobs.root / "d.toml").write_text("")
     work(jobs, "busy", 1, 30.0)
     options = Wanted(formats="npz", subframes=True, preset="mp4", device="pocl")
@@ -349,7 +349,7 @@ radius = { uniform = [20, 40] }
 
 @pytest.mark.slow
 def test_a_data_set_counts_its_samples_and_goes_on_after_a_cancel(jobs: Jobs) -> None:
-    session = Session(jobs.root)
+    session = Document(jobs.root)
     (jobs.root / "d.toml").write_text(DISTRIBUTION)
     job = data_set(session, jobs, "d.toml", "data", 40, 3, device="pocl")
     assert job.total == 40
@@ -378,7 +378,7 @@ def test_distributions_of_the_folder_and_of_the_package_are_offered(jobs: Jobs, 
     assert {"scene.toml", "broken.toml"}.isdisjoint(names)
     assert names[1:] == list(shipped_distributions())
     work(jobs, "busy", 1, 30.0)
-    session = Session(jobs.root)
+    session = Document(jobs.root)
     job = data_set(session, jobs, names[1], "data", 5)
     assert job.arguments[2] == names[1]
     copied = jobs.root / names[1]
@@ -415,7 +415,7 @@ def test_the_extra_of_the_studio_brings_what_its_forms_offer_first() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [*truth_formats()])
 def test_all_formats_of_truth_are_written(tmp_path: Path, jobs: Jobs, name: str) -> None:
-    session = Session(tmp_path)
+    session = Document(tmp_path)
     load_preset(session, "stereo" if name == "kitti_disparity" else "sphere_moving")
     session.patch("camera.resolution", [48, 32])
     job = generate(session, jobs, "out", Wanted(formats=name))

@@ -12,7 +12,7 @@ from clsco.errors import SceneError
 from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import pose_at, poses_at
 from clsco.studio.keyframes import add_keyframe, remove_keyframe, tracks
-from clsco.studio.session import Session
+from clsco.studio.session import Document
 
 BALL = "object.0.motion.keyframe"
 CURVE = [
@@ -22,14 +22,14 @@ CURVE = [
 ]
 
 
-def session_of(root: Path, **sections: Any) -> Session:
-    session = Session(root)
+def session_of(root: Path, **sections: Any) -> Document:
+    session = Document(root)
     objects = [{"shape": "sphere", "name": "ball", "center": [0.0, 0.0, 280.0]}, {"shape": "background"}]
     session.load_table({"object": objects, "sequence": {"frames": 3}} | sections, root)
     return session
 
 
-def times(session: Session) -> dict[str, tuple[float | None, ...]]:
+def times(session: Document) -> dict[str, tuple[float | None, ...]]:
     return {track.path: track.times for track in tracks(session)}
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from clsco.scene.sweep import parse_sweep
-from clsco.studio.session import Session
+from clsco.studio.session import Document
 from tests.studio.browser import box, chromium, number, open_scene, rest, type_in
 from tests.studio.running import studio
 
@@ -21,7 +21,7 @@ def test_a_scene_is_resumed_with_its_file(tmp_path: Path) -> None:
     (tmp_path / "deep").mkdir()
     shutil.copy(EXAMPLES / "sphere.toml", tmp_path / "deep" / "a.toml")
     shutil.copy(EXAMPLES / "damaged.png", tmp_path / "deep" / "image.png")
-    first, second = Session(tmp_path), Session(tmp_path)
+    first, second = Document(tmp_path), Document(tmp_path)
     first.open(Path("deep/a.toml"))
     first.patch("object.0.texture", "image.png")
     first.patch("camera.focal_length", 21.0)
@@ -33,7 +33,7 @@ def test_a_scene_is_resumed_with_its_file(tmp_path: Path) -> None:
     second.save()
     assert "focal_length = 21" in (tmp_path / "deep" / "a.toml").read_text()
     assert second.undo()
-    assert second.scene == Session(tmp_path).scene
+    assert second.scene == Document(tmp_path).scene
 
 
 @pytest.mark.browser

@@ -18,7 +18,7 @@ pytest.importorskip("fastapi", reason="needs the extra studio")
 from clsco.studio.pointing import Pointer
 from clsco.studio.preview import Preview
 from clsco.studio.server import Studio, Tab
-from clsco.studio.session import Session
+from clsco.studio.session import Document
 from tests.studio.test_preview import Renderer
 
 GOOD: tuple[dict[str, Any], ...] = (
@@ -100,7 +100,7 @@ class Said:
 
     def __init__(self, root: Path) -> None:
         self.studio, self.told = Studio(root), list[dict[str, Any]]()
-        self.tab = Tab(Session(root))
+        self.tab = Tab(Document(root))
 
     async def hear(self, text: str) -> None:
         preview = Preview(self.tab.session, Renderer(), self.send)

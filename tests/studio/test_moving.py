@@ -14,7 +14,7 @@ from clsco.optics.exposure import middle_time
 from clsco.optics.motion import Eye, poses_at, rest_center
 from clsco.reference.common.geometry import pixel_ray, project
 from clsco.studio.moving import ALONG, grip
-from clsco.studio.session import Session
+from clsco.studio.session import Document
 
 SIZE = 64
 ROUND: list[dict[str, Any]] = [
@@ -26,8 +26,8 @@ ROUND: list[dict[str, Any]] = [
 ]
 
 
-def session_of(root: Path, *objects: dict[str, Any], **sections: Any) -> Session:
-    session = Session(root)
+def session_of(root: Path, *objects: dict[str, Any], **sections: Any) -> Document:
+    session = Document(root)
     camera = {"resolution": [SIZE, SIZE]} | sections.pop("camera", {})
     session.load_table({"object": list(objects), "camera": camera, **sections}, root)
     return session

@@ -10,15 +10,15 @@ import pytest
 
 from clsco import Scene, load_scene
 from clsco.studio.presets import OF_THE_THESIS, choose_method, is_as_the_thesis, load_preset, presets
-from clsco.studio.session import Session
+from clsco.studio.session import Document
 from clsco.studio.tables import FILE_KEYS
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 @pytest.fixture
-def session(tmp_path: Path) -> Session:
-    return Session(tmp_path)
+def session(tmp_path: Path) -> Document:
+    return Document(tmp_path)
 
 
 def bare(scene: Scene) -> dict[str, Any]:
@@ -29,7 +29,7 @@ def bare(scene: Scene) -> dict[str, Any]:
     return content
 
 
-def test_every_figure_that_a_scene_makes_is_a_preset(session: Session) -> None:
+def test_every_figure_that_a_scene_makes_is_a_preset(session: Document) -> None:
     from clsco.cli.thesis_figures import FIGURES
 
     names = [preset.name for preset in presets() if preset.group == OF_THE_THESIS]
@@ -46,7 +46,7 @@ def test_every_figure_that_a_scene_makes_is_a_preset(session: Session) -> None:
 
 
 @pytest.mark.parametrize("name", ["depth_map", "thesis/fig_4_19"])
-def test_a_saved_preset_has_its_images_beside_it(session: Session, tmp_path_factory: Any, name: str) -> None:
+def test_a_saved_preset_has_its_images_beside_it(session: Document, tmp_path_factory: Any, name: str) -> None:
     load_preset(session, name)
     session.save(Path("saved.toml"))
     elsewhere = tmp_path_factory.mktemp("other") / "copy"
@@ -60,7 +60,7 @@ def test_a_saved_preset_has_its_images_beside_it(session: Session, tmp_path_fact
             assert Path(file).read_bytes() == Path(other.files()[key]).read_bytes()
 
 
-def test_images_of_presets_leave_those_of_others(session: Session) -> None:
+def test_images_of_presets_leave_those_of_others(session: Document) -> None:
     place = session.root / "images" / "road.png"
     place.parent.mkdir()
     shutil.copy(EXAMPLES / "depth_map_image.png", place)
@@ -84,12 +84,12 @@ def test_images_of_presets_leave_those_of_others(session: Session) -> None:
         ("fig_4_02", "sequence.samples", 5),
     ],
 )
-def test_presets_have_the_numbers_of_their_captions(session: Session, name: str, path: str, value: object) -> None:
+def test_presets_have_the_numbers_of_their_captions(session: Document, name: str, path: str, value: object) -> None:
     load_preset(session, f"thesis/{name}")
     assert session.known(path) == value
 
 
-def test_the_method_of_the_thesis_is_a_switch(session: Session) -> None:
+def test_the_method_of_the_thesis_is_a_switch(session: Document) -> None:
     before = session.table
     assert not is_as_the_thesis(session)
     choose_method(session, True)

@@ -14,9 +14,9 @@ import pytest
 from clsco import Scene, parse_scene
 from clsco.errors import CanceledError, ClscoError, SceneError
 from clsco.studio.ladder import BUDGET, LEAST, Ladder, Ladders, coarser, work_of
-from clsco.studio.pictures import DRAGGING, EXACT, HEADER, LOSSY, MESSAGE, PINNED, REFERENCE, STACKED, Picture
+from clsco.studio.pictures import DRAGGING, EXACT, HEADER, LOSSY, MESSAGE, PINNED, REFERENCE, STACKED, ViewPicture
 from clsco.studio.preview import MEASURE, MOST_UNSEEN, REST, Preview
-from clsco.studio.renderer import Job, Progress, Question, RendererEndedError, Watch
+from clsco.studio.renderer import PictureJob, Question, RendererEndedError, RenderProgress, Watch
 
 
 class Session:
@@ -39,24 +39,24 @@ class Renderer:
     """Takes `seconds` for a picture, and notes what it was asked for."""
 
     seconds: float = 0.001
-    jobs: list[Job] = field(default_factory=list)
+    jobs: list[PictureJob] = field(default_factory=list)
     canceled: int = 0
     faults: list[ClscoError] = field(default_factory=list)
     questions: list[Question] = field(default_factory=list)
     warmed: list[Scene] = field(default_factory=list)
 
-    async def pictures(self, job: Job, watch: Watch | None = None) -> AsyncGenerator[Picture, None]:
+    async def pictures(self, job: PictureJob, watch: Watch | None = None) -> AsyncGenerator[ViewPicture, None]:
         self.jobs.append(job)
         for rung in (LOSSY, EXACT) if job.rung == EXACT else (job.rung,):
             count = self.canceled
             if watch is not None and self.seconds > 0.1:
-                await watch(Progress("blur", 1, 60, 0.0))
+                await watch(RenderProgress("blur", 1, 60, 0.0))
             await asyncio.sleep(self.seconds)
             if self.faults:
                 raise self.faults.pop(0)
             if self.canceled > count:
                 raise CanceledError("canceled")
-            yield Picture(rung, job.view, (64, 48), (64, 48), 1, b"", self.seconds)
+            yield ViewPicture(rung, job.view, (64, 48), (64, 48), 1, b"", self.seconds)
 
     async def inspect(self, question: Question, watch: Watch | None = None) -> dict[str, Any]:
         self.questions.append(question)
@@ -98,11 +98,11 @@ class Browser:
 Play = Callable[[Session, Renderer, Browser, Preview], Coroutine[Any, Any, None]]
 
 
-async def refer(job: Job, predicted: Callable[[float], Coroutine[Any, Any, None]]) -> Picture:
+async def refer(job: PictureJob, predicted: Callable[[float], Coroutine[Any, Any, None]]) -> ViewPicture:
     """A reference that takes a while, and says so."""
     await predicted(7.0)
     await asyncio.sleep(REST)
-    return Picture(REFERENCE, job.view, (64, 48), (64, 48), 2, b"", REST)
+    return ViewPicture(REFERENCE, job.view, (64, 48), (64, 48), 2, b"", REST)
 
 
 def played(play: Play, **renderer: Any) -> tuple[Session, Renderer, Browser]:
@@ -189,7 +189,7 @@ def test_a_browser_that_sees_nothing_leaves_the_renderer_to_others() -> None:
 
         turn: asyncio.Lock
 
-        async def pictures(self, job: Job, watch: Watch | None = None) -> AsyncGenerator[Picture, None]:
+        async def pictures(self, job: PictureJob, watch: Watch | None = None) -> AsyncGenerator[ViewPicture, None]:
             async with self.turn, aclosing(super().pictures(job, watch)) as found:
                 async for picture in found:
                     yield picture

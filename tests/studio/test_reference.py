@@ -15,20 +15,20 @@ import clsco
 from clsco.errors import SceneError
 from clsco.files.transfer import encode
 from clsco.scene.model import Scene
-from clsco.studio.pictures import EXACT, PNG, REFERENCE, Picture
+from clsco.studio.pictures import EXACT, PNG, REFERENCE, ViewPicture
 from clsco.studio.reference import MOST_SECONDS, predicted_seconds, reference_picture
-from clsco.studio.renderer import Job
+from clsco.studio.renderer import PictureJob
 from tests.scenes import scene_from
 from tests.studio.test_renderer import small
 
 
-def referred(scene: Scene) -> tuple[Picture, list[float]]:
+def referred(scene: Scene) -> tuple[ViewPicture, list[float]]:
     said: list[float] = []
 
     async def predicted(seconds: float) -> None:
         said.append(seconds)
 
-    return asyncio.run(reference_picture(Job(scene, 0, "color", EXACT), predicted)), said
+    return asyncio.run(reference_picture(PictureJob(scene, 0, "color", EXACT), predicted)), said
 
 
 def test_its_picture_is_that_of_the_reference() -> None:
@@ -63,7 +63,7 @@ def test_a_canceled_task_ends_its_process() -> None:
 
     async def run() -> None:
         long = small().replace("camera.resolution", [1024, 1024])
-        task = asyncio.create_task(reference_picture(Job(long, 0, "color", EXACT), predicted))
+        task = asyncio.create_task(reference_picture(PictureJob(long, 0, "color", EXACT), predicted))
         await asyncio.sleep(0.2)
         assert len(multiprocessing.active_children()) == 1
         task.cancel()

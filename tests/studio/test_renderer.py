@@ -24,9 +24,28 @@ from clsco.files.transfer import encode
 from clsco.optics.motion import Eye
 from clsco.studio import renderer as renderer_module
 from clsco.studio.inspector import figures_of
-from clsco.studio.pictures import DRAGGING, EXACT, FLOAT32, HEADER, JPEG, LOSSY, MESSAGE, PNG, UNBLURRED, VIEWS, Picture
+from clsco.studio.pictures import (
+    DRAGGING,
+    EXACT,
+    FLOAT32,
+    HEADER,
+    JPEG,
+    LOSSY,
+    MESSAGE,
+    PNG,
+    UNBLURRED,
+    VIEWS,
+    ViewPicture,
+)
 from clsco.studio.preview import Preview
-from clsco.studio.renderer import Job, Progress, Question, Renderer, RendererEndedError, _Worker
+from clsco.studio.renderer import (
+    PictureJob,
+    Question,
+    RendererEndedError,
+    RendererProcess,
+    RenderProgress,
+    _RenderWorker,
+)
 from tests.studio.test_preview import Browser, Session
 
 
@@ -63,13 +82,13 @@ class Pipe:
 @pytest.mark.parametrize("error", [MemoryError(), DeviceError("device: must go on; got -4", short_of_memory=True)])
 def test_a_want_of_memory_is_told_with_the_number(error: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
     pipe = Pipe()
-    worker = _Worker(pipe, "pocl")  # type: ignore[arg-type]
+    worker = _RenderWorker(pipe, "pocl")  # type: ignore[arg-type]
 
     def short(*_: Any) -> None:
         raise error
 
     monkeypatch.setattr(worker, "_frame", short)
-    worker.answer("render", 3, Job(small(), 0, "color", EXACT))
+    worker.answer("render", 3, PictureJob(small(), 0, "color", EXACT))
     ((number, said),) = pipe.said
     assert number == 3
     assert re.fullmatch(
@@ -77,13 +96,13 @@ def test_a_want_of_memory_is_told_with_the_number(error: Exception, monkeypatch:
     )
 
 
-async def all_of(pictures: AsyncIterator[Picture]) -> list[Picture]:
+async def all_of(pictures: AsyncIterator[ViewPicture]) -> list[ViewPicture]:
     return [picture async for picture in pictures]
 
 
 def test_the_renderer_from_its_start_to_its_crash() -> None:
     async def run() -> None:
-        renderer = Renderer("pocl")
+        renderer = RendererProcess("pocl")
         try:
             await rungs(renderer)
             await views(renderer)
@@ -99,11 +118,11 @@ def test_the_renderer_from_its_start_to_its_crash() -> None:
     asyncio.run(run())
 
 
-async def rungs(renderer: Renderer) -> None:
+async def rungs(renderer: RendererProcess) -> None:
     scene = small()
-    (coarse,) = await all_of(renderer.pictures(Job(scene, 0, "color", DRAGGING)))
+    (coarse,) = await all_of(renderer.pictures(PictureJob(scene, 0, "color", DRAGGING)))
     assert (coarse.rung, coarse.encoding, coarse.full) == (DRAGGING, JPEG, (48, 40))
-    lossy, exact = await all_of(renderer.pictures(Job(scene, 0, "color", EXACT)))
+    lossy, exact = await all_of(renderer.pictures(PictureJob(scene, 0, "color", EXACT)))
     assert (lossy.rung, lossy.encoding, lossy.size) == (LOSSY, JPEG, (48, 40))
     assert (exact.rung, exact.encoding, exact.size) == (EXACT, PNG, (48, 40))
     assert np.array_equal(np.asarray(Image.open(io.BytesIO(exact.payload))), codes(scene))
@@ -114,13 +133,13 @@ def codes(scene: Scene) -> NDArray[Any]:
     return encode(frame.color, min(frame.metadata["bits"], 16), "srgb")
 
 
-async def views(renderer: Renderer) -> None:
+async def views(renderer: RendererProcess) -> None:
     for scene, view in [*((small(), view) for view in VIEWS), *((several(), view) for view in UNBLURRED)]:
         if view in ("color", "sharp"):
             continue
         scene = scene.replace("sensor", {}) if view in ("raw", "noise") else scene
         (frame,) = clsco.render(scene, device="pocl")
-        (exact,) = await all_of(renderer.pictures(Job(scene, 0, view, EXACT)))
+        (exact,) = await all_of(renderer.pictures(PictureJob(scene, 0, view, EXACT)))
         expected = np.asarray(getattr(frame, VIEWS[view]), np.float32)
         if view == "blur radius" and frame.mask is not None:  # which files have as 0 where nothing is
             assert not expected[~frame.mask].any()
@@ -129,12 +148,12 @@ async def views(renderer: Renderer) -> None:
         assert np.array_equal(np.frombuffer(exact.payload, "<f4").reshape(expected.shape), expected, equal_nan=True)
 
 
-async def eyes(renderer: Renderer) -> None:
+async def eyes(renderer: RendererProcess) -> None:
     scene = small().replace("stereo", {"baseline": 6.0})
     frames = {frame.eye: frame for frame in clsco.render(scene, truth=(), device="pocl")}
     shown = []
     for eye in get_args(Eye):
-        _, exact = await all_of(renderer.pictures(Job(scene, 0, "color", EXACT, eye)))
+        _, exact = await all_of(renderer.pictures(PictureJob(scene, 0, "color", EXACT, eye)))
         shown.append(np.asarray(Image.open(io.BytesIO(exact.payload))))
         frame = frames[eye]
         assert np.array_equal(shown[-1], encode(frame.color, min(frame.metadata["bits"], 16), "srgb"))
@@ -142,7 +161,7 @@ async def eyes(renderer: Renderer) -> None:
     assert not np.array_equal(shown[0], shown[1])
 
 
-async def pixels(renderer: Renderer) -> None:
+async def pixels(renderer: RendererProcess) -> None:
     scene = small()
     (frame,) = clsco.render(scene, device="pocl")
     found = await renderer.inspect(Question(scene, 0, 20, 15))
@@ -157,29 +176,29 @@ async def pixels(renderer: Renderer) -> None:
     assert other["values"]["depth"] > found["values"]["depth"]
 
 
-async def faults(renderer: Renderer) -> None:
+async def faults(renderer: RendererProcess) -> None:
     wrong = small().replace("object.0.texture", "/no/such/file.png")
     with pytest.raises(SceneError, match="texture"):
-        await all_of(renderer.pictures(Job(wrong, 0, "color", EXACT)))
+        await all_of(renderer.pictures(PictureJob(wrong, 0, "color", EXACT)))
     large = small().replace("camera.resolution", [2048, 2048])
-    waiting = asyncio.ensure_future(all_of(renderer.pictures(Job(large, 0, "color", EXACT))))
+    waiting = asyncio.ensure_future(all_of(renderer.pictures(PictureJob(large, 0, "color", EXACT))))
     await asyncio.sleep(0.1)
     renderer.cancel()
     with pytest.raises(CanceledError):
         await waiting
 
 
-async def progress(renderer: Renderer) -> None:
-    said: list[Progress] = []
+async def progress(renderer: RendererProcess) -> None:
+    said: list[RenderProgress] = []
 
-    async def watch(found: Progress) -> None:
+    async def watch(found: RenderProgress) -> None:
         said.append(found)
 
     long = small().replace("object.0.motion.velocity", [2.0, 0.0, 0.0]).replace("sequence.samples", 4000)
-    job = Job(long.replace("camera.resolution", [256, 256]), 0, "color", EXACT)
+    job = PictureJob(long.replace("camera.resolution", [256, 256]), 0, "color", EXACT)
     first = asyncio.ensure_future(all_of(renderer.pictures(job, watch)))
     await asyncio.sleep(0)
-    second = asyncio.ensure_future(all_of(renderer.pictures(Job(small(), 0, "color", DRAGGING), watch)))
+    second = asyncio.ensure_future(all_of(renderer.pictures(PictureJob(small(), 0, "color", DRAGGING), watch)))
     while not any(found.done for found in said):
         assert not first.done()
         await asyncio.sleep(0.05)
@@ -192,7 +211,7 @@ async def progress(renderer: Renderer) -> None:
     assert "another tab" in [found.doing for found in said]
 
 
-async def previews(renderer: Renderer) -> None:
+async def previews(renderer: RendererProcess) -> None:
     session, pictures = Session(), list[bytes]()
     session.scene = small()
     browser = Browser()
@@ -221,34 +240,34 @@ async def previews(renderer: Renderer) -> None:
     assert np.array_equal(np.asarray(Image.open(io.BytesIO(pictures[-1][HEADER.size :]))), codes(session.scene))
 
 
-async def crash(renderer: Renderer) -> None:
+async def crash(renderer: RendererProcess) -> None:
     before = renderer.pid
     assert before is not None
     waiting = asyncio.ensure_future(
-        all_of(renderer.pictures(Job(small().replace("camera.resolution", [1024, 1024]), 0, "color", EXACT)))
+        all_of(renderer.pictures(PictureJob(small().replace("camera.resolution", [1024, 1024]), 0, "color", EXACT)))
     )
     await asyncio.sleep(0.05)
     os.kill(before, signal.SIGKILL)
     with pytest.raises(RendererEndedError, match="signal 9"):
         await waiting
-    _, exact = await all_of(renderer.pictures(Job(small(), 0, "color", EXACT)))
+    _, exact = await all_of(renderer.pictures(PictureJob(small(), 0, "color", EXACT)))
     assert renderer.pid != before
     assert np.array_equal(np.asarray(Image.open(io.BytesIO(exact.payload))), codes(small()))
 
 
 def test_a_process_that_is_stopped_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     async def play() -> None:
-        renderer = Renderer("pocl")
+        renderer = RendererProcess("pocl")
         try:
-            _, exact = await all_of(renderer.pictures(Job(small(), 0, "color", EXACT)))
+            _, exact = await all_of(renderer.pictures(PictureJob(small(), 0, "color", EXACT)))
             before = renderer.pid
             assert before is not None
             os.kill(before, signal.SIGSTOP)
             monkeypatch.setattr(renderer_module, "SILENCE", 0.5)
             with pytest.raises(RendererEndedError, match="must say something within"):
-                await all_of(renderer.pictures(Job(small(), 0, "color", EXACT)))
+                await all_of(renderer.pictures(PictureJob(small(), 0, "color", EXACT)))
             monkeypatch.undo()
-            _, again = await all_of(renderer.pictures(Job(small(), 0, "color", EXACT)))
+            _, again = await all_of(renderer.pictures(PictureJob(small(), 0, "color", EXACT)))
             assert again.payload == exact.payload
             assert renderer.pid != before
             assert not Path(f"/proc/{before}").exists()

@@ -18,9 +18,9 @@ from fastapi import FastAPI
 from PIL import Image
 
 from clsco.files.images import write_png
-from clsco.studio.jobs import Job, Jobs
+from clsco.studio.jobs import CommandJob, Jobs
 from clsco.studio.routes import add_routes
-from clsco.studio.session import Session
+from clsco.studio.session import Document
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -47,8 +47,8 @@ def client(tmp_path: Path) -> Iterator[Client]:
     shutil.copy(EXAMPLES / "depth_map_image.png", tmp_path / "a.png")
     (tmp_path / "frames").mkdir()
     write_png(tmp_path / "frames" / "frame_0000.png", np.zeros((2, 3), np.uint8))
-    session, jobs, app = Session(tmp_path), Jobs(tmp_path), FastAPI()
-    jobs._put(Job(1, "one", ("render",), "frames", "frame_*.json", 1, "done"))
+    session, jobs, app = Document(tmp_path), Jobs(tmp_path), FastAPI()
+    jobs._put(CommandJob(1, "one", ("render",), "frames", "frame_*.json", 1, "done"))
     session.patch("object.0.texture", "a.png")
     add_routes(app, jobs, {"t": session}.get)
     yield Client(app)
@@ -56,7 +56,7 @@ def client(tmp_path: Path) -> Iterator[Client]:
 
 
 def test_a_link_by_address(client: Client, tmp_path: Path) -> None:
-    other = Session(tmp_path)
+    other = Document(tmp_path)
     other.patch("object.0.distance", 321.0)
     assert client.post("/share?tab=t", content=other.share()).json() == {}
     for content in ("#s=***", "", "\N{BULLET}".encode(), b"A" * 2**22):

@@ -11,7 +11,7 @@ import clsco
 from clsco.errors import SceneError
 from clsco.studio.forms import panels
 from clsco.studio.pictures import DRAGGING, EXACT, FLOAT16, FLOAT32, picture_of, truth_of
-from clsco.studio.session import Session
+from clsco.studio.session import Document
 
 SCENE = clsco.Scene(
     camera=clsco.Camera(resolution=(12, 8), pixel_pitch=0.2), objects=(clsco.Sphere(texture="#c08040"),),
@@ -20,7 +20,7 @@ SCENE = clsco.Scene(
 
 
 def test_the_panel_has_all_keys(tmp_path: Path) -> None:
-    (panel,) = (panel for panel in panels(Session(tmp_path), 0) if panel.title == "Sensor")
+    (panel,) = (panel for panel in panels(Document(tmp_path), 0) if panel.title == "Sensor")
     paths = [field.path for field in panel.fields]
     assert paths == [f"sensor.{key}" for key in clsco.Sensor.model_fields]
     labels = {field.path: field.label for field in panel.fields}

@@ -11,18 +11,18 @@ import pytest
 from clsco import SceneError, parse_scene
 from clsco.scene.schema import scene_schema
 from clsco.studio.editing import STEPS, THESIS
-from clsco.studio.session import Session
+from clsco.studio.session import Document
 from clsco.studio.tables import placed
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 @pytest.fixture
-def session(tmp_path: Path) -> Session:
-    return Session(tmp_path)
+def session(tmp_path: Path) -> Document:
+    return Document(tmp_path)
 
 
-def test_a_patch_changes_the_scene_and_leaves_the_old_table(session: Session) -> None:
+def test_a_patch_changes_the_scene_and_leaves_the_old_table(session: Document) -> None:
     before, told = session.table, []
     end = session.subscribe(lambda: told.append(session.revision))
     assert session.patch("object.0.distance", 300.0)
@@ -56,7 +56,7 @@ def test_a_patch_changes_the_scene_and_leaves_the_old_table(session: Session) ->
         ("a." * 200 + "b", 1, "must be the path of a key"),
     ],
 )
-def test_what_is_not_valid_is_said_at_its_field(session: Session, path: str, value: Any, rule: str) -> None:
+def test_what_is_not_valid_is_said_at_its_field(session: Document, path: str, value: Any, rule: str) -> None:
     before = session.scene
     assert not session.patch(path, value)
     assert rule in session.fault(path)
@@ -67,7 +67,7 @@ def test_what_is_not_valid_is_said_at_its_field(session: Session, path: str, val
     assert not session.faults
 
 
-def test_messages_are_those_of_the_command(session: Session) -> None:
+def test_messages_are_those_of_the_command(session: Document) -> None:
     with pytest.raises(SceneError) as stated:
         parse_scene({"object": [{"shape": "sphere", "radius": -1.0, "center": [0.0, 0.0]}]})
     session.patch("object.0.shape", "sphere")
@@ -80,7 +80,7 @@ def test_messages_are_those_of_the_command(session: Session) -> None:
     assert not session.faults
 
 
-def test_values_that_need_each_other_are_taken_together(session: Session) -> None:
+def test_values_that_need_each_other_are_taken_together(session: Document) -> None:
     session.patch("camera.focus_distance", 250.0)
     assert not session.patch("camera.focal_length", 300.0)
     assert "must be greater than focal_length = 300 mm" in session.fault("camera.focus_distance")
@@ -92,7 +92,7 @@ def test_values_that_need_each_other_are_taken_together(session: Session) -> Non
     assert session.scene.camera.focal_length == 20.0
 
 
-def test_pairs_of_the_camera_displace_each_other_and_amount_to_each_other(session: Session) -> None:
+def test_pairs_of_the_camera_displace_each_other_and_amount_to_each_other(session: Document) -> None:
     assert session.known("camera.f_number") == 2.0
     assert session.known("camera.focus_distance") == pytest.approx(250.0, abs=0.02)
     assert session.patch("camera.f_number", 4.0)
@@ -107,7 +107,7 @@ def test_pairs_of_the_camera_displace_each_other_and_amount_to_each_other(sessio
     assert session.table == THESIS
 
 
-def test_components_of_defaults(session: Session) -> None:
+def test_components_of_defaults(session: Document) -> None:
     session.patch("object.0.shape", "sphere")
     assert session.patch("object.0.center.2", 300.0)
     assert session.table["object"][0]["center"] == [0.0, 0.0, 300.0]
@@ -127,7 +127,7 @@ def test_components_of_defaults(session: Session) -> None:
         ("object.0.motion.velocity.1", 2.0, [0.0, 2.0, 0.0]),
     ],
 )
-def test_components_of_vectors_that_have_no_default(session: Session, path: str, value: Any, whole: Any) -> None:
+def test_components_of_vectors_that_have_no_default(session: Document, path: str, value: Any, whole: Any) -> None:
     assert session.patch(path, value)
     vector = path.rpartition(".")[0].removesuffix(".2")
     assert session.known(vector) == whole
@@ -135,7 +135,7 @@ def test_components_of_vectors_that_have_no_default(session: Session, path: str,
     assert session.table == THESIS
 
 
-def test_a_drag_is_one_step(session: Session) -> None:
+def test_a_drag_is_one_step(session: Document) -> None:
     session.patch("object.0.distance", 260.0)
     for k in range(50):
         session.patch("object.0.distance", 300.0 + k, drag=17)
@@ -150,7 +150,7 @@ def test_a_drag_is_one_step(session: Session) -> None:
     assert not session.redo()
 
 
-def test_a_drag_that_is_taken_back_is_no_step(session: Session) -> None:
+def test_a_drag_that_is_taken_back_is_no_step(session: Document) -> None:
     session.patch("object.0.distance", 260.0)
     for value in (300.0, 310.0, 260.0):
         session.patch("object.0.distance", value, drag=17)
@@ -158,7 +158,7 @@ def test_a_drag_that_is_taken_back_is_no_step(session: Session) -> None:
     assert not session.can_undo
 
 
-def test_undo_has_its_number_of_steps(session: Session) -> None:
+def test_undo_has_its_number_of_steps(session: Document) -> None:
     for k in range(STEPS + 5):
         session.patch("object.0.distance", 200.0 + k)
     count = 0
@@ -168,7 +168,7 @@ def test_undo_has_its_number_of_steps(session: Session) -> None:
     assert session.known("object.0.distance") == 204.0
 
 
-def test_shapes_come_back_with_their_values(session: Session) -> None:
+def test_shapes_come_back_with_their_values(session: Document) -> None:
     session.patch("object.0.texture", "checkerboard")
     session.patch("object.0.distance", 300.0)
     session.patch("object.0.motion.velocity", [1.0, 0.0, 0.0])
@@ -185,7 +185,7 @@ def test_shapes_come_back_with_their_values(session: Session) -> None:
     assert session.known("object.0.radius") is None
 
 
-def test_a_shape_that_needs_a_file_waits_for_it(session: Session) -> None:
+def test_a_shape_that_needs_a_file_waits_for_it(session: Document) -> None:
     assert not session.patch("object.0.shape", "depth_map")
     assert session.faults["object.0.depth"] == "must be given; got nothing"
     assert session.shown("object.0.shape") == "depth_map"
@@ -197,7 +197,7 @@ def test_a_shape_that_needs_a_file_waits_for_it(session: Session) -> None:
     assert not session.faults
 
 
-def test_a_choice_puts_aside_what_it_has_no_use_for(session: Session) -> None:
+def test_a_choice_puts_aside_what_it_has_no_use_for(session: Document) -> None:
     session.patch("object.0.shape", "sphere")
     assert session.patch("object.0.texture_mapping", "surface")
     assert session.patch("object.0.texture_repeats", [2.0, 1.0])
@@ -207,7 +207,7 @@ def test_a_choice_puts_aside_what_it_has_no_use_for(session: Session) -> None:
     assert session.known("object.0.texture_repeats") == [2.0, 1.0]
 
 
-def test_several_objects(session: Session) -> None:
+def test_several_objects(session: Document) -> None:
     assert session.add_object("sphere") == 1
     session.patch("object.1.name", "ball")
     assert session.copy_object(1) == 2
@@ -226,7 +226,7 @@ def test_several_objects(session: Session) -> None:
     assert session.table == THESIS
 
 
-def test_semi_axes_are_linked_where_wanted(session: Session) -> None:
+def test_semi_axes_are_linked_where_wanted(session: Document) -> None:
     session.patch("object.0.shape", "ellipsoid")
     session.patch("object.0.semi_axes.1", 20.0)
     assert session.known("object.0.semi_axes") == [30.0, 20.0, 50.0]
@@ -238,7 +238,7 @@ def test_semi_axes_are_linked_where_wanted(session: Session) -> None:
     assert session.known("object.0.semi_axes") == [30.0, 20.0, 50.0]
 
 
-def test_boxes_are_one_object(session: Session) -> None:
+def test_boxes_are_one_object(session: Document) -> None:
     session.patch("object.0.shape", "box")
     session.add_object("sphere")
     session.patch("object.1.radius", 12.0)
@@ -247,7 +247,7 @@ def test_boxes_are_one_object(session: Session) -> None:
     assert session.known("object.1.center") == [0.0, 0.0, 280.0]
 
 
-def test_reset_leaves_the_image(session: Session) -> None:
+def test_reset_leaves_the_image(session: Document) -> None:
     session.patch("object.0.texture", "siemens_star")
     changes = {
         "object.0.shape": "sphere", "object.0.radius": 12.0, "object.0.motion.velocity.0": 3.0, "camera.f_number": 4.0,
@@ -266,7 +266,7 @@ def test_reset_leaves_the_image(session: Session) -> None:
     assert session.table == before
 
 
-def _random_patch(draw: random.Random, session: Session) -> tuple[str, Any]:
+def _random_patch(draw: random.Random, session: Document) -> tuple[str, Any]:
     index = draw.randrange(len(session.table["object"]))
     number = round(draw.uniform(-50.0, 400.0), 3)
     return draw.choice(
@@ -293,7 +293,7 @@ def _random_patch(draw: random.Random, session: Session) -> tuple[str, Any]:
     )
 
 
-def test_a_random_walk_leads_back(session: Session) -> None:
+def test_a_random_walk_leads_back(session: Document) -> None:
     draw = random.Random(1)
     for step in range(500):
         if draw.random() < 0.05:
@@ -320,7 +320,7 @@ def test_a_random_walk_leads_back(session: Session) -> None:
     assert session.table == last
 
 
-def test_defaults_in_force_are_those_of_the_schema(session: Session) -> None:
+def test_defaults_in_force_are_those_of_the_schema(session: Document) -> None:
     definitions = scene_schema()["$defs"]
     for section in ("psf", "sequence", "motion", "fill"):
         for key, entry in definitions[section.capitalize()]["properties"].items():
@@ -329,7 +329,7 @@ def test_defaults_in_force_are_those_of_the_schema(session: Session) -> None:
 
 
 def test_each_scene_of_a_sweep_can_be_shown(tmp_path: Path) -> None:
-    session = Session(tmp_path)
+    session = Document(tmp_path)
     assert session.state.labels == ("",)
     session.patch("camera.f_number", [2.0, 4.0])
     session.patch("camera.focus_distance", {"from": 200.0, "to": 300.0, "steps": 2})
@@ -352,7 +352,7 @@ def test_each_scene_of_a_sweep_can_be_shown(tmp_path: Path) -> None:
         session.show_scene("other")
 
 
-def focus(session: Session) -> tuple[float, float]:
+def focus(session: Document) -> tuple[float, float]:
     """F-number and focus distance of the scene that is shown."""
     camera = session.scene.camera
     return camera.focal_length / camera.aperture_diameter, camera.focused_distance

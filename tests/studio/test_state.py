@@ -15,11 +15,11 @@ pytest.importorskip("fastapi", reason="needs the extra studio")
 
 from clsco import ClscoError, ImageError, SceneError
 from clsco.files.images import write_png
-from clsco.studio.jobs import Job
+from clsco.studio.jobs import CommandJob
 from clsco.studio.offers import distributions
 from clsco.studio.presets import load_preset
 from clsco.studio.server import Studio
-from clsco.studio.session import Session
+from clsco.studio.session import Document
 from clsco.studio.state import StateFolder
 from clsco.studio.store import digest_of
 from clsco.studio.uploads import keep_image
@@ -96,10 +96,10 @@ def look_at(opened: Studio, kept: list[str]) -> None:
     assert [path.name for path in opened.kept_scenes()] == kept
     for path in opened.kept_scenes():
         with pytest.raises(SceneError):
-            Session(opened.root).recover(path)
+            Document(opened.root).recover(path)
     opened.keep()
     with suppress(ImageError):  # a folder cannot be replaced
-        opened.jobs._put(Job(1, "one", ("render",), "out", "*", 1, "running", process=1))
+        opened.jobs._put(CommandJob(1, "one", ("render",), "out", "*", 1, "running", process=1))
         opened.jobs.poll()
         assert opened.jobs.job(1).status == "interrupted"
         opened.jobs.forget(1)
@@ -162,7 +162,7 @@ def test_what_comes_in_stays_below_the_root(tmp_path: Path, outside: Path, name:
 
     come: dict[str, Callable[[], object]] = {
         "uploads": lambda: keep_image(root, image.read_bytes(), "png"),
-        "images": lambda: load_preset(Session(root), "depth_map"),
+        "images": lambda: load_preset(Document(root), "depth_map"),
     }
     with pytest.raises(SceneError, match="below the folder"):
         come[name]()

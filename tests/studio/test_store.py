@@ -13,7 +13,7 @@ import pytest
 
 from clsco import SceneError, load_scene, load_sweep
 from clsco.scene.sweep import parse_sweep
-from clsco.studio.session import ConflictError, Session
+from clsco.studio.session import ConflictError, Document
 from clsco.studio.store import from_link, link_of
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -48,10 +48,10 @@ velocity = [1.0, 0.0, 0.0]  # to the right
 
 
 @pytest.fixture
-def session(tmp_path: Path) -> Session:
+def session(tmp_path: Path) -> Document:
     shutil.copy(EXAMPLES / "depth_map_image.png", tmp_path / "a.png")
     (tmp_path / "ball.toml").write_text(COMMENTED)
-    session = Session(tmp_path)
+    session = Document(tmp_path)
     session.open(Path("ball.toml"))
     return session
 
@@ -62,7 +62,7 @@ def elsewhere(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("elsewhere")
 
 
-def test_keyframes_are_opened_shown_and_saved_as_they_were(session: Session) -> None:
+def test_keyframes_are_opened_shown_and_saved_as_they_were(session: Document) -> None:
     text = (EXAMPLES / "hand_held.toml").read_text("utf-8")
     (session.folder / "held.toml").write_text(text)
     session.open(Path("held.toml"))
@@ -77,19 +77,19 @@ def test_keyframes_are_opened_shown_and_saved_as_they_were(session: Session) -> 
 
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
 def test_examples_come_back_from_a_link_and_from_a_file(tmp_path: Path, path: Path) -> None:
-    session = Session(EXAMPLES)
+    session = Document(EXAMPLES)
     session.open(path)
     scene, table = session.scene, session.table
     assert scene == load_sweep(path).scenes[0]
     link = session.share()
     assert 40 < len(link) < 700
-    other = Session(EXAMPLES)
+    other = Document(EXAMPLES)
     other.load_share(link)
     assert other.scene == scene
     assert not other.faults
     for image in EXAMPLES.glob("**/*.png"):
         (tmp_path / image.name).symlink_to(image)
-    moved = Session(EXAMPLES.parent)
+    moved = Document(EXAMPLES.parent)
     moved.root = tmp_path
     moved.load_table(table, path.parent)
     moved.save(Path("saved.toml"))
@@ -98,7 +98,7 @@ def test_examples_come_back_from_a_link_and_from_a_file(tmp_path: Path, path: Pa
     moved.save()
 
 
-def test_a_file_keeps_its_comments_and_order(session: Session) -> None:
+def test_a_file_keeps_its_comments_and_order(session: Document) -> None:
     session.patch("object.1.radius", 31.0)
     session.patch("camera.f_number", 4.0)
     session.patch("camera.focus_distance", 260.0)
@@ -116,13 +116,13 @@ BALL = COMMENTED[COMMENTED.index("# The ball") :]
 HEAD = COMMENTED[: COMMENTED.index("# The wall")]
 
 
-def saved(session: Session) -> str:
+def saved(session: Document) -> str:
     session.save()
     assert load_scene(session.root / "ball.toml") == session.scene
     return (session.root / "ball.toml").read_text()
 
 
-def test_comments_go_with_their_objects(session: Session) -> None:
+def test_comments_go_with_their_objects(session: Document) -> None:
     session.move_object(1, 0)
     assert saved(session) == f"{HEAD}{BALL}\n{WALL}"
     session.move_object(1, 0)
@@ -131,7 +131,7 @@ def test_comments_go_with_their_objects(session: Session) -> None:
     assert saved(session) == f"{HEAD}{BALL}"
 
 
-def test_comments_stay_where_objects_are_added(session: Session) -> None:
+def test_comments_stay_where_objects_are_added(session: Document) -> None:
     session.move_object(1, 0)
     session.copy_object(0)
     session.patch("object.0.motion", None)
@@ -145,7 +145,7 @@ def test_comments_stay_where_objects_are_added(session: Session) -> None:
     assert '"wall"' not in saved(session)
 
 
-def test_objects_between_other_tables_keep_their_comments(session: Session) -> None:
+def test_objects_between_other_tables_keep_their_comments(session: Document) -> None:
     text = """\
 [[object]]
 shape = "sphere"  # first
@@ -177,7 +177,7 @@ distance = 400.0
     assert places == sorted(places)
 
 
-def test_objects_in_one_line_are_put_into_another_order(session: Session) -> None:
+def test_objects_in_one_line_are_put_into_another_order(session: Document) -> None:
     text = '# one line\nobject = [{name = "a", shape = "plane", distance = 400.0}, {shape = "sphere"}]\n'
     (session.root / "line.toml").write_text(text)
     session.open(Path("line.toml"))
@@ -188,7 +188,7 @@ def test_objects_in_one_line_are_put_into_another_order(session: Session) -> Non
 
 
 def test_only_what_differs_from_defaults_is_written(tmp_path: Path) -> None:
-    session = Session(tmp_path)
+    session = Document(tmp_path)
     for path, value in {
         "object.0.distance": 250.0, "object.0.texture": "bricks", "camera.f_number": 2.5, "camera.pixel_pitch": 0.01,
         "psf.tilt": False, "sequence.shutter": 1.0, "sequence.frames": 2,
@@ -209,7 +209,7 @@ def test_only_what_differs_from_defaults_is_written(tmp_path: Path) -> None:
     assert load_scene(tmp_path / "new.json") == session.scene
 
 
-def test_a_file_that_changed_meanwhile_is_not_overwritten(session: Session) -> None:
+def test_a_file_that_changed_meanwhile_is_not_overwritten(session: Document) -> None:
     file = session.root / "ball.toml"
     session.patch("object.1.radius", 31.0)
     file.write_text(COMMENTED.replace("Ball", "Other"))
@@ -231,8 +231,8 @@ def test_a_file_that_changed_meanwhile_is_not_overwritten(session: Session) -> N
     assert load_scene(file) == session.scene
 
 
-def test_two_sessions_on_one_file(session: Session) -> None:
-    other = Session(session.root)
+def test_two_sessions_on_one_file(session: Document) -> None:
+    other = Document(session.root)
     other.open(Path("ball.toml"))
     other.patch("title", "theirs")
     other.save()
@@ -241,7 +241,7 @@ def test_two_sessions_on_one_file(session: Session) -> None:
         session.save()
 
 
-def test_saved_elsewhere_the_images_are_still_found(session: Session) -> None:
+def test_saved_elsewhere_the_images_are_still_found(session: Document) -> None:
     (session.root / "sub").mkdir()
     session.save(Path("sub/copy.toml"))
     assert session.table["object"][1]["texture"] == "../a.png"
@@ -262,7 +262,7 @@ def test_saved_elsewhere_the_images_are_still_found(session: Session) -> None:
         ("a.txt", r"must end in \.toml or \.json"),
     ],
 )
-def test_nothing_is_written_or_read_elsewhere(session: Session, elsewhere: Path, path: str, rule: str) -> None:
+def test_nothing_is_written_or_read_elsewhere(session: Document, elsewhere: Path, path: str, rule: str) -> None:
     (session.root / "link").symlink_to(elsewhere)
     (elsewhere / "out.toml").write_text(COMMENTED)
     for action in (session.save, session.open):
@@ -271,7 +271,7 @@ def test_nothing_is_written_or_read_elsewhere(session: Session, elsewhere: Path,
     assert [entry.name for entry in elsewhere.iterdir()] == ["out.toml"]
 
 
-def test_a_scene_that_names_files_elsewhere_is_not_opened(session: Session, elsewhere: Path) -> None:
+def test_a_scene_that_names_files_elsewhere_is_not_opened(session: Document, elsewhere: Path) -> None:
     secret = elsewhere / "secret.png"
     shutil.copy(EXAMPLES / "depth_map_image.png", secret)
     before = session.table
@@ -283,7 +283,7 @@ def test_a_scene_that_names_files_elsewhere_is_not_opened(session: Session, else
     assert session.path == session.root / "ball.toml"
 
 
-def test_open_is_a_step_of_undo(session: Session) -> None:
+def test_open_is_a_step_of_undo(session: Document) -> None:
     session.patch("title", "x")
     (session.root / "other.toml").write_text('[[object]]\nshape = "sphere"\n')
     session.open(Path("other.toml"))
@@ -294,9 +294,9 @@ def test_open_is_a_step_of_undo(session: Session) -> None:
     assert load_scene(session.root / "ball.toml").title == "x"
 
 
-def test_a_link_asks_for_images_that_are_not_there(session: Session, elsewhere: Path) -> None:
+def test_a_link_asks_for_images_that_are_not_there(session: Document, elsewhere: Path) -> None:
     link = session.share()
-    other = Session(elsewhere)
+    other = Document(elsewhere)
     other.load_share(link)
     assert other.scene.objects[1].texture == "bricks"
     assert other.refused == {"object.1.texture": "a.png"}
@@ -336,21 +336,21 @@ def linked(content: bytes) -> str:
         ("", "must be"),
     ],
 )
-def test_bad_links_are_refused(session: Session, link: str, rule: str) -> None:
+def test_bad_links_are_refused(session: Document, link: str, rule: str) -> None:
     before = session.table
     with pytest.raises(SceneError, match=rule):
         session.load_share(link)
     assert session.table is before
 
 
-def test_what_was_kept_is_recovered(session: Session) -> None:
+def test_what_was_kept_is_recovered(session: Document) -> None:
     session.patch("object.1.radius", 33.0)
     file = session.root / "one.json"
     session.keep(file)
     written = file.stat().st_mtime_ns
     session.keep(file)
     assert file.stat().st_mtime_ns == written
-    other = Session(session.root)
+    other = Document(session.root)
     other.recover(file)
     assert other.scene == session.scene
     file.write_text("{")

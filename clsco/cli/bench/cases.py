@@ -61,7 +61,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Grid:
+class BenchGrid:
     """The axes of the benchmark; rounds: timed calls of a case; longest_s: cases with longer calls are left out.
 
     once_s: longer calls are timed once; slowest: ways of clsco that take so many times as long as its fastest one, on a
@@ -81,8 +81,8 @@ class Grid:
     minutes: float | None = None
 
 
-FULL = Grid()
-QUICK = Grid(sizes=(256, 512), radii=(2.0, 6.0, 20.0), channels=(1,), precisions=("double",), longest_s=0.2)
+FULL = BenchGrid()
+QUICK = BenchGrid(sizes=(256, 512), radii=(2.0, 6.0, 20.0), channels=(1,), precisions=("double",), longest_s=0.2)
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class Peer:
     set_up: Callable[[Array, Array], Callable[[], Array]]
 
 
-def make_grid(quick: bool, sizes: Sequence[int], radii: Sequence[float], minutes: float | None = None) -> Grid:
+def make_grid(quick: bool, sizes: Sequence[int], radii: Sequence[float], minutes: float | None = None) -> BenchGrid:
     """The grid of the command's options; sizes and radii in px, none: the grid's own, and all else that there is.
 
     Raises ClscoError.
@@ -133,7 +133,7 @@ def methods(scene: Scene) -> tuple[str, ...]:
     return tuple(name for name in known if (name == "convolve") == (scene == "constant"))
 
 
-def grid_cases(grid: Grid, has_fp64: bool, peers: Sequence[Peer] = ()) -> list[Case]:
+def grid_cases(grid: BenchGrid, has_fp64: bool, peers: Sequence[Peer] = ()) -> list[Case]:
     """The cases of a grid, those with the same scene side by side; those of `peers` take floats."""
     known = [precision for precision in grid.precisions if precision == "single" or has_fp64]
     found: list[Case] = []

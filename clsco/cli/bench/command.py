@@ -13,8 +13,8 @@ from typing import Any, Protocol
 from rich.console import RenderableType
 
 import clsco
-from clsco.cli.bench.cases import Grid, make_grid
-from clsco.cli.options import Extent
+from clsco.cli.bench.cases import BenchGrid, make_grid
+from clsco.cli.options import BenchExtent
 from clsco.errors import ClscoError
 from clsco.files.plots import require_matplotlib
 from clsco.opencl.device import Device
@@ -22,7 +22,7 @@ from clsco.opencl.device import Device
 Advance = Callable[[], object]
 
 
-class Task(Protocol):
+class BenchTask(Protocol):
     """A run of the command."""
 
     def notices(self) -> list[str]:
@@ -39,7 +39,7 @@ class Task(Protocol):
 class Speed:
     """Speed against error of the blur, see `clsco.cli.bench.measure`."""
 
-    grid: Grid
+    grid: BenchGrid
 
     def notices(self) -> list[str]:
         require_matplotlib("bench", "bench")
@@ -59,7 +59,7 @@ class Speed:
 
 
 @dataclass(frozen=True)
-class Stability:
+class StabilityTask:
     """Errors of hard cases of numerics, see `clsco.cli.bench.stabilityreport`."""
 
     quick: bool
@@ -86,13 +86,13 @@ class Stability:
         return stabilityreport.tables(found), line
 
 
-def speed_task(extent: Extent) -> Task:
+def speed_task(extent: BenchExtent) -> BenchTask:
     """Make the task that the options of `clsco dev bench` ask for. Raises ClscoError for what cannot be measured, or
     where a peer is missing."""
     grid = make_grid(extent.quick, extent.sizes, extent.radii, extent.minutes)
     if not extent.compare:
         return Speed(grid)
-    task: Task = _comparison().comparison(grid, extent.quick, not (extent.sizes or extent.radii))
+    task: BenchTask = _comparison().comparison(grid, extent.quick, not (extent.sizes or extent.radii))
     return task
 
 

@@ -10,7 +10,7 @@ from math import atan, degrees
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.cli.bench.rays import REALS, Caster, Target, Window
+from clsco.cli.bench.rays import REALS, Caster, RayTarget, Window
 from clsco.cli.bench.stability import SINGLE_OR_DOUBLE
 from clsco.engine.sequence import render_sweep
 from clsco.errors import ClscoError
@@ -161,16 +161,16 @@ def _quadrics() -> Iterator[tuple[str, Object]]:
             yield f"{name}, 1 mm away", Quadric(coefficients=scaled, center=(0.0, 0.0, 1.0))
 
 
-def cases() -> dict[str, Target]:
+def cases() -> dict[str, RayTarget]:
     """All targets by name; turned ones turn rays into rays exactly."""
     found = {}
     window = Window(STEP, -(ACROSS // 2), -(ACROSS // 2), ACROSS)
     for make in (_spheres, _ellipsoids, _cylinders, _cones, _planes, _quadrics):
         for name, item in make():
-            found[name] = Target(item, ObjectMotion(), window)
+            found[name] = RayTarget(item, ObjectMotion(), window)
     for name in [name for name, target in found.items() if target.item.shape in ("plane", "ellipsoid", "cone")]:
         for suffix, angles in TURNS.items():
-            turned = Target(found[name].item, ObjectMotion(angular_velocity=angles), window)
+            turned = RayTarget(found[name].item, ObjectMotion(angular_velocity=angles), window)
             found[name + suffix] = turned
     return found
 
@@ -193,7 +193,7 @@ class Outcome:
         return self.not_finite == 0 and (self.other_class == 0 or self.precision == "float")
 
 
-def reference_hits(target: Target) -> NDArray[np.bool_]:
+def reference_hits(target: RayTarget) -> NDArray[np.bool_]:
     """Mask of the rays of a target's window (side, side) that hit in the NumPy reference."""
     x, y = target.window.slopes()
     rays = np.stack([x.high, y.high, np.ones(x.high.shape)], axis=-1)
@@ -202,7 +202,7 @@ def reference_hits(target: Target) -> NDArray[np.bool_]:
     return label > 0
 
 
-def cast(session: Session, targets: Mapping[str, Target]) -> list[Outcome]:
+def cast(session: Session, targets: Mapping[str, RayTarget]) -> list[Outcome]:
     """Rays of every case, in every precision that the device has. Raises DeviceError, KernelError."""
     found = []
     for real in REALS:
@@ -216,12 +216,12 @@ def cast(session: Session, targets: Mapping[str, Target]) -> list[Outcome]:
     return found
 
 
-def _wrong(target: Target, hit: NDArray[np.bool_]) -> int:
+def _wrong(target: RayTarget, hit: NDArray[np.bool_]) -> int:
     """Rays of another class than the reference's."""
     return int((hit != reference_hits(target)).sum())
 
 
-def scene_of(target: Target) -> Scene:
+def scene_of(target: RayTarget) -> Scene:
     """A frame of the rays of a target, one second after its reference pose."""
     # Nearly a pinhole, so that what is 1e-5 mm away can be shown, too.
     camera = Camera(resolution=(ACROSS, ACROSS), pixel_pitch=20.0 * STEP, f_number=1e6, focus_distance=250.0)
@@ -230,12 +230,12 @@ def scene_of(target: Target) -> Scene:
     return Scene(camera=camera, objects=(item,), sequence=sequence)
 
 
-def distinct(targets: Mapping[str, Target]) -> dict[str, Target]:
+def distinct(targets: Mapping[str, RayTarget]) -> dict[str, RayTarget]:
     """Select the targets that are neither turned nor multiples of other targets."""
     return {name: target for name, target in targets.items() if ", turned by" not in name and ", times" not in name}
 
 
-def rendered(targets: Mapping[str, Target], device: Device) -> list[Outcome]:
+def rendered(targets: Mapping[str, RayTarget], device: Device) -> list[Outcome]:
     """The same by `clsco.render_sweep`, all outputs: a case may be refused, for what its blur would be."""
     found = []
     for real in REALS:
@@ -256,7 +256,7 @@ def rendered(targets: Mapping[str, Target], device: Device) -> list[Outcome]:
     return found
 
 
-def _outcome(name: str, target: Target, frame: Frame, real: Real) -> Outcome:
+def _outcome(name: str, target: RayTarget, frame: Frame, real: Real) -> Outcome:
     mask = frame.mask
     assert mask is not None
     assert frame.depth is not None

@@ -18,7 +18,7 @@ from clsco.cli.bench.rays import (
     FEATURES,
     REALS,
     Caster,
-    Target,
+    RayTarget,
     Window,
     certain,
     random_target,
@@ -89,7 +89,7 @@ class Rays:
         self.reals: list[Real] = [real for real in REALS if real == "float" or session.device.has_fp64]
         self.casters = {SINGLE_OR_DOUBLE[real]: Caster(session, real) for real in self.reals}
 
-    def measure(self, target: Target) -> Measured:
+    def measure(self, target: RayTarget) -> Measured:
         """Errors of depth in ULP of float32 outside of DOUBTFUL, and how many rays there are of another class."""
         of = oracle.surface(target.item, target.motion)
         x, y = target.window.slopes()
@@ -101,7 +101,7 @@ class Rays:
             forms[form] = hit, single_depth(hit, w)
         return {form: _compared(hit, z, exact, sure) for form, (hit, z) in forms.items()}
 
-    def times(self, target: Target) -> dict[str, float]:
+    def times(self, target: RayTarget) -> dict[str, float]:
         """ns per ray of each form, for TIMED_SIDE^2 of them by a program for this shape alone."""
         large = replace(target, window=replace(target.window, side=TIMED_SIDE))
         rays = TIMED_SIDE**2
@@ -139,9 +139,9 @@ def far_sphere(rays: Rays, quick: bool) -> HardCase:
     ratios = [2.0, 100.0, 1e4, 1e6] if quick else [1e4, *np.geomspace(1.5, 1e6, 25).tolist()]
     found = []
     for ratio in ratios:
-        target = Target(Sphere(radius=1.0, center=(0.0, 0.0, ratio)), STILL, _around(1.2 / ratio))
+        target = RayTarget(Sphere(radius=1.0, center=(0.0, 0.0, ratio)), STILL, _around(1.2 / ratio))
         found.append((ratio, rays.measure(target)))
-    target = Target(Sphere(radius=1.0, center=(0.0, 0.0, 1e4)), STILL, _around(1.2e-4, TIMED_SIDE))
+    target = RayTarget(Sphere(radius=1.0, center=(0.0, 0.0, 1e4)), STILL, _around(1.2e-4, TIMED_SIDE))
     times = {} if quick else rays.times(target)
     remedy = "discriminant by Lagrange's identity, (c - rho)(c + rho), w = C / (c + sqrt(D/4))"
     return hard_case("sphere far away", "c / rho", "ULP", found, BOUNDS, remedy, times)
@@ -167,9 +167,9 @@ def asymptotes(rays: Rays, quick: bool) -> HardCase:
     item, found = Quadric(coefficients=(1, -1, 0, 0, 0, 0, 0, 0, -1, 0), center=(0.0, 0.0, 256.0)), []
     for exponent in (4, 12, 20) if quick else range(4, 22):
         window = Window(0.24 / 2**exponent, -(2**exponent) - 32, 2**exponent - 32)
-        found.append((2.0**exponent, rays.measure(Target(item, STILL, window))))
+        found.append((2.0**exponent, rays.measure(RayTarget(item, STILL, window))))
     remedy = "roots C / (-B + sqrt D) and A / (-B - sqrt D): the linear case needs no branch"
-    times = {} if quick else rays.times(Target(item, STILL, _around(0.2, TIMED_SIDE)))
+    times = {} if quick else rays.times(RayTarget(item, STILL, _around(0.2, TIMED_SIDE)))
     return hard_case("leading coefficient to 0", "(x^2 + y^2) / (x^2 - y^2)", "ULP", found, BOUNDS, remedy, times)
 
 
@@ -177,7 +177,7 @@ def cone_nappe(rays: Rays, quick: bool) -> HardCase:
     """A cone seen along its axis: every ray meets both nappes, or the mirror one alone."""
     found = []
     for angle in (10.0, 45.0, 80.0) if quick else np.linspace(5.0, 85.0, 17).tolist():
-        target = Target(Cone(half_angle=angle, apex=(0.0, 0.0, 250.0)), STILL, _around(0.5))
+        target = RayTarget(Cone(half_angle=angle, apex=(0.0, 0.0, 250.0)), STILL, _around(0.5))
         found.append((angle, rays.measure(target)))
     remedy = "w = (1 - a')/c, and the sign of Z - c chooses the nappe"
     times = {} if quick else rays.times(target)
@@ -191,8 +191,8 @@ def horizon(rays: Rays, quick: bool) -> HardCase:
     for exponent in (2, 9, 16) if quick else range(2, 17):
         step = 2.0**-exponent * vanishes / 64
         window = Window(step, -32, round(vanishes / step) - 66)  # the last two columns miss the plane
-        found.append((2.0**exponent, rays.measure(Target(item, STILL, window))))
-    target = Target(item, STILL, _around(0.2, TIMED_SIDE))
+        found.append((2.0**exponent, rays.measure(RayTarget(item, STILL, window))))
+    target = RayTarget(item, STILL, _around(0.2, TIMED_SIDE))
     remedy = "w is linear: no division, no singularity"
     times = {} if quick else rays.times(target)
     return hard_case("plane at the horizon", "1 / (1 - b x)", "ULP", found, BOUNDS, remedy, times)
@@ -204,7 +204,7 @@ def scaled_quadric(rays: Rays, quick: bool) -> HardCase:
     for exponent in (0, 10, 20, 25) if quick else range(-25, 26, 5):
         scale = 10.0**exponent
         coefficients = (scale, scale, scale, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -900.0 * scale)
-        target = Target(Quadric(coefficients=coefficients, center=(0.0, 0.0, 280.0)), STILL, _around(0.15))
+        target = RayTarget(Quadric(coefficients=coefficients, center=(0.0, 0.0, 280.0)), STILL, _around(0.15))
         found.append((scale, rays.measure(target)))
     remedy = "coefficients scaled by a power of two on the host; lengths beyond 1e9 mm are refused"
     times = {} if quick else rays.times(target)
@@ -233,7 +233,7 @@ def near_focus(rays: Rays, quick: bool) -> HardCase:
 
 
 def _blur(rays: Rays, camera: Camera, item: Plane, window: Window, lens: tuple[Wide, Wide]) -> Measured:
-    target = Target(item, STILL, window)
+    target = RayTarget(item, STILL, window)
     depths = oracle.solve(oracle.surface(item, STILL), *window.slopes())
     far = depths.hit & (depths.w.high >= 1e-9)
     w = Wide(depths.w.high[far], depths.w.low[far])

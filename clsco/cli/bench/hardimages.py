@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from clsco.cli.bench.oracle import DIGITS
 from clsco.cli.bench.stability import Compared, HardCase, Measured, hard_case, ns_per_value
-from clsco.cli.bench.stages import Stages
+from clsco.cli.bench.stages import MeasuredStages
 from clsco.engine.defocus import defocus
 from clsco.engine.inpaint import inpaint
 from clsco.engine.sequence import render
@@ -253,7 +253,7 @@ def half_pixel_shift(session: Session) -> HardCase:
         forms: dict[str, NDArray[np.bool_]] = {"naive": np.isin(pixels, landed)}
         for form, real in BOTH:
             if real == "float" or session.device.has_fp64:
-                stages = Stages(session, scene, texture, real)
+                stages = MeasuredStages(session, scene, texture, real)
                 stages.depth_test()
                 forms[form] = np.asarray((stages.winners() < side * side).all(axis=0))
         holes = {form: int((~known[inside]).sum()) for form, known in forms.items()}
@@ -286,7 +286,7 @@ def depth_ties(session: Session) -> HardCase:
         calls: dict[str, Callable[[], object]] = {"naive": last_writer}
         for form, real in BOTH:
             if real == "float" or session.device.has_fp64:
-                stages = Stages(session, scene, texture, real)
+                stages = MeasuredStages(session, scene, texture, real)
                 stages.depth_test()
                 forms[form], calls[form] = stages.winners().ravel(), stages.depth_test
         wrong = {form: int((winner != exact).sum()) for form, winner in forms.items()}

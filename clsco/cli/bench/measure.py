@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from clsco import __version__
 from clsco.cli.bench.cases import (
     PSFS,
+    BenchGrid,
     Case,
-    Grid,
     Peer,
     Scene,
     channels_of,
@@ -34,7 +34,7 @@ from clsco.cli.bench.cases import (
     scene_radii,
 )
 from clsco.cli.bench.paces import Paces
-from clsco.cli.bench.passes import Pass
+from clsco.cli.bench.passes import MeasuredPass
 from clsco.cli.bench.roofline import Roof, intensity, measure_roof, tap_rate
 from clsco.errors import DeviceError, SceneError
 from clsco.opencl.device import Device
@@ -57,7 +57,7 @@ BATCH_SHARE, PEER_BYTES = 8, 32
 
 
 @dataclass(frozen=True)
-class Row(Case):
+class BenchRow(Case):
     """Measurements of one case; ns are medians per pixel and channel, None where there is no such figure.
 
     cost_ns: cpu_ns, but device_ns on a device that is no processor; cpu_ns: process CPU time; device_ns, kernels_ns:
@@ -94,13 +94,13 @@ class Bench:
     versions: dict[str, str]
     settings: dict[str, Any]
     roof: Roof
-    rows: list[Row]
+    rows: list[BenchRow]
     left_out: list[dict[str, Any]]
     peak_rss_bytes: int | None
 
 
 @dataclass(frozen=True)
-class _First:
+class _FirstCall:
     """Measurements of a case on its crop."""
 
     first_call_s: float
@@ -115,7 +115,7 @@ class _Ready:
     """A case that is set up and warm in full size."""
 
     case: Case
-    first: _First
+    first: _FirstCall
     call: Callable[[Events], Array]
     device_bytes: int | None
     cpu: list[float]
@@ -130,12 +130,12 @@ class _Ready:
         return own + 4 * self.case.channels * pixels
 
 
-def run(grid: Grid, device: Device, peers: Sequence[Peer], advance: Callable[[], object]) -> Bench:
+def run(grid: BenchGrid, device: Device, peers: Sequence[Peer], advance: Callable[[], object]) -> Bench:
     """Measure a grid on a device, beside its peers.
 
     advance: called `steps` times on the way. Raises DeviceError, KernelError.
     """
-    rows: list[Row] = []
+    rows: list[BenchRow] = []
     left_out: list[dict[str, Any]] = []
     batch: list[_Ready] = []
     paces = Paces(grid)
@@ -158,12 +158,12 @@ def run(grid: Grid, device: Device, peers: Sequence[Peer], advance: Callable[[],
     return Bench(described(device), versions(), settings, roof, with_fronts(rows), left_out, _peak_rss())
 
 
-def steps(grid: Grid, device: Device, peers: Sequence[Peer]) -> int:
+def steps(grid: BenchGrid, device: Device, peers: Sequence[Peer]) -> int:
     """Number of times that `run` calls `advance`."""
     return len(_cases(grid, device, peers)) * (1 + grid.rounds)
 
 
-def _cases(grid: Grid, device: Device, peers: Sequence[Peer]) -> list[Case]:
+def _cases(grid: BenchGrid, device: Device, peers: Sequence[Peer]) -> list[Case]:
     """Cases of a grid that the device can do: `gather` is made for processors."""
     found = grid_cases(grid, device.has_fp64, peers)
     return [case for case in found if device.kind != "gpu" or case.method != "gather"]
@@ -179,10 +179,10 @@ def front(costs: Sequence[float], errors: Sequence[float]) -> list[bool]:
     return on
 
 
-def with_fronts(rows: Sequence[Row]) -> list[Row]:
+def with_fronts(rows: Sequence[BenchRow]) -> list[BenchRow]:
     """The rows, with those marked that are on the front of their task."""
     of_task = attrgetter("task")
-    found: list[Row] = []
+    found: list[BenchRow] = []
     for _, group in groupby(sorted(rows, key=of_task), key=of_task):
         alike = list(group)
         marks = front([row.cost_ns for row in alike], [row.rms_error for row in alike])
@@ -194,13 +194,13 @@ def _set_up(
     case: Case, image: Array, radii: Array, session: Session, peers: Sequence[Peer]
 ) -> Callable[[Events], Array]:
     if case.tool == "clsco":
-        return Pass(session, image, radii, PSFS[case.psf], case.method, REALS[case.precision])
+        return MeasuredPass(session, image, radii, PSFS[case.psf], case.method, REALS[case.precision])
     (peer,) = (one for one in peers if (one.tool, one.method, one.psf) == (case.tool, case.method, case.psf))
     call = peer.set_up(image, radii)
     return lambda _: call()
 
 
-def _first(case: Case, session: Session, first_call_s: float | None, peers: Sequence[Peer] = ()) -> _First:
+def _first(case: Case, session: Session, first_call_s: float | None, peers: Sequence[Peer] = ()) -> _FirstCall:
     """Run a case on its crop, the first time with nothing made before, and compare it with the reference.
 
     first_call_s: of the same at another size, which is not measured again.
@@ -221,7 +221,7 @@ def _first(case: Case, session: Session, first_call_s: float | None, peers: Sequ
     exact = _exact(case.size, case.radius, case.scene, case.psf)
     error = found.astype(np.float64) - channels_of(exact, case.channels)
     rms, largest = float(np.sqrt(np.mean(error**2))), float(np.abs(error).max())
-    return _First(first_call_s, len(radii), rms, largest, warm)
+    return _FirstCall(first_call_s, len(radii), rms, largest, warm)
 
 
 @lru_cache(maxsize=1)
@@ -261,10 +261,10 @@ def _ready(case: Case, session: Session, longest_s: float, paces: Paces, peers: 
             return f"a call must take {longest_s:g} s at most; got {warm:.2g} s"
     except (DeviceError, SceneError) as error:
         return str(error)
-    return _Ready(case, first, call, call.bytes if isinstance(call, Pass) else None, [], [], [])
+    return _Ready(case, first, call, call.bytes if isinstance(call, MeasuredPass) else None, [], [], [])
 
 
-def _by_crop(case: Case, first: _First) -> float:
+def _by_crop(case: Case, first: _FirstCall) -> float:
     """About how long a call in full size takes: taps that leave the crop cost as much, or nothing."""
     psf, crop = PSFS[case.psf], first.crop_px
     if case.method in TAP_BY_TAP:
@@ -278,7 +278,9 @@ def _seconds(call: Callable[[Events], Array]) -> float:
     return time.perf_counter() - start
 
 
-def _timed(batch: Sequence[_Ready], grid: Grid, roof: Roof, device: Device, advance: Callable[[], object]) -> list[Row]:
+def _timed(
+    batch: Sequence[_Ready], grid: BenchGrid, roof: Roof, device: Device, advance: Callable[[], object]
+) -> list[BenchRow]:
     """Call all of a batch once, then all again, and so on: what slows the machine for a while slows all alike."""
     for _ in range(grid.rounds):
         for ready in batch:
@@ -298,7 +300,7 @@ def _timed(batch: Sequence[_Ready], grid: Grid, roof: Roof, device: Device, adva
     return [_row(ready, roof, device) for ready in batch]
 
 
-def _row(ready: _Ready, roof: Roof, device: Device) -> Row:
+def _row(ready: _Ready, roof: Roof, device: Device) -> BenchRow:
     case, first = ready.case, ready.first
     values = case.size**2 * case.channels
     cpu, wall = (1e9 * float(np.median(seconds)) / values for seconds in (ready.cpu, ready.wall))
@@ -306,7 +308,7 @@ def _row(ready: _Ready, roof: Roof, device: Device) -> Row:
     on_device = sum(kernels.values()) if kernels else None
     taps = mean_taps(PSFS[case.psf], case.radius, case.scene)
     rate = tap_rate(taps, on_device) if on_device else None
-    return Row(
+    return BenchRow(
         **asdict(case),
         cost_ns=cpu if on_device is None or device.kind == "cpu" else on_device,
         cpu_ns=cpu,

@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping
 from math import inf
 
-from clsco.cli.bench.cases import Case, Grid
+from clsco.cli.bench.cases import BenchGrid, Case
 
 
 class Paces:
@@ -15,7 +15,7 @@ class Paces:
     Ways of clsco that take `slowest` times as long as its fastest one, on a crop or at a smaller size, are left out.
     """
 
-    def __init__(self, grid: Grid) -> None:
+    def __init__(self, grid: BenchGrid) -> None:
         self.grid = grid
         self.end = time.monotonic() + 60.0 * (inf if grid.minutes is None else grid.minutes)
         self.known: dict[Case, tuple[int, float]] = {}

@@ -26,7 +26,7 @@ from clsco.scene.model import Psf
 Array = NDArray[Any]
 
 
-class Pass:
+class MeasuredPass:
     """The defocus pass of one image on the device, from its radii to the frame; warm after its first call."""
 
     def __init__(self, session: Session, image: Array, radii: Array, psf: Psf, method: str, real: Real) -> None:

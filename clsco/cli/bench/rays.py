@@ -59,7 +59,7 @@ class Window:
 
 
 @dataclass(frozen=True)
-class Target:
+class RayTarget:
     """An object after one second of its motion, and rays at it."""
 
     item: Object
@@ -83,17 +83,17 @@ class Caster:
         self.value, self.wide, self.class_ = (empty(session, size * area) for size in (4, REAL[real].itemsize, 1))
         self.statistics = empty(session, 4 * STATISTICS)
 
-    def __call__(self, target: Target) -> tuple[NDArray[np.bool_], Array]:
+    def __call__(self, target: RayTarget) -> tuple[NDArray[np.bool_], Array]:
         """Cast the rays of a target: mask of hits (side, side), and inverse depth in 1/mm with all its digits."""
         self.launch("cast", target)
         return self._found(target.window.side)
 
-    def blur(self, target: Target, camera: Camera) -> tuple[NDArray[np.bool_], Array]:
+    def blur(self, target: RayTarget, camera: Camera) -> tuple[NDArray[np.bool_], Array]:
         """Cast the rays of a target: mask of hits (side, side), and the signed blur radius there in px."""
         self.launch("pinhole", target, lens_struct(Lens.of(camera), self.real))
         return self._found(target.window.side)
 
-    def launch(self, name: str, target: Target, *lens: Struct) -> None:
+    def launch(self, name: str, target: RayTarget, *lens: Struct) -> None:
         """Run a kernel over the window and wait for it; lens: lens_t of one that needs it."""
         window = target.window
         grid = grid_struct(1, 1, 0, self.real, step=window.step)
@@ -124,7 +124,7 @@ def ulps(found: NDArray[np.float32], exact_w: Wide) -> Array:
     return np.abs(off) / np.spacing(np.abs(exact.high).astype(np.float32)).astype(np.float64)
 
 
-def certain(target: Target, of: oracle.Surface, exact: oracle.Depths, band: float) -> NDArray[np.bool_]:
+def certain(target: RayTarget, of: oracle.Surface, exact: oracle.Depths, band: float) -> NDArray[np.bool_]:
     """Mask of rays whose discriminant and leading coefficient are not within `band` of 0, relative to their own terms.
 
     Those of the discriminant are what Lagrange's identity leaves of B^2 - A C: its sign is no rounding there, even
@@ -225,17 +225,17 @@ FAMILIES: dict[str, Callable[[np.random.Generator, float], tuple[Object, float]]
 }
 
 
-def random_target(family: str, rng: np.random.Generator) -> Target:
+def random_target(family: str, rng: np.random.Generator) -> RayTarget:
     """An object of a family, turned any way, 1.05 to FARTHEST_RATIO sizes away, and a window that shows it."""
     ratio = float(np.exp(rng.uniform(log(1.05), log(FARTHEST_RATIO))))
     item, half = FAMILIES[family](rng, ratio)
     step = 2.0 * half / SIDE
     x, y, z = rest_center(item).tolist()
     row, column = (round(v / step) - SIDE // 2 for v in (-y / z, x / z))
-    return Target(item, _any_turn(rng), Window(step, row, column))
+    return RayTarget(item, _any_turn(rng), Window(step, row, column))
 
 
-def closer(target: Target, hit: NDArray[np.bool_], rng: np.random.Generator) -> Target | None:
+def closer(target: RayTarget, hit: NDArray[np.bool_], rng: np.random.Generator) -> RayTarget | None:
     """The same object in a window on its outline, None where there is none or a pixel's number would be too large."""
     window = target.window
     edges = np.argwhere(hit[1:] != hit[:-1])
@@ -247,4 +247,4 @@ def closer(target: Target, hit: NDArray[np.bool_], rng: np.random.Generator) -> 
     row, column = row + NEARER // 2 - SIDE // 2, column - SIDE // 2
     if max(abs(row), abs(column)) >= FARTHEST_PIXEL:
         return None
-    return Target(target.item, target.motion, Window(window.step / NEARER, row, column))
+    return RayTarget(target.item, target.motion, Window(window.step / NEARER, row, column))

@@ -17,13 +17,13 @@ from rich.table import Table
 from rich.text import Text
 
 from clsco.cli.bench.cases import PSFS
-from clsco.cli.bench.measure import Bench, Row
+from clsco.cli.bench.measure import Bench, BenchRow
 from clsco.errors import ClscoError
 from clsco.files.atomic import together
 
 RING: dict[str, Any] = {"markersize": 11, "markerfacecolor": "none", "linewidth": 0.7, "markeredgewidth": 0.7}
 NO_ERROR = 1e-9  # where plots show rows without error, which a logarithm cannot
-COLUMNS = tuple(field.name for field in fields(Row) if field.name != "kernels_ns")
+COLUMNS = tuple(field.name for field in fields(BenchRow) if field.name != "kernels_ns")
 MARKERS = "osD^vP*X<>"
 COLORS = (
     "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#8c564b", "#7f7f7f", "#882255",
@@ -89,7 +89,7 @@ def _number(value: float | None, form: str, unit: str, scale: float = 1.0) -> st
     return "" if value is None else f"{scale * value:{form}}{unit}"
 
 
-def _method(row: Row) -> str:
+def _method(row: BenchRow) -> str:
     return row.method if row.tool == "clsco" else f"{row.tool}, {row.method}"
 
 
@@ -190,23 +190,23 @@ def _channels(bench: Bench) -> int:
     return min(row.channels for row in bench.rows)
 
 
-def _plotted(bench: Bench) -> list[Row]:
+def _plotted(bench: Bench) -> list[BenchRow]:
     size, channels = _size(bench), _channels(bench)
     return [row for row in bench.rows if row.size == size and row.channels == channels]
 
 
-def _front(bench: Bench) -> list[Row]:
+def _front(bench: Bench) -> list[BenchRow]:
     return [row for row in _plotted(bench) if row.on_front]
 
 
-def _plain(rows: Iterable[Row]) -> list[Row]:
+def _plain(rows: Iterable[BenchRow]) -> list[BenchRow]:
     """One precision of each method of clsco: double where the device has it."""
     alike = list(rows)
     wanted = "double" if any(row.precision == "double" for row in alike) else "single"
     return [row for row in alike if row.tool != "clsco" or row.precision == wanted]
 
 
-def _colors(rows: Iterable[Row]) -> dict[str, str]:
+def _colors(rows: Iterable[BenchRow]) -> dict[str, str]:
     """Methods of clsco first."""
     names = dict.fromkeys(_method(row) for row in sorted(rows, key=lambda row: row.tool != "clsco"))
     return {name: COLORS[k % len(COLORS)] for k, name in enumerate(names)}
@@ -235,7 +235,7 @@ def _panels(bench: Bench, title: str, x: str) -> tuple[Any, dict[tuple[str, str]
 
 
 def _lines(
-    panels: dict[tuple[str, str], Any], colors: dict[str, str], rows: Sequence[Row], x: Callable[[Row], float]
+    panels: dict[tuple[str, str], Any], colors: dict[str, str], rows: Sequence[BenchRow], x: Callable[[BenchRow], float]
 ) -> None:
     for (scene, psf), panel in panels.items():
         inside = sorted((row for row in rows if (row.scene, row.psf) == (scene, psf)), key=x)

@@ -37,7 +37,7 @@ class Stability:
     device: dict[str, Any]
     versions: dict[str, str]
     cases: list[HardCase]
-    rays: list[survey.Found]
+    rays: list[survey.Surveyed]
     degenerate: list[Outcome]
     rendered: list[Outcome]
 

@@ -19,7 +19,7 @@ from clsco.scene.model import Scene
 Array = NDArray[Any]
 
 
-class Stages:
+class MeasuredStages:
     """The stages of the forward warp of one scene on the device; real: by default double where that has it."""
 
     def __init__(self, session: Session, scene: Scene, texture: Array, real: Real | None = None) -> None:

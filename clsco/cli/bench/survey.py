@@ -17,7 +17,7 @@ from clsco.cli.bench.rays import (
     REALS,
     SIDE,
     Caster,
-    Target,
+    RayTarget,
     certain,
     closer,
     random_target,
@@ -33,7 +33,7 @@ FIGURES: dict[Real, float] = {"double": 1.0, "float": inf}  # units in the last 
 
 
 @dataclass(frozen=True)
-class Found:
+class Surveyed:
     """One family in one precision.
 
     rays, hits; certain: rays outside of the band around a change of class; worst_ulp: largest error of depth there, in
@@ -58,7 +58,7 @@ class Found:
         return self.figure == inf or (self.worst_ulp <= self.figure and self.misclassified == 0)
 
 
-def run(session: Session, rays: int, advance: Callable[[], object], seed: int = 1) -> list[Found]:
+def run(session: Session, rays: int, advance: Callable[[], object], seed: int = 1) -> list[Surveyed]:
     """At least so many rays over all families, the same ones in every precision that the device has.
 
     advance: called once for every family. Raises DeviceError, KernelError.
@@ -67,9 +67,9 @@ def run(session: Session, rays: int, advance: Callable[[], object], seed: int = 
     casters = [Caster(session, real) for real in REALS if real == "float" or session.device.has_fp64]
     for family in FAMILIES:
         rng = np.random.default_rng(seed)
-        rows = [Found(family, c.real, 0, 0, 0, 0.0, FIGURES[c.real], 0, 0, 106.0) for c in casters]
+        rows = [Surveyed(family, c.real, 0, 0, 0, 0.0, FIGURES[c.real], 0, 0, 106.0) for c in casters]
         while rows[0].rays < rays / len(FAMILIES):
-            target: Target | None = random_target(family, rng)
+            target: RayTarget | None = random_target(family, rng)
             for _ in range(1 + int(rng.integers(MOST_ZOOMS + 1))):
                 if target is None:
                     break
@@ -80,8 +80,8 @@ def run(session: Session, rays: int, advance: Callable[[], object], seed: int = 
 
 
 def _window(
-    target: Target, casters: list[Caster], rows: list[Found], rng: np.random.Generator
-) -> tuple[list[Found], Target | None]:
+    target: RayTarget, casters: list[Caster], rows: list[Surveyed], rng: np.random.Generator
+) -> tuple[list[Surveyed], RayTarget | None]:
     """The rows with one more window, and the window to measure next."""
     of = oracle.surface(target.item, target.motion)
     x, y = target.window.slopes()

@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.data.containers.base import ShardReader, whole
-from clsco.data.containers.uniform import Layout, blocks, record_bytes
+from clsco.data.containers.base import Layout, ShardReader, blocks, record_bytes, whole
 from clsco.data.encoding import LARGEST, decoded, described, is_png, meta_bytes, parsed_meta, png_bytes, stored_size
 from clsco.data.record import Record, is_wanted
 from clsco.files.atomic import refuse

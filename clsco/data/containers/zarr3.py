@@ -17,8 +17,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.data.containers.base import ShardReader, whole
-from clsco.data.containers.uniform import block_size, blocks
+from clsco.data.containers.base import ShardReader, block_size, blocks, whole
 from clsco.data.encoding import LARGEST_META, described, meta_bytes, parsed_meta, stored_size
 from clsco.data.record import Record, is_wanted
 from clsco.files.decoders import codec, require, unzstd
@@ -80,7 +79,7 @@ def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
 
 
 @dataclass(frozen=True)
-class _Column:
+class _ArrayColumn:
     """An array of a group, in the one form in which `write` makes them.
 
     Attributes
@@ -146,7 +145,7 @@ class _Column:
         return np.frombuffer(plain, self.dtype.newbyteorder("<")).reshape(shape).astype(self.dtype)
 
 
-def _parsed_column(folder: Path) -> _Column:
+def _parsed_column(folder: Path) -> _ArrayColumn:
     """Read type and shape from `zarr.json` of an array.
 
     Raises ValueError, KeyError or TypeError for what `write` does not make.
@@ -172,7 +171,7 @@ def _parsed_column(folder: Path) -> _Column:
         raise ValueError(f"{folder.name} in files of other names")
     if about["fill_value"]:
         raise ValueError(f"{folder.name} that is {about['fill_value']} where nothing is")
-    return _Column(folder, shape, dtype, rows[0], is_sharded, len(names) > 1)
+    return _ArrayColumn(folder, shape, dtype, rows[0], is_sharded, len(names) > 1)
 
 
 class ZarrReader(ShardReader):
@@ -180,7 +179,7 @@ class ZarrReader(ShardReader):
 
     def __init__(self, path: Path) -> None:
         require(path, *CHECKSUM)
-        self._columns: dict[str, _Column] = {}
+        self._columns: dict[str, _ArrayColumn] = {}
         with whole(path, "Zarr group"):
             if json.loads(read_regular(path / "zarr.json", LARGEST_JSON))["node_type"] != "group":
                 raise ValueError("no group")

@@ -10,11 +10,11 @@ from nicegui import ui
 
 from clsco.studio.folder import SCENES, listed
 from clsco.studio.presets import load_preset, presets
-from clsco.studio.session import ConflictError, Session
-from clsco.studio.widgets.plain import Dialog, button, say, text_box, tried
+from clsco.studio.session import ConflictError, Document
+from clsco.studio.widgets.html import Dialog, button, say, text_box, tried
 
 
-def open_dialog(session: Session) -> Callable[[], None]:
+def open_dialog(session: Document) -> Callable[[], None]:
     """A dialog with the scenes of the studio's folder; returns what opens it."""
     dialog = Dialog("Open a scene")
 
@@ -35,7 +35,7 @@ def open_dialog(session: Session) -> Callable[[], None]:
     return show
 
 
-def save_dialog(session: Session) -> tuple[Callable[[], None], Callable[[], None]]:
+def save_dialog(session: Document) -> tuple[Callable[[], None], Callable[[], None]]:
     """A dialog to save under a name; returns what saves at once if there is a file, and what always asks."""
     dialog = Dialog("Save the scene")
     typed = {"name": ""}
@@ -85,7 +85,7 @@ def save_dialog(session: Session) -> tuple[Callable[[], None], Callable[[], None
     return at_once, ask
 
 
-def tried_unless_conflict(session: Session, path: Path | None, overwrite: bool) -> bool:
+def tried_unless_conflict(session: Document, path: Path | None, overwrite: bool) -> bool:
     """Save, and show the fault if there is one, but for a conflict, which is raised."""
     conflicts: list[ConflictError] = []
 
@@ -101,7 +101,7 @@ def tried_unless_conflict(session: Session, path: Path | None, overwrite: bool) 
     return done
 
 
-def share_dialog(session: Session) -> Callable[[], None]:
+def share_dialog(session: Document) -> Callable[[], None]:
     """A dialog with the link of the scene, and with a box for that of another; returns what opens it."""
     dialog = Dialog("Share the scene")
     typed = {"link": ""}
@@ -126,7 +126,7 @@ def share_dialog(session: Session) -> Callable[[], None]:
     return show
 
 
-def preset_dialog(session: Session) -> Callable[[], None]:
+def preset_dialog(session: Document) -> Callable[[], None]:
     """A dialog with the figures of the thesis and the examples; returns what opens it."""
     dialog = Dialog("Presets")
     with dialog.body:
@@ -141,6 +141,6 @@ def preset_dialog(session: Session) -> Callable[[], None]:
     return dialog.open
 
 
-def _load(session: Session, name: str, dialog: Dialog) -> None:
+def _load(session: Document, name: str, dialog: Dialog) -> None:
     load_preset(session, name)
     dialog.close()

@@ -13,8 +13,8 @@ from clsco.studio.folder import IMAGES, listed
 from clsco.studio.inpainting import FILLERS, Inpainting, inpainting_of
 from clsco.studio.jobs import Jobs
 from clsco.studio.removals import REMOVALS
-from clsco.studio.session import Session
-from clsco.studio.widgets.plain import Dialog, button, check_box, say, text_box, tried
+from clsco.studio.session import Document
+from clsco.studio.widgets.html import Dialog, button, check_box, say, text_box, tried
 
 _TOOLS = {
     "brush": "Brush", "rectangle": "Rectangle", "lasso": "Lasso", "color": "Pixels of a color", "move": "Move the view",
@@ -97,12 +97,12 @@ class _Actions:
         _results(self.inpainting, self.tab, self.typed["folder"])
 
 
-def inpainting_dialog(session: Session, jobs: Jobs, tab: str, device: str | None = None) -> Callable[[], None]:
+def inpainting_dialog(session: Document, jobs: Jobs, tab: str, device: str | None = None) -> Callable[[], None]:
     """The dialog of inpainting.
 
     Parameters
     ----------
-    session : Session
+    session : Document
     jobs : Jobs
     tab : str
         Name of the tab.

@@ -15,10 +15,10 @@ from nicegui import ui
 from clsco.errors import ClscoError
 from clsco.scene.text import time_words
 from clsco.studio.generate import Wanted, clip, data_set, focal_stack, free_folder, generate
-from clsco.studio.jobs import Job, Jobs
+from clsco.studio.jobs import CommandJob, Jobs
 from clsco.studio.offers import clip_name, clip_presets, distributions, first_format, set_formats, truth_formats
-from clsco.studio.session import Session
-from clsco.studio.widgets.plain import Dialog, button, check_box, choice, say, text_box
+from clsco.studio.session import Document
+from clsco.studio.widgets.html import Dialog, button, check_box, choice, say, text_box
 
 SHOWN = 12  # frames of a job as pictures
 WORDS = {
@@ -52,11 +52,11 @@ class _Answers:
         return Wanted(truth, self.subframes, self.preset, device)
 
 
-def generate_dialog(session: Session, jobs: Jobs, device: str = "") -> Callable[[], None]:
+def generate_dialog(session: Document, jobs: Jobs, device: str = "") -> Callable[[], None]:
     """The dialog of Generate: frames, a focal stack or a data set, and where they go; returns what opens it."""
     dialog, answers = Dialog("Generate"), _Answers()
 
-    def begin(action: Callable[[], Job]) -> None:
+    def begin(action: Callable[[], CommandJob]) -> None:
         job = action()
         ui.notify(f"Job {job.number}: {job.line}", multi_line=True)
         dialog.close()
@@ -123,7 +123,7 @@ def generate_dialog(session: Session, jobs: Jobs, device: str = "") -> Callable[
     return show
 
 
-def _all_frames(session: Session) -> str:
+def _all_frames(session: Document) -> str:
     """Label of Generate: the number of frames or scenes that it writes."""
     scenes, frames = len(session.state.labels), session.scene.sequence.frames
     if scenes > 1:
@@ -131,17 +131,17 @@ def _all_frames(session: Session) -> str:
     return f"Write {frames} frame{'s' if frames > 1 else ''}"
 
 
-def clip_dialog(session: Session, jobs: Jobs) -> Callable[[Job], None]:
+def clip_dialog(session: Document, jobs: Jobs) -> Callable[[CommandJob], None]:
     """The dialog of a clip of a job's frames; returns what opens it."""
     dialog = Dialog("Clip")
     answers = {"preset": "mp4", "view": "color"}
 
-    def begin(job: Job) -> None:
+    def begin(job: CommandJob) -> None:
         file = Path(job.folder) / clip_name(answers["preset"])
         clip(session, jobs, job.folder, str(file), answers["view"], answers["preset"])
         dialog.close()
 
-    def show(job: Job) -> None:
+    def show(job: CommandJob) -> None:
         with dialog.filled():
             say("p", f"Of the frames in {job.folder}")
             clips = clip_presets()
@@ -155,7 +155,7 @@ def clip_dialog(session: Session, jobs: Jobs) -> Callable[[Job], None]:
     return show
 
 
-def draw_jobs(session: Session, jobs: Jobs) -> Callable[[], None]:
+def draw_jobs(session: Document, jobs: Jobs) -> Callable[[], None]:
     """Draw the jobs, and draw them again when they change.
 
     While they only get on, what can be pressed stays: else clicks and the focus would be lost.
@@ -165,7 +165,7 @@ def draw_jobs(session: Session, jobs: Jobs) -> Callable[[], None]:
     function
         Ends it, when the page is closed.
     """
-    followed: dict[int, Callable[[Job], None]] = {}
+    followed: dict[int, Callable[[CommandJob], None]] = {}
 
     def listed() -> list[tuple[Any, ...]]:
         return [(job.number, job.status, job.message, job.total) for job in jobs.listed]
@@ -202,7 +202,7 @@ def draw_jobs(session: Session, jobs: Jobs) -> Callable[[], None]:
     return jobs.subscribe(changed)
 
 
-def _state(job: Job) -> str:
+def _state(job: CommandJob) -> str:
     """State and progress of a job, in words."""
     if job.status != "running":
         return WORDS[job.status]
@@ -211,7 +211,7 @@ def _state(job: Job) -> str:
     return f"{job.done} of {job.total}{rest}" if job.total else f"{job.done} files"
 
 
-def _draw(jobs: Jobs, job: Job, make_clip: Callable[[Job], None]) -> Callable[[Job], None]:
+def _draw(jobs: Jobs, job: CommandJob, make_clip: Callable[[CommandJob], None]) -> Callable[[CommandJob], None]:
     """Draw a job; returns what shows how far it is."""
     bar = None
     with say("article", aria_label=f"Job {job.number}").classes(f"job {job.status}"):
@@ -237,7 +237,7 @@ def _draw(jobs: Jobs, job: Job, make_clip: Callable[[Job], None]) -> Callable[[J
                     button("Make a clip", partial(make_clip, job))
                 button("Off the list", partial(jobs.forget, job.number), aria_label=f"Take job {job.number} off")
 
-    def follow(now: Job) -> None:
+    def follow(now: CommandJob) -> None:
         words.props["innerText"] = _how_far(now)
         words.update()
         if bar is not None and now.total:
@@ -250,11 +250,11 @@ def _draw(jobs: Jobs, job: Job, make_clip: Callable[[Job], None]) -> Callable[[J
     return follow
 
 
-def _how_far(job: Job) -> str:
+def _how_far(job: CommandJob) -> str:
     return f"{_state(job).capitalize()}, in {job.folder}"
 
 
-def _pictures(jobs: Jobs, job: Job) -> int:
+def _pictures(jobs: Jobs, job: CommandJob) -> int:
     """Show a job's results as small pictures and clips; returns the number of pictures."""
     if job.command == "dataset":
         parts = min(job.done, SHOWN) if job.status == "done" else 0
@@ -274,7 +274,7 @@ def _pictures(jobs: Jobs, job: Job) -> int:
     return len(pictures)
 
 
-def _address(jobs: Jobs, job: Job, path: Path) -> str:
+def _address(jobs: Jobs, job: CommandJob, path: Path) -> str:
     return f"result?job={job.number}&name={quote(path.relative_to(jobs.root / job.folder).as_posix())}"
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 from clsco.studio.forms import Field
-from clsco.studio.widgets.plain import say
+from clsco.studio.widgets.html import say
 
 
 def number(field: Field, value: Any) -> None:

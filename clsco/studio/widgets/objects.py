@@ -8,17 +8,17 @@ from functools import partial
 from nicegui import ui
 
 from clsco.scene.shapes import SHAPES
-from clsco.studio.session import Session
-from clsco.studio.widgets.plain import button, say, tried
+from clsco.studio.session import Document
+from clsco.studio.widgets.html import button, say, tried
 from clsco.studio.words import SHAPE_LABELS, words
 
 
-def object_list(session: Session, index: int, choose: Callable[[int], None]) -> None:
+def object_list(session: Document, index: int, choose: Callable[[int], None]) -> None:
     """Draw the objects, of which one is shown in the panels, with what can be done with them.
 
     Parameters
     ----------
-    session : Session
+    session : Document
     index : int
         Index of the object in the panels.
     choose : function of int
@@ -52,7 +52,7 @@ def object_list(session: Session, index: int, choose: Callable[[int], None]) -> 
             button("↓", lambda: moved(index + 1), aria_label="Later", disabled=True if index == last else None)
 
 
-def _adding(session: Session, choose: Callable[[int], None]) -> None:
+def _adding(session: Document, choose: Callable[[int], None]) -> None:
     """A list of shapes, of which one is added."""
     handler = "(event) => { const shape = event.target.value; event.target.value = ''; emit(shape); }"
     ready = [shape for shape in SHAPES if shape != "depth_map"]  # which needs a file first

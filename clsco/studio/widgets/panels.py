@@ -17,11 +17,11 @@ from clsco.studio.folder import IMAGES, listed
 from clsco.studio.forms import Field, Panel, panels
 from clsco.studio.keyframes import tracks
 from clsco.studio.presets import choose_method, is_as_the_thesis
-from clsco.studio.session import Session
+from clsco.studio.session import Document
 from clsco.studio.tables import at
+from clsco.studio.widgets.html import button, check_box, say
 from clsco.studio.widgets.live import number
 from clsco.studio.widgets.objects import object_list
-from clsco.studio.widgets.plain import button, check_box, say
 
 _MOTIONS = {"velocity": "Translation", "angular_velocity": "Rotation"}
 _TYPE, _PROPERTIES, _MOTION = 1, 2, 3  # of the panels of the thesis
@@ -39,12 +39,12 @@ class Chosen:
     before: dict[str, Any] = field(default_factory=dict)
 
 
-def draw_panels(session: Session, chosen: Chosen | None = None) -> Callable[[], None]:
+def draw_panels(session: Document, chosen: Chosen | None = None) -> Callable[[], None]:
     """Draw the objects of a session and all panels, and draw them again when there are others.
 
     Parameters
     ----------
-    session : Session
+    session : Document
     chosen : Chosen, optional
 
     Returns
@@ -67,7 +67,7 @@ def draw_panels(session: Session, chosen: Chosen | None = None) -> Callable[[], 
         for position, panel in enumerate(panels(session, now.index)):
             _draw(session, panel, position, now, method)
 
-    parts: list[tuple[Any, Callable[[Session, Chosen], Any], Any]] = [
+    parts: list[tuple[Any, Callable[[Document, Chosen], Any], Any]] = [
         (objects, _names, _names(session, now)),
         (method, _is_thesis, _is_thesis(session, now)),
         (area, _form, _form(session, now)),
@@ -89,16 +89,16 @@ def draw_panels(session: Session, chosen: Chosen | None = None) -> Callable[[], 
     return session.subscribe(changed)
 
 
-def _names(session: Session, chosen: Chosen) -> Any:
+def _names(session: Document, chosen: Chosen) -> Any:
     """Key of the list of objects: the list is drawn again when it changes."""
     return chosen.index, [(item["shape"], item.get("name")) for item in session.table["object"]]
 
 
-def _is_thesis(session: Session, chosen: Chosen) -> Any:  # noqa: ARG001 - as `_names`
+def _is_thesis(session: Document, chosen: Chosen) -> Any:  # noqa: ARG001 - as `_names`
     return is_as_the_thesis(session)
 
 
-def _form(session: Session, chosen: Chosen) -> Any:
+def _form(session: Document, chosen: Chosen) -> Any:
     """Key of the panels: they are drawn again when it changes. Values that are typed or dragged in them are not in it,
     as drawing would disturb whoever does that."""
     path = f"object.{chosen.index}"
@@ -108,12 +108,12 @@ def _form(session: Session, chosen: Chosen) -> Any:
     return chosen.index, session.shown(f"{path}.shape"), counts, moves
 
 
-def is_chosen(session: Session, path: str) -> bool:
+def is_chosen(session: Document, path: str) -> bool:
     """True if a motion is given, be it 0."""
     return at(session.table, path.split(".")) is not None or any(key.startswith(path) for key in session.refused)
 
 
-def _draw(session: Session, panel: Panel, position: int, chosen: Chosen, method: Callable[[], Any]) -> None:
+def _draw(session: Document, panel: Panel, position: int, chosen: Chosen, method: Callable[[], Any]) -> None:
     is_open = chosen.is_open.get(panel.title, panel.is_open)
     with say("details", open=is_open or None).classes("panel") as details:
         details.on(
@@ -135,7 +135,7 @@ def _draw(session: Session, panel: Panel, position: int, chosen: Chosen, method:
                 draw_field(session, each)
 
 
-def draw_field(session: Session, shown: Field) -> None:
+def draw_field(session: Document, shown: Field) -> None:
     """Draw one field: its control or those of its components, with what it means, and the way back to its default."""
     value = session.shown(shown.path)
     if shown.kind == "number":
@@ -169,7 +169,7 @@ def draw_field(session: Session, shown: Field) -> None:
             _fault(shown)
 
 
-def _components(session: Session, shown: Field) -> None:
+def _components(session: Document, shown: Field) -> None:
     """The components of a vector, each in a row after its letter."""
     for index, letter in enumerate(shown.components):
         part = shown.component(index)
@@ -188,7 +188,7 @@ def _select(shown: Field, value: Any, box: str) -> None:
             say("option", _brief(value), value="", selected=True, disabled=True)
 
 
-def _text(session: Session, shown: Field, value: Any, box: str) -> None:
+def _text(session: Document, shown: Field, value: Any, box: str) -> None:
     names = f"names-{shown.path}" if shown.kind == "image" else None
     with say("div").classes("row"):
         say(
@@ -232,7 +232,7 @@ def _fault(shown: Field) -> None:
     say("div", data_fault=shown.path, role="alert", hidden=True)
 
 
-def _shapes(session: Session, shown: Field) -> None:
+def _shapes(session: Document, shown: Field) -> None:
     """Radio buttons of the types: the five of the thesis, and the others below."""
     value = session.shown(shown.path)
     with say("div", role="radiogroup", aria_label=shown.label).classes("shapes"):
@@ -246,7 +246,7 @@ def _shapes(session: Session, shown: Field) -> None:
     _fault(shown)
 
 
-def _motion(session: Session, shown: Field, chosen: Chosen) -> None:
+def _motion(session: Document, shown: Field, chosen: Chosen) -> None:
     """A motion that is chosen or not, and its boxes."""
     path, is_on = shown.path, is_chosen(session, shown.path)
 
@@ -264,7 +264,7 @@ def _motion(session: Session, shown: Field, chosen: Chosen) -> None:
     _fault(shown)
 
 
-def _method(session: Session) -> None:
+def _method(session: Document) -> None:
     """The switch between the thesis and clsco."""
     is_thesis = is_as_the_thesis(session)
     with say("div", role="group", aria_label="Method").classes("row"):

@@ -6,11 +6,11 @@ from collections.abc import Callable
 
 from nicegui import ui
 
-from clsco.studio.session import Session
-from clsco.studio.widgets.plain import choice, say, tried
+from clsco.studio.session import Document
+from clsco.studio.widgets.html import choice, say, tried
 
 
-def draw_sweep(session: Session) -> Callable[[], None]:
+def draw_sweep(session: Document) -> Callable[[], None]:
     """Say that a file has several scenes, and let one be chosen; returns what ends it, when the page is closed."""
 
     @ui.refreshable
@@ -37,5 +37,5 @@ def draw_sweep(session: Session) -> Callable[[], None]:
     return session.subscribe(changed)
 
 
-def _seen(session: Session) -> tuple[tuple[str, ...], int]:
+def _seen(session: Document) -> tuple[tuple[str, ...], int]:
     return session.state.labels, session.state.shown

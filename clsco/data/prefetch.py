@@ -11,7 +11,7 @@ V = TypeVar("V")
 DEPTH = 2
 
 
-def ahead(produced: Generator[V, None, None], depth: int = DEPTH) -> Generator[V, None, None]:
+def prefetch(produced: Generator[V, None, None], depth: int = DEPTH) -> Generator[V, None, None]:
     """Yield what `produced` does, up to `depth` values of which wait meanwhile.
 
     An error of the producer is raised here. When this generator is closed, the producer ends before its next value.

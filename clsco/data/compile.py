@@ -8,10 +8,10 @@ from typing import Any
 
 from clsco.data.acceptance import DERIVED, derivation
 from clsco.data.folder import Folder, RefusedError, cell_value
-from clsco.data.forms import FORMS, Found, form_of, is_form
+from clsco.data.forms import FORMS, FormContext, form_of, is_form
 from clsco.data.splits import Splits
-from clsco.data.tables import Tables
-from clsco.data.values import Choice, Files, Form, Frustum, Grid, Integers, Row
+from clsco.data.tables import RowTables
+from clsco.data.values import ChoiceForm, Files, Form, Frustum, GridForm, Integers, RowForm
 from clsco.scene.changes import displace, key_parts, put
 from clsco.scene.objects import MAX_OBJECTS
 from clsco.scene.text import key_name, shown
@@ -61,7 +61,7 @@ class Population:
 
 
 @dataclass(frozen=True)
-class Parts:
+class VariedKeys:
     """All of a distribution but its rules."""
 
     scene: dict[str, Any]
@@ -79,18 +79,18 @@ class Reader:
 
     Parameters
     ----------
-    tables : Tables
+    tables : RowTables
     folder : Folder
     splits : Splits
     """
 
-    def __init__(self, tables: Tables, folder: Folder, splits: Splits) -> None:
+    def __init__(self, tables: RowTables, folder: Folder, splits: Splits) -> None:
         self.faults: list[str] = []
-        self._tables, self._folder, self._found = tables, folder, Found(folder, splits)
+        self._tables, self._folder, self._found = tables, folder, FormContext(folder, splits)
         self._scene = copied(tables.scene)
         self._count = 0
 
-    def parts(self) -> Parts:
+    def parts(self) -> VariedKeys:
         """The parts; with `faults` they are not whole."""
         self._no_forms(self._tables.scene, ())
         parameters, rows, populations = list[Parameter](), list[Rows](), list[Population]()
@@ -121,7 +121,9 @@ class Reader:
         members = [one for population in populations for one in population.parameters]
         frustum = any(isinstance(one.form, Frustum) for one in (*parameters, *members))
         sized = bool(frustum or derived or self._tables.accept)
-        return Parts(self._scene, _with_strides(parameters), tuple(rows), tuple(populations), tuple(derived), sized)
+        return VariedKeys(
+            self._scene, _with_strides(parameters), tuple(rows), tuple(populations), tuple(derived), sized
+        )
 
     def _faulty(self, key: Location, rule: str, got: Any) -> None:
         self.faults.append(f"{key_name(key)}: {rule}; got {shown(got)}")
@@ -180,7 +182,7 @@ class Reader:
         except RefusedError as error:
             self.faults.append(error.message(key_name(key), value))
             return []
-        if location[-1] in FILE_KEYS and isinstance(form, Choice):
+        if location[-1] in FILE_KEYS and isinstance(form, ChoiceForm):
             for index, entry in enumerate(form.entries):
                 self._check_file(entry, (*key, "choice", index))
         elif isinstance(form, Files) and location[-1] not in FILE_KEYS:
@@ -242,13 +244,13 @@ class Reader:
     def _how_many(self, value: Any, key: Location, name: str) -> Parameter | None:
         form: Form | None = None
         if type(value) is int:
-            form = Choice(None, (value,), (1.0,))
+            form = ChoiceForm(None, (value,), (1.0,))
         elif is_form(value):
             made = self._parameter(value, key, ("count",), name)
             form = made[0].form if made else None
             if form is None:
                 return None
-        counts = form.extremes() if isinstance(form, Integers | Choice) and not form.size else (None,)
+        counts = form.extremes() if isinstance(form, Integers | ChoiceForm) and not form.size else (None,)
         if form is None or any(type(count) is not int or not 0 <= count <= MAX_OBJECTS for count in counts):
             self._faulty(
                 key, f"must be a number of objects, 0 to {MAX_OBJECTS}, or integers or a choice of them", value
@@ -295,7 +297,7 @@ class Reader:
         for place, cells in zip(locations, zip(*table, strict=True), strict=True):
             for number, cell in enumerate(cells, 1) if place[-1] in FILE_KEYS else ():
                 self._check_file(cell, (*key, "file", f"row {number}"))
-        parameter = Parameter(f"rows.{name}", (), Row(None, len(table)))
+        parameter = Parameter(f"rows.{name}", (), RowForm(None, len(table)))
         return [Rows(parameter, tuple(locations), table)]
 
     def _derived(self) -> list[tuple[tuple[str, ...], Any]]:
@@ -369,7 +371,7 @@ def _with_strides(parameters: list[Parameter]) -> tuple[Parameter, ...]:
     found, every = list(parameters), 1
     for position in range(len(found) - 1, -1, -1):
         form = found[position].form
-        if isinstance(form, Grid):
+        if isinstance(form, GridForm):
             found[position] = replace(found[position], form=replace(form, every=every))
             every = min(every * form.steps, 2**62)
     return tuple(found)
