@@ -39,9 +39,14 @@ CUBE_BORDER = 2  # texels of its neighbors around a face of a cube map, at each 
 # Footprints of pixels on textures that lie on surfaces (kernels/trace/footprint.clh).
 FOOTPRINT_CELLS = 8  # along an axis of a pixel
 LEAST_TEXELS = 2  # across the narrow side of a footprint, where the level is not the finest
-CELL_TEXELS = 3  # along an axis of a cell, at most
-MOST_TEXELS = FOOTPRINT_CELLS * CELL_TEXELS  # along an axis of a pixel: beyond, the level is a coarser one
-MOST_BENT_TEXELS = 64  # the same near a pole, where the footprint is bent
+CELL_TEXELS = 11  # along an axis of a cell, at most
+WIDEST_CELL = 16  # texels along an axis of the image
+NARROWEST = 64  # cells are at least one texel over this wide
+MOST_SHEAR = 1  # texels along columns times those along rows that an axis of a cell has, at most
+MOST_TEXELS = 24  # along an axis of a pixel: beyond, the level is a coarser one
+BENT_CELLS = 32  # near a pole, where the footprint is bent, and cells are points
+BENT_TEXELS = 0.75  # along an axis of such a cell
+MOST_BENT_TEXELS = 64
 DETAILED_TEXELS = 0.54  # per pixel, along the wider axis, from which on it may need sub-pixel sources
 DETAILED_LEAST = 0.01  # |R| in px, from which on
 DETAILED_MOST = 4.5  # and up to which

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from clsco.constants import MAP_TRIPLANAR, NEAR_FOCUS
+from clsco.constants import MAP_TRIPLANAR
 from clsco.optics.quadrics import PlacedSurface
 from clsco.reference.common.geometry import Array
 from clsco.reference.trace.footprint import footprint_of, mean_texture, sharpening
@@ -24,7 +24,7 @@ from clsco.reference.trace.mapping import (
 )
 from clsco.scene.model import Camera
 
-REACHING, MIDDLE_ALONE = 2.0, 1.0 / 24.0
+REACHING = 2.0
 
 
 def detailed_texture(
@@ -49,18 +49,13 @@ def detailed_texture(
         texel = texel_at(texture.map, seen.at)
         changes = texel_change(texture.map, seen.at, seen.right), texel_change(texture.map, seen.at, seen.down)
         footprint = footprint_of(texture, changes, bent)
-        exchange = []
-        for nodes in (1, 3):  # along x, and along y
-            middle = (size[here] >= np.float32(NEAR_FOCUS)) & (footprint.kinds[:, nodes] <= 2)
-            footprint.kinds[middle, nodes] = 1
-            exchange.append((exchanged[here] - np.where(middle, MIDDLE_ALONE, 0.0))[:, None, None, None])
         places = np.arange(parts + 2) - 0.5 * (parts + 1)
         mean = np.stack(
             [np.stack([mean_texture(texture, seen, texel, footprint, a, b) for a in places], axis=1) for b in places],
             axis=1,
         )
-        own, (share_x, share_y) = mean[:, 1:-1, 1:-1], exchange
-        value = own + share_x * (2.0 * own - mean[:, 1:-1, :-2] - mean[:, 1:-1, 2:])
-        value += share_y * (2.0 * own - mean[:, :-2, 1:-1] - mean[:, 2:, 1:-1])
+        own, share = mean[:, 1:-1, 1:-1], exchanged[here, None, None, None]
+        value = own + share * (2.0 * own - mean[:, 1:-1, :-2] - mean[:, 1:-1, 2:])
+        value += share * (2.0 * own - mean[:, :-2, 1:-1] - mean[:, 2:, 1:-1])
         values[here] += shares[here, axis, None, None, None] * value
     return values

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from clsco.constants import (
     APART,
+    BENT_CELLS,
+    BENT_TEXELS,
     CELL_TEXELS,
     CUBE_BORDER,
     DETAILED_LEAST,
@@ -24,8 +26,11 @@ from clsco.constants import (
     MAP_CUBE,
     MAP_TRIPLANAR,
     MOST_BENT_TEXELS,
+    MOST_SHEAR,
     MOST_TEXELS,
+    NARROWEST,
     NEAR_FOCUS,
+    WIDEST_CELL,
     WRAP_CLAMP,
     WRAP_MIRROR,
     WRAP_REPEAT,
@@ -49,6 +54,8 @@ from clsco.reference.trace.mapping import (
 )
 from clsco.scene.model import Camera
 
+GAUSS_PLACE = 0.5 / np.sqrt(3.0)  # of two places of equal weight, which give the mean of a cubic
+
 
 def wrapped_index(i: Indices, count: int, wrap: int) -> Indices:
     """Indices of texels as they are stored along an axis, -1 for none."""
@@ -61,67 +68,81 @@ def wrapped_index(i: Indices, count: int, wrap: int) -> Indices:
     return np.where((i >= 0) & (i < count), i, -1)
 
 
-def add_texel(
-    level: Array,
-    texture_map: TextureMap,
-    texture_filter: Filter,
-    at: tuple[Indices, Indices, Indices],
-    y: Array,
-    x: Array,
-) -> Array:
-    """Values (n, channels) of a level (sides, rows, columns, channels) at places.
-
-    at: side, row and column of texels; y, x: beyond their centers, 0 to 1. The last channel of nothing is `outside`.
-    """
-    side, row, column = at
+def filter_weights(t: Array, texture_filter: Filter) -> Array:
+    """Weights (n, taps) of the texels around places t (n,) beyond one of them."""
     if texture_filter == "nearest":
-        row, column = row + (y >= 0.5), column + (x >= 0.5)
-        weights = [[np.ones(y.shape)], [np.ones(x.shape)]]
-    elif texture_filter == "bilinear":
-        weights = [[1.0 - y, y], [1.0 - x, x]]
-    else:
-        row, column = row - 1, column - 1
-        weights = [
-            [
-                0.5 * t * (-1.0 + t * (2.0 - t)),
-                1.0 + 0.5 * t * t * (3.0 * t - 5.0),
-                0.5 * t * (1.0 + t * (4.0 - 3.0 * t)),
-                0.5 * t * t * (t - 1.0),
-            ]
-            for t in (y, x)
-        ]
-    rows, columns = level.shape[1:3]
-    total = np.zeros((*y.shape, level.shape[3]))
-    for a, across in enumerate(weights[0]):
-        i = wrapped_index(row + a, rows, texture_map.wrap_y)
-        for b, along in enumerate(weights[1]):
-            j = wrapped_index(column + b, columns, texture_map.wrap_x)
-            texel = np.where(((i < 0) | (j < 0))[..., None], 0.0, level[side, i, j])
-            total += (across * along)[..., None] * texel
+        return np.ones((*t.shape, 1))
+    if texture_filter == "bilinear":
+        return np.stack([1.0 - t, t], axis=-1)
+    weights = [
+        0.5 * t * (-1.0 + t * (2.0 - t)),
+        1.0 + 0.5 * t * t * (3.0 * t - 5.0),
+        0.5 * t * (1.0 + t * (4.0 - 3.0 * t)),
+        0.5 * t * t * (t - 1.0),
+    ]
+    return np.stack(weights, axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class Taps:
+    """Weights (n, taps) of texels from `first` (n,) on along an axis: of the mean over a width, and by what they change
+    per texel that its middle moves by."""
+
+    first: Indices
+    mean: Array
+    slope: Array
+
+
+def taps_of(middle: Array, width: Array, texture_filter: Filter) -> Taps:
+    """Texels for means over widths (n,) around places (n,), in texels; the filter is a polynomial between texels, of
+    which one or two places give the mean of each piece."""
+    low, high = middle - 0.5 * width, middle + 0.5 * width
+    begin, last = np.floor(low), (np.floor(high) - np.floor(low)).astype(np.intp)
+    reach = {"nearest": 1, "bilinear": 2, "bicubic": 4}[texture_filter]
+    mean, slope = np.zeros((2, len(middle), int(last.max(initial=0)) + reach))
+    for k in range(mean.shape[1] - reach + 1):
+        start, end = np.maximum(low - begin - k, 0.0), np.minimum(high - begin - k, 1.0)
+        length = np.maximum(end - start, 0.0)
+        for aside in (-GAUSS_PLACE, GAUSS_PLACE):
+            place = 0.5 * (start + end) + aside * length
+            mean[:, k : k + reach] += (0.5 * length / width)[:, None] * filter_weights(place, texture_filter)
+    texels, pixel = np.arange(reach), np.arange(len(middle))[:, None]
+    slope[pixel, last[:, None] + texels] += filter_weights(high - begin - last, texture_filter) / width[:, None]
+    slope[:, :reach] -= filter_weights(low - begin, texture_filter) / width[:, None]
+    return Taps(begin.astype(np.intp) - (reach == 4), mean, slope)
+
+
+def add_texels(level: Array, texture_map: TextureMap, side: Indices, rows: Taps, columns: Taps, skew: Array) -> Array:
+    """Means (n, channels) of a level (sides, rows, columns, channels) over cells of its sides (n,).
+
+    skew: covariance (n,) of columns and rows in a cell.
+    """
+    total = np.zeros((len(side), level.shape[3]))
+    for a in range(rows.mean.shape[1]):
+        i = wrapped_index(rows.first + a, level.shape[1], texture_map.wrap_y)
+        for b in range(columns.mean.shape[1]):
+            j = wrapped_index(columns.first + b, level.shape[2], texture_map.wrap_x)
+            weight = rows.mean[:, a] * columns.mean[:, b] + skew * rows.slope[:, a] * columns.slope[:, b]
+            there = (i >= 0) & (j >= 0)
+            total += np.where(there, weight, 0.0)[:, None] * level[side, i, j]
     return total
 
 
-def nodes_of(square: Array) -> tuple[Indices, Indices]:
-    """Nodes per cell, and cells, for squares (n,) of the number of texels along an axis of a pixel."""
-    square = square / APART
-    nodes = 1 + (square > 1.0 / 64.0).astype(np.intp) + (square > 1.0) + (square > 4.0)
+def cells_of(square: Array, shear: Array, bent: NDArray[np.bool_]) -> Indices:
+    """Cells (n,) along an axis of a pixel, for squares (n,) of the number of texels there, and products (n,) of columns
+    and rows."""
+    widest = np.where(bent, BENT_TEXELS, CELL_TEXELS) ** 2
+    enough = np.maximum(square / widest, np.where(bent, 0.0, np.abs(shear) / MOST_SHEAR)) / APART
     cells = np.ones(square.shape, np.intp)
-    for count in range(1, FOOTPRINT_CELLS):
-        cells += square > CELL_TEXELS**2 * count**2
-    return nodes, cells
-
-
-def _offsets(nodes: int, cells: int, shift: float) -> tuple[Array, Array]:
-    """Nodes from -1/2 to 1/2 and beyond by a shift, and their weights: those of Gauss and Legendre in each cell."""
-    at, weights = np.polynomial.legendre.leggauss(nodes)
-    places = (np.arange(cells)[:, None] + 0.5 + 0.5 * at) / cells - 0.5 + shift
-    return places.ravel(), np.tile(0.5 * weights / cells, cells)
+    for count in range(1, BENT_CELLS):
+        cells += (enough > count**2) & (bent | (count < FOOTPRINT_CELLS))
+    return cells
 
 
 @dataclass(frozen=True, eq=False)
 class Footprint:
-    """Reads of a texture for n pixels or parts of them: kinds (n, 6): level, nodes and cells to the right, nodes and
-    cells down, and whether it is bent; changes: of column and row from part to part, right and down."""
+    """Reads of a texture for n pixels or parts of them: kinds (n, 4): level, cells to the right and down, and whether
+    it is bent; changes: of column and row from part to part, right and down."""
 
     kinds: Indices
     changes: tuple[tuple[Array, Array], tuple[Array, Array]]
@@ -130,7 +151,7 @@ class Footprint:
 def footprint_of(
     texture: MappedTexture, changes: tuple[tuple[Array, Array], tuple[Array, Array]], bent: NDArray[np.bool_]
 ) -> Footprint:
-    """The level of the mipmap, and nodes in it, for changes of column and row."""
+    """The level of the mipmap, and cells in it, for changes of column and row."""
     (rc, rr), (dc, dr) = changes
     across, along = rc * rc + rr * rr, dc * dc + dr * dr
     narrow, both = 2.0 * (rc * dr - rr * dc) ** 2, across + along
@@ -142,8 +163,11 @@ def footprint_of(
             APART * most * each < np.maximum(across, along)
         )
         level += more & (level + 1 < len(texture.levels))
-    (nodes_x, cells_x), (nodes_y, cells_y) = (nodes_of(square / 4.0**level) for square in (across, along))
-    kinds = np.stack([level, nodes_x, cells_x, nodes_y, cells_y, bent.astype(np.intp)], axis=-1)
+    cells_x, cells_y = (
+        cells_of(square / 4.0**level, column * row / 4.0**level, bent)
+        for square, (column, row) in zip((across, along), changes, strict=True)
+    )
+    kinds = np.stack([level, cells_x, cells_y, bent.astype(np.intp)], axis=-1)
     return Footprint(kinds, changes)
 
 
@@ -165,8 +189,8 @@ def _mean_of_kind(
     texture: MappedTexture, point: Mapped, texel: Texel, footprint: Footprint, here: NDArray[np.bool_],
     shift: tuple[float, float],
 ) -> Array:  # fmt: skip
-    """`mean_texture` of pixels `here`, which have one level and the same nodes."""
-    level, nodes_x, cells_x, nodes_y, cells_y, bent = (int(n) for n in footprint.kinds[here][0])
+    """`mean_texture` of pixels `here`, which have one level and as many cells."""
+    level, cells_x, cells_y, bent = (int(n) for n in footprint.kinds[here][0])
     texture_map, stored = texture.map, texture.levels[level]
     border = CUBE_BORDER if texture_map.kind == MAP_CUBE else 0
     share_x = (stored.shape[2] - 2 * border) / texture_map.columns
@@ -174,21 +198,29 @@ def _mean_of_kind(
     right, down = (
         tuple(c[here] * s for c, s in zip(change, (share_x, share_y), strict=True)) for change in footprint.changes
     )
-    center = Texel(texel.column[here], texel.row[here], texel.side[here])
+    center, places = (
+        Texel(texel.column[here], texel.row[here], texel.side[here]),
+        0.5 * (texture.texture_filter != "nearest"),
+    )
     total = np.zeros((int(here.sum()), stored.shape[3]))
-    for b, weight_y in zip(*_offsets(nodes_y, cells_y, shift[1]), strict=True):
-        for a, weight_x in zip(*_offsets(nodes_x, cells_x, shift[0]), strict=True):
+    own = [tuple(change / cells for change in side) for side, cells in ((right, cells_x), (down, cells_y))]
+    own = [(np.zeros_like(x), np.zeros_like(y)) if bent else (x, y) for x, y in own]
+    width_x, width_y = (np.clip(np.hypot(*side), 1.0 / NARROWEST, WIDEST_CELL) for side in zip(*own, strict=True))
+    skew = sum(x * y for x, y in own) / 12.0
+    for b in (np.arange(cells_y) + 0.5) / cells_y - 0.5 + shift[1]:
+        for a in (np.arange(cells_x) + 0.5) / cells_x - 0.5 + shift[0]:
             at = center
             if bent:
                 at = texel_at(texture_map, point.at[here] + a * point.right[here] + b * point.down[here])
-            x = wrapped_position(at.column, texture_map.columns, texture_map.wrap_x) * share_x - 0.5
-            y = wrapped_position(at.row, texture_map.rows, texture_map.wrap_y) * share_y - 0.5
+            x = wrapped_position(at.column, texture_map.columns, texture_map.wrap_x) * share_x - places
+            y = wrapped_position(at.row, texture_map.rows, texture_map.wrap_y) * share_y - places
             if not bent:
                 x = x + a * right[0] + b * down[0]
                 y = y + a * right[1] + b * down[1]
-            i, j = np.floor(y), np.floor(x)
-            place = (at.side, i.astype(np.intp) + border, j.astype(np.intp) + border)
-            total += weight_y * weight_x * add_texel(stored, texture_map, texture.texture_filter, place, y - i, x - j)
+            rows, columns = (
+                taps_of(*cell, texture.texture_filter) for cell in ((y + border, width_y), (x + border, width_x))
+            )
+            total += add_texels(stored, texture_map, at.side, rows, columns, skew) / (cells_x * cells_y)
     return total
 
 
