@@ -26,11 +26,11 @@ from clsco.constants import (
     MAP_CUBE,
     MAP_TRIPLANAR,
     MOST_BENT_TEXELS,
+    MOST_CELL,
     MOST_SHEAR,
     MOST_TEXELS,
     NARROWEST,
     NEAR_FOCUS,
-    WIDEST_CELL,
     WRAP_CLAMP,
     WRAP_MIRROR,
     WRAP_REPEAT,
@@ -205,7 +205,7 @@ def _mean_of_kind(
     total = np.zeros((int(here.sum()), stored.shape[3]))
     own = [tuple(change / cells for change in side) for side, cells in ((right, cells_x), (down, cells_y))]
     own = [(np.zeros_like(x), np.zeros_like(y)) if bent else (x, y) for x, y in own]
-    width_x, width_y = (np.clip(np.hypot(*side), 1.0 / NARROWEST, WIDEST_CELL) for side in zip(*own, strict=True))
+    width_x, width_y = (np.clip(np.hypot(*side), 1.0 / NARROWEST, MOST_CELL) for side in zip(*own, strict=True))
     skew = sum(x * y for x, y in own) / 12.0
     for b in (np.arange(cells_y) + 0.5) / cells_y - 0.5 + shift[1]:
         for a in (np.arange(cells_x) + 0.5) / cells_x - 0.5 + shift[0]:
