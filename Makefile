@@ -3,7 +3,7 @@ PYTHON ?= $(shell for python in python3 python3.14 python3.13 python3.12 python3
 	"$$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo "$$python" && break; done)
 BIN := .venv/bin
 
-.PHONY: demo test test-slow test-browser laws fuzz soak oclgrind mutation stability docs lint bench clean
+.PHONY: demo nightly test test-slow test-browser laws fuzz soak oclgrind mutation stability docs lint bench clean
 
 demo: .venv/pocl.stamp
 	$(BIN)/clsco demo -o demo
@@ -16,14 +16,14 @@ test: .venv/dev.stamp
 	$(BIN)/python -m pytest -q $(PARALLEL) $(TESTS)
 
 test-slow: .venv/dev.stamp
-	$(BIN)/python -m pytest -q $(PARALLEL) -m slow
+	$(BIN)/python -m pytest -q $(PARALLEL) -m slow $(TESTS)
 
-# The studio in Chromium, which Debian and Ubuntu have. SELECT: a choice of its tests, as pytest -k has it.
-SELECT ?= test
+# The studio in Chromium, which Debian and Ubuntu have. MARK: "browser and everyday" for those of each run of .ci/run.
+MARK ?= browser
 test-browser: .venv/dev.stamp .venv/browser.stamp
 	@command -v chromium >/dev/null || \
 		{ echo "chromium: must be installed, on Debian and Ubuntu by apt-get install chromium" >&2; exit 1; }
-	$(BIN)/python -m pytest -q -n 0 -m browser -k "$(SELECT)" tests/studio
+	$(BIN)/python -m pytest -q -n 0 -m "$(MARK)" tests/studio
 
 # Random bad scenes, damaged images and frames of random scenes, CASES of the first; and faults at every place, with KILLS of a batch.
 CASES ?= 1000000
@@ -39,6 +39,9 @@ soak: .venv/dev.stamp
 	$(BIN)/python -m tests.faults.kills --kills $(KILLS)
 	$(BIN)/python -m tests.faults.kills --kills 100 --naive
 	$(BIN)/python -m tests.faults.batch_kills --kills $$(( $(KILLS) / 10 ))
+
+# All that takes too long for each change: hours.
+nightly: docs test test-slow laws fuzz soak test-browser oclgrind stability
 
 # Each law 500 times.
 laws: .venv/dev.stamp

@@ -130,6 +130,7 @@ def values(page: Any, name: str, count: int = 3) -> list[float]:
     return [page.evaluate(f"studio.values['{name}.{k}']") for k in range(count)]
 
 
+@pytest.mark.everyday
 def test_an_object_is_dragged_with_the_pointer(still: Any) -> None:
     before = shown(still)
     still.keyboard.press("m")
@@ -163,6 +164,7 @@ def test_a_drag_is_taken_back_and_goes_along_z_with_shift(still: Any) -> None:
     assert z > 255.0
 
 
+@pytest.mark.everyday
 def test_planes_are_dragged_and_the_background_is_not(still: Any) -> None:
     still.keyboard.press("m")
     still.keyboard.down("Shift")

@@ -135,6 +135,7 @@ def test_a_key_between_others_is_on_their_path(page: Any) -> None:
     count(page, 3)
 
 
+@pytest.mark.everyday
 def test_a_mark_is_dragged_as_one_step_of_undo(page: Any) -> None:
     place = mark(page, KEY).bounding_box()
     wide, middle = place["width"] - 14, place["y"] + 10
@@ -192,6 +193,7 @@ def test_the_focus_is_pulled_by_keys_of_the_lens(page: Any) -> None:
     rest(page)
 
 
+@pytest.mark.everyday
 def test_the_marks_have_no_faults_that_axe_finds(page: Any) -> None:
     mark(page, KEY).focus()
     rest(page)

@@ -57,6 +57,7 @@ def running(root: Path) -> Iterator[Running]:
         yield started
 
 
+@pytest.mark.everyday
 def test_the_panels_of_the_thesis_with_its_defaults(page: Any) -> None:
     titles = page.locator("#panels summary").all_inner_texts()
     assert titles[:5] == [
@@ -131,6 +132,7 @@ def test_a_wrong_value_stays_in_its_box_with_its_message(page: Any) -> None:
     assert not page.evaluate("document.querySelector('#badge').textContent === ''")
 
 
+@pytest.mark.everyday
 @pytest.mark.parametrize("label", list(SHAPES))
 def test_shapes_generated_are_those_of_the_command(page: Any, root: Path, label: str, tmp_path: Path) -> None:
     open_scene(page, "small.toml")
@@ -141,6 +143,7 @@ def test_shapes_generated_are_those_of_the_command(page: Any, root: Path, label:
     assert_made_by_the_command(folder, folder / "scene.toml", tmp_path)
 
 
+@pytest.mark.everyday
 @pytest.mark.parametrize("name", ["fig_3_04_left", "fig_3_12_left", "fig_4_13"])
 def test_presets_generated_are_those_of_the_command(page: Any, root: Path, name: str, tmp_path: Path) -> None:
     (title,) = [preset.title for preset in presets() if preset.name == f"thesis/{name}"]

@@ -226,6 +226,7 @@ def boxed(element: Any) -> dict[str, float]:
     return found
 
 
+@pytest.mark.everyday
 @pytest.mark.parametrize("width", [1280, 800])
 def test_axe_finds_nothing_in_any_dialog(running: Running, width: int) -> None:
     with opened(running, width) as page:
