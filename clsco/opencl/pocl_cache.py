@@ -29,6 +29,7 @@ except ImportError:  # Windows, where PoCL is not shipped
     fcntl = None  # type: ignore[assignment]
 
 VARIABLE = "POCL_CACHE_DIR"
+SPECIALIZATION = "POCL_WORK_GROUP_SPECIALIZATION"
 LOCK = "clsco.lock"
 LIST = "clsco.json"
 MOST_LIST = 2**26  # bytes of it
@@ -51,10 +52,13 @@ _listings: dict[str, _Listing] = {}
 def prepare(environ: MutableMapping[str, str] = os.environ) -> None:
     """Point PoCL at its own, versioned cache folder; to be called before the first query of the platforms.
 
-    A POCL_CACHE_DIR that the user has set stays. The folder is `clsco/pocl-<versions>` in the user's cache
+    A POCL_CACHE_DIR that the user has set stays. PoCL compiles each kernel once, unless the user's
+    POCL_WORK_GROUP_SPECIALIZATION has it compile others for small grids and for an offset, which are not faster. The
+    folder is `clsco/pocl-<versions>` in the user's cache
     folder, or, where that cannot be written, or others may write to it, a temporary one that is removed when the
     process ends.
     """
+    environ.setdefault(SPECIALIZATION, "0")
     if environ.get(VARIABLE):
         return
     try:

@@ -176,7 +176,8 @@ def launch_whole(
     offset: tuple[int, ...] | None = None,
 ) -> cl.Event:  # fmt: skip
     """Enqueue a kernel at once over `size` work-items, whole groups; offset: number of the first one. As `launch`."""
-    # PoCL compiles a kernel at its first launch, for a local size, and other times for small grids and an offset.
+    # PoCL compiles a kernel at its first launch, for a local size, and other times for small grids and an offset where
+    # the user has it do so (clsco.opencl.pocl_cache).
     shape = (kernel, local_size, max(size) < 2**16, offset is None)
     try:
         with session.lock:  # a kernel's arguments and its launch belong together

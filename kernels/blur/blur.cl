@@ -66,12 +66,7 @@ static void scatter_source(const grid_t grid, spread_t spread, float4 source, fl
 __kernel void scatter(const grid_t grid, const psf_t psf, __global const float *source,
                       __global const float *value, __global const int2 *intervals,
                       __global const float *coefficients, const float scale, __global fixed_t *sums
-#if SUBPIXELS
-                      , __global const float4 *sub_source, __global const float *sub_value, const int capacity,
-                      __global const int2 *sub_intervals, __global const float *sub_coefficients
-#endif
-                      OCCLUSION_ARGUMENTS
-)
+                      SUBPIXEL_ARGUMENTS OCCLUSION_ARGUMENTS)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)

@@ -35,13 +35,6 @@ typedef struct {
 
 #if SUBPIXELS
 #define SUBPIXEL_COUNT (SUBPIXELS * SUBPIXELS)
-#define SUBPIXEL_ARGUMENTS \
-    , __global const float4 *sub_source, __global const float *sub_value, const int capacity, \
-    __global const int2 *sub_intervals, __global const float *sub_coefficients
-#define SUBPIXEL_VALUES , sub_source, sub_value, capacity, sub_intervals, sub_coefficients
-#else
-#define SUBPIXEL_ARGUMENTS
-#define SUBPIXEL_VALUES
 #endif
 
 // Notes source (x, y) of the grid as the i-th of a chunk, if it reaches the tile.

@@ -131,7 +131,7 @@ def test_many_cold_starts_at_once(start: Start, tmp_path: Path) -> None:
 def test_a_folder_that_the_user_has_set_stays() -> None:
     environ = {"POCL_CACHE_DIR": "mine"}
     poclcache.prepare(environ)
-    assert environ == {"POCL_CACHE_DIR": "mine"}
+    assert environ == {"POCL_CACHE_DIR": "mine", "POCL_WORK_GROUP_SPECIALIZATION": "0"}
 
 
 def test_the_folder_names_the_versions(tmp_path: Path) -> None:

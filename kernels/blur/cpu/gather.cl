@@ -124,78 +124,33 @@ static void settle(int first, int last, int apart, int shift, int plane, int pit
 #define OTHERS (1 << 30)  // in `position`: there are sources that do not fit in
 #define DONE INT_MAX
 
-// Each work-item adds to BAND rows of `total`, the first one's band being `start`, all the radiance that reaches them,
-// row by row of sources. budget: with 0 all of it; else of sources that fit in so many steps of columns, and then, by
-// the launches that follow, others of so much work, in vectors of taps: position, of a work-item, is what has been
-// walked, 0 at first, DONE in the end. Such pieces give the sums of the whole, in its order. part: BAND rows for each
-// work-item, of which every `part_rows` rows of sources the sum goes on to total; with 0 rows it is total. scratch: see
-// discs.clh and columns.clh, zeros as well.
-__kernel void gather(const grid_t grid, const psf_t psf, __global const float *source,
-                     __global const float *value, __global const int2 *intervals,
-                     __global const float *coefficients,
-                     __global const float *taps, __global const outline_t *outlines,
-#if BY_ROWS || BY_COLUMNS
-                     __global scratch_t *scratch, const int scratch_size,  // of a work-item
-#endif
-                     const int start, const int2 budget, __global int *position,
-                     const int part_rows, __global float *part,
+// Adds to rows first..end - 1 of the frame the radiance of all sources that do not fit in, from the `walked`-th block
+// of them on; returns how many are walked then, DONE where there is no more. apart: of planes of part; shift: from a
+// row of the frame to that of part; ends: of the band; others: as of the kernel.
+static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global const float *source,
+                               __global const float *value, __global const int2 *intervals,
+                               __global const float *coefficients, __global const outline_t *outlines, int first,
+                               int end, int walked, int2 budget, int part_rows, __global float *part, int apart,
+                               int shift,
 #if SPANS
-                     __global double *ends,
+                               __global double *ends,
 #endif
-                     const int pitch, const int pad,
-                     __global float *total
-#if SUBPIXELS
-                     , __global const float4 *sub_source, __global const float *sub_value, const int capacity,
-                     __global const int2 *sub_intervals, __global const float *sub_coefficients
-#endif
-                     OCCLUSION_ARGUMENTS
-)
+                               int pitch, int pad, __global float *total SUBPIXEL_ARGUMENTS OCCLUSION_ARGUMENTS)
 {
-    const int own = get_global_id(0), first = (start + own) * BAND;
-    if (first >= grid.rows)
-        return;
     const bool cut = budget.x > 0;
-    const int end = MIN(grid.rows, first + BAND);
     const int plane = grid.width * grid.height, total_plane = grid.rows * pitch;
-    const int apart = part_rows ? (int)get_global_size(0) * BAND * pitch : total_plane;
-    const int shift = part_rows ? (own * BAND - first) * pitch : 0;  // from a row of the frame to that of part
     const int from = MAX(first - psf.reach, -grid.above), to = MIN(end + psf.reach, grid.height - grid.above);
-    const int before = cut ? position[own] : 0;
-    if (before == DONE)
-        return;
-    int at_first = before & (OTHERS - 1);
-#if BY_ROWS || BY_COLUMNS
-    const int steps = (grid.columns + GATHER_STEP - 1) / GATHER_STEP;
-    if (at_first < steps) {
-        const int until = cut ? MIN(at_first + budget.x, steps) : steps;
-        const bool others = ADD_ALIKE(grid, psf, source, value, intervals, taps, outlines, first, end,
-                                      at_first * GATHER_STEP, until * GATHER_STEP, scratch + own * scratch_size, pitch,
-                                      pad, total);
-        if (cut)
-            position[own] = others || (before & OTHERS) ? until | OTHERS : until < steps ? until : DONE;
-        if (cut || !others)
-            return;
-        at_first = steps;
-    }
-    at_first -= steps;
-#else
-    const int steps = 0;
-#endif
     const int blocks = (grid.width + SOURCE_BLOCK - 1) / SOURCE_BLOCK;
-#if SPANS
-    __global double *band_ends = ends + (long)own * BAND * (grid.columns + 1) * END_PLANES;
-#endif
-    int left = budget.y, block_first = at_first % blocks;
-    bool added = at_first > 0;  // anything to `part` since it was settled
-    for (int y = from + at_first / blocks; y < to; ++y, block_first = 0) {
+    int left = budget.y, block_first = walked % blocks;
+    bool added = walked > 0;  // anything to `part` since it was settled
+    for (int y = from + walked / blocks; y < to; ++y, block_first = 0) {
     const int line = (y + grid.above) * grid.width, place = shift + y * pitch - grid.guard + pad;
 #if SPANS
-    __global double *own_ends = band_ends + (long)(y - first) * (grid.columns + 1) * END_PLANES;
+    __global double *own_ends = ends + (long)(y - first) * (grid.columns + 1) * END_PLANES;
 #endif
     for (int block = block_first * SOURCE_BLOCK; block < grid.width; block += SOURCE_BLOCK) {
     if (cut && left <= 0) {
-        position[own] = steps + (y - from) * blocks + block / SOURCE_BLOCK;
-        return;
+        return (y - from) * blocks + block / SOURCE_BLOCK;
     }
     left -= BLOCK_WORK;
     int single = (1 << MIN(SOURCE_BLOCK, grid.width - block)) - 1;
@@ -266,16 +221,71 @@ __kernel void gather(const grid_t grid, const psf_t psf, __global const float *s
     }
     if (part_rows && added && ((y + 1 - from) % part_rows == 0 || y + 1 == to)) {
         settle(MAX(first, y + 1 - part_rows - psf.reach), MIN(end - 1, y + psf.reach), apart, shift, total_plane, pitch,
-               part,
-               total);
+               part, total);
         added = false;
     }
     }
 #if SPANS
-    finish_spans(band_ends, end - first, grid.columns, total_plane, pitch, total + first * pitch + pad);
+    finish_spans(ends, end - first, grid.columns, total_plane, pitch, total + first * pitch + pad);
 #endif
+    return DONE;
+}
+
+// Each work-item adds to BAND rows of `total`, the first one's band being `start`, all the radiance that reaches them,
+// row by row of sources. budget: with 0 all of it; else of sources that fit in so many steps of columns, and then, by
+// the launches that follow, others of so much work, in vectors of taps: position, of a work-item, is what has been
+// walked, 0 at first, DONE in the end. Such pieces give the sums of the whole, in its order. part: BAND rows for each
+// work-item, of which every `part_rows` rows of sources the sum goes on to total; with 0 rows it is total. scratch: see
+// discs.clh and columns.clh, zeros as well.
+__kernel void gather(const grid_t grid, const psf_t psf, __global const float *source,
+                     __global const float *value, __global const int2 *intervals,
+                     __global const float *coefficients,
+                     __global const float *taps, __global const outline_t *outlines,
+#if BY_ROWS || BY_COLUMNS
+                     __global scratch_t *scratch, const int scratch_size,  // of a work-item
+#endif
+                     const int start, const int2 budget, __global int *position,
+                     const int part_rows, __global float *part,
+#if SPANS
+                     __global double *ends,
+#endif
+                     const int pitch, const int pad,
+                     __global float *total SUBPIXEL_ARGUMENTS OCCLUSION_ARGUMENTS)
+{
+    const int own = get_global_id(0), first = (start + own) * BAND;
+    if (first >= grid.rows)
+        return;
+    const bool cut = budget.x > 0;
+    const int end = MIN(grid.rows, first + BAND), before = cut ? position[own] : 0;
+    if (before == DONE)
+        return;
+    int at_first = before & (OTHERS - 1);
+#if BY_ROWS || BY_COLUMNS
+    const int steps = (grid.columns + GATHER_STEP - 1) / GATHER_STEP;
+    if (at_first < steps) {
+        const int until = cut ? MIN(at_first + budget.x, steps) : steps;
+        const bool others = ADD_ALIKE(grid, psf, source, value, intervals, taps, outlines, first, end,
+                                      at_first * GATHER_STEP, until * GATHER_STEP, scratch + own * scratch_size, pitch,
+                                      pad, total);
+        if (cut)
+            position[own] = others || (before & OTHERS) ? until | OTHERS : until < steps ? until : DONE;
+        if (cut || !others)
+            return;
+        at_first = steps;
+    }
+#else
+    const int steps = 0;
+#endif
+    const int apart = (part_rows ? (int)get_global_size(0) * BAND : grid.rows) * pitch;
+    const int shift = part_rows ? -start * BAND * pitch : 0;
+    const int walked = add_others(grid, psf, source, value, intervals, coefficients, outlines, first, end,
+                                  at_first - steps, budget, part_rows, part, apart, shift,
+#if SPANS
+                                  ends + (long)own * BAND * (grid.columns + 1) * END_PLANES,
+#endif
+                                  pitch, pad, total SUBPIXEL_VALUES OCCLUSION_VALUES);
     if (cut)
-        position[own] = DONE;
+        position[own] = walked == DONE ? DONE : steps + walked;
 }
 
 #pragma OPENCL FP_CONTRACT OFF
