@@ -69,7 +69,17 @@ WITHOUT_TWIN = {
     "warp": {"note_radii": "the largest and the smallest of an array"},
     "tiles": {"tiles": "the sum of scatter, which each tile forms for its pixels"},
     "many": dict.fromkeys(
-        ["lowest_lane", "lowest", "some_taps", "values_at", "tap_weight", "take_sources", "ungrouped_of", "take_group"],
+        [
+            "lowest_lane",
+            "lowest",
+            "few_taps",
+            "some_taps",
+            "values_at",
+            "tap_weight",
+            "take_sources",
+            "ungrouped_of",
+            "take_group",
+        ],
         "which sources of a row go together, and their weights",
     ),
     "discs": dict.fromkeys(
