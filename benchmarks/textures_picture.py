@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 import clsco
-from clsco.cli.demo import BACKGROUND, TEXT, Picture, photograph
+from clsco.cli.demo import BACKGROUND, TEXT, photograph
+from clsco.frame.views import Picture
 
 SIDE, GAP, LINE, ACROSS = 240, 8, 22, 4
 CELL = 64

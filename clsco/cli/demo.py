@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,34 +12,14 @@ from PIL import Image, ImageDraw, ImageFont
 from clsco.files.images import write_png
 from clsco.files.transfer import encode
 from clsco.frame.frame import GREEN, Frame
+from clsco.frame.views import Picture, flow_colors, viridis
 from clsco.scene.examples import EXAMPLES
 
-Picture = NDArray[np.uint8]
 DETAILS = ("cylinder_turning", "card", "road", "depth_map", "stereo")
 WIDE, NARROW, GAP, LINE = 300, 196, 12, 24
 BACKGROUND, TEXT, QUIET = (250, 250, 248), (20, 20, 20), (110, 110, 110)
 
-# Anchors of color scales, evenly spaced: dark to bright for depth; blue, white, red around R = 0.
-SEQUENTIAL = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))
-DIVERGING = ((20, 70, 160), (120, 170, 220), (247, 247, 247), (230, 145, 110), (165, 20, 40))
 NOTHING, OCCLUDED = (225, 225, 222), (215, 60, 50)
-
-
-def scaled(values: NDArray[Any], low: float, high: float, anchors: Sequence[tuple[int, int, int]]) -> Picture:
-    """Color a map (rows, columns) by a scale from `low` to `high`; returns (rows, columns, 3)."""
-    position = np.clip((values - low) / max(high - low, 1e-9), 0.0, 1.0) * (len(anchors) - 1)
-    table = np.asarray(anchors, np.float64)
-    channels = [np.interp(position, np.arange(len(anchors)), table[:, c]) for c in range(3)]
-    return np.stack(channels, axis=-1).round().astype(np.uint8)
-
-
-def flow_colors(flow: NDArray[np.float32], longest: float) -> Picture:
-    """Color displacements (rows, columns, 2) by direction (hue) and length (saturation); no motion is white."""
-    turn = np.arctan2(flow[..., 1], flow[..., 0]) / (2 * np.pi)
-    strength = np.clip(np.linalg.norm(flow, axis=-1) / max(longest, 1e-9), 0.0, 1.0)
-    hue = np.stack([np.abs((turn + shift) % 1.0 * 6 - 3) - 1 for shift in (0.0, 2 / 3, 1 / 3)], axis=-1)
-    shade = 1.0 - strength[..., None] * (1.0 - np.clip(hue, 0.0, 1.0))
-    return (255 * shade).round().astype(np.uint8)
 
 
 def views(frames: Sequence[Frame]) -> dict[str, Picture]:
@@ -62,15 +41,15 @@ def views(frames: Sequence[Frame]) -> dict[str, Picture]:
     bound = max(abs(least), abs(most), 1e-6)
     lengths = np.linalg.norm(frame.flow[seen], axis=-1)
     longest = float(lengths[np.isfinite(lengths)].max(initial=0.0))
-    depth = scaled(np.where(seen, frame.depth, far), near, far, SEQUENTIAL)
+    depth = viridis(np.where(seen, frame.depth, far), near, far)
     maps = {f"depth, {near:.0f} to {far:.0f} mm": depth}
     if frame.disparity is not None and frame.occluded is not None:
         low, high = (float(limit) for limit in (frame.disparity[seen].min(), frame.disparity[seen].max()))
         label = f"disparity, {low:.1f} to {high:.1f} px"
         covered = np.where(frame.occluded[..., None], OCCLUDED, photograph(frame.sharp))
-        maps |= {label: scaled(frame.disparity, low, high, SEQUENTIAL), "red: not in the right view": covered}
+        maps |= {label: viridis(frame.disparity, low, high), "red: not in the right view": covered}
     else:
-        maps[f"blur radius R, {least:.1f} to {most:.1f} px"] = scaled(radius, -bound, bound, DIVERGING)
+        maps[f"blur radius R, {least:.1f} to {most:.1f} px"] = viridis(radius, -bound, bound)
         maps["normal"] = (127.5 * (1 + frame.normal * np.array([1, 1, -1]))).round().astype(np.uint8)
     if longest > 0:
         maps[f"flow, up to {longest:.0f} px"] = flow_colors(frame.flow, longest)

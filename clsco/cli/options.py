@@ -20,6 +20,7 @@ from click.shell_completion import CompletionItem
 
 from clsco.cli.former import report_former
 from clsco.cli.output import echo, visible_usage
+from clsco.cli.progress import FORM
 from clsco.errors import ClscoError, DeviceError, SceneError
 
 if TYPE_CHECKING:
@@ -308,7 +309,23 @@ tolerance_option = click.option(
     "--tolerance", metavar="E", type=click.FloatRange(min=0.0, min_open=True),
     help="Take the fewest time samples and silhouette samples whose estimated RMS error is at most E of white.",
 )  # fmt: skip
-quiet_option = click.option("--quiet", is_flag=True, help="Show no progress.")
+
+
+def _progress_form(ctx: click.Context, param: click.Parameter, value: str) -> None:
+    del param
+    ctx.meta[FORM] = value
+
+
+def quiet_option(command: Command) -> Command:
+    """Give a command the argument `quiet`, and its progress the form of --progress."""
+    quiet = click.option("--quiet", is_flag=True, help="Show no progress.")
+    form = click.option(
+        "--progress", type=click.Choice(["bar", "json"]), default="bar", expose_value=False, callback=_progress_form,
+        help="Show a bar on a terminal (default), or print lines of JSON on stderr, for programs.",
+    )  # fmt: skip
+    return quiet(form(command))
+
+
 computation_options = one_value(
     "computation", Computation, device_option, precision_option, memory_option, tolerance_option
 )

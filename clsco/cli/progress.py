@@ -1,14 +1,21 @@
-"""Progress of work, as a bar on a terminal."""
+"""Progress of work: a bar on a terminal, or on request lines of JSON on stderr, for programs."""
 
 from __future__ import annotations
 
+import json
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+import click
+
 if TYPE_CHECKING:
     from clsco.opencl.session import Progress
+
+FORM = "clsco.progress"  # in what a command knows of its options
+LINES_S = 0.2  # between lines of JSON
 
 
 @contextmanager
@@ -27,7 +34,8 @@ def frame_progress(
     predict: gives the seconds of all frames, None where they are not known; called where a bar is shown.
     """
     if not _is_shown(total, quiet):
-        yield lambda: None
+        with _bar(total, quiet, "frames", None) as advance:
+            yield advance
         return
     from clsco.opencl.session import Progress, session_for
 
@@ -64,7 +72,34 @@ def position(here: Progress, done: float, total: int, elapsed: float, predicted:
 
 
 def _is_shown(total: int, quiet: bool) -> bool:
-    return not quiet and sys.stderr is not None and sys.stderr.isatty() and total > 0
+    return not quiet and sys.stderr is not None and sys.stderr.isatty() and total > 0 and not _is_in_lines()
+
+
+def _is_in_lines() -> bool:
+    context = click.get_current_context(silent=True)
+    return context is not None and context.meta.get(FORM) == "json"
+
+
+@contextmanager
+def _lines(total: int, what: str) -> Iterator[Callable[[], object]]:
+    """Print a line of JSON at the begin, at the end, and meanwhile every LINES_S seconds."""
+    done, last = 0, 0.0
+
+    def say() -> None:
+        click.echo(json.dumps({"progress": what, "done": done, "total": total}), err=True)
+
+    def advance() -> None:
+        nonlocal done, last
+        done += 1
+        if (now := time.monotonic()) > last + LINES_S:
+            last = now
+            say()
+
+    say()
+    try:
+        yield advance
+    finally:
+        say()
 
 
 @contextmanager
@@ -72,6 +107,10 @@ def _bar(
     total: int, quiet: bool, what: str, after_bar: Callable[[float, float], str] | None
 ) -> Iterator[Callable[[], object]]:
     """Show a bar, and after it the text of `after_bar`, given the number done and the seconds since it began."""
+    if _is_in_lines():
+        with _lines(total, what) as advance:
+            yield advance
+        return
     if not _is_shown(total, quiet):
         yield lambda: None
         return

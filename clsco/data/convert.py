@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +14,7 @@ from clsco.data.record import Record
 from clsco.data.sets import DataSet, Status, begun, finish, open_set, status_of
 from clsco.data.storage import Storage, remove_path
 from clsco.errors import ImageError
+from clsco.files.atomic import file_digests
 from clsco.files.bounded import strict_json
 
 OWN = ("identity", "samples", "counts", "arrays", "conventions", "load", "cite", "files")  # of a card, not carried over
@@ -97,7 +97,7 @@ def _convert_shard(there: DataSet, made: DataSet, shard: int) -> None:
             if not there.storage.is_local:
                 remove_path(local)
         files[key] = path
-        described |= _digests(key, path)
+        described |= file_digests(key, path)
         for row in own:
             row["file"] = key
     part = part_bytes(shard, made.identity.digest, made.numbers(shard), described, rows, failures)
@@ -113,13 +113,3 @@ def _checked(file: str, records: Iterator[Record] | Any, rows: Sequence[Mapping[
         if record.key != f"{row['number']:09d}" or record.sha256() != row["arrays"]:
             raise ImageError(f"{file}: sample {row['number']} must have the arrays of the manifest; got others")
         yield record
-
-
-def _digests(key: str, path: Path) -> dict[str, tuple[int, str]]:
-    """Bytes and SHA-256 of the files of a path, by key."""
-    found = {}
-    for each in sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]:
-        with open(each, "rb") as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
-        found[key if each == path else f"{key}/{each.relative_to(path).as_posix()}"] = (each.stat().st_size, digest)
-    return found

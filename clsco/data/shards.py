@@ -23,6 +23,7 @@ from clsco.data.scripted import ScriptedDistribution
 from clsco.data.storage import Storage, remove_path
 from clsco.engine.sequence import render_prepared
 from clsco.errors import ImageError, KernelError, SceneError
+from clsco.files.atomic import file_digests
 from clsco.frame.frame import Frame
 from clsco.frame.truth_files import ATTRIBUTES
 from clsco.inputs.files import InputFiles
@@ -221,7 +222,7 @@ class ShardMaker:
         for offsets in _by_file(rows.values()):
             for offset, row in enumerate(offsets):
                 row["offset"] = offset
-        described = {name: about for key, path in files.items() for name, about in _described(key, path)}
+        described = {name: about for key, path in files.items() for name, about in file_digests(key, path).items()}
         part = part_bytes(
             shard, self.job.identity.digest, self.job.numbers(shard), described,
             [rows[number] for number in sorted(rows)], [failures[number] for number in sorted(failures)],
@@ -328,13 +329,3 @@ def _by_file(rows: Iterable[dict[str, Any]]) -> list[list[dict[str, Any]]]:
     for row in sorted(rows, key=lambda row: row["number"]):
         found.setdefault(row["file"], []).append(row)
     return list(found.values())
-
-
-def _described(key: str, path: Path) -> Iterator[tuple[str, tuple[int, str]]]:
-    """Keys of the files of a path, with their bytes and SHA-256."""
-    inside = sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]
-    for each in inside:
-        with open(each, "rb") as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
-        name = key if each == path else f"{key}/{each.relative_to(path).as_posix()}"
-        yield name, (each.stat().st_size, digest)

@@ -6,12 +6,12 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from clsco.frame.views import Picture
 
 if TYPE_CHECKING:
     from clsco.data.record import Record
 
-Picture = NDArray[np.uint8]
 TILE = 200  # px, the longer side of a picture
 GAP, LINE, ACROSS = 8, 18, 4
 PAPER, INK = (250, 250, 248), (20, 20, 20)

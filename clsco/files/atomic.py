@@ -166,6 +166,16 @@ def sha256(path: Path) -> str:
         return file_sha256(file)
 
 
+def file_digests(key: str, path: Path) -> dict[str, tuple[int, str]]:
+    """Bytes and SHA-256 of a file, or of each file in a folder, by the keys that they have where the path has `key`.
+
+    Raises OSError.
+    """
+    inside = sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]
+    keys = (key if each == path else f"{key}/{each.relative_to(path).as_posix()}" for each in inside)
+    return {name: (each.stat().st_size, sha256(each)) for name, each in zip(keys, inside, strict=True)}
+
+
 def file_sha256(file: BinaryIO) -> str:
     """SHA-256 of the bytes that an opened file has now: it may grow meanwhile."""
     digest, left = hashlib.sha256(), os.fstat(file.fileno()).st_size

@@ -22,7 +22,6 @@ from pathlib import Path
 from typing import Literal
 
 from clsco.errors import ClscoError
-from clsco.studio.samples import samples_made
 from clsco.studio.state import StateFolder
 
 LIST = "jobs.json"
@@ -33,6 +32,7 @@ _TAIL = 4000  # bytes of what a command said
 _TITLE = 200  # characters
 # The end of a command goes to a file, as who began it may be gone by then; ^C is for the command alone.
 _SHELL = 'trap : INT TERM; "$@"; printf %s "$?" > "$0.part" && mv "$0.part" "$0"'
+_FOLLOWED, _PROGRESS = ("--progress", "json"), '{"progress"'  # which `clsco.cli.progress` prints
 _PYTHON = (sys.executable, "-P", "-c", "from clsco.cli.process import run; run()")
 
 Status = Literal["waiting", "running", "done", "failed", "canceled", "interrupted"]
@@ -52,12 +52,12 @@ class CommandJob:
     folder : str
         Folder of its files, relative to the root.
     pattern : str
-        Pattern of the files in the folder that are counted as progress; of data sets samples are counted.
+        Pattern of its files in the folder, or the name of its one file.
     total : int
-        Expected number of files; 0 where nobody knows.
+        Expected number of frames or samples; 0 where nobody knows.
     status : str
     done : int
-        Files or samples that are there.
+        Frames or samples that are there.
     began, ended : float
         Seconds since 1970; 0 before.
     process, process_began : int
@@ -128,7 +128,6 @@ class Jobs:
         self.state = StateFolder(self.root)
         self._listeners: list[Callable[[], None]] = []
         self._canceled: dict[int, float] = {}
-        self._next_count = 0.0
         self._processes: dict[int, subprocess.Popen[bytes]] = {}
         self._jobs = _read(self.state)
 
@@ -228,7 +227,7 @@ class Jobs:
 
     def _begin(self, job: CommandJob) -> None:
         self._drop(job)
-        command = ["sh", "-c", _SHELL, str(self.state.path / _end(job)), *_PYTHON, *job.arguments]
+        command = ["sh", "-c", _SHELL, str(self.state.path / _end(job)), *_PYTHON, *job.arguments, *_FOLLOWED]
         try:
             with open(self.state.path / _log(job), "xb") as log:
                 process = subprocess.Popen(
@@ -255,7 +254,7 @@ class Jobs:
         since = self._canceled.get(job.number)
         if is_alive and since is not None and time.monotonic() - since > GRACE:
             _signal(job, signal.SIGKILL, process is not None)
-        done = self._count(job, not is_alive)
+        done = self._count(job)
         if is_alive:
             if done == job.done:
                 return False
@@ -276,26 +275,16 @@ class Jobs:
         self._put(replace(job, status=status, done=done, ended=time.time(), message=message))
         return True
 
-    def _count(self, job: CommandJob, is_over: bool) -> int:
-        """Files that were made since the job began, or that it need not make again; samples of a data set."""
-        if job.command == "dataset":
-            return self._count_samples(job, is_over)
-        folder, since = self.root / job.folder, 0.0 if "--resume" in job.arguments else job.began - 1.0
-        count = 0
-        for path in folder.glob(job.pattern):
-            with contextlib.suppress(OSError):
-                count += path.stat().st_mtime >= since
-        return min(count, job.total) if job.total else count
-
-    def _count_samples(self, job: CommandJob, is_over: bool) -> int:
-        """Samples of a data set, which take a tenth of the time at most to count while it is made."""
-        began = time.monotonic()
-        if not is_over and began < self._next_count:
-            return job.done
-        made = samples_made(self.root / job.folder)
-        now = time.monotonic()
-        self._next_count = now + 9.0 * (now - began)
-        return made
+    def _count(self, job: CommandJob) -> int:
+        """Files or samples that are made, by the last line of progress; a command that goes on counts what is left."""
+        for line in reversed(self._tail(job)):
+            if line.startswith(_PROGRESS):
+                with contextlib.suppress(ValueError, KeyError, TypeError, ZeroDivisionError):
+                    said = json.loads(line)
+                    if said["progress"] == "percent":
+                        return int(job.total * said["done"] // said["total"])
+                    return max(job.total - said["total"] + said["done"], 0) if job.total else int(said["done"])
+        return job.done
 
     def _code(self, job: CommandJob) -> int | None:
         """Exit status of a command that ended, None where it was killed with all that was around it."""
@@ -306,11 +295,13 @@ class Jobs:
 
     def _said(self, job: CommandJob) -> str:
         """The end of what a command said."""
+        return "\n".join([line for line in self._tail(job) if not line.startswith(_PROGRESS)][-8:])
+
+    def _tail(self, job: CommandJob) -> list[str]:
         try:
-            text = self.state.tail(_log(job), _TAIL).decode(errors="replace")
+            return self.state.tail(_log(job), _TAIL).decode(errors="replace").strip().splitlines()
         except OSError:
-            return ""
-        return "\n".join(text.strip().splitlines()[-8:])
+            return []
 
     def _put(self, job: CommandJob) -> None:
         """Take a job in place of that of its number, or as the last one, on the disk, too."""

@@ -1,4 +1,4 @@
-"""Data sets that jobs make: how far they are, and what some of their samples look like."""
+"""Pictures of samples of the data sets that jobs make."""
 
 from __future__ import annotations
 
@@ -6,23 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from clsco.errors import ClscoError
 from clsco.files.png import png_parts
 from clsco.files.transfer import encode
 
 SMALL = 160  # px of a small picture, at most
-
-
-def samples_made(folder: Path) -> int:
-    """Samples of a set that are in whole shards, and those that failed; 0 where there is no set."""
-    from clsco.data.sets import open_set, status_of
-    from clsco.data.storage import open_storage
-
-    try:
-        status = status_of(open_set(open_storage(folder)))
-    except (ClscoError, OSError):
-        return 0
-    return status.made + status.failed
 
 
 def sample_picture(folder: Path, part: int, parts: int) -> bytes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pty
 import subprocess
@@ -10,9 +11,12 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
+from clsco.cli.main import main
 from clsco.cli.progress import position
 from clsco.opencl.session import Progress
+from tests.scenes import PLANE, scene_file
 
 
 @pytest.mark.parametrize(
@@ -47,3 +51,16 @@ def test_a_terminal_shows_frames_and_what_the_device_does(tmp_path: Path) -> Non
     assert process.wait(60) == 0
     assert b"frames" in shown
     assert b"1/1" in shown
+
+
+def test_programs_get_lines_of_json(tmp_path: Path) -> None:
+    scene = scene_file(tmp_path / "scene.toml", f"[sequence]\nframes = 3\n{PLANE}")
+    words = ["render", str(scene), "-o", str(tmp_path / "out"), "--progress", "json", "--quiet"]
+    result = CliRunner().invoke(main, words)
+    assert (result.exit_code, result.stdout) == (0, "")
+    said = [json.loads(line) for line in result.stderr.splitlines()]
+    assert said[0] == {"progress": "frames", "done": 0, "total": 3}
+    assert said[-1] == {"progress": "frames", "done": 3, "total": 3}
+    assert [each["done"] for each in said] == sorted(each["done"] for each in said)
+    result = CliRunner().invoke(main, [*words, "--resume"])
+    assert [json.loads(line)["total"] for line in result.stderr.splitlines()] == [0, 0]

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from clsco.data.containers import CONTAINERS
-from clsco.data.convert import _digests
 from clsco.data.distribution import Sample
 from clsco.data.manifest import Identity, part_bytes, part_key
 from clsco.data.record import Record, make_record
 from clsco.data.sets import DataSet, finish
 from clsco.data.storage import open_storage
+from clsco.files.atomic import file_digests
 from clsco.frame.frame import FILE_NAMES, Frame
 from clsco.scene.file import parse_scene
 
@@ -95,7 +95,7 @@ def make_set(
         for key, records in files.items():
             path = storage.scratch() / key.replace("/", "_")
             container.write(path, records)
-            described |= _digests(key, path)
+            described |= file_digests(key, path)
             storage.put(key, path)
         failures = [{"number": 5, "split": "val", "error": "e", "scene": {}}] if 5 in made.numbers(shard) else []
         storage.write(

@@ -40,7 +40,7 @@ from clsco.studio.session import Document
 
 # In place of clsco: `work FOLDER COUNT SECONDS` writes files as frames are written, one after the other.
 SLOW = """
-import sys, time
+import json, sys, time
 from pathlib import Path
 from clsco.files.atomic import whole_file
 _, folder, count, seconds, *_ = sys.argv[1:]
@@ -52,6 +52,8 @@ for k in range(int(count)):
         file.flush()
         time.sleep(float(seconds))
         file.write(b" and done")
+    said = {"progress": "files", "done": k + 1, "total": int(count)}
+    print(json.dumps(said), file=sys.stderr, flush=True)
 """
 
 
@@ -359,7 +361,6 @@ def test_a_data_set_counts_its_samples_and_goes_on_after_a_cancel(jobs: Jobs) ->
     canceled = jobs.job(job.number)
     assert canceled.status == "canceled", canceled.message
     assert 0 < canceled.done < 40
-    assert canceled.done % 3 == 0  # whole shards
     again = jobs.again(job.number)
     until(jobs, lambda: not jobs.job(again.number).is_unfinished, 120.0)
     done = jobs.job(again.number)
