@@ -203,16 +203,20 @@ def temporary_folder(name: str) -> Path:
     return made
 
 
-def work_name(prefix: str) -> str:
-    """The name of a folder of this process for unfinished or temporary files; see `remove_left`."""
-    return f"{prefix}.{_HOST}-{os.getpid()}-{_RUN}.part"
+def work_name(prefix: str, more: str = "") -> str:
+    """The name of a file or folder of this process that is unfinished or temporary; see `remove_left`.
+
+    more: hexadecimal digits where there are several of one prefix.
+    """
+    return f"{prefix}.{_HOST}-{os.getpid()}-{_RUN}{more and '-'}{more}.part"
 
 
-def remove_left(folder: Path, prefix: str) -> None:
-    """Remove temporary folders of processes that are gone: of this machine by their number, of others by their age."""
+def remove_left(folder: Path, prefix: str = "") -> None:
+    """Remove temporary files and folders of processes that are gone: of this machine by their number, of others by
+    their age; without a prefix all hidden ones."""
     for path in folder.glob(f"{prefix}.*.part"):
         with suppress(OSError, ValueError):
-            host, process, run = path.name.split(".")[-2].split("-")
+            host, process, run, *_ = path.name.split(".")[-2].split("-")
             if host != _HOST:
                 newest = max(each.stat().st_mtime for each in (path, *path.rglob("*")))
                 left = newest < _now(folder) - ABANDONED_S
@@ -220,8 +224,10 @@ def remove_left(folder: Path, prefix: str) -> None:
                 left = run != _RUN
             else:
                 left = _is_gone(int(process))
-            if left and not path.is_symlink():
+            if left and path.is_dir() and not path.is_symlink():
                 shutil.rmtree(path, ignore_errors=True)
+            elif left:
+                path.unlink()
 
 
 def _is_gone(process: int) -> bool:

@@ -11,7 +11,7 @@ from typing import Any
 
 from clsco.engine.sequence import render_prepared
 from clsco.errors import ImageError, SceneError
-from clsco.files.atomic import remove_stale, same_place, writable_folder
+from clsco.files.atomic import same_place, writable_folder
 from clsco.frame.files import (
     TRUTH_FORMATS,
     frame_files,
@@ -27,6 +27,7 @@ from clsco.frame.truth_files import ATTRIBUTES, TruthFile
 from clsco.opencl.session import Session, session_for
 from clsco.plan.approximation import same_tolerance
 from clsco.plan.prepare import Prepared, PreparedFile
+from clsco.resources import remove_left
 from clsco.scene.model import Scene
 
 Span = tuple[int | None, int | None]
@@ -103,7 +104,7 @@ def prepare(
     scene, request = prepared.scene, prepared.request
     about = record(scene, digests)
     writable_folder(folder)
-    remove_stale(folder)
+    remove_left(folder)
     for _, item in scene.inputs:
         for what, path in ((key, Path(name)) for key, name in item.files().items()):
             if path.stem.startswith("frame_") and same_place(path.parent, folder):

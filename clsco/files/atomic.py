@@ -12,10 +12,9 @@ from pathlib import Path
 from typing import BinaryIO, NoReturn
 
 from clsco.errors import ImageError
-from clsco.resources import open_regular
+from clsco.resources import open_regular, work_name
 
 _BLOCK = 2**18  # bytes that are read at once
-_RUN = secrets.token_hex(4)  # differs from that of an earlier process of the same number: in a container it is always 1
 
 
 def refuse(path: Path | str, rule: str, got: object, cause: Exception | None = None) -> NoReturn:
@@ -135,26 +134,6 @@ def writable_folder(path: str | os.PathLike[str]) -> Path:
     return path
 
 
-def remove_stale(folder: str | os.PathLike[str]) -> None:
-    """Remove temporary files and folders of processes that were killed while they wrote."""
-    for path in Path(folder).glob(".*.part"):
-        try:
-            process, run = path.name.split(".")[-2].split("-")[:2]
-            if int(process) != os.getpid():
-                os.kill(int(process), 0)
-                continue  # alive
-            if run == _RUN:
-                continue  # of another thread
-        except ProcessLookupError:
-            pass
-        except (OSError, ValueError, OverflowError):
-            continue  # alive and somebody else's, or no file of ours
-        if path.is_dir() and not path.is_symlink():
-            shutil.rmtree(path, ignore_errors=True)
-        else:
-            remove(path)
-
-
 def same_place(path: str | os.PathLike[str], other: str | os.PathLike[str]) -> bool:
     """True if two paths, existing or not, are one after all symbolic links; a link to itself is only itself."""
     return os.path.realpath(path) == os.path.realpath(other)
@@ -187,4 +166,4 @@ def file_sha256(file: BinaryIO) -> str:
 
 def _temporary(path: Path) -> Path:
     """A hidden name that nobody else uses, in the same folder: replacing is atomic only there."""
-    return path.parent / f".{path.name}.{os.getpid()}-{_RUN}-{secrets.token_hex(4)}.part"
+    return path.parent / work_name(f".{path.name}", secrets.token_hex(4))

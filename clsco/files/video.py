@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import ImageError
-from clsco.files.atomic import refuse, remove_stale, whole_file
+from clsco.files.atomic import refuse, whole_file
 from clsco.files.decoders import check_limits, codec
 from clsco.files.transfer import encode
 from clsco.files.yuv import yuv_planes
+from clsco.resources import remove_left
 
 SLOWEST, FASTEST = 1, 240  # frames per second that an interval may give
 MOST = 2**20  # of the parts of a rate, and frames per second: far below what the fields of containers hold
@@ -218,7 +219,7 @@ def write_clip(
     clip = _Clip(where, PRESETS[preset], rate, transfer, transfer_tag or transfer, comment, first)
     try:
         if isinstance(target, Path):
-            remove_stale(target.parent)
+            remove_left(target.parent)
             with whole_file(target) as file:  # by its name, as the index of an mp4 moves to its beginning
                 clip.encode(str(Path(file.name).absolute()), _alike(where, first, source))
         else:

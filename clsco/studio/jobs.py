@@ -11,7 +11,6 @@ import contextlib
 import json
 import os
 import shlex
-import shutil
 import signal
 import subprocess
 import sys
@@ -22,6 +21,7 @@ from pathlib import Path
 from typing import Literal
 
 from clsco.errors import ClscoError
+from clsco.resources import remove_left
 from clsco.studio.state import StateFolder
 
 LIST = "jobs.json"
@@ -369,8 +369,5 @@ def _remove_parts(root: Path, folder: str) -> None:
     """Remove temporary files and folders of commands that were killed while they wrote below the root."""
     if not (root / folder).resolve().is_relative_to(root):  # it may be another folder by now
         return
-    for path in (root / folder).rglob(".*.part"):
-        process = path.name.split(".")[-2].partition("-")[0]
-        if process.isdecimal() and _began(int(process)) is None:
-            with contextlib.suppress(OSError):
-                shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
+    for place in {path.parent for path in (root / folder).rglob(".*.part")}:
+        remove_left(place)

@@ -17,9 +17,9 @@ import numpy as np
 import OpenEXR
 import pytest
 
+from clsco import resources
 from clsco.errors import ImageError
-from clsco.files import atomic as files
-from clsco.files.atomic import remove_stale, writable_folder
+from clsco.files.atomic import writable_folder
 from clsco.files.images import read_image, write_exr, write_json, write_npz, write_png
 from clsco.files.transfer import encode
 from clsco.frame.channels import exr_channels
@@ -242,7 +242,7 @@ def test_writing_shows_nothing_unfinished(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(os, "fsync", lambda _: seen.append([path.name for path in tmp_path.iterdir()]))
     write_png(tmp_path / "file.png", GRAY)
     ((name,),) = seen
-    assert name.startswith(f".file.png.{os.getpid()}-")
+    assert name.startswith(f".file.png.{resources._HOST}-{os.getpid()}-")
     assert name.endswith(".part")
 
 
@@ -271,17 +271,18 @@ def test_unwritable_places(tmp_path: Path) -> None:
 def test_stale_temporary_files_are_removed(tmp_path: Path) -> None:
     with subprocess.Popen([sys.executable, "-c", ""]) as process:
         process.wait()
-    alive = tmp_path / f".a.png.{os.getpid()}-{files._RUN}-0.part"
-    parent = tmp_path / f".a.png.{os.getppid()}-0-0.part"
-    stale = tmp_path / f".a.png.{process.pid}-0-0.part"
-    earlier = tmp_path / f".a.png.{os.getpid()}-0-0.part"  # of a process that had this one's number
+    host = resources._HOST
+    alive = tmp_path / resources.work_name(".a.png", "0")
+    parent = tmp_path / f".a.png.{host}-{os.getppid()}-0-0.part"
+    stale = tmp_path / f".a.png.{host}-{process.pid}-0-0.part"
+    earlier = tmp_path / f".a.png.{host}-{os.getpid()}-0-0.part"  # of a process that had this one's number
     foreign = tmp_path / ".foreign.part"
     for path in (alive, parent, stale, earlier, foreign, tmp_path / "a.part"):
         path.touch()
-    folder = tmp_path / f".frame_0000.{process.pid}-1-0.part"
+    folder = tmp_path / f".frame_0000.{host}-{process.pid}-1-0.part"
     folder.mkdir()
     (folder / "frame_0000.png").touch()
-    remove_stale(tmp_path)
+    resources.remove_left(tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted([alive.name, parent.name, foreign.name, "a.part"])
 
 
@@ -289,7 +290,8 @@ KILLED = """
 import contextlib, os, random, signal, sys, time
 from pathlib import Path
 import numpy as np
-from clsco.files import atomic, images
+from clsco import resources
+from clsco.files import images
 from clsco.frame import files as framefiles
 from clsco.frame.frame import Frame
 
@@ -315,7 +317,7 @@ for round in range(100):
     time.sleep(random.uniform(0.001, 0.04))
     os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)
-    atomic.remove_stale(folder)
+    resources.remove_left(folder)
     names = sorted(path.name for path in folder.iterdir())
     assert not [name for name in names if not name.startswith("frame_")], names
     for path in folder.glob("*.png"):
