@@ -10,15 +10,15 @@ from pathlib import Path
 from typing import Any
 
 from clsco.data.acceptance import UnfitError, derived
-from clsco.data.compile import FILE_KEYS, Location, Parameter, Population, VariedKeys, copied, is_file
+from clsco.data.compile import Location, Parameter, Population, VariedKeys, copied
 from clsco.data.values import Placed
 from clsco.errors import ImageError, SceneError
 from clsco.inputs.textures import texture_size
 from clsco.scene.changes import displace
-from clsco.scene.file import absolute
+from clsco.scene.file import absolute, names_file, relocated
 from clsco.scene.shapes import SHAPES
 from clsco.scene.sweep import Sweep, parse_sweep
-from clsco.scene.text import shown
+from clsco.scene.text import key_name, shown
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ class Builder:
         if isinstance(camera, dict) and "resolution" not in camera and isinstance(first, dict):
             texture = first.get("texture", "bricks")
             try:
-                name = str(self._folder / texture) if is_file("texture", texture) else texture
+                name = str(self._folder / texture) if names_file("texture", texture) else texture
                 camera["resolution"] = list(texture_size(name) if isinstance(texture, str) else (1, 1))
             except ImageError as error:
                 raise SceneError(f"object[0].texture: {error}") from None
@@ -171,17 +171,13 @@ class Builder:
 
 def located(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """The content of a scene file with paths that start at a folder. Raises SceneError for those that leave it."""
-    found: dict[str, Any] = copied(table)
-    objects = found.get("object")
-    items = [(f"object[{k}]", item) for k, item in enumerate(objects if isinstance(objects, list) else ())]
-    for where, item in (*items, ("aperture", found.get("aperture"))):
-        for key in FILE_KEYS:
-            name = item.get(key) if isinstance(item, dict) else None
-            if isinstance(name, str) and is_file(key, name):
-                if Path(name).is_absolute() or ".." in Path(name).parts:
-                    raise SceneError(f"{where}.{key}: must lie in {folder}; got {shown(name)}")
-                item[key] = str(folder / name)
-    return found
+
+    def inside(place: Location, name: str) -> str:
+        if Path(name).is_absolute() or ".." in Path(name).parts:
+            raise SceneError(f"{key_name(place)}: must lie in {folder}; got {shown(name)}")
+        return str(folder / name)
+
+    return relocated(table, inside)
 
 
 def _first(key: str, value: Any) -> Any:

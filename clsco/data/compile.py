@@ -13,12 +13,11 @@ from clsco.data.splits import Splits
 from clsco.data.tables import RowTables
 from clsco.data.values import ChoiceForm, Files, Form, Frustum, GridForm, Integers, RowForm
 from clsco.scene.changes import displace, key_parts, put
+from clsco.scene.file import FILE_KEYS, names_file
 from clsco.scene.objects import MAX_OBJECTS
 from clsco.scene.text import key_name, shown
-from clsco.scene.texture_keys import SixSided, is_drawn
 
 Location = tuple[str | int, ...]
-FILE_KEYS = ("texture", "depth", *SixSided.__annotations__, "image")
 MAX_PARAMETERS = 1000
 MAX_SWEPT = 4096  # entries of a list
 VALUE_TABLES = frozenset(("axis", "angle", "quaternion", "from", "to", "steps"))  # of values that are tables
@@ -344,7 +343,7 @@ class Reader:
 
     def _check_file(self, name: Any, key: Location) -> None:
         """Take a file that an object names, or what could be one."""
-        if isinstance(name, str) and is_file(_key_of_file(key), name):
+        if isinstance(name, str) and names_file(_key_of_file(key), name):
             try:
                 self._folder.take(name)
             except RefusedError as error:
@@ -354,11 +353,6 @@ class Reader:
 def _key_of_file(key: Location) -> str:
     """Key of FILE_KEYS that a place in the file belongs to."""
     return next((name for name in ("depth", "image") if name in key), "texture")
-
-
-def is_file(key: str, name: str) -> bool:
-    """True if a value under one of FILE_KEYS names a file, and no pattern or color."""
-    return key in ("depth", "image") or not is_drawn(name)
 
 
 def _is_table(location: Location) -> bool:

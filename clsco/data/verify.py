@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from clsco import __version__
 from clsco.data.build import located
-from clsco.data.compile import FILE_KEYS
 from clsco.data.containers import container_named
 from clsco.data.distribution import Sample
 from clsco.data.manifest import ManifestParts, Merged, parsed_part, part_key
@@ -28,6 +27,7 @@ from clsco.optics.lens_path import camera_at
 from clsco.optics.line_truth import LinePoints, lines_of
 from clsco.optics.motion import Eye, poses_at, rest_center
 from clsco.reference.common.geometry import pixel_ray, project
+from clsco.scene.file import FILE_KEYS
 from clsco.scene.model import Scene
 from clsco.scene.sweep import parse_sweep
 from clsco.scene.text import shown

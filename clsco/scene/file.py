@@ -6,7 +6,7 @@ import errno
 import json
 import os
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin
 
@@ -23,6 +23,7 @@ from clsco.scene.texture_keys import SixSided, is_drawn, missing_texture
 
 MAX_FILE_BYTES = 2**20
 FILES_ONLY = ("depth", "image")  # keys that name no built-in pattern
+FILE_KEYS = ("texture", "depth", *SixSided.__annotations__, "image")
 MAX_OUTPUTS = 4096  # of a sweep
 MAX_DOTS = 100  # per line: tomllib needs memory with the square of the parts of a dotted key
 
@@ -152,6 +153,45 @@ def absolute(scene: Scene, folder: Path) -> Scene:
     return scene.model_copy(update={"aperture": placed(scene.aperture), "objects": tuple(map(placed, scene.objects))})
 
 
+def names_file(key: str, name: str) -> bool:
+    """True if a value under one of FILE_KEYS names a file, and no pattern or color."""
+    return key in FILES_ONLY or not is_drawn(name)
+
+
+def named_files(data: Mapping[str, Any]) -> Iterator[tuple[Location, str]]:
+    """Place and name of each file in the content of a scene file: of objects, and of the aperture."""
+    tables: list[tuple[Location, Any]] = [(("object", index), item) for index, item in enumerate(items(data))]
+    for place, table in (*tables, (("aperture",), data.get("aperture"))):
+        for key in FILE_KEYS if isinstance(table, Mapping) else ():
+            if isinstance(name := table.get(key), str) and names_file(key, name):
+                yield (*place, key), name
+
+
+def relocated(data: Mapping[str, Any], name: Callable[[Location, str], str]) -> dict[str, Any]:
+    """The content of a scene file whose files have other names.
+
+    Parameters
+    ----------
+    data : mapping
+        Stays as it is.
+    name : callable
+        Takes the place of a file and its name, and gives the other one.
+
+    Returns
+    -------
+    dict
+    """
+    found = dict(data)
+    if isinstance(aperture := data.get("aperture"), Mapping):
+        found["aperture"] = dict(aperture)
+    if "object" in data:
+        found["object"] = [dict(item) for item in items(data)]
+    for place, known in named_files(data):
+        table = found["object"][place[1]] if len(place) > 2 else found["aperture"]
+        table[place[-1]] = name(place, known)
+    return found
+
+
 def missing_files(data: Mapping[str, Any], folder: Path, where: str) -> list[str]:
     """Messages on files that do not exist, for a scene with other faults: files of a valid scene are read anyway."""
     aperture = data.get("aperture")
@@ -165,7 +205,7 @@ def missing_files(data: Mapping[str, Any], folder: Path, where: str) -> list[str
         for key in of_table
         for name in (table.get(key),)
         if isinstance(name, str) and name and not _exists(folder, name)
-        if key in FILES_ONLY or not is_drawn(name)
+        if names_file(key, name)
     ]
 
 

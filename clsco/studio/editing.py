@@ -10,16 +10,14 @@ from typing import Any
 
 from clsco.errors import SceneError
 from clsco.resources import folder
-from clsco.scene.file import absolute, missing_input, parse_scene, swept_keys
+from clsco.scene.file import FILE_KEYS, absolute, missing_input, named_files, parse_scene, swept_keys
 from clsco.scene.model import Scene
 from clsco.scene.shapes import SHAPES
 from clsco.scene.sweep import parse_sweep
-from clsco.scene.text import shown
+from clsco.scene.text import key_name, shown
 from clsco.studio.tables import (
-    FILE_KEYS,
     Table,
     at,
-    named_files,
     path_parts,
     placed,
     pose_for,
@@ -407,8 +405,8 @@ class Editor:
         start = state.path.parent if state.path is not None else self.root
         faults = []
         for place, name in named_files(table):
-            if rule := self._file_rule(start, place[-1], name):
-                faults.append(f"scene: {written(place)}: {rule}; got {shown(name)}")
+            if rule := self._file_rule(start, str(place[-1]), name):
+                faults.append(f"scene: {key_name(place)}: {rule}; got {shown(name)}")
         if faults:
             raise SceneError(faults)
         return absolute(scene, start)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, get_args
 
-from clsco.scene.file import SECTIONS
+from clsco.scene.file import FILE_KEYS, SECTIONS
 from clsco.scene.groups import Group
 from clsco.scene.model import Scene
 from clsco.scene.quantities import Within
@@ -19,7 +19,7 @@ from clsco.scene.schema import scene_schema
 from clsco.scene.shapes import SHAPES
 from clsco.scene.texture_keys import BUILT_IN_TEXTURES
 from clsco.studio.session import Document
-from clsco.studio.tables import FILE_KEYS, at, without
+from clsco.studio.tables import at, without
 from clsco.studio.words import (
     BY_FOCAL_LENGTH,
     BY_UNIT,

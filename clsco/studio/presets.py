@@ -10,10 +10,10 @@ from pathlib import Path
 from clsco.files.atomic import writable_folder, write_whole
 from clsco.resources import folder
 from clsco.scene.examples import EXAMPLES
-from clsco.scene.file import read_mapping
+from clsco.scene.file import read_mapping, relocated
 from clsco.studio.folder import below
 from clsco.studio.session import Document
-from clsco.studio.tables import Table, renamed
+from clsco.studio.tables import Table
 from clsco.studio.uploads import holds, keep_image
 
 IMAGES = "images"  # folder below the root for those of presets
@@ -73,7 +73,7 @@ def load_preset(session: Document, name: str) -> None:
     if start.is_relative_to(session.root):
         session.load_table(table, start)
         return
-    session.load_table(renamed(table, lambda file: _copied(start / file, session.root)), session.root)
+    session.load_table(relocated(table, lambda _, file: _copied(start / file, session.root)), session.root)
 
 
 def _copied(path: Path, root: Path) -> str:

@@ -13,11 +13,11 @@ from clsco.errors import ClscoError, ImageError, SceneError
 from clsco.files.png import png_parts
 from clsco.files.transfer import encode
 from clsco.inputs.textures import load_texture
+from clsco.scene.file import FILE_KEYS
 from clsco.studio.inpainting import Inpainting, inpainting_of
 from clsco.studio.jobs import Jobs
 from clsco.studio.samples import SMALL, sample_picture
 from clsco.studio.session import Document
-from clsco.studio.tables import FILE_KEYS
 
 Sessions = Callable[[str], Document | None]
 _TYPES = {".png": "image/png", ".mp4": "video/mp4", ".webm": "video/webm"}

@@ -9,6 +9,7 @@ from typing import Any
 from clsco.errors import SceneError
 from clsco.files.atomic import write_whole
 from clsco.scene.faults import items
+from clsco.scene.file import relocated
 from clsco.scene.texture_keys import is_drawn
 from clsco.studio.editing import Editor, State
 from clsco.studio.folder import below
@@ -24,7 +25,7 @@ from clsco.studio.store import (
     read_scene,
     scene_text,
 )
-from clsco.studio.tables import Table, renamed
+from clsco.studio.tables import Table
 
 __all__ = ["ConflictError", "Document"]
 
@@ -136,7 +137,7 @@ class Document(Editor):
         if start.is_relative_to(self.root):
             self.take(replace(state, table=moved(table, start, self.root)))
             return
-        self.take(replace(state, table=renamed(table, lambda name: str(start / name))))
+        self.take(replace(state, table=relocated(table, lambda _, name: str(start / name))))
 
     def keep(self, path: Path) -> None:
         """Write the scene so that `recover` finds it, if it changed since. Raises ImageError."""

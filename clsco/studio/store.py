@@ -16,11 +16,12 @@ from typing import Any
 from clsco.errors import ClscoError, SceneError
 from clsco.files.atomic import write_whole
 from clsco.resources import open_regular, read_regular
-from clsco.scene.file import read_mapping
+from clsco.scene.file import Location, named_files, read_mapping, relocated
 from clsco.scene.shapes import SHAPES
+from clsco.scene.text import key_name
 from clsco.scene.toml import toml_text
 from clsco.studio.blocks import arranged
-from clsco.studio.tables import Table, at, named_files, renamed, sparse, written
+from clsco.studio.tables import Table, at, sparse
 
 LARGEST = 2**20  # bytes of a scene file, or of a link's content
 LARGEST_IMAGE = 2**30  # bytes of a file that has a digest
@@ -192,10 +193,10 @@ def moved(table: Table, start: Path, to: Path) -> Table:
     if start == to:
         return table
 
-    def other(name: str) -> str:
+    def other(_: Location, name: str) -> str:
         return name if Path(name).is_absolute() else Path(os.path.relpath(start / name, to)).as_posix()
 
-    return renamed(table, other)
+    return relocated(table, other)
 
 
 def link_of(table: Table, start: Path, root: Path) -> str:
@@ -218,13 +219,13 @@ def link_of(table: Table, start: Path, root: Path) -> str:
     """
     files: dict[str, str] = {}
 
-    def shared(name: str) -> str:
+    def shared(_: Location, name: str) -> str:
         path = (start / name).resolve()
         found = path.relative_to(root).as_posix() if path.is_relative_to(root) else path.name
         files[found] = digest_of(path)
         return found
 
-    few = renamed(sparse(table), shared)
+    few = relocated(sparse(table), shared)
     content: Table = few | ({"files": files} if files else {})
     text = json.dumps(content, separators=(",", ":"), ensure_ascii=False).encode()
     pressed = zlib.compressobj(9, zlib.DEFLATED, -15)
@@ -260,8 +261,9 @@ def from_link(text: str, places: Iterable[Path]) -> tuple[Table, dict[str, tuple
     for place, name in list(named_files(content)):
         stated = digests.get(name) if isinstance(digests, Mapping) else None
         if Path(name).is_absolute():
-            raise SceneError(f"scene: {written(place)}: must not be an absolute path in a link")
-        item, key = at(content, place[:-1]), place[-1]
+            raise SceneError(f"scene: {key_name(place)}: must not be an absolute path in a link")
+        parts = [str(part) for part in place]
+        item, key = at(content, parts[:-1]), parts[-1]
         if digest_of(first / name) == stated and stated:
             continue
         found = [
@@ -275,8 +277,8 @@ def from_link(text: str, places: Iterable[Path]) -> tuple[Table, dict[str, tuple
             continue
         rule = f"needs the file {Path(name).name} (SHA-256 {str(stated)[:12]}...), which is not there: choose it"
         if key in ("depth", "image"):
-            raise SceneError(f"scene: {written(place)}: {rule}")
-        missing[".".join(place)] = name, rule
+            raise SceneError(f"scene: {key_name(place)}: {rule}")
+        missing[".".join(parts)] = name, rule
         if key == "texture":
             item[key] = SHAPES["plane"].model_fields["texture"].default
             item.pop("texture_layer", None)

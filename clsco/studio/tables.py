@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from clsco.errors import SceneError
 from clsco.scene.changes import displace, key_parts, put
-from clsco.scene.faults import items
 from clsco.scene.file import SECTIONS, swept_keys
 from clsco.scene.groups import Group
 from clsco.scene.shapes import SHAPES
 from clsco.scene.text import brief, key_name
-from clsco.scene.texture_keys import Textured, is_drawn
+from clsco.scene.texture_keys import Textured
 
 Table = dict[str, Any]
-FILE_KEYS = ("texture", "depth", *(f"texture_{side}" for side in ("back", "left", "right", "top", "bottom")), "image")
 DEEPEST = 8  # parts of a path
 LONGEST = 200  # characters of one
 _ALIKE = {*Textured.model_fields, "name", "motion", "group"}  # keys that an object keeps when its shape changes
@@ -155,31 +153,9 @@ def placed(error: SceneError) -> dict[str, str]:
     return found
 
 
-def named_files(table: Mapping[str, Any]) -> Iterator[tuple[list[str], str]]:
-    """Place in the table, and name, of each file that a scene is made of: of objects, and of the aperture."""
-    places = [(["object", str(index)], item) for index, item in enumerate(items(table))]
-    for place, item in (*places, (["aperture"], table.get("aperture"))):
-        for key in FILE_KEYS:
-            name = item.get(key) if isinstance(item, Mapping) else None
-            if isinstance(name, str) and (key in ("depth", "image") or not is_drawn(name)):
-                yield [*place, key], name
-
-
 def written(place: Sequence[str]) -> str:
     """A place in a table as messages have it: object[0].texture."""
     return key_name([int(part) if part.isdecimal() else part for part in place])
-
-
-def renamed(table: Table, name: Callable[[str], str]) -> Table:
-    """A table whose files have the names that a function gives."""
-    found = dict(table)
-    if "object" in table:
-        found["object"] = [dict(item) for item in items(table)]
-    if isinstance(table.get("aperture"), Mapping):
-        found["aperture"] = dict(table["aperture"])
-    for place, known in named_files(table):
-        at(found, place[:-1])[place[-1]] = name(known)
-    return found
 
 
 def sparse(table: Mapping[str, Any]) -> Table:

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from clsco import Scene, load_scene
+from clsco.scene.file import FILE_KEYS
 from clsco.studio.presets import OF_THE_THESIS, choose_method, is_as_the_thesis, load_preset, presets
 from clsco.studio.session import Document
-from clsco.studio.tables import FILE_KEYS
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
