@@ -22,7 +22,7 @@ from clsco.frame.frame import (
     TRUTH_NAMES,
     Frame,
 )
-from clsco.plan.buffers import DeviceFacts
+from clsco.plan.device import DeviceFacts
 from clsco.plan.plan import Plan, make_plan
 from clsco.plan.request import Request
 from clsco.scene.file import parse_scene

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import clsco
+from benchmarks.speed import lenses
 from benchmarks.tables import Figures, write_table
 from clsco.cli.bench.cases import channels_of, picture, radius_map
 from clsco.cli.bench.passes import MeasuredPass
@@ -44,6 +45,14 @@ SCENES = Path(__file__).parent / "scenes"
 SIZES = {"512 x 512": (512, 512), "1920 x 1080": (1920, 1080), "3840 x 2160": (3840, 2160), "7680 x 4320": (7680, 4320)}
 REPETITIONS, LONG = 5, 1.0  # s
 FRAMES = 30  # of a drag
+# Sections of scenes, beside the lenses of `benchmarks.speed.lenses`.
+SEEN: dict[str, dict[str, Any]] = {
+    "waves": {"psf": {"model": "wave"}},
+    "longitudinal color": {"lens": {"axial": [0.01, 0.0, -0.01]}},
+    "curved field": {"lens": {"field_curvature": -0.001, "focus_surface": "sphere"}},
+    "sensor": {"sensor": {"white_electrons": 20000.0, "read_noise": 3.0, "bits": 12}},
+}
+EXAMPLES = ("lens_fast_prime", "lens_heart", "star_field", "night", "chromatic_ruler", "rolling_train", "dolly_zoom")
 
 
 def sized(scene: Scene, columns: int, rows: int, *samples: int) -> Scene:
@@ -61,6 +70,11 @@ def of_frame(frame: Frame) -> tuple[Array, Spent]:
 
 def rendered(scene: Scene, truth: Sequence[str] | str = ()) -> Call:
     return lambda device: of_frame(clsco.render_frame(scene, truth=truth, device=device))
+
+
+def through_a_lens(sections: dict[str, Any], radius: float) -> Call:
+    """A frame with three times the pixels of `benchmarks.speed.lenses` across; |R| around a radius in px."""
+    return rendered(sized(lenses.scene(sections, radius / 3.0), 3 * lenses.SIDE, 3 * lenses.SIDE))
 
 
 def dragged(scene: Scene, key: str, first: float, last: float) -> Call:
@@ -126,6 +140,10 @@ def cases() -> Iterator[tuple[str, Callable[[], Call]]]:
     for radius, channels, method in product((2.0, 6.0, 20.0, 60.0), (1, 3), ("tiles", "scatter")):
         shown = "color" if channels == 3 else "gray"
         yield f"blur by {method}, R to {radius:g} px, {shown}, 2048 x 2048", partial(spread, method, radius, channels)
+    for (name, sections), radius in product((lenses.LENSES | SEEN).items(), (6.0, 20.0)):
+        yield f"wall by {name}, R {radius:g} px, 1344 x 1344", partial(through_a_lens, sections, radius)
+    for name in EXAMPLES:
+        yield f"example {name}", partial(rendered, clsco.load_scene(ROOT / "examples" / f"{name}.toml"))
     for path in sorted(SCENES.glob("*.toml")):
         yield f"{path.stem}, one sample", partial(rendered, clsco.load_scene(path).replace("sequence.samples", 1))
 

@@ -14,7 +14,7 @@ from clsco.errors import SceneError
 
 if TYPE_CHECKING:
     from clsco.files.color import Color
-    from clsco.plan.buffers import DeviceFacts
+    from clsco.plan.device import DeviceFacts
     from clsco.plan.prepare import Prepared, PreparedFile
     from clsco.plan.request import Request
     from clsco.scene.model import DepthMap

@@ -110,7 +110,7 @@ def plan(
     machine: bool,
 ) -> None:
     """Report what rendering a scene takes, and how long; runs nothing, and needs no OpenCL."""
-    from clsco.plan.buffers import ThisMachine
+    from clsco.plan.device import ThisMachine
 
     require_uncolored(files, no_color)
     device = ThisMachine(kind="gpu") if gpu else None

@@ -27,9 +27,10 @@ from clsco.passes.blur import Area, Image, Maps, Sources
 from clsco.passes.pack import grid_struct
 from clsco.passes.static_image import GivenImage
 from clsco.passes.tables import forget_others
+from clsco.plan.device import DeviceFacts
 from clsco.plan.image import ImagePlan
 from clsco.plan.memory import Limit, device_bytes, fitted, limit_of
-from clsco.plan.methods import BlurSpec, can_convolve, check_shape, choose_blur
+from clsco.plan.methods import BlurSpec, can_convolve, check_shape, choose_blur, has_few_taps
 from clsco.plan.predict import guard_band
 from clsco.plan.waves import check_waves
 from clsco.records import REAL, Real
@@ -181,9 +182,9 @@ def defocus(
         limit = limit_of(how.memory, session.device)
         if limit.given:
             forget_others(session)
-        gpu = session.device.kind == "gpu"
+        device, method = session.device, how.method
         result = _in_colors(
-            given, spreads, lambda part, psf: _blurred(session, part, _spec(part, psf, asked, how.method, gpu), limit)
+            given, spreads, lambda part, psf: _blurred(session, part, _spec(part, psf, asked, method, device), limit)
         )
         blurred = as_given(encode(result, 8 * picture.dtype.itemsize, "srgb") if codes else result)
     return (blurred, DefocusReport(soft)) if return_report else blurred
@@ -254,11 +255,12 @@ def _with_hard_edges(given: _Given) -> tuple[_Given, int]:
     return replace(given, coc=coc.astype(np.promote_types(given.coc.dtype, np.float16), copy=False)), len(pixels)
 
 
-def _spec(given: _Given, psf: PointSpread, asked: Psf, method: str, gpu: bool) -> BlurSpec:
+def _spec(given: _Given, psf: PointSpread, asked: Psf, method: str, device: DeviceFacts) -> BlurSpec:
     check_shape(psf, method)
     check_waves(psf, given.largest)
     constant = given.smallest == given.largest and can_convolve(psf, asked.border)
-    blur = choose_blur(method, psf.is_sharp(given.largest), constant, gpu).value
+    few_taps = has_few_taps(device, given.largest, given.channels)
+    blur = choose_blur(method, psf.is_sharp(given.largest), constant, device.kind == "gpu", few_taps=few_taps).value
     layered = asked.occlusion == "layered" and blur != "convolve"
     return BlurSpec(
         psf, blur, given.smallest, given.largest, tilt=asked.tilt, brightest=given.brightest, border=asked.border,

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Collection
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from math import ceil
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
@@ -37,6 +36,7 @@ from clsco.optics.psf_tables import rounded_span, table_sizes
 from clsco.optics.sensor import SensorModel
 from clsco.optics.stencil import is_by_axes, is_summed, stencil_sizes
 from clsco.optics.visibility import lens_floats
+from clsco.plan.device import DeviceFacts
 from clsco.plan.methods import MANY_RADII, BlurSpec
 from clsco.records import REAL_BYTES, structs
 from clsco.scene.model import Scene
@@ -50,7 +50,6 @@ PAGE, BESIDE_PAGE = 64, 5  # vectors of 8 doubles in 4 KiB, and how far from a m
 ITEM_BYTES = 20  # of a group of sources of a column, beside its vectors
 MOST_IN_ONE_SUM = 256  # taps of `gather` that a float adds up before it goes into another sum
 MAP_BYTES = structs("double")["texture_map_t"].itemsize
-UNKNOWN = 2**62  # bytes, of a limit that is not known
 COUNTERS = COUNTER_DONE + 1  # ints, of a filling
 STATISTICS = STATISTIC_OUTSIDE + 1  # ints, of a frame
 # Buffers that passes share; the others are owned by what works with them.
@@ -75,46 +74,6 @@ TRUTH_BUFFERS: dict[str, tuple[type[np.generic], int]] = {
 }
 # Outputs that a rolling shutter has from those that rays give.
 OF_LINES = ("flow", "disparity", "occluded", "flow_backward", "flow_occluded")
-
-
-class DeviceFacts(Protocol):
-    """Device limits that buffer sizes depend on; `clsco.opencl.device.Device` has them."""
-
-    @property
-    def kind(self) -> str:
-        """ "gpu", "cpu" or "accelerator"."""
-
-    @property
-    def has_fp64(self) -> bool:
-        """True if the device computes in double precision."""
-
-    @property
-    def compute_units(self) -> int:
-        """Cores, which work at a time."""
-
-    @property
-    def global_mem(self) -> int:
-        """Its memory in bytes."""
-
-    @property
-    def max_alloc(self) -> int:
-        """Bytes of its largest buffer."""
-
-    @property
-    def unified_memory(self) -> bool:
-        """True if the device works in the machine's memory."""
-
-
-@dataclass(frozen=True)
-class ThisMachine:
-    """The processor, for a plan that is made before a device is opened."""
-
-    kind: str = "cpu"
-    has_fp64: bool = True
-    compute_units: int = field(default_factory=lambda: os.cpu_count() or 1)  # as PoCL counts, whatever it is allowed
-    global_mem: int = UNKNOWN
-    max_alloc: int = UNKNOWN
-    unified_memory: bool = True
 
 
 def bands_at_a_time(rows: int, cores: int) -> int:

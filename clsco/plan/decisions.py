@@ -24,8 +24,9 @@ from clsco.optics.still import exposed
 from clsco.optics.texture_mapping import needs_detail
 from clsco.optics.visibility import OcclusionGroup, extent, is_hollow, occlusion_groups
 from clsco.plan.choice import Choice
+from clsco.plan.device import DeviceFacts
 from clsco.plan.image_motion import MOST_SUBFRAMES, lens_samples, motion_needs, motion_samples
-from clsco.plan.methods import MANY_RADII, Blur, Occlusion, can_convolve, choose_blur
+from clsco.plan.methods import MANY_RADII, Blur, Occlusion, can_convolve, choose_blur, has_few_taps
 from clsco.plan.predict import (
     Maps,
     Prediction,
@@ -131,7 +132,8 @@ class Choices:
 
 
 def choose(
-    scene: Scene, psf: PointSpread, request: Request, eye: Eye, maps: Maps, channels: int, gpu: bool, seen: Prediction
+    scene: Scene, psf: PointSpread, request: Request, eye: Eye, maps: Maps, channels: int, device: DeviceFacts,
+    seen: Prediction,
 ) -> tuple[Choices, tuple[OcclusionGroup, ...], tuple[Extent, ...]]:  # fmt: skip
     """All decisions for a view of a scene, its occlusion groups, and the extents of objects that these are for. Raises
     SceneError where the method cannot be."""
@@ -143,7 +145,8 @@ def choose(
     alike = constant and silhouettes.left_out and can_convolve(psf, scene.psf.border)
     if psf.rims and (occlusion.value == "layered" or not rays.value):
         raise SceneError(f"aperture.rim: {NEEDS_SURFACES}; got {occlusion.value if rays.value else 'depth maps'}")
-    blur = choose_blur(request.method, sharp, alike, gpu, occlusion.value == "visibility" or bool(psf.rims))
+    occluded, few_taps = occlusion.value == "visibility" or bool(psf.rims), has_few_taps(device, seen.largest, channels)
+    blur = choose_blur(request.method, sharp, alike, device.kind == "gpu", occluded, few_taps)
     if blur.left_out:
         aperture = OPENING_KEYS if seen.largest <= 0.5 else ()  # where any keeps all light in its pixel
         why = f"in focus: R up to {seen.largest:.3g} px stays within its pixel"

@@ -10,7 +10,6 @@ from clsco.frame.strips import Grid, Strip, cut
 from clsco.optics.depth_layers import margin_of_layers
 from clsco.optics.psf_grid import table_reach
 from clsco.plan.buffers import (
-    DeviceFacts,
     Sizes,
     blur_buffers,
     cluster_buffers,
@@ -18,6 +17,7 @@ from clsco.plan.buffers import (
     map_buffers,
     source_buffers,
 )
+from clsco.plan.device import DeviceFacts
 from clsco.plan.methods import MANY_RADII, BlurSpec
 from clsco.plan.passes import Parameters, Pass
 

@@ -11,7 +11,8 @@ from typing import TypeVar
 
 from clsco.constants import BAND
 from clsco.errors import SceneError
-from clsco.plan.buffers import UNKNOWN, DeviceFacts, Sizes, ThisMachine, hit_buffers
+from clsco.plan.buffers import Sizes, hit_buffers
+from clsco.plan.device import UNKNOWN, DeviceFacts, ThisMachine
 from clsco.plan.image import ImagePlan
 from clsco.plan.plan import Plan
 

@@ -12,10 +12,13 @@ from clsco.errors import SceneError
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_grid import table_reach
 from clsco.plan.choice import Choice
+from clsco.plan.device import DeviceFacts
 
 Array = NDArray[np.float64]
 Blur = Literal["gather", "scatter", "tiles", "convolve", "none"]
 Occlusion = Literal["visibility", "layered", "none"]
+
+FEW_TAPS = 6.0  # px: radius times channels up to which a card is faster by atomics (`python -m benchmarks.speed.gpu`)
 
 MANY_RADII: tuple[Blur, ...] = ("gather", "scatter", "tiles")  # methods for sources of any radius each
 HOW: dict[Blur, str] = {
@@ -108,7 +111,15 @@ def check_method(method: str) -> None:
         raise SceneError(f"method: must be one of {', '.join(known)}; got {method}")
 
 
-def choose_blur(method: str, sharp: bool, constant: bool, gpu: bool, occluded: bool = False) -> Choice[Blur]:
+def has_few_taps(device: DeviceFacts, largest: float, channels: int) -> bool:
+    """True on a GPU that adds so few taps by atomics in less time than work-items of tiles look at their sources;
+    largest: of |R| in px."""
+    return device.kind == "gpu" and device.has_int64_atomics and largest * channels <= FEW_TAPS
+
+
+def choose_blur(
+    method: str, sharp: bool, constant: bool, gpu: bool, occluded: bool = False, few_taps: bool = False
+) -> Choice[Blur]:
     """The way a blur is computed.
 
     Parameters
@@ -123,6 +134,8 @@ def choose_blur(method: str, sharp: bool, constant: bool, gpu: bool, occluded: b
         The device is a GPU.
     occluded : bool
         Something may stand in the way of a source.
+    few_taps : bool
+        `has_few_taps`.
 
     Returns
     -------
@@ -148,4 +161,6 @@ def choose_blur(method: str, sharp: bool, constant: bool, gpu: bool, occluded: b
         found = "none"
     elif found == "tiles" and occluded:
         return Choice("scatter", f"{HOW['scatter']}, as tiles do not test what is in the way")
+    elif found == "tiles" and few_taps:
+        return Choice("scatter", f"{HOW['scatter']}, as taps are few")
     return Choice(found, HOW[found])

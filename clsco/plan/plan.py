@@ -31,9 +31,7 @@ from clsco.plan.buffers import (
     OF_LINES,
     STATISTICS,
     TRUTH_BUFFERS,
-    DeviceFacts,
     Sizes,
-    ThisMachine,
     blur_buffers,
     fill_sizes,
     map_buffers,
@@ -46,6 +44,7 @@ from clsco.plan.buffers import (
 )
 from clsco.plan.colors import color_passes
 from clsco.plan.decisions import Choices, choose
+from clsco.plan.device import DeviceFacts, ThisMachine
 from clsco.plan.features import curvature_of, shape_features
 from clsco.plan.image import blur_passes, light_of, named, strips_of
 from clsco.plan.methods import MANY_RADII, Blur, BlurSpec, check_shape, occluder_room
@@ -386,7 +385,7 @@ def make_plan(
     check_shape(psf, wanted.method)
     seen = predict(scene, psf, eye, maps)
     check_waves(psf, seen.largest)
-    choices, groups, extents = choose(scene, psf, wanted, eye, maps, channels, device.kind == "gpu", seen)
+    choices, groups, extents = choose(scene, psf, wanted, eye, maps, channels, device, seen)
     blur, guard, alpha = choices.blur.value, seen.guard, "alpha" in wanted.truth
     if blur == "convolve":
         guard += 2 * TAP_LANES

@@ -19,7 +19,7 @@ from clsco.inputs.channels import in_color
 from clsco.inputs.files import InputFiles, Maps, shared_files
 from clsco.inputs.textures import Texture, image_files, is_gray, mapped_size, texture_size, with_coverage
 from clsco.plan.approximation import ApproximationReport, Samples, fewer_samples
-from clsco.plan.buffers import DeviceFacts
+from clsco.plan.device import DeviceFacts
 from clsco.plan.memory import fitted, limit_of
 from clsco.plan.plan import Plan, make_plan
 from clsco.plan.predict import without_lens

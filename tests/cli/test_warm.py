@@ -45,6 +45,7 @@ def is_there(pid: int) -> bool:
         return False
 
 
+@pytest.mark.processor  # for which other processes compile
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT, signal.SIGKILL], ids=lambda how: how.name)
 def test_nothing_stays_of_what_is_ended(how: signal.Signals, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     environ = os.environ | {"TMPDIR": str(tmp_path)}

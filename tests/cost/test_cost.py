@@ -15,7 +15,7 @@ from clsco.cost.predict import Cost, cost_of, duration, host_work
 from clsco.cost.rates import RATES
 from clsco.cost.short import LONG_FRAME, most_seconds
 from clsco.cost.work import LATTICE, frame_work, lattice_of
-from clsco.plan.buffers import ThisMachine
+from clsco.plan.device import ThisMachine
 from clsco.plan.plan import Plan
 from clsco.plan.prepare import prepare
 from clsco.plan.request import Request

@@ -18,7 +18,7 @@ from clsco.engine.renderer import Renderer
 from clsco.frame.frame import ALL_TRUTH, Frame
 from clsco.opencl.device import choose
 from clsco.opencl.session import Session
-from clsco.passes.blur import Target
+from clsco.passes.blur import Scatter, Target
 from clsco.passes.gather import Gather
 from clsco.plan.prepare import prepare
 from clsco.scene.model import Scene
@@ -121,17 +121,18 @@ def test_too_little_room_for_subpixel_sources_is_found_before_the_blur(
         run(self, name, *args, **options)
 
     monkeypatch.setattr(Target, "run", noted)
-    monkeypatch.setattr(Gather, "spread", _blur_noted(launched))
+    for blur in (Gather, Scatter):  # of processors, and of cards where objects hide each other
+        monkeypatch.setattr(blur, "spread", _blur_noted(launched, blur))
     monkeypatch.setattr("clsco.plan.plan.SILHOUETTE_SLOTS", 0)
     same(live.render(scene), expected)
-    assert launched[: launched.index("gather")].count("mark_silhouettes") == 2
+    assert launched[: launched.index("blur")].count("mark_silhouettes") == 2
 
 
-def _blur_noted(launched: list[str]) -> Any:
-    spread = Gather.spread
+def _blur_noted(launched: list[str], blur: Any) -> Any:
+    spread = blur.spread
 
     def noted(self: Any, *args: Any) -> None:
-        launched.append("gather")
+        launched.append("blur")
         spread(self, *args)
 
     return noted

@@ -31,7 +31,7 @@ from tests.hostile.drawn import sections
 
 def agrees(scene: Scene, method: str) -> list[str]:
     """Faults of the first frame, or frames of a stereo pair."""
-    frames = list(clsco.render(scene, method=method, precision="double", device="pocl"))
+    frames = list(clsco.render(scene, method=method, precision="double"))
     found = []
     for frame, exact in zip(frames, reference.render(scene), strict=True):
         found += [f"{frame.eye}: {difference}" for difference in compare(frame, exact) if difference.count]

@@ -66,7 +66,7 @@ def as_seen(scene: Scene, slope: float = SLOPE, depth: float = DEPTH) -> list[tu
 
 def light(scene: Scene) -> tuple[float, float, NDArray[np.float64]]:
     """All of it, where its middle is right of the emitter's, px, and its variances."""
-    (frame,) = clsco.render(scene, device="pocl")
+    (frame,) = clsco.render(scene)
     color = frame.color.astype(np.float64)
     x, y = np.arange(150) - 74.5 - 50.0, np.arange(52) - 25.5
     whole, columns, rows = color.sum(), color.sum(axis=0), color.sum(axis=1)
@@ -124,14 +124,14 @@ def test_all_light_may_be_cut(border: str) -> None:
     scene = emitter([{"distance": 60.0, "diameter": 3.0}], border=border)
     ((center, size),) = as_seen(scene)
     assert abs(center) > 1 + size
-    (frame,), (exact,) = clsco.render(scene, device="pocl"), reference.render(scene)
+    (frame,), (exact,) = clsco.render(scene), reference.render(scene)
     assert not frame.color.any()
     assert not exact.color.any()
 
 
 def test_rims_that_are_wide_change_no_bit() -> None:
     wide = [{"distance": 30.0, "diameter": 200.0}, {"distance": -5.0, "diameter": 100.0}]
-    (found,), (plain,) = (clsco.render(emitter(rims), device="pocl") for rims in (wide, []))
+    (found,), (plain,) = (clsco.render(emitter(rims)) for rims in (wide, []))
     np.testing.assert_array_equal(found.color, plain.color)
 
 
@@ -157,19 +157,19 @@ SCENES: dict[str, Scene] = {
 )
 def test_scenes_are_those_of_the_twin(name: str, method: str) -> None:
     wanted = SCENES[name]
-    (found,), (exact,) = clsco.render(wanted, method=method, device="pocl"), reference.render(wanted)
+    (found,), (exact,) = clsco.render(wanted, method=method), reference.render(wanted)
     assert np.abs(found.color - exact.color).max() < (4 if name == "given back" else 1) * FIGURE
-    (plain,) = clsco.render(wanted.replace("aperture.rim", []), method=method, device="pocl")
+    (plain,) = clsco.render(wanted.replace("aperture.rim", []), method=method)
     assert found.color.mean() < 0.98 * plain.color.mean()
 
 
 def test_strips_and_single_precision() -> None:
     wanted = SCENES["objects"].replace("camera.resolution", [40, 3 * BAND])
-    (whole,) = clsco.render(wanted, device="pocl")
-    (strips,) = clsco.render(wanted, device="pocl", truth=(), memory=memory_for(wanted, BAND, ()))
+    (whole,) = clsco.render(wanted)
+    (strips,) = clsco.render(wanted, truth=(), memory=memory_for(wanted, BAND, ()))
     assert strips.metadata["strips"] > 1
     np.testing.assert_array_equal(whole.color, strips.color)
-    (single,) = clsco.render(wanted, device="pocl", precision="single")
+    (single,) = clsco.render(wanted, precision="single")
     assert np.abs(single.color - whole.color).max() < 1e-4
 
 
@@ -205,7 +205,7 @@ def test_light_of_an_even_surface_is_the_throughput() -> None:
     for distance, rims in ((300.0, CUTS["front"]), (80.0, CUTS["both"])):
         tables = {"camera": camera, "lens": {"vignetting": "natural"}, "aperture": {"rim": rims}}
         wanted = scene_from(tables, sheet | {"distance": distance})
-        (found,), (exact,) = clsco.render(wanted, device="pocl"), reference.render(wanted)
+        (found,), (exact,) = clsco.render(wanted), reference.render(wanted)
         assert found.throughput is not None
         assert found.throughput.min() < 0.8
         assert found.throughput.max() == pytest.approx(1.0, abs=1e-2)

@@ -121,8 +121,15 @@ def test_a_sum_of_a_thousand_chunks_is_rounded_once(session: Session) -> None:
 BALL = {
     "camera": {"resolution": [45, 30], "pixel_pitch": 0.1, "aperture_diameter": 30.0},
     "psf": {"silhouette_samples": 2},
-    "object": [{"shape": "sphere", "center": [0.0, 0.0, 280.0], "radius": 30.0}],
-}
+    "object": [
+        {
+            "shape": "sphere",
+            "center": [0.0, 0.0, 280.0],
+            "radius": 30.0,
+            "texture": np.random.default_rng(8).random((30, 45, 3)),
+        }
+    ],
+}  # R up to 2.2 px, in color
 
 
 @pytest.fixture
@@ -157,6 +164,32 @@ def test_a_scene_agrees_with_the_reference(on_a_gpu: list[str]) -> None:
     assert chosen.color.tobytes() == frame.color.tobytes()
 
 
+@pytest.mark.parametrize(
+    ("opening", "atomics", "chosen"), [(20.0, True, "scatter"), (20.0, False, "tiles"), (30.0, True, "tiles")]
+)
+def test_few_taps_are_added_by_atomics_where_the_card_has_them(
+    session: Session, opening: float, atomics: bool, chosen: str
+) -> None:
+    scene = parse_scene(BALL).replace("camera.aperture_diameter", opening)
+    known = prepare(scene, device=replace(session.device, kind="gpu", has_int64_atomics=atomics)).plan
+    assert known.blur == chosen
+    assert prepare(scene, device=replace(session.device, kind="cpu")).plan.blur == "gather"
+
+
+def test_an_image_of_few_taps_on_a_gpu(on_a_gpu: list[str]) -> None:
+    """In gray R up to 6 px, in color a third of that."""
+    image, radii = (
+        np.random.default_rng(7).random((24, 40, 3), np.float32),
+        np.linspace(-4.0, 4.0, 40) * np.ones((24, 1)),
+    )
+    gray = clsco.defocus(image[..., 0], radii, {"occlusion": "none"}, outside="black")
+    assert "scatter" in on_a_gpu
+    on_a_gpu.clear()
+    color = clsco.defocus(image, radii, {"occlusion": "none"}, outside="black")
+    assert "tiles" in on_a_gpu
+    np.testing.assert_allclose(color[..., 0], gray, atol=1e-6)
+
+
 def test_a_plan_for_a_processor_is_made_again(on_a_gpu: list[str]) -> None:
     """As commands plan before they open a device."""
     planned = prepare(parse_scene(BALL))
@@ -171,11 +204,11 @@ def test_an_image_on_a_gpu(occlusion: Any, on_a_gpu: list[str]) -> None:
     """A near square before a slope: one jump, so a layer for each; coverage makes it two channels."""
     image, (rows, columns) = np.random.default_rng(6).random((24, 40), np.float32), np.indices((24, 40))
     near = (abs(rows - 12) < 6) & (abs(columns - 20) < 8)
-    coc, psf = np.where(near, -3.0, 2.0 + 0.05 * columns), Psf(occlusion=occlusion)
+    coc, psf = np.where(near, -4.0, 3.0 + 0.1 * columns), Psf(occlusion=occlusion)
     expected = blurred_by_reference(image, coc, psf)
     if occlusion == "layered":
         values = (image[..., None].astype(np.float64), coc, np.ones(coc.shape, bool), coc.shape, 0)
-        expected = layered(spec_of(psf, 4.0), *values)[0][..., 0]
+        expected = layered(spec_of(psf, 7.0), *values)[0][..., 0]
         assert np.abs(expected - blurred_by_reference(image, coc, psf)).max() > 0.1
     assert_close(clsco.defocus(image, coc, psf, outside="black"), expected, 1e-5)  # as in test_defocus.py
     assert {"tiles", "prepare_sources"} <= set(on_a_gpu)

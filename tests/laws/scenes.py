@@ -76,7 +76,7 @@ def scene(light: Path, objects: tuple[Object, ...], texture: str = "plain", **se
 
 def rendered(given: Scene, frame: int = 0, precision: str | None = None) -> Frame:
     """A frame with its ground truth."""
-    (one,) = clsco.render(given, truth=NAMES, device="pocl", frames=[frame], precision=precision, method=METHOD)
+    (one,) = clsco.render(given, truth=NAMES, frames=[frame], precision=precision, method=METHOD)
     return one
 
 

@@ -38,7 +38,7 @@ def radii(seed: int) -> Array:
 def blurred(image: Array, coc: Array, memory: int | None = None) -> Array:
     """By the default PSF, each source by itself: no depth layers, and nothing beyond the border."""
     alone: dict[str, Any] = {"psf": {"occlusion": "none"}, "outside": "black", "soft_edges": "keep"}
-    return clsco.defocus(image, coc, device="pocl", method=METHOD, memory=memory, **alone)
+    return clsco.defocus(image, coc, method=METHOD, memory=memory, **alone)
 
 
 seeds = st.integers(0, 2**32 - 1)
@@ -131,7 +131,7 @@ def test_filling_does_not_know_units_of_light(seed: int, exponent: int, count: i
     missing = (rng.permutation(image.size) < count).reshape(image.shape)
     factor = np.float32(2.0**exponent)
     one, other = (
-        clsco.inpaint(given, missing, method="mean-median", options=clsco.MeanMedian(border_share=0.0), device="pocl")
+        clsco.inpaint(given, missing, method="mean-median", options=clsco.MeanMedian(border_share=0.0))
         for given in (image, image * factor)
     )
     assert same_bits(one * factor, other)

@@ -34,7 +34,8 @@ from clsco.passes.blur import Plane as Plane2D
 from clsco.passes.blur import blur_features
 from clsco.passes.sensor import FrameSensor
 from clsco.passes.warp import forward_features
-from clsco.plan.buffers import ThisMachine, padded_columns
+from clsco.plan.buffers import padded_columns
+from clsco.plan.device import ThisMachine
 from clsco.plan.plan import Plan, make_plan
 from clsco.plan.request import Request
 from clsco.records import flat

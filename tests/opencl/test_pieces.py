@@ -147,6 +147,7 @@ def test_other_long_calls_end_with_ctrl_c() -> None:
         live.render(WIDE, truth=())
 
 
+@pytest.mark.processor  # a card ends the frame before
 @pytest.mark.usefixtures("warm")
 def test_a_cancel_ends_a_launch_that_is_under_way() -> None:
     with clsco.Live() as live:
@@ -184,6 +185,7 @@ __kernel void spin(const int count, __global float *out)
 """
 
 
+@pytest.mark.processor  # these launches take a card no time
 def test_the_host_stays_a_moment_ahead_of_the_device_and_what_is_short_is_not_waited_for() -> None:
     session = session_for(None)
     run = cl.Program(session.context, SPIN).build().all_kernels()[0]

@@ -62,18 +62,18 @@ def drawn(seed: int) -> tuple[Scene, str]:
 @pytest.mark.parametrize("seed", mostly_slow(range(COUNT), range(ALWAYS)))
 def test_random_openings_are_those_of_the_reference(seed: int) -> None:
     scene, method = drawn(seed)
-    (found,), (exact,) = clsco.render(scene, method=method, device="pocl"), reference.render(scene)
+    (found,), (exact,) = clsco.render(scene, method=method), reference.render(scene)
     limit = 4 * FIGURE if scene.psf.border == "renormalize" else FIGURE
     assert np.abs(found.color - exact.color).max() < limit
     if seed % 3 == 0:
         high = scene.replace("camera.resolution", [24, 3 * BAND])
-        (whole,) = clsco.render(high, method=method, device="pocl", truth=())
+        (whole,) = clsco.render(high, method=method, truth=())
         memory = memory_for(high, BAND, (), method)
-        (strips,) = clsco.render(high, method=method, device="pocl", truth=(), memory=memory)
+        (strips,) = clsco.render(high, method=method, truth=(), memory=memory)
         assert strips.metadata["strips"] > 1
         np.testing.assert_array_equal(strips.color, whole.color)
     if seed % 3 == 1:
-        (single,) = clsco.render(scene, method=method, device="pocl", precision="single")
+        (single,) = clsco.render(scene, method=method, precision="single")
         assert np.abs(single.color - found.color).max() < SINGLE
 
 
@@ -88,7 +88,7 @@ def test_lens_files(name: str) -> None:
     camera = {"resolution": [columns // 8, rows // 8], "pixel_pitch": pitch * scene.camera.pixel_pitch}
     for key, value in camera.items():
         scene = scene.replace(f"camera.{key}", value)
-    (found,), (exact,) = clsco.render(scene, device="pocl"), reference.render(scene)
+    (found,), (exact,) = clsco.render(scene), reference.render(scene)
     assert np.abs(found.color - exact.color).max() < FIGURE
-    (plain,) = clsco.render(scene.replace("aperture", {}), device="pocl")
+    (plain,) = clsco.render(scene.replace("aperture", {}))
     assert np.abs(found.color - plain.color).max() > 0.01

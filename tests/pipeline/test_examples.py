@@ -29,6 +29,8 @@ SMALL = ("camera.resolution=[96, 64]", "camera.pixel_pitch=0.05", "camera.apertu
 SMALL_MAP = ("camera.pixel_pitch=0.08", "camera.aperture_diameter=20.0")
 # Where things hide each other, half the blur: the reference looks at every tap.
 SMALL_SEVERAL = (*SMALL[:2], "camera.aperture_diameter=20.0")
+# Lenses that are looked at as they are, of which most see points of light: the view alone on fewer pixels.
+LENSES = {"lens_fast_prime", "lens_coded_aperture", "lens_heart", "microscope_objective", "phone_camera", "star_field"}
 # A few sub-frames, which take the reference seconds each.
 BRIEF = dict.fromkeys(("rolling_fan", "rolling_train"), ("sequence.readout=0.004", "sequence.samples=1"))
 # What takes the reference many seconds, and is looked at in parts by tests/pipeline/test_occlusion.py.
@@ -107,6 +109,9 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Small:
         if path.stem != "depth_map":
             several = path.read_text("utf-8").count("[[object]]") > 1
             keys = (*(SMALL_SEVERAL if several else SMALL), *BRIEF.get(path.stem, ()))
+            if path.stem in LENSES:
+                camera = clsco.load_scene(path).camera
+                keys = SMALL[0], f"camera.pixel_pitch={camera.pixel_pitch * camera.frame_size[0] / 96}"
             scene = load_sweep(path, keys).scenes[0]
             return scene.model_copy(update={"sensor": None})  # whose codes depend on the last digit of the light
         (item,) = clsco.load_scene(path).objects
@@ -132,7 +137,7 @@ def worst(frames: list[Frame], exacts: tuple[Frame, ...]) -> list[Difference]:
         assert frame.color.dtype == np.float32
         assert np.ptp(frame.color) > 0.1  # a picture, not a surface of one color
         assert frame.mask is not None
-        assert frame.mask.mean() > 0.2
+        assert frame.mask.mean() > 0.2 or not np.median(frame.color)  # or lights before a black sky
     return [found for pair in zip(frames, exacts, strict=True) for found in compare(*pair)]
 
 

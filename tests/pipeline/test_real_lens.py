@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 import clsco
+from clsco.opencl.device import choose
 from clsco.optics.lens import Lens
 from clsco.plan.memory import device_bytes
 from clsco.plan.prepare import prepare
@@ -96,7 +97,7 @@ def test_one_color_is_that_of_its_lens_alone() -> None:
     np.testing.assert_allclose(found.color[..., 0], alone.color[..., 0], atol=2e-7)
     assert np.abs(radii_of(found)[..., 0] - radii_of(alone)).max() < 1e-5
     green = clsco.render_frame(wanted)
-    assert (found.color[..., 1] == green.color[..., 1]).all()
+    np.testing.assert_allclose(found.color[..., 1], green.color[..., 1], atol=2e-7)
     assert (radii_of(found)[..., 1] == radii_of(green)).all()
     assert np.array_equal(found.depth, green.depth)  # type: ignore[arg-type]
 
@@ -119,6 +120,7 @@ def test_a_lens_with_nothing_in_it_is_a_thin_one() -> None:
     assert plans[0].features()["CURVED"] == 0
 
 
+@pytest.mark.processor  # as atomics add up units of the brightest color
 def test_colors_apart_have_the_bits_of_colors_together() -> None:
     apart = clsco.render_frame(scene(BALL, WALL, lens=CURVED | {"axial": [0.0, 0.0, 1e-12]}), truth=())
     assert (apart.color == clsco.render_frame(SCENES["curved"], truth=()).color).all()
@@ -127,7 +129,7 @@ def test_colors_apart_have_the_bits_of_colors_together() -> None:
 @pytest.mark.parametrize("psf", [{}, {"occlusion": "layered"}], ids=["visibility", "layered"])
 def test_strips_have_the_same_bits(psf: dict[str, Any]) -> None:
     tall = scene(BALL, WALL, lens=ALL, psf=psf, camera=CAMERA | {"resolution": [24, 200]})
-    size = device_bytes(prepare(tall).plan)
+    size = device_bytes(prepare(tall, device=choose()).plan)
     whole, cut = clsco.render_frame(tall), clsco.render_frame(tall, memory=int(0.9 * size))
     assert cut.metadata["strips"] > 1
     assert (whole.color == cut.color).all()

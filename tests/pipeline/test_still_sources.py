@@ -13,6 +13,7 @@ import clsco
 from clsco.constants import BAND
 from clsco.engine.sequence import render_sweep
 from clsco.frame.frame import Frame
+from clsco.opencl.device import choose
 from clsco.optics.exposure import Exposure, frame_exposure
 from clsco.optics.still import Exposed
 from clsco.plan import decisions
@@ -162,7 +163,7 @@ def test_alpha_and_ground_truth_are_those_of_the_plain_sum(plainly: Make) -> Non
 
 def test_strips_have_the_bits_of_the_whole_frame() -> None:
     wanted = scene("ball before a card, a tube and a photo", camera={"resolution": [40, 200], "pixel_pitch": 0.05})
-    plan = prepare(wanted, Request()).plan
+    plan = prepare(wanted, Request(truth=()), choose()).plan
     assert plan.divided
     little = device_bytes(replace(plan, strip_rows=BAND))
     (whole,), (found,) = (rendered(wanted, truth=(), **options) for options in ({}, {"memory": little}))

@@ -17,7 +17,8 @@ from clsco.cli.main import main
 from clsco.constants import BAND, TAP_LANES
 from clsco.errors import SceneError
 from clsco.plan import memory
-from clsco.plan.buffers import ThisMachine, margin
+from clsco.plan.buffers import margin
+from clsco.plan.device import ThisMachine
 from clsco.plan.image import ImagePlan
 from clsco.plan.memory import Limit, device_bytes, fitted, free_bytes, limit_of, parse_size, rows_that_fit
 from tests.scenes import scene_file
@@ -173,6 +174,7 @@ def clsco_(*words: object) -> Result:
     return CliRunner().invoke(main, [str(word) for word in words])
 
 
+@pytest.mark.processor  # whose buffers these are
 def test_commands_take_a_limit(tmp_path: Path) -> None:
     scene, out = scene_file(tmp_path / "plane.toml", FLOOR), tmp_path / "out"
     assert "1, the whole frame" in clsco_("plan", scene).stdout

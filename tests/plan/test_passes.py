@@ -10,8 +10,9 @@ import pytest
 
 from clsco.constants import STATISTIC_BEYOND, STATISTIC_LARGEST, STATISTIC_MOST_SLOTS, STATISTIC_SMALLEST
 from clsco.optics.point_spread import point_spread
-from clsco.plan.buffers import STATISTICS, ThisMachine
+from clsco.plan.buffers import STATISTICS
 from clsco.plan.choice import Choice
+from clsco.plan.device import ThisMachine
 from clsco.plan.image import ImagePlan
 from clsco.plan.larger import Met, larger_plan
 from clsco.plan.memory import limit_of

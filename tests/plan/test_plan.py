@@ -14,7 +14,7 @@ from clsco.errors import SceneError
 from clsco.frame.frame import TRUTH_NAMES
 from clsco.optics.lens import LARGEST_BLUR, blur_radius, ray_step
 from clsco.optics.point_spread import point_spread
-from clsco.plan.buffers import ThisMachine
+from clsco.plan.device import ThisMachine
 from clsco.plan.larger import widened
 from clsco.plan.memory import device_bytes
 from clsco.plan.methods import MANY_RADII

@@ -14,7 +14,7 @@ from clsco.constants import BAND
 from clsco.frame.frame import TRUTH_NAMES
 from clsco.optics.lens import Lens
 from clsco.optics.point_spread import point_spread
-from clsco.plan.buffers import ThisMachine
+from clsco.plan.device import ThisMachine
 from clsco.plan.plan import make_plan
 from clsco.plan.predict import displaced, guard_band, is_forward
 from clsco.scene.model import (

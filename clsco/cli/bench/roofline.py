@@ -10,7 +10,7 @@ import pyopencl as cl
 
 from clsco.opencl.buffers import empty
 from clsco.opencl.pace import spent
-from clsco.opencl.program import launch
+from clsco.opencl.program import launch, without_output
 from clsco.opencl.session import Session
 
 ACCUMULATORS, LANES = 10, 8  # ten chains hide the latency of an addition, and with two factors fit 16 registers
@@ -77,7 +77,7 @@ def intensity(taps: float) -> float:
 def measure_roof(session: Session) -> Roof:
     """Run both kernels on a device."""
     device = session.device
-    with session.compiling():
+    with session.compiling(), without_output():
         program = cl.Program(session.context, SOURCE).build()
     multiply_add, triad = (cl.Kernel(program, name) for name in ("multiply_add", "triad"))
     local, items = (1, 64 * device.compute_units) if device.kind == "cpu" else (64, 2048 * device.compute_units)
