@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 import clsco
 from clsco.engine.defocus import defocus
 from clsco.errors import ClscoError
+from clsco.opencl.device import choose
 from clsco.opencl.session import Session
 from clsco.reference.blur.blur import prepare_sources, scatter
 from clsco.reference.layered.layered import layered
@@ -87,9 +88,10 @@ def test_every_psf_agrees_with_the_reference(psf: Psf, method: str) -> None:
 @pytest.mark.parametrize("channels", mostly_slow([2, 3, 4], [3]))
 def test_channels_are_blurred_alike(channels: int) -> None:
     image, coc = picture(40, 50, channels)
-    result = defocus(image, coc)
+    method = "tiles" if choose().kind == "gpu" else "gather"  # of cards, each number of channels may have another
+    result = defocus(image, coc, method=method)
     for k in range(channels):
-        assert np.array_equal(result[..., k], defocus(np.ascontiguousarray(image[..., k]), coc))
+        assert np.array_equal(result[..., k], defocus(np.ascontiguousarray(image[..., k]), coc, method=method))
 
 
 @pytest.mark.parametrize("psf", mostly_slow(PSFS[::2], PSFS[:8:4]), ids=lambda p: f"{p.model}-{p.edge}")

@@ -164,10 +164,13 @@ def test_a_cancel_ends_a_launch_that_is_under_way() -> None:
 @pytest.mark.processor
 def test_no_piece_of_a_heavy_frame_is_long() -> None:
     """Time by the processor's clock of the device, whatever else the machine does: a few pieces may be slower."""
-    heavy = WIDE | {"camera": WIDE["camera"] | {"f_number": 2.0}}
-    with pytest.MonkeyPatch.context() as patch:
-        sizes = recorded(patch)
-        clsco.render_frame(heavy, truth=())
+    for stop in (2.0, 0.9):  # the second where many cores are soon done with the first
+        heavy = WIDE | {"camera": WIDE["camera"] | {"f_number": stop}}
+        with pytest.MonkeyPatch.context() as patch:
+            sizes = recorded(patch)
+            clsco.render_frame(heavy, truth=())
+        if len(sizes) > 5:
+            break
     assert len(sizes) > 5
     assert np.median(sizes) < 0.2
     assert max(sizes) < MOMENT

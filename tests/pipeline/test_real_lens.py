@@ -12,11 +12,11 @@ import pytest
 from numpy.typing import NDArray
 
 import clsco
-from clsco.opencl.device import choose
+from clsco.constants import BAND
 from clsco.optics.lens import Lens
-from clsco.plan.memory import device_bytes
 from clsco.plan.prepare import prepare
 from clsco.scene.model import Scene
+from tests.pipeline.test_strips import memory_for
 from tests.scenes import assert_agree, reference_frames, rendered, scene_from
 from tests.slow import mostly_slow
 
@@ -129,8 +129,7 @@ def test_colors_apart_have_the_bits_of_colors_together() -> None:
 @pytest.mark.parametrize("psf", [{}, {"occlusion": "layered"}], ids=["visibility", "layered"])
 def test_strips_have_the_same_bits(psf: dict[str, Any]) -> None:
     tall = scene(BALL, WALL, lens=ALL, psf=psf, camera=CAMERA | {"resolution": [24, 200]})
-    size = device_bytes(prepare(tall, device=choose()).plan)
-    whole, cut = clsco.render_frame(tall), clsco.render_frame(tall, memory=int(0.9 * size))
+    whole, cut = clsco.render_frame(tall), clsco.render_frame(tall, memory=memory_for(tall, BAND))
     assert cut.metadata["strips"] > 1
     assert (whole.color == cut.color).all()
     assert (radii_of(whole) == radii_of(cut)).all()
