@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from tests import kernel_cache
+
 # Tests see what a user has who has set nothing; and what those who start them set: workers, other folders, simulators.
 if "PYTEST_XDIST_WORKER" not in os.environ:  # workers inherit it
     kept = {
@@ -26,8 +28,7 @@ if "PYTEST_XDIST_WORKER" not in os.environ:  # workers inherit it
 # the files of all tests before; and workers, who inherit what the process that starts them has set, would wait for
 # each other's compilations in one folder.
 if not os.environ.get("POCL_CACHE_DIR"):
-    os.environ["POCL_CACHE_DIR"] = tempfile.mkdtemp(prefix="clsco-tests-")
-    atexit.register(shutil.rmtree, os.environ["POCL_CACHE_DIR"], ignore_errors=True)
+    os.environ["POCL_CACHE_DIR"] = str(kernel_cache.new_run())
 if "PYTEST_XDIST_WORKER" not in os.environ:  # tables, textures and studios of all workers, and none of the user's
     for place in ("XDG_CACHE_HOME", "XDG_STATE_HOME"):
         os.environ[place] = tempfile.mkdtemp(prefix="clsco-cache-")
@@ -37,6 +38,8 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     own.mkdir(parents=True, exist_ok=True)
     os.environ["POCL_CACHE_DIR"] = str(own)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # those of several workers would wait for each other
+if kernel_cache.KEPT in Path(os.environ["POCL_CACHE_DIR"]).parents:  # not a folder that the user has set
+    kernel_cache.take_kept(Path(os.environ["POCL_CACHE_DIR"]))
 # What a processor newer than PoCL needs is done without the line on stderr, which tests compare.
 os.environ.setdefault("CLSCO_POCL_CPU", "1")
 
