@@ -46,10 +46,6 @@ COMPARISONS = (
     ("8", "difference × 8"),
     ("64", "difference × 64"),
 )
-SCRIPTS = (
-    "colors", "studio", "badge", "persistence", "tools", "timeline", "keyframes", "compare", "progress", "inspect",
-    "forms", "brush",
-)  # fmt: skip
 MOST_UNSHOWN = 8  # pages
 STYLES = ("studio", "forms")
 _VIEW_FILTER = """<svg width="0" height="0" aria-hidden="true">
@@ -69,7 +65,7 @@ def attach(app: FastAPI, studio: Studio) -> None:
         end_pages()
         name = await studio.tab(s)
         ui.add_head_html("".join(f'<link rel="stylesheet" href="static/{style}.css">' for style in STYLES))
-        ui.add_body_html("".join(f'<script defer src="static/{script}.js"></script>' for script in SCRIPTS))
+        ui.add_body_html('<script type="module" src="static/studio.js"></script>')
         draw(name, studio)
 
     ui.run_with(app, title="clsco studio", show_welcome_message=False, tailwind=False, dark=True)

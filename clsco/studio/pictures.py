@@ -36,6 +36,9 @@ UNBLURRED = ("depth", "normal", "id")  # views that are the same without blur, w
 DRAGGING, LOSSY, EXACT, PINNED, STACKED, REFERENCE = range(6)
 MESSAGE, JPEG, PNG, FLOAT16, FLOAT32 = range(5)
 HEADER = struct.Struct("<IBBHHBHHBI")
+FIELDS = ("revision", "rung", "view", "width", "height", "encoding", "columns", "rows", "flags", "number")
+"""Names of the header's numbers: sizes of the picture, and of the frame. static/protocol.js is made of all these."""
+
 NO_NUMBER = 2**32 - 1
 IMAGES = ("color", "sharp")  # views; all others are floats
 QUALITY = {DRAGGING: 80, LOSSY: 95}
@@ -45,27 +48,26 @@ QUALITY = {DRAGGING: 80, LOSSY: 95}
 class ViewPicture:
     """Picture of a frame, as it is sent to the page.
 
-        Attributes
-        ----------
-        rung : int
-            UNBLURRED = ("depth", "normal", "id")  # views that are the same without blur, which takes the time
-    DRAGGING, LOSSY or EXACT; to compare with these PINNED, an exact picture of another scene, and REFERENCE, one by
-            `clsco.reference`; STACKED: one of a focal stack.
-        view : str
-            One of VIEWS.
-        size, full : (int, int)
-            Columns and rows of the picture, and of the frame.
-        encoding : int
-            JPEG or PNG, or FLOAT16 or FLOAT32: little endian, channels last.
-        payload : bytes
-        seconds : float
-            Time that it took to render.
-        about : dict, optional
-            Further figures of an exact frame, as JSON can hold them.
-        is_plain : bool
-            Without occlusion.
-        eye : str
-            "left" or "right" of a stereo pair, else "".
+    Attributes
+    ----------
+    rung : int
+        DRAGGING, LOSSY or EXACT; to compare with these PINNED, an exact picture of another scene, and REFERENCE, one by
+        `clsco.reference`; STACKED: one of a focal stack.
+    view : str
+        One of VIEWS.
+    size, full : (int, int)
+        Columns and rows of the picture, and of the frame.
+    encoding : int
+        JPEG or PNG, or FLOAT16 or FLOAT32: little endian, channels last.
+    payload : bytes
+    seconds : float
+        Time that it took to render.
+    about : dict, optional
+        Further figures of an exact frame, as JSON can hold them.
+    is_plain : bool
+        Without occlusion.
+    eye : str
+        "left" or "right" of a stereo pair, else "".
     """
 
     rung: int

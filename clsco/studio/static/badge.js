@@ -1,58 +1,56 @@
 // The badge: of what state the picture is that is shown, beside values that may be others already.
-"use strict";
 
-(() => {
-  const { studio } = window;
-  const LOSSY = 1, EXACT = 2, NO_NUMBER = 2 ** 32 - 1; // of a picture of a time sample
-  let shown = null; // the picture that was painted last; null before, and while frames are played
-  let latest = -1, sent = 0, heard = 0; // revision of the scene; changes that were sent, and that the studio has tried
+import { NO_NUMBER, RUNG } from "./protocol.js";
+import { studio } from "./shared.js";
 
-  const show = (text, rung) => {
-    const badge = document.querySelector("#badge");
-    if (badge.textContent !== text) badge.textContent = text;
-    badge.dataset.rung = rung;
-  };
+let shown = null; // the picture that was painted last; null before, and while frames are played
+let latest = -1, sent = 0, heard = 0; // revision of the scene; changes that were sent, and that the studio has tried
 
-  const rendered = ({ rung, width, full, plain }) => {
-    if (rung === EXACT) return "exact of these values";
-    if (rung === LOSSY) return "full size";
-    return `preview ${Math.round((8 * width) / full[0])}/8${plain ? ", no occlusion" : ""}`;
-  };
+const show = (text, rung) => {
+  const badge = document.querySelector("#badge");
+  if (badge.textContent !== text) badge.textContent = text;
+  badge.dataset.rung = rung;
+};
 
-  const earlier = ({ view, right, number, revision }) => { // in words, "" for what is of this state
-    if (view !== studio.view) return `earlier view: ${view}`;
-    if (right !== studio.right) return "of the other eye";
-    if (number !== studio.index && (studio.moment === null || number !== NO_NUMBER)) return "earlier frame";
-    const faults = Object.keys(studio.faults).length;
-    if (faults) return `earlier values, ${faults} fault${faults === 1 ? "" : "s"}`;
-    return revision < latest || heard < sent ? "earlier values" : "";
-  };
+const rendered = ({ rung, width, full, plain }) => {
+  if (rung === RUNG.EXACT) return "exact of these values";
+  if (rung === RUNG.LOSSY) return "full size";
+  return `preview ${Math.round((8 * width) / full[0])}/8${plain ? ", no occlusion" : ""}`;
+};
 
-  studio.badge = (picture = shown) => {
-    shown = picture;
-    if (shown === null) return;
-    const words = earlier(shown);
-    show(words || rendered(shown), words ? "earlier" : shown.rung);
-  };
+const earlier = ({ view, right, number, revision }) => { // in words, "" for what is of this state
+  if (view !== studio.view) return `earlier view: ${view}`;
+  if (right !== studio.right) return "of the other eye";
+  if (number !== studio.index && (studio.moment === null || number !== NO_NUMBER)) return "earlier frame";
+  const faults = Object.keys(studio.faults).length;
+  if (faults) return `earlier values, ${faults} fault${faults === 1 ? "" : "s"}`;
+  return revision < latest || heard < sent ? "earlier values" : "";
+};
 
-  studio.played = () => {
-    shown = null;
-    show("played", 0);
-  };
+studio.badge = (picture = shown) => {
+  shown = picture;
+  if (shown === null) return;
+  const words = earlier(shown);
+  show(words || rendered(shown), words ? "earlier" : shown.rung);
+};
 
-  studio.changes = () => { // the number of the next change
-    sent += 1;
-    studio.badge();
-    return sent;
-  };
+studio.played = () => {
+  shown = null;
+  show("played", 0);
+};
 
-  studio.revised = (revision) => { // the scene has this revision; null: of a studio that was started again
-    if (revision === null) [latest, sent, heard] = [-1, 0, 0];
-    else latest = Math.max(latest, revision);
-  };
+studio.changes = () => { // the number of the next change
+  sent += 1;
+  studio.badge();
+  return sent;
+};
 
-  studio.hearing.push((said) => {
-    if (said.heard) heard = Math.max(heard, said.heard);
-    studio.badge();
-  });
-})();
+studio.revised = (revision) => { // the scene has this revision; null: of a studio that was started again
+  if (revision === null) [latest, sent, heard] = [-1, 0, 0];
+  else latest = Math.max(latest, revision);
+};
+
+studio.hearing.push((said) => {
+  if (said.heard) heard = Math.max(heard, said.heard);
+  studio.badge();
+});

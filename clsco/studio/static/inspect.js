@@ -1,192 +1,189 @@
 // What is known of the pixel under the cursor, and how the light of its source spreads.
-"use strict";
 
-(() => {
-  const one = (selector) => document.querySelector(selector);
-  const studio = window.studio;
-  const SOON = 0.1, REST = 150; // s up to which a response is measured unasked; ms of rest before that
-  const PLOTTED = 32; // px from the middle of a plot to its border
+import { one, studio } from "./shared.js";
 
-  // ---- values under the cursor ------------------------------------------------------------------------------------
-  let at = null, asked = false, again = false, drag = 1e6;
-  const ask = () => {
-    if (at === null || studio.isCanceled()) return;
-    if (asked) { again = true; return; }
-    asked = true;
-    studio.send({ at });
-  };
+const SOON = 0.1, REST = 150; // s up to which a response is measured unasked; ms of rest before that
+const PLOTTED = 32; // px from the middle of a plot to its border
 
-  const number = (value) => (value === null || value === undefined ? "∞" : Array.isArray(value) ? value.map(number).join(", ")
-    : typeof value === "number" ? String(Number(value.toPrecision(6))) : String(value));
+// ---- values under the cursor ------------------------------------------------------------------------------------
+let at = null, asked = false, again = false, drag = 1e6;
+const ask = () => {
+  if (at === null || studio.isCanceled()) return;
+  if (asked) { again = true; return; }
+  asked = true;
+  studio.send({ at });
+};
 
-  const ROWS = [
-    ["codes", "Codes", ""], ["color", "Light, linear", ""], ["sharp", "Light, all in focus", ""], ["depth", "Depth Z", "mm"],
-    ["blur_radius", "Blur radius R", "px"], ["sigma", "Standard deviation σ", "px"], ["normal", "Normal", ""],
-    ["flow", "Flow to the next frame", "px"], ["object", "Object", ""], ["object_id", "Object number", ""],
-    ["missing", "Missing before filling", ""], ["hidden", "Hidden in the reference pose", ""],
-    ["flow_occluded", "Hidden in the next frame", ""], ["uv", "Place in the texture", ""],
-    ["raw", "Codes of the sensor", "DN"], ["electrons", "Electrons without noise", "e−"],
-    ["noise_sigma", "Standard deviation of the noise", "e−"], ["saturated", "Saturated", ""],
-  ];
+const number = (value) => (value === null || value === undefined ? "∞" : Array.isArray(value) ? value.map(number).join(", ")
+  : typeof value === "number" ? String(Number(value.toPrecision(6))) : String(value));
 
-  studio.inspected = ({ values, psf, lens, unmeasured, seconds }) => {
-    asked = false;
-    studio.done();
-    one("#pixel").textContent = `x ${values.x}, y ${values.y}`;
-    const table = one("#values");
-    table.replaceChildren(...ROWS.filter(([name]) => name in values).map(([name, label, unit]) => {
-      const row = document.createElement("tr"), head = document.createElement("th"), cell = document.createElement("td");
-      head.textContent = label;
-      head.scope = "row";
-      cell.textContent = typeof values[name] === "boolean" ? (values[name] ? "yes" : "no") : `${number(values[name])}${unit && ` ${unit}`}`;
-      row.append(head, cell);
-      return row;
-    }));
-    shownAt = [values.x, values.y];
-    model = psf;
-    depth = values.depth;
-    response = null;
-    one("#psf-part").hidden = psf === undefined;
-    if (psf !== undefined) spread();
-    diagram(lens);
-    measurable(psf === undefined ? "no surface" : unmeasured, seconds);
-    if (again) { again = false; ask(); }
-  };
-  studio.notInspected = () => { asked = false; };
+const ROWS = [
+  ["codes", "Codes", ""], ["color", "Light, linear", ""], ["sharp", "Light, all in focus", ""], ["depth", "Depth Z", "mm"],
+  ["blur_radius", "Blur radius R", "px"], ["sigma", "Standard deviation σ", "px"], ["normal", "Normal", ""],
+  ["flow", "Flow to the next frame", "px"], ["object", "Object", ""], ["object_id", "Object number", ""],
+  ["missing", "Missing before filling", ""], ["hidden", "Hidden in the reference pose", ""],
+  ["flow_occluded", "Hidden in the next frame", ""], ["uv", "Place in the texture", ""],
+  ["raw", "Codes of the sensor", "DN"], ["electrons", "Electrons without noise", "e−"],
+  ["noise_sigma", "Standard deviation of the noise", "e−"], ["saturated", "Saturated", ""],
+];
 
-  // ---- the point spread function: that of the model, and as measured: a rendering with nothing else lit ------------
-  let model, depth = null, response = null, shownAt = null, timer = 0;
+studio.inspected = ({ values, psf, lens, unmeasured, seconds }) => {
+  asked = false;
+  studio.done();
+  one("#pixel").textContent = `x ${values.x}, y ${values.y}`;
+  const table = one("#values");
+  table.replaceChildren(...ROWS.filter(([name]) => name in values).map(([name, label, unit]) => {
+    const row = document.createElement("tr"), head = document.createElement("th"), cell = document.createElement("td");
+    head.textContent = label;
+    head.scope = "row";
+    cell.textContent = typeof values[name] === "boolean" ? (values[name] ? "yes" : "no") : `${number(values[name])}${unit && ` ${unit}`}`;
+    row.append(head, cell);
+    return row;
+  }));
+  shownAt = [values.x, values.y];
+  model = psf;
+  depth = values.depth;
+  response = null;
+  one("#psf-part").hidden = psf === undefined;
+  if (psf !== undefined) spread();
+  diagram(lens);
+  measurable(psf === undefined ? "no surface" : unmeasured, seconds);
+  if (again) { again = false; ask(); }
+};
+studio.notInspected = () => { asked = false; };
 
-  const measurable = (why, seconds) => {
-    clearTimeout(timer);
-    const button = one("#measure"), offers = why === undefined && seconds > SOON;
-    button.hidden = !offers;
-    if (offers) button.textContent = `Measure, about ${number(Number(seconds.toPrecision(2)))} s`;
-    one("#unmeasured").textContent = why === undefined ? "" : `Not measured: ${why}`;
-    if (why === undefined && !offers) timer = setTimeout(measure, REST);
-  };
+// ---- the point spread function: that of the model, and as measured: a rendering with nothing else lit ------------
+let model, depth = null, response = null, shownAt = null, timer = 0;
 
-  const measure = () => {
-    if (shownAt === null) return;
-    one("#measure").hidden = true;
-    studio.send({ measure: shownAt });
-  };
+const measurable = (why, seconds) => {
+  clearTimeout(timer);
+  const button = one("#measure"), offers = why === undefined && seconds > SOON;
+  button.hidden = !offers;
+  if (offers) button.textContent = `Measure, about ${number(Number(seconds.toPrecision(2)))} s`;
+  one("#unmeasured").textContent = why === undefined ? "" : `Not measured: ${why}`;
+  if (why === undefined && !offers) timer = setTimeout(measure, REST);
+};
 
-  studio.hearing.push((said) => { if (said.measured) studio.measured(said.measured); });
-  studio.measured = ({ x, y, response: found, unmeasured }) => {
-    studio.done();
-    if (shownAt === null || shownAt[0] !== x || shownAt[1] !== y) return;
-    one("#unmeasured").textContent = unmeasured === undefined ? "" : `Not measured: ${unmeasured}`;
-    response = found ?? null;
-    if (model !== undefined) spread();
-  };
+const measure = () => {
+  if (shownAt === null) return;
+  one("#measure").hidden = true;
+  studio.send({ measure: shownAt });
+};
 
-  const spread = () => {
-    const side = 2 * Math.min(PLOTTED, Math.ceil(1.3 * Math.max(model.reach, response?.reach ?? 0)) + 2) + 1;
-    plot(one("#psf"), model, side);
-    plot(one("#response"), response, side);
-    one("#psf-side").textContent = `${side} × ${side} px about the source, each as bright as its largest weight`;
-    const rows = [["Sum", "sum"], ["Centroid, px", "centroid"], ["RMS per axis, px", "rms"], ["Largest weight", "largest"]];
-    one("#psf-values").replaceChildren(...rows.map(([label, name]) => {
-      const row = document.createElement("tr");
-      [label, rounded(model[name]), response === null ? "–" : rounded(response[name])].forEach((text, at) => {
-        const cell = document.createElement(at ? "td" : "th");
-        if (!at) cell.scope = "row";
-        cell.textContent = text;
-        row.append(cell);
-      });
-      return row;
-    }));
-    one("#psf-about").textContent = `R ${number(model.radius)} px at Z ${number(depth)} mm; of a wide disc RMS is |R| / 2 = ${rounded(Math.abs(model.radius) / 2)} px`;
-  };
+studio.hearing.push((said) => { if (said.measured) studio.measured(said.measured); });
+studio.measured = ({ x, y, response: found, unmeasured }) => {
+  studio.done();
+  if (shownAt === null || shownAt[0] !== x || shownAt[1] !== y) return;
+  one("#unmeasured").textContent = unmeasured === undefined ? "" : `Not measured: ${unmeasured}`;
+  response = found ?? null;
+  if (model !== undefined) spread();
+};
 
-  const rounded = (value) => (value === undefined ? "–" : Array.isArray(value) ? value.map(rounded).join(", ")
-    : String(Number(value.toFixed(Math.abs(value) < 0.1 ? 5 : 3))));
+const spread = () => {
+  const side = 2 * Math.min(PLOTTED, Math.ceil(1.3 * Math.max(model.reach, response?.reach ?? 0)) + 2) + 1;
+  plot(one("#psf"), model, side);
+  plot(one("#response"), response, side);
+  one("#psf-side").textContent = `${side} × ${side} px about the source, each as bright as its largest weight`;
+  const rows = [["Sum", "sum"], ["Centroid, px", "centroid"], ["RMS per axis, px", "rms"], ["Largest weight", "largest"]];
+  one("#psf-values").replaceChildren(...rows.map(([label, name]) => {
+    const row = document.createElement("tr");
+    [label, rounded(model[name]), response === null ? "–" : rounded(response[name])].forEach((text, at) => {
+      const cell = document.createElement(at ? "td" : "th");
+      if (!at) cell.scope = "row";
+      cell.textContent = text;
+      row.append(cell);
+    });
+    return row;
+  }));
+  one("#psf-about").textContent = `R ${number(model.radius)} px at Z ${number(depth)} mm; of a wide disc RMS is |R| / 2 = ${rounded(Math.abs(model.radius) / 2)} px`;
+};
 
-  const plot = (canvas, weights, seen) => { // the middle of what there is, `seen` pixels wide
-    const context = canvas.getContext("2d");
-    context.clearRect(0, 0, canvas.width, canvas.height);
-    if (weights === null) return;
-    const codes = Uint8Array.from(atob(weights.plot), (letter) => letter.charCodeAt(0));
-    const data = new Uint8ClampedArray(4 * codes.length), side = Math.sqrt(codes.length), edge = (side - seen) / 2;
-    codes.forEach((code, index) => data.set([code, code, code, 255], 4 * index));
-    const whole = new OffscreenCanvas(side, side);
-    whole.getContext("2d").putImageData(new ImageData(data, side, side), 0, 0);
-    context.imageSmoothingEnabled = false;
-    context.drawImage(whole, edge, edge, seen, seen, 0, 0, canvas.width, canvas.height);
-  };
+const rounded = (value) => (value === undefined ? "–" : Array.isArray(value) ? value.map(rounded).join(", ")
+  : String(Number(value.toFixed(Math.abs(value) < 0.1 ? 5 : 3))));
 
-  const diagram = (lens) => { // a schema: distances before the lens by their inverse, those behind it stretched
-    const canvas = one("#lens"), context = canvas.getContext("2d"), { width, height } = canvas;
-    const middle = height / 2 - 6, glass = 176, half = 30;
-    const inverse = (distance) => (distance === null ? 0 : 1 / distance);
-    const most = 1.5 * Math.max(inverse(lens.focus), inverse(lens.near), inverse(lens.depth), 1e-9);
-    const before = (distance) => 8 + (glass - 30) * (inverse(distance) / most);
-    context.clearRect(0, 0, width, height);
-    context.font = "11px system-ui, sans-serif";
-    context.textAlign = "center";
-    context.fillStyle = "#2f4a35";
-    context.fillRect(before(lens.far), middle - 34, before(lens.near) - before(lens.far), 68);
-    const stroke = (color, ...points) => {
-      context.strokeStyle = color;
-      context.beginPath();
-      points.forEach(([x, y], index) => (index ? context.lineTo(x, y) : context.moveTo(x, y)));
-      context.stroke();
-    };
-    stroke("#777", [0, middle], [width, middle]);
-    stroke("#7fd68a", [before(lens.focus), middle - 34], [before(lens.focus), middle + 34]);
-    context.strokeStyle = "#6cb6ff";
+const plot = (canvas, weights, seen) => { // the middle of what there is, `seen` pixels wide
+  const context = canvas.getContext("2d");
+  context.clearRect(0, 0, canvas.width, canvas.height);
+  if (weights === null) return;
+  const codes = Uint8Array.from(atob(weights.plot), (letter) => letter.charCodeAt(0));
+  const data = new Uint8ClampedArray(4 * codes.length), side = Math.sqrt(codes.length), edge = (side - seen) / 2;
+  codes.forEach((code, index) => data.set([code, code, code, 255], 4 * index));
+  const whole = new OffscreenCanvas(side, side);
+  whole.getContext("2d").putImageData(new ImageData(data, side, side), 0, 0);
+  context.imageSmoothingEnabled = false;
+  context.drawImage(whole, edge, edge, seen, seen, 0, 0, canvas.width, canvas.height);
+};
+
+const diagram = (lens) => { // a schema: distances before the lens by their inverse, those behind it stretched
+  const canvas = one("#lens"), context = canvas.getContext("2d"), { width, height } = canvas;
+  const middle = height / 2 - 6, glass = 176, half = 30;
+  const inverse = (distance) => (distance === null ? 0 : 1 / distance);
+  const most = 1.5 * Math.max(inverse(lens.focus), inverse(lens.near), inverse(lens.depth), 1e-9);
+  const before = (distance) => 8 + (glass - 30) * (inverse(distance) / most);
+  context.clearRect(0, 0, width, height);
+  context.font = "11px system-ui, sans-serif";
+  context.textAlign = "center";
+  context.fillStyle = "#2f4a35";
+  context.fillRect(before(lens.far), middle - 34, before(lens.near) - before(lens.far), 68);
+  const stroke = (color, ...points) => {
+    context.strokeStyle = color;
     context.beginPath();
-    context.ellipse(glass, middle, 6, half, 0, 0, 2 * Math.PI);
+    points.forEach(([x, y], index) => (index ? context.lineTo(x, y) : context.moveTo(x, y)));
     context.stroke();
-    const detector = glass + 64;
-    stroke("#e9eaec", [detector, middle - 34], [detector, middle + 34]);
-    if (lens.radius !== undefined) {
-      const image = lens.image === null ? detector + 60
-        : glass + 64 * Math.min(Math.max(1 + 12 * (lens.image / lens.sensor - 1), 0.25), 2);
-      for (const side of [-1, 1]) {
-        const far = detector + 40, rim = middle + side * half;
-        stroke("#ffb457", [before(lens.depth), middle], [glass, rim], [far, rim + ((middle - rim) * (far - glass)) / (image - glass)]);
-      }
-      context.fillStyle = "#ffb457";
-      context.beginPath();
-      context.arc(before(lens.depth), middle, 3, 0, 2 * Math.PI);
-      context.fill();
+  };
+  stroke("#777", [0, middle], [width, middle]);
+  stroke("#7fd68a", [before(lens.focus), middle - 34], [before(lens.focus), middle + 34]);
+  context.strokeStyle = "#6cb6ff";
+  context.beginPath();
+  context.ellipse(glass, middle, 6, half, 0, 0, 2 * Math.PI);
+  context.stroke();
+  const detector = glass + 64;
+  stroke("#e9eaec", [detector, middle - 34], [detector, middle + 34]);
+  if (lens.radius !== undefined) {
+    const image = lens.image === null ? detector + 60
+      : glass + 64 * Math.min(Math.max(1 + 12 * (lens.image / lens.sensor - 1), 0.25), 2);
+    for (const side of [-1, 1]) {
+      const far = detector + 40, rim = middle + side * half;
+      stroke("#ffb457", [before(lens.depth), middle], [glass, rim], [far, rim + ((middle - rim) * (far - glass)) / (image - glass)]);
     }
-    context.fillStyle = "#e9eaec";
-    context.fillText("lens", glass, height - 4);
-    context.fillText("detector", detector, height - 4);
-    one("#lens-about").textContent = `In focus ${number(lens.focus)} mm; |R| below 0.5 px from ${number(lens.near)} to ${number(lens.far)} mm; `
-      + `f ${number(lens.focal_length)}, D ${number(lens.aperture)}, s ${number(lens.sensor)} mm; point at ${number(lens.depth)} mm`;
-  };
+    context.fillStyle = "#ffb457";
+    context.beginPath();
+    context.arc(before(lens.depth), middle, 3, 0, 2 * Math.PI);
+    context.fill();
+  }
+  context.fillStyle = "#e9eaec";
+  context.fillText("lens", glass, height - 4);
+  context.fillText("detector", detector, height - 4);
+  one("#lens-about").textContent = `In focus ${number(lens.focus)} mm; |R| below 0.5 px from ${number(lens.near)} to ${number(lens.far)} mm; `
+    + `f ${number(lens.focal_length)}, D ${number(lens.aperture)}, s ${number(lens.sensor)} mm; point at ${number(lens.depth)} mm`;
+};
 
-  const pointer = () => {
-    const stage = one("#stage");
-    stage.addEventListener("pointermove", (event) => {
-      const found = studio.pixelAt(event.clientX, event.clientY);
-      if (found === null || (at !== null && at[0] === found[0] && at[1] === found[1])) return;
-      at = found;
-      clearTimeout(timer);
-      ask();
-    });
-    stage.addEventListener("pointerdown", (event) => { // a click has whole coordinates, which may be of another pixel
-      const found = studio.tool === "focus" && event.button === 0 ? studio.pixelAt(event.clientX, event.clientY) : null;
-      if (found === null) return;
-      drag += 1;
-      studio.send({ focus: found, drag });
-      studio.take("");
-    });
-  };
-  studio.rested = () => ask();
+const pointer = () => {
+  const stage = one("#stage");
+  stage.addEventListener("pointermove", (event) => {
+    const found = studio.pixelAt(event.clientX, event.clientY);
+    if (found === null || (at !== null && at[0] === found[0] && at[1] === found[1])) return;
+    at = found;
+    clearTimeout(timer);
+    ask();
+  });
+  stage.addEventListener("pointerdown", (event) => { // a click has whole coordinates, which may be of another pixel
+    const found = studio.tool === "focus" && event.button === 0 ? studio.pixelAt(event.clientX, event.clientY) : null;
+    if (found === null) return;
+    drag += 1;
+    studio.send({ focus: found, drag });
+    studio.take("");
+  });
+};
+studio.rested = () => ask();
 
-  studio.extra = (event) => {
-    if (event.key === "f" || event.key === "F") studio.take("focus");
-    else if (event.key === "m" || event.key === "M") studio.take("move");
-    else studio.compares(event);
-  };
+studio.extra = (event) => {
+  if (event.key === "f" || event.key === "F") studio.take("focus");
+  else if (event.key === "m" || event.key === "M") studio.take("move");
+  else studio.compares(event);
+};
 
-  studio.begin = () => {
-    pointer();
-    one("#measure").addEventListener("click", measure);
-  };
-})();
+studio.begin = () => {
+  pointer();
+  one("#measure").addEventListener("click", measure);
+};

@@ -1,93 +1,91 @@
 // For the case that the studio ends: the browser keeps the scene of a tab, and gives it to the next studio at its address.
-"use strict";
 
-(() => {
-  const { studio } = window;
-  const PREFIX = "clsco-tab-", MOST = 8, LONGEST = 60000; // scenes; characters of one, less than a message may have
-  const PAUSE = 200; // ms without a change
-  const CONTROLS = "#studio :is(button, input, select, textarea, summary), dialog :is(button, input, select, summary)";
-  const banner = () => document.querySelector("#lost");
-  let kept = null; // the scene as the server told it
-  let underway = new Map(), timer = 0; // values that were sent before the server was asked for it
-  let given = []; // values that the page before this one had, and its scene has not
+import { studio } from "./shared.js";
 
-  const read = (key) => {
-    try { return JSON.parse(localStorage.getItem(key)); } catch { return null; }
-  };
+const PREFIX = "clsco-tab-", MOST = 8, LONGEST = 60000; // scenes; characters of one, less than a message may have
+const PAUSE = 200; // ms without a change
+const CONTROLS = "#studio :is(button, input, select, textarea, summary), dialog :is(button, input, select, summary)";
+const banner = () => document.querySelector("#lost");
+let kept = null; // the scene as the server told it
+let underway = new Map(), timer = 0; // values that were sent before the server was asked for it
+let given = []; // values that the page before this one had, and its scene has not
 
-  const write = () => {
-    if (kept === null) return;
-    const text = JSON.stringify({ ...kept, typed: { ...kept.typed, ...Object.fromEntries(unknown()) }, at: Date.now() });
-    if (text.length > LONGEST) return;
-    try {
-      localStorage.setItem(PREFIX + studio.tab, text);
-      const keys = Object.keys(localStorage).filter((key) => key.startsWith(PREFIX));
-      keys.sort((one, other) => (read(other)?.at ?? 0) - (read(one)?.at ?? 0));
-      for (const key of keys.slice(MOST)) localStorage.removeItem(key);
-    } catch { /* this browser keeps nothing; there still is what the studio keeps in its folder */ }
-  };
+const read = (key) => {
+  try { return JSON.parse(localStorage.getItem(key)); } catch { return null; }
+};
 
-  const unknown = () => [...underway, ...studio.sent];
+const write = () => {
+  if (kept === null) return;
+  const text = JSON.stringify({ ...kept, typed: { ...kept.typed, ...Object.fromEntries(unknown()) }, at: Date.now() });
+  if (text.length > LONGEST) return;
+  try {
+    localStorage.setItem(PREFIX + studio.tab, text);
+    const keys = Object.keys(localStorage).filter((key) => key.startsWith(PREFIX));
+    keys.sort((one, other) => (read(other)?.at ?? 0) - (read(one)?.at ?? 0));
+    for (const key of keys.slice(MOST)) localStorage.removeItem(key);
+  } catch { /* this browser keeps nothing; there still is what the studio keeps in its folder */ }
+};
 
-  const ask = () => {
-    studio.flush();
-    underway = new Map(unknown());
-    studio.sent.clear();
-    studio.send({ do: "keep" });
-  };
+const unknown = () => [...underway, ...studio.sent];
 
-  const say = (text) => {
-    banner().textContent = text;
-    banner().hidden = text === "";
-  };
+const ask = () => {
+  studio.flush();
+  underway = new Map(unknown());
+  studio.sent.clear();
+  studio.send({ do: "keep" });
+};
 
-  studio.hearing.push((said) => {
-    if (said.kept) {
-      kept = said.kept;
-      underway.clear();
-      write();
-    }
-    if ("undo" in said) { // something is another
-      clearTimeout(timer);
-      timer = setTimeout(ask, PAUSE);
-    }
-    if (said.resumed) {
-      for (const [path, value] of given) studio.set(path, value);
-      given = [];
-      say("The studio was started again. The scene is the one that this tab had; Undo leads to that of the start.");
-      setTimeout(() => { if (studio.isOpen()) say(""); }, 10000);
-    }
-  });
+const say = (text) => {
+  banner().textContent = text;
+  banner().hidden = text === "";
+};
 
-  const still = (is) => { // without a server the page is read, and not worked
-    for (const control of document.querySelectorAll(CONTROLS)) control.inert = is;
-  };
-  document.addEventListener("keydown", (event) => {
-    if (studio.tab && !studio.isOpen() && !event.key.includes("Tab")) event.stopImmediatePropagation();
-  }, true);
-
-  const visibility = () => studio.send({ hidden: document.hidden }); // what is in front is rendered first
-  document.addEventListener("visibilitychange", visibility);
-
-  studio.opened = () => {
-    say("");
-    visibility();
-    still(false);
-    const before = sessionStorage.getItem("tab");
-    sessionStorage.setItem("tab", studio.tab);
-    const old = before !== null && before !== studio.tab ? read(PREFIX + before) : null;
-    if (old !== null) {
-      given = Object.entries(old.typed ?? {});
-      studio.send({ resume: old, tab: before });
-    }
-    for (const [path, value] of unknown()) studio.send({ path, value });
-  };
-
-  studio.closed = () => {
-    say("The studio does not answer; it is tried again. This browser keeps the scene: start the studio again at the same "
-      + "port, and open the address that it prints.");
-    still(true);
-    studio.flush();
+studio.hearing.push((said) => {
+  if (said.kept) {
+    kept = said.kept;
+    underway.clear();
     write();
-  };
-})();
+  }
+  if ("undo" in said) { // something is another
+    clearTimeout(timer);
+    timer = setTimeout(ask, PAUSE);
+  }
+  if (said.resumed) {
+    for (const [path, value] of given) studio.set(path, value);
+    given = [];
+    say("The studio was started again. The scene is the one that this tab had; Undo leads to that of the start.");
+    setTimeout(() => { if (studio.isOpen()) say(""); }, 10000);
+  }
+});
+
+const still = (is) => { // without a server the page is read, and not worked
+  for (const control of document.querySelectorAll(CONTROLS)) control.inert = is;
+};
+document.addEventListener("keydown", (event) => {
+  if (studio.tab && !studio.isOpen() && !event.key.includes("Tab")) event.stopImmediatePropagation();
+}, true);
+
+const visibility = () => studio.send({ hidden: document.hidden }); // what is in front is rendered first
+document.addEventListener("visibilitychange", visibility);
+
+studio.opened = () => {
+  say("");
+  visibility();
+  still(false);
+  const before = sessionStorage.getItem("tab");
+  sessionStorage.setItem("tab", studio.tab);
+  const old = before !== null && before !== studio.tab ? read(PREFIX + before) : null;
+  if (old !== null) {
+    given = Object.entries(old.typed ?? {});
+    studio.send({ resume: old, tab: before });
+  }
+  for (const [path, value] of unknown()) studio.send({ path, value });
+};
+
+studio.closed = () => {
+  say("The studio does not answer; it is tried again. This browser keeps the scene: start the studio again at the same "
+    + "port, and open the address that it prints.");
+  still(true);
+  studio.flush();
+  write();
+};

@@ -1,47 +1,45 @@
 // What takes long: how far it is, what it waits for, and its end by Esc.
-"use strict";
 
-(() => {
-  const one = (selector) => document.querySelector(selector);
-  const studio = window.studio;
-  const STILL = 10; // s without progress, after which it is said what is waited for
-  const PACE = 2000; // ms between words, as they are read out
+import { RUNG } from "./protocol.js";
+import { one, studio } from "./shared.js";
 
-  let said = -Infinity, canceled = false;
+const STILL = 10; // s without progress, after which it is said what is waited for
+const PACE = 2000; // ms between words, as they are read out
 
-  const progressed = ({ doing, done, total, still }) => {
-    if (canceled) return; // it was said before
-    if (performance.now() - said < PACE && !one("#progress").hidden) return;
-    said = performance.now();
-    const waits = doing === "another tab" || doing.startsWith("compiling") || still >= STILL;
-    const words = [total > 1 ? `time sample ${Math.min(done + 1, total)} of ${total}` : "rendering"];
-    if (waits) words.push(`waits for ${doing}`);
-    if (still >= STILL) words.push(`no progress for ${Math.round(still)} s`);
-    one("#progress").textContent = `${words.join(", ")} · Esc cancels`;
-    one("#progress").hidden = false;
-  };
+let said = -Infinity, canceled = false;
 
-  studio.done = () => { // something is there
-    canceled = false;
-    one("#progress").hidden = true;
-  };
+const progressed = ({ doing, done, total, still }) => {
+  if (canceled) return; // it was said before
+  if (performance.now() - said < PACE && !one("#progress").hidden) return;
+  said = performance.now();
+  const waits = doing === "another tab" || doing.startsWith("compiling") || still >= STILL;
+  const words = [total > 1 ? `time sample ${Math.min(done + 1, total)} of ${total}` : "rendering"];
+  if (waits) words.push(`waits for ${doing}`);
+  if (still >= STILL) words.push(`no progress for ${Math.round(still)} s`);
+  one("#progress").textContent = `${words.join(", ")} · Esc cancels`;
+  one("#progress").hidden = false;
+};
 
-  const stopped = () => {
-    studio.notInspected();
-    canceled = studio.rung !== 2;
-    one("#progress").hidden = !canceled;
-    if (canceled) one("#progress").textContent = "canceled: the exact frame comes with the next change";
-  };
-  studio.isCanceled = () => canceled;
+studio.done = () => { // something is there
+  canceled = false;
+  one("#progress").hidden = true;
+};
 
-  studio.hearing.push((said) => {
-    if (said.progress) progressed(said.progress);
-    if (said.stopped) stopped();
-  });
+const stopped = () => {
+  studio.notInspected();
+  canceled = studio.rung !== RUNG.EXACT;
+  one("#progress").hidden = !canceled;
+  if (canceled) one("#progress").textContent = "canceled: the exact frame comes with the next change";
+};
+studio.isCanceled = () => canceled;
 
-  studio.escape = () => {
-    if (document.querySelector("dialog[open], .q-dialog")) return;
-    if (studio.isReferring() || !(one("#progress").hidden || canceled)) studio.send({ do: "cancel" });
-    studio.referring(null);
-  };
-})();
+studio.hearing.push((said) => {
+  if (said.progress) progressed(said.progress);
+  if (said.stopped) stopped();
+});
+
+studio.escape = () => {
+  if (document.querySelector("dialog[open], .q-dialog")) return;
+  if (studio.isReferring() || !(one("#progress").hidden || canceled)) studio.send({ do: "cancel" });
+  studio.referring(null);
+};

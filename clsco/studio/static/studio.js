@@ -1,444 +1,434 @@
 // The part of the studio that must be quick: pictures onto a canvas, and sliders' values to the server, over one socket.
 // Everything else of the page is NiceGUI's. Whatever has an attribute data-path is the control of that key of the scene.
-"use strict";
 
-(() => {
-  const HEAD = 20; // bytes before the pixels
-  const EXACT = 2, PINNED = 3, STACKED = 4; // 0: while something is dragged; from PINNED on: to compare with
-  const MESSAGE = 0, JPEG = 1, PNG = 2, FLOAT16 = 3;
-  const VIEWS = ["color", "sharp", "depth", "blur radius", "flow", "normal", "id", "mask", "missing", "raw", "noise"];
-  const ECHO = 300; // ms in which the server answers a change
-  const NUMBERS_FROM = 24; // CSS px per pixel of the image
-  const one = (selector) => document.querySelector(selector);
-  const all = (selector) => [...document.querySelectorAll(selector)];
+import { colored } from "./colors.js";
+import { ENCODING, RUNG, VIEWS, opened } from "./protocol.js";
+import { all, one, studio } from "./shared.js";
 
-  const studio = {
-    painted: [], // [revision, rung, time], the latest 500
-    hearing: [], // functions of what the server says
-    overlays: [], // functions that draw over the picture, of a context and of what makes pixels of the frame those of the stage
-    parts: [], // functions that begin the other files' work
-    sent: new Map(), // values by path, since the server was asked for its scene
-    revision: -1, rung: -1, view: "color", index: 0, moment: null, right: false, values: {}, faults: {},
+import "./badge.js";
+import "./persistence.js";
+import "./tools.js";
+import "./timeline.js";
+import "./keyframes.js";
+import "./compare.js";
+import "./progress.js";
+import "./inspect.js";
+import "./forms.js";
+import "./brush.js";
+
+const ECHO = 300; // ms in which the server answers a change
+const NUMBERS_FROM = 24; // CSS px per pixel of the image
+
+// ---- the socket -------------------------------------------------------------------------------------------------
+let socket = null, tab = "", tries = 0, link = ""; // link: a scene in the address
+const send = (content) => {
+  if (socket !== null && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(content));
+};
+studio.send = send;
+studio.isOpen = () => socket !== null && socket.readyState === WebSocket.OPEN;
+
+const connect = () => {
+  socket = new WebSocket(new URL(`frames?tab=${tab}`, location.href.replace(/^http/, "ws")));
+  socket.binaryType = "arraybuffer";
+  socket.onopen = () => {
+    tries = 0;
+    studio.revision = -1;
+    studio.revised(null);
+    watched = "";
+    watch();
+    if (link) send({ link });
+    link = "";
+    send({ view: studio.view });
+    send(studio.wanted());
+    studio.opened();
   };
-  window.studio = studio;
-
-  // ---- the socket -------------------------------------------------------------------------------------------------
-  let socket = null, tab = "", tries = 0, link = ""; // link: a scene in the address
-  const send = (content) => {
-    if (socket !== null && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(content));
+  socket.onmessage = (event) => received(event.data);
+  socket.onclose = () => {
+    studio.closed();
+    tries += 1;
+    setTimeout(connect, Math.min(250 * 2 ** tries, 8000));
   };
-  studio.send = send;
-  studio.isOpen = () => socket !== null && socket.readyState === WebSocket.OPEN;
+};
 
-  const connect = () => {
-    socket = new WebSocket(new URL(`frames?tab=${tab}`, location.href.replace(/^http/, "ws")));
-    socket.binaryType = "arraybuffer";
-    socket.onopen = () => {
-      tries = 0;
-      studio.revision = -1;
-      studio.revised(null);
-      watched = "";
-      watch();
-      if (link) send({ link });
-      link = "";
-      send({ view: studio.view });
-      send(studio.wanted());
-      studio.opened();
-    };
-    socket.onmessage = (event) => received(event.data);
-    socket.onclose = () => {
-      studio.closed();
-      tries += 1;
-      setTimeout(connect, Math.min(250 * 2 ** tries, 8000));
-    };
-  };
+const received = (buffer) => {
+  const { picture, payload } = opened(buffer);
+  if (picture.rung < RUNG.PINNED) studio.revised(picture.revision);
+  if (picture.encoding === ENCODING.MESSAGE) told(JSON.parse(new TextDecoder().decode(payload)));
+  else show(picture, payload);
+};
 
-  const received = (buffer) => {
-    const head = new DataView(buffer, 0, HEAD);
-    const picture = {
-      revision: head.getUint32(0, true), rung: head.getUint8(4), view: VIEWS[head.getUint8(5)],
-      width: head.getUint16(6, true), height: head.getUint16(8, true), encoding: head.getUint8(10),
-      full: [head.getUint16(11, true), head.getUint16(13, true)], plain: Boolean(head.getUint8(15) & 1),
-      right: Boolean(head.getUint8(15) & 2), number: head.getUint32(16, true),
-    };
-    if (picture.rung < PINNED) studio.revised(picture.revision);
-    if (picture.encoding === MESSAGE) told(JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, HEAD))));
-    else show(picture, buffer);
-  };
+// ---- pictures ---------------------------------------------------------------------------------------------------
+let queue = Promise.resolve(); // pictures are painted in the order in which they come
+const show = (picture, payload) => {
+  const isImage = picture.encoding === ENCODING.JPEG || picture.encoding === ENCODING.PNG;
+  const drawable = isImage ? decoded(picture, payload) : plane(picture, payload);
+  queue = queue.then(async () => {
+    const image = await drawable;
+    if (picture.rung === RUNG.STACKED) studio.stacked(picture, image);
+    else if (picture.rung >= RUNG.PINNED) studio.pinned(image, picture);
+    else if (asked(picture) && picture.revision >= studio.revision) paint(picture, image);
+    await new Promise(requestAnimationFrame);
+    send({ ack: [picture.revision, picture.rung] });
+    if (!asked(picture) || picture.rung >= RUNG.PINNED) return;
+    if (picture.rung === RUNG.EXACT) studio.rested();
+    studio.painted.push([picture.revision, picture.rung, performance.now()]);
+    if (studio.painted.length > 500) studio.painted.shift();
+  }).catch((error) => {
+    send({ ack: [picture.revision, picture.rung] });
+    told({ error: [`picture: ${error.message}`] });
+  });
+};
 
-  // ---- pictures ---------------------------------------------------------------------------------------------------
-  let queue = Promise.resolve(); // pictures are painted in the order in which they come
-  const show = (picture, buffer) => {
-    const drawable = picture.encoding === JPEG || picture.encoding === PNG ? decoded(picture, buffer) : plane(picture, buffer);
-    queue = queue.then(async () => {
-      const image = await drawable;
-      if (picture.rung === STACKED) studio.stacked(picture, image);
-      else if (picture.rung >= PINNED) studio.pinned(image, picture);
-      else if (asked(picture) && picture.revision >= studio.revision) paint(picture, image);
-      await new Promise(requestAnimationFrame);
-      send({ ack: [picture.revision, picture.rung] });
-      if (!asked(picture) || picture.rung >= PINNED) return;
-      if (picture.rung === EXACT) studio.rested();
-      studio.painted.push([picture.revision, picture.rung, performance.now()]);
-      if (studio.painted.length > 500) studio.painted.shift();
-    }).catch((error) => {
-      send({ ack: [picture.revision, picture.rung] });
-      told({ error: [`picture: ${error.message}`] });
-    });
-  };
+const asked = (picture) => picture.view === studio.view && picture.right === studio.right;
 
-  const asked = (picture) => picture.view === studio.view && picture.right === studio.right;
+const decoded = (picture, payload) => createImageBitmap(
+  new Blob([payload], { type: picture.encoding === ENCODING.JPEG ? "image/jpeg" : "image/png" }),
+  { colorSpaceConversion: "none", premultiplyAlpha: "none" });
 
-  const decoded = (picture, buffer) => createImageBitmap(
-    new Blob([new Uint8Array(buffer, HEAD)], { type: picture.encoding === JPEG ? "image/jpeg" : "image/png" }),
-    { colorSpaceConversion: "none", premultiplyAlpha: "none" });
+const plane = async (picture, payload) => {
+  const values = picture.encoding === ENCODING.FLOAT16 ? halves(payload) : new Float32Array(payload.buffer, payload.byteOffset);
+  picture.values = values;
+  const { data, legend } = colored(picture.view, values, picture.width, picture.height);
+  picture.legend = legend;
+  return createImageBitmap(new ImageData(data, picture.width, picture.height));
+};
 
-  const plane = async (picture, buffer) => {
-    const values = picture.encoding === FLOAT16 ? halves(buffer) : new Float32Array(buffer, HEAD);
-    picture.values = values;
-    const { data, legend } = studioColors(picture.view, values, picture.width, picture.height);
-    picture.legend = legend;
-    return createImageBitmap(new ImageData(data, picture.width, picture.height));
-  };
+const halves = ({ buffer, byteOffset }) => {
+  if (typeof Float16Array !== "undefined") return new Float32Array(new Float16Array(buffer, byteOffset));
+  const codes = new Uint16Array(buffer, byteOffset), values = new Float32Array(codes.length);
+  codes.forEach((code, at) => {
+    const sign = code & 0x8000 ? -1 : 1, exponent = (code >> 10) & 31, rest = code & 1023;
+    values[at] = sign * (exponent === 31 ? (rest ? NaN : Infinity)
+      : exponent ? 2 ** (exponent - 15) * (1 + rest / 1024) : 2 ** -14 * (rest / 1024));
+  });
+  return values;
+};
 
-  const halves = (buffer) => {
-    if (typeof Float16Array !== "undefined") return new Float32Array(new Float16Array(buffer, HEAD));
-    const codes = new Uint16Array(buffer, HEAD), values = new Float32Array(codes.length);
-    codes.forEach((code, at) => {
-      const sign = code & 0x8000 ? -1 : 1, exponent = (code >> 10) & 31, rest = code & 1023;
-      values[at] = sign * (exponent === 31 ? (rest ? NaN : Infinity)
-        : exponent ? 2 ** (exponent - 15) * (1 + rest / 1024) : 2 ** -14 * (rest / 1024));
-    });
-    return values;
-  };
+const paint = (picture, image) => {
+  const canvas = one("#canvas"), context = canvas.getContext("2d", { willReadFrequently: false });
+  const [columns, rows] = picture.full;
+  if (canvas.width !== columns || canvas.height !== rows) {
+    canvas.width = columns;
+    canvas.height = rows;
+    fit();
+  }
+  context.imageSmoothingEnabled = picture.view === "color" || picture.view === "sharp";
+  if (image.width !== columns || image.height !== rows) context.imageSmoothingQuality = "medium";
+  context.drawImage(image, 0, 0, columns, rows);
+  image.close();
+  studio.revision = picture.revision;
+  studio.rung = picture.rung;
+  studio.badge(picture);
+  one("#size").textContent = `${columns} × ${rows} px`;
+  studio.done();
+  studio.compare();
+  legend(picture.legend);
+  place();
+  studio.drawn(picture);
+};
 
-  const paint = (picture, image) => {
-    const canvas = one("#canvas"), context = canvas.getContext("2d", { willReadFrequently: false });
-    const [columns, rows] = picture.full;
-    if (canvas.width !== columns || canvas.height !== rows) {
-      canvas.width = columns;
-      canvas.height = rows;
-      fit();
+const legend = (about) => {
+  one("#legend").hidden = about === undefined;
+  if (about === undefined) return;
+  one("#legend-least").textContent = about.least;
+  one("#legend-most").textContent = about.most;
+  one("#legend-about").textContent = about.about;
+  const bar = one("#legend-bar"), context = bar.getContext("2d");
+  const pixels = context.createImageData(bar.width, 1);
+  for (let x = 0; x < bar.width; x += 1) pixels.data.set([...about.color(x / (bar.width - 1)), 255], 4 * x);
+  for (let y = 0; y < bar.height; y += 1) context.putImageData(pixels, 0, y);
+};
+
+// ---- zoom and pan: the canvas has the frame's pixels, and is scaled by its style --------------------------------
+let scale = 1, left = 0, top = 0, fitted = true;
+const stage = () => one("#stage").getBoundingClientRect();
+
+const fit = () => {
+  const canvas = one("#canvas"), box = stage();
+  scale = Math.min(box.width / canvas.width, box.height / canvas.height) * 0.98;
+  if (scale > 1) scale = Math.max(1, Math.floor(scale * 4) / 4);
+  left = (box.width - scale * canvas.width) / 2;
+  top = (box.height - scale * canvas.height) / 2;
+  fitted = true;
+  place();
+};
+
+const zoom = (factor, x, y) => {
+  const to = Math.min(Math.max(scale * factor, 0.05), 128);
+  left = x - ((x - left) * to) / scale;
+  top = y - ((y - top) * to) / scale;
+  scale = to;
+  fitted = false;
+  place();
+};
+
+const place = () => {
+  const canvas = one("#canvas");
+  for (const each of [canvas, one("#pinned"), one("#stacked")]) {
+    each.style.transform = `translate(${left}px, ${top}px) scale(${scale})`;
+    each.style.imageRendering = scale >= 1.5 ? "pixelated" : "auto";
+  }
+  one("#zoom").textContent = `${Math.round(scale * devicePixelRatio * 100)} %`;
+  numbers();
+};
+
+const numbers = () => {
+  const over = one("#over"), box = stage(), context = over.getContext("2d");
+  over.width = box.width;
+  over.height = box.height;
+  const place = (x, y) => [left + (x + 0.5) * scale, top + (y + 0.5) * scale];
+  for (const draw of studio.overlays) draw(context, place);
+  if (scale < NUMBERS_FROM) return;
+  const canvas = one("#canvas"), first = [Math.max(0, Math.floor(-left / scale)), Math.max(0, Math.floor(-top / scale))];
+  const columns = Math.min(canvas.width - first[0], Math.ceil(box.width / scale) + 1);
+  const rows = Math.min(canvas.height - first[1], Math.ceil(box.height / scale) + 1);
+  if (columns < 1 || rows < 1) return;
+  const { data } = canvas.getContext("2d").getImageData(first[0], first[1], columns, rows);
+  context.font = `${Math.min(scale / 3.4, 13)}px ui-monospace, monospace`;
+  context.textAlign = "center";
+  context.textBaseline = "middle";
+  for (let y = 0; y < rows; y += 1) {
+    for (let x = 0; x < columns; x += 1) {
+      const [r, g, b] = data.subarray(4 * (y * columns + x));
+      context.fillStyle = 0.3 * r + 0.6 * g + 0.1 * b > 127 ? "#000" : "#fff";
+      const lines = r === g && g === b ? [r] : scale >= 40 ? [r, g, b] : [g];
+      lines.forEach((value, line) => context.fillText(value, left + (first[0] + x + 0.5) * scale,
+        top + (first[1] + y + 0.5) * scale + (line - (lines.length - 1) / 2) * scale * 0.3));
     }
-    context.imageSmoothingEnabled = picture.view === "color" || picture.view === "sharp";
-    if (image.width !== columns || image.height !== rows) context.imageSmoothingQuality = "medium";
-    context.drawImage(image, 0, 0, columns, rows);
-    image.close();
-    studio.revision = picture.revision;
-    studio.rung = picture.rung;
-    studio.badge(picture);
-    one("#size").textContent = `${columns} × ${rows} px`;
-    studio.done();
-    studio.compare();
-    legend(picture.legend);
-    place();
-    studio.drawn(picture);
-  };
+  }
+};
 
-  const legend = (about) => {
-    one("#legend").hidden = about === undefined;
-    if (about === undefined) return;
-    one("#legend-least").textContent = about.least;
-    one("#legend-most").textContent = about.most;
-    one("#legend-about").textContent = about.about;
-    const bar = one("#legend-bar"), context = bar.getContext("2d");
-    const pixels = context.createImageData(bar.width, 1);
-    for (let x = 0; x < bar.width; x += 1) pixels.data.set([...about.color(x / (bar.width - 1)), 255], 4 * x);
-    for (let y = 0; y < bar.height; y += 1) context.putImageData(pixels, 0, y);
-  };
+studio.pixelAt = (x, y) => {
+  const box = stage(), canvas = one("#canvas");
+  const at = [Math.floor((x - box.left - left) / scale), Math.floor((y - box.top - top) / scale)];
+  return at[0] >= 0 && at[1] >= 0 && at[0] < canvas.width && at[1] < canvas.height ? at : null;
+};
 
-  // ---- zoom and pan: the canvas has the frame's pixels, and is scaled by its style --------------------------------
-  let scale = 1, left = 0, top = 0, fitted = true;
-  const stage = () => one("#stage").getBoundingClientRect();
+studio.scale = () => scale; // CSS px per pixel of the frame
+studio.place = () => place();
 
-  const fit = () => {
-    const canvas = one("#canvas"), box = stage();
-    scale = Math.min(box.width / canvas.width, box.height / canvas.height) * 0.98;
-    if (scale > 1) scale = Math.max(1, Math.floor(scale * 4) / 4);
-    left = (box.width - scale * canvas.width) / 2;
-    top = (box.height - scale * canvas.height) / 2;
-    fitted = true;
-    place();
-  };
-
-  const zoom = (factor, x, y) => {
-    const to = Math.min(Math.max(scale * factor, 0.05), 128);
-    left = x - ((x - left) * to) / scale;
-    top = y - ((y - top) * to) / scale;
-    scale = to;
-    fitted = false;
-    place();
-  };
-
-  const place = () => {
-    const canvas = one("#canvas");
-    for (const each of [canvas, one("#pinned"), one("#stacked")]) {
-      each.style.transform = `translate(${left}px, ${top}px) scale(${scale})`;
-      each.style.imageRendering = scale >= 1.5 ? "pixelated" : "auto";
-    }
-    one("#zoom").textContent = `${Math.round(scale * devicePixelRatio * 100)} %`;
-    numbers();
-  };
-
-  const numbers = () => {
-    const over = one("#over"), box = stage(), context = over.getContext("2d");
-    over.width = box.width;
-    over.height = box.height;
-    const place = (x, y) => [left + (x + 0.5) * scale, top + (y + 0.5) * scale];
-    for (const draw of studio.overlays) draw(context, place);
-    if (scale < NUMBERS_FROM) return;
-    const canvas = one("#canvas"), first = [Math.max(0, Math.floor(-left / scale)), Math.max(0, Math.floor(-top / scale))];
-    const columns = Math.min(canvas.width - first[0], Math.ceil(box.width / scale) + 1);
-    const rows = Math.min(canvas.height - first[1], Math.ceil(box.height / scale) + 1);
-    if (columns < 1 || rows < 1) return;
-    const { data } = canvas.getContext("2d").getImageData(first[0], first[1], columns, rows);
-    context.font = `${Math.min(scale / 3.4, 13)}px ui-monospace, monospace`;
-    context.textAlign = "center";
-    context.textBaseline = "middle";
-    for (let y = 0; y < rows; y += 1) {
-      for (let x = 0; x < columns; x += 1) {
-        const [r, g, b] = data.subarray(4 * (y * columns + x));
-        context.fillStyle = 0.3 * r + 0.6 * g + 0.1 * b > 127 ? "#000" : "#fff";
-        const lines = r === g && g === b ? [r] : scale >= 40 ? [r, g, b] : [g];
-        lines.forEach((value, line) => context.fillText(value, left + (first[0] + x + 0.5) * scale,
-          top + (first[1] + y + 0.5) * scale + (line - (lines.length - 1) / 2) * scale * 0.3));
-      }
-    }
-  };
-
-  studio.pixelAt = (x, y) => {
-    const box = stage(), canvas = one("#canvas");
-    const at = [Math.floor((x - box.left - left) / scale), Math.floor((y - box.top - top) / scale)];
-    return at[0] >= 0 && at[1] >= 0 && at[0] < canvas.width && at[1] < canvas.height ? at : null;
-  };
-
-  studio.scale = () => scale; // CSS px per pixel of the frame
-  studio.place = () => place();
-
-  const pointing = () => {
-    const element = one("#stage");
-    let grip = null;
-    element.addEventListener("wheel", (event) => {
-      event.preventDefault();
-      const box = stage();
-      zoom(1.0015 ** -event.deltaY, event.clientX - box.left, event.clientY - box.top);
-    }, { passive: false });
-    element.addEventListener("pointerdown", (event) => {
-      if (event.button !== 0 || studio.tool) return;
-      grip = [event.clientX - left, event.clientY - top];
-      element.setPointerCapture(event.pointerId);
-    });
-    element.addEventListener("pointermove", (event) => {
-      if (grip === null) return;
-      [left, top, fitted] = [event.clientX - grip[0], event.clientY - grip[1], false];
-      place();
-    });
-    element.addEventListener("pointerup", () => { grip = null; });
-    element.addEventListener("dblclick", fit);
-    one("#fit").addEventListener("click", fit);
-    one("#actual").addEventListener("click", () => {
-      const box = stage();
-      zoom(1 / devicePixelRatio / scale, box.width / 2, box.height / 2);
-    });
-    new ResizeObserver(() => (fitted ? fit() : place())).observe(element);
-  };
-
-  // ---- controls ---------------------------------------------------------------------------------------------------
-  let drag = 0, dragged = null; // number of the drag; its control's path and the value before it
-  const waiting = new Map(); // values not yet sent, by path: the latest wins
-  let watched = "";
-
-  const flush = () => {
-    for (const [path, [value, number]] of waiting) {
-      send({ path, value, drag: number, count: studio.changes() });
-      studio.sent.set(path, value);
-    }
-    waiting.clear();
-  };
-  studio.flush = flush;
-
-  const put = (path, value) => {
-    if (!waiting.size) requestAnimationFrame(flush);
-    waiting.set(path, [value, drag]);
-  };
-  studio.put = put;
-  studio.set = (path, value) => { drag += 1; put(path, value); }; // as a step of undo of its own
-
-  const valueOf = (control) => {
-    if (control.type === "checkbox") return control.checked;
-    if (control.type === "range" || control.type === "number" || control.dataset.kind === "number") {
-      const text = control.value.trim();
-      return text === "" ? null : Number.isFinite(Number(text)) ? Number(text) : text;
-    }
-    return control.value;
-  };
-
-  const sameKey = (path) => all(`[data-path="${CSS.escape(path)}"]`);
-
-  const changing = (control) => {
-    const path = control.dataset.path, value = valueOf(control);
-    if (dragged === null || dragged.path !== path) {
-      drag += 1;
-      dragged = { path, before: studio.values[path] };
-    }
-    dragged.at = performance.now();
-    for (const other of sameKey(path)) if (other !== control) give(other, value);
-    put(path, value);
-  };
-
-  const give = (control, value) => {
-    if (control.type === "checkbox") control.checked = Boolean(value);
-    else if (control.type === "radio") control.checked = control.value === value;
-    else if (control.type === "range") control.value = value ?? control.dataset.default ?? control.min;
-    else control.value = value === null || value === undefined ? "" : shown(value);
-  };
-
-  // Numbers are shown with as many digits as tell them apart, and no more.
-  const shown = (value) => (typeof value === "number" ? String(Number(value.toPrecision(12))) : String(value));
-
-  const stepped = (event) => { // arrows: with Shift ten times as far, with Alt a tenth
-    const control = event.target, sign = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1 }[event.key];
-    if (sign === undefined || control.type !== "range" || !control.dataset.path) return;
+const pointing = () => {
+  const element = one("#stage");
+  let grip = null;
+  element.addEventListener("wheel", (event) => {
     event.preventDefault();
-    const step = Number(control.dataset.step || control.step) || 1;
-    const size = step * (event.shiftKey ? 10 : event.altKey ? 0.1 : 1);
-    const to = Number(control.value) + sign * size;
-    control.value = Number(Math.min(Math.max(to, control.min), control.max).toPrecision(12));
-    changing(control);
-  };
+    const box = stage();
+    zoom(1.0015 ** -event.deltaY, event.clientX - box.left, event.clientY - box.top);
+  }, { passive: false });
+  element.addEventListener("pointerdown", (event) => {
+    if (event.button !== 0 || studio.tool) return;
+    grip = [event.clientX - left, event.clientY - top];
+    element.setPointerCapture(event.pointerId);
+  });
+  element.addEventListener("pointermove", (event) => {
+    if (grip === null) return;
+    [left, top, fitted] = [event.clientX - grip[0], event.clientY - grip[1], false];
+    place();
+  });
+  element.addEventListener("pointerup", () => { grip = null; });
+  element.addEventListener("dblclick", fit);
+  one("#fit").addEventListener("click", fit);
+  one("#actual").addEventListener("click", () => {
+    const box = stage();
+    zoom(1 / devicePixelRatio / scale, box.width / 2, box.height / 2);
+  });
+  new ResizeObserver(() => (fitted ? fit() : place())).observe(element);
+};
 
-  const filled = new WeakSet(); // controls; those that are drawn anew may have values that are older than what was told
-  const watch = () => { // tell the server which keys are on the page, so that it tells their values
-    const fresh = all("[data-path]").filter((control) => !filled.has(control));
-    for (const control of fresh) {
-      filled.add(control);
-      if (control.dataset.path in studio.values) give(control, studio.values[control.dataset.path]);
+// ---- controls ---------------------------------------------------------------------------------------------------
+let drag = 0, dragged = null; // number of the drag; its control's path and the value before it
+const waiting = new Map(); // values not yet sent, by path: the latest wins
+let watched = "";
+
+const flush = () => {
+  for (const [path, [value, number]] of waiting) {
+    send({ path, value, drag: number, count: studio.changes() });
+    studio.sent.set(path, value);
+  }
+  waiting.clear();
+};
+studio.flush = flush;
+
+const put = (path, value) => {
+  if (!waiting.size) requestAnimationFrame(flush);
+  waiting.set(path, [value, drag]);
+};
+studio.put = put;
+studio.set = (path, value) => { drag += 1; put(path, value); }; // as a step of undo of its own
+
+const valueOf = (control) => {
+  if (control.type === "checkbox") return control.checked;
+  if (control.type === "range" || control.type === "number" || control.dataset.kind === "number") {
+    const text = control.value.trim();
+    return text === "" ? null : Number.isFinite(Number(text)) ? Number(text) : text;
+  }
+  return control.value;
+};
+
+const sameKey = (path) => all(`[data-path="${CSS.escape(path)}"]`);
+
+const changing = (control) => {
+  const path = control.dataset.path, value = valueOf(control);
+  if (dragged === null || dragged.path !== path) {
+    drag += 1;
+    dragged = { path, before: studio.values[path] };
+  }
+  dragged.at = performance.now();
+  for (const other of sameKey(path)) if (other !== control) give(other, value);
+  put(path, value);
+};
+
+const give = (control, value) => {
+  if (control.type === "checkbox") control.checked = Boolean(value);
+  else if (control.type === "radio") control.checked = control.value === value;
+  else if (control.type === "range") control.value = value ?? control.dataset.default ?? control.min;
+  else control.value = value === null || value === undefined ? "" : shown(value);
+};
+
+// Numbers are shown with as many digits as tell them apart, and no more.
+const shown = (value) => (typeof value === "number" ? String(Number(value.toPrecision(12))) : String(value));
+
+const stepped = (event) => { // arrows: with Shift ten times as far, with Alt a tenth
+  const control = event.target, sign = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1 }[event.key];
+  if (sign === undefined || control.type !== "range" || !control.dataset.path) return;
+  event.preventDefault();
+  const step = Number(control.dataset.step || control.step) || 1;
+  const size = step * (event.shiftKey ? 10 : event.altKey ? 0.1 : 1);
+  const to = Number(control.value) + sign * size;
+  control.value = Number(Math.min(Math.max(to, control.min), control.max).toPrecision(12));
+  changing(control);
+};
+
+const filled = new WeakSet(); // controls; those that are drawn anew may have values that are older than what was told
+const watch = () => { // tell the server which keys are on the page, so that it tells their values
+  const fresh = all("[data-path]").filter((control) => !filled.has(control));
+  for (const control of fresh) {
+    filled.add(control);
+    if (control.dataset.path in studio.values) give(control, studio.values[control.dataset.path]);
+  }
+  if (fresh.length) mark();
+  const paths = [...new Set(all("[data-path]").map((control) => control.dataset.path))];
+  if (paths.join("\n") === watched) return;
+  watched = paths.join("\n");
+  send({ watch: paths });
+};
+
+const mark = () => {
+  for (const control of all("[data-path]")) {
+    const fault = studio.faults[control.dataset.path];
+    control.toggleAttribute("data-faulty", fault !== undefined);
+    if (fault === undefined) control.removeAttribute("aria-invalid");
+    else control.setAttribute("aria-invalid", "true");
+  }
+  for (const place of all("[data-fault]")) {
+    const fault = studio.faults[place.dataset.fault];
+    place.textContent = fault ?? "";
+    place.hidden = fault === undefined;
+  }
+};
+
+const told = (said) => {
+  if (said.error) { fail(said.error); studio.notInspected(); }
+  if (said.inspected) studio.inspected(said.inspected);
+  if (said.about) one("#plan").textContent = said.about.plan;
+  if (said.values) {
+    Object.assign(studio.values, said.values);
+    for (const [path, value] of Object.entries(said.values)) {
+      if (dragged?.path === path && performance.now() - dragged.at < ECHO) continue; // older than what is in the box
+      for (const control of sameKey(path)) give(control, value);
     }
-    if (fresh.length) mark();
-    const paths = [...new Set(all("[data-path]").map((control) => control.dataset.path))];
-    if (paths.join("\n") === watched) return;
-    watched = paths.join("\n");
-    send({ watch: paths });
-  };
+  }
+  if (said.faults) { studio.faults = said.faults; mark(); }
+  if ("undo" in said) { one("#undo").disabled = !said.undo; one("#redo").disabled = !said.redo; }
+  if ("title" in said) {
+    document.title = said.title ? `${said.title} · clsco studio` : "clsco studio";
+    one("#title").textContent = said.title || "untitled";
+  }
+  for (const hear of studio.hearing) hear(said);
+};
 
-  const mark = () => {
-    for (const control of all("[data-path]")) {
-      const fault = studio.faults[control.dataset.path];
-      control.toggleAttribute("data-faulty", fault !== undefined);
-      if (fault === undefined) control.removeAttribute("aria-invalid");
-      else control.setAttribute("aria-invalid", "true");
-    }
-    for (const place of all("[data-fault]")) {
-      const fault = studio.faults[place.dataset.fault];
-      place.textContent = fault ?? "";
-      place.hidden = fault === undefined;
-    }
-  };
+const fail = (messages) => {
+  const place = one("#message");
+  place.textContent = messages.join("\n");
+  place.hidden = false;
+  clearTimeout(fail.timer);
+  fail.timer = setTimeout(() => { place.hidden = true; }, 12000);
+};
 
-  const told = (said) => {
-    if (said.error) { fail(said.error); studio.notInspected(); }
-    if (said.inspected) studio.inspected(said.inspected);
-    if (said.about) one("#plan").textContent = said.about.plan;
-    if (said.values) {
-      Object.assign(studio.values, said.values);
-      for (const [path, value] of Object.entries(said.values)) {
-        if (dragged?.path === path && performance.now() - dragged.at < ECHO) continue; // older than what is in the box
-        for (const control of sameKey(path)) give(control, value);
-      }
-    }
-    if (said.faults) { studio.faults = said.faults; mark(); }
-    if ("undo" in said) { one("#undo").disabled = !said.undo; one("#redo").disabled = !said.redo; }
-    if ("title" in said) {
-      document.title = said.title ? `${said.title} · clsco studio` : "clsco studio";
-      one("#title").textContent = said.title || "untitled";
-    }
-    for (const hear of studio.hearing) hear(said);
-  };
+studio.fail = fail;
 
-  const fail = (messages) => {
-    const place = one("#message");
-    place.textContent = messages.join("\n");
-    place.hidden = false;
-    clearTimeout(fail.timer);
-    fail.timer = setTimeout(() => { place.hidden = true; }, 12000);
-  };
+const controls = () => {
+  document.addEventListener("input", (event) => { if (event.target.dataset?.path) changing(event.target); });
+  document.addEventListener("change", (event) => { if (event.target.dataset?.path) dragged = null; });
+  document.addEventListener("focusout", (event) => { if (event.target.dataset?.path) dragged = null; });
+  document.addEventListener("keydown", stepped, true);
+  document.addEventListener("click", (event) => {
+    const reset = event.target.closest?.("[data-clear]");
+    if (reset) { drag += 1; put(reset.dataset.clear, null); }
+    const action = event.target.closest?.("[data-do]");
+    if (action) send({ do: action.dataset.do });
+    const shows = event.target.closest?.("[data-show]");
+    if (shows) one(shows.dataset.show).showModal();
+    const closes = event.target.closest?.("[data-close]");
+    if (closes) one(closes.dataset.close).close();
+    const toggles = event.target.closest?.("[data-toggle]");
+    if (toggles) one("#studio").classList.toggle(toggles.dataset.toggle);
+    const view = event.target.closest?.("[data-view]");
+    if (view) look(view.dataset.view);
+  });
+  new MutationObserver(() => requestAnimationFrame(watch)).observe(document.body, { childList: true, subtree: true });
+};
 
-  studio.fail = fail;
+// ---- views ------------------------------------------------------------------------------------------------------
+const look = (view) => {
+  studio.view = view;
+  studio.rung = -1;
+  studio.badge();
+  for (const button of all("[data-view]")) button.setAttribute("aria-selected", String(button.dataset.view === view));
+  send({ view });
+  studio.unstack();
+  studio.expose();
+};
+studio.look = look;
 
-  const controls = () => {
-    document.addEventListener("input", (event) => { if (event.target.dataset?.path) changing(event.target); });
-    document.addEventListener("change", (event) => { if (event.target.dataset?.path) dragged = null; });
-    document.addEventListener("focusout", (event) => { if (event.target.dataset?.path) dragged = null; });
-    document.addEventListener("keydown", stepped, true);
-    document.addEventListener("click", (event) => {
-      const reset = event.target.closest?.("[data-clear]");
-      if (reset) { drag += 1; put(reset.dataset.clear, null); }
-      const action = event.target.closest?.("[data-do]");
-      if (action) send({ do: action.dataset.do });
-      const shows = event.target.closest?.("[data-show]");
-      if (shows) one(shows.dataset.show).showModal();
-      const closes = event.target.closest?.("[data-close]");
-      if (closes) one(closes.dataset.close).close();
-      const toggles = event.target.closest?.("[data-toggle]");
-      if (toggles) one("#studio").classList.toggle(toggles.dataset.toggle);
-      const view = event.target.closest?.("[data-view]");
-      if (view) look(view.dataset.view);
-    });
-    new MutationObserver(() => requestAnimationFrame(watch)).observe(document.body, { childList: true, subtree: true });
-  };
+// ---- keyboard ---------------------------------------------------------------------------------------------------
+const keys = (event) => {
+  const control = event.ctrlKey || event.metaKey, press = (selector) => { event.preventDefault(); one(selector)?.click(); };
+  if (control && event.key.toLowerCase() === "z") dragged = null;
+  if (control && event.key.toLowerCase() === "z") return press(event.shiftKey ? "#redo" : "#undo");
+  if (control && event.key.toLowerCase() === "s") return press("#save");
+  if (control && event.key === "Enter") return press("#generate");
+  if (event.key === "Escape" && dragged !== null) {
+    const { path, before } = dragged;
+    put(path, before ?? null);
+    for (const other of sameKey(path)) give(other, before);
+    dragged = null;
+    return undefined;
+  }
+  if (event.key === "Escape") studio.escape();
+  const typing = event.target.closest?.("input:not([type=range]):not([type=checkbox]):not([type=radio]), textarea, select");
+  if (control || event.altKey || typing) return undefined;
+  if (/^[1-9]$/.test(event.key)) return look(VIEWS[Number(event.key) - 1]);
+  if (event.key === ",") return studio.seek(studio.index - 1);
+  if (event.key === ".") return studio.seek(studio.index + 1);
+  if (event.key.toLowerCase() === "e" && !one("#eye").hidden) return press("#eye");
+  if (event.key === "?") return one("#keys").showModal();
+  return studio.extra?.(event);
+};
 
-  // ---- views ------------------------------------------------------------------------------------------------------
-  const look = (view) => {
-    studio.view = view;
-    studio.rung = -1;
-    studio.badge();
-    for (const button of all("[data-view]")) button.setAttribute("aria-selected", String(button.dataset.view === view));
-    send({ view });
-    studio.unstack();
-    studio.expose();
-  };
-  studio.look = look;
+studio.start = (name) => {
+  if (tab) return;
+  tab = studio.tab = name;
+  link = location.hash.startsWith("#s=") ? location.hash : "";
+  history.replaceState(null, "", `?s=${name}`);
+  pointing();
+  controls();
+  studio.begin();
+  document.addEventListener("keydown", keys);
+  for (const part of studio.parts) part();
+  window.addEventListener("beforeunload", () => { tries = 4; send({ leaving: true }); });
+  connect();
+};
 
-  // ---- keyboard ---------------------------------------------------------------------------------------------------
-  const keys = (event) => {
-    const control = event.ctrlKey || event.metaKey, press = (selector) => { event.preventDefault(); one(selector)?.click(); };
-    if (control && event.key.toLowerCase() === "z") dragged = null;
-    if (control && event.key.toLowerCase() === "z") return press(event.shiftKey ? "#redo" : "#undo");
-    if (control && event.key.toLowerCase() === "s") return press("#save");
-    if (control && event.key === "Enter") return press("#generate");
-    if (event.key === "Escape" && dragged !== null) {
-      const { path, before } = dragged;
-      put(path, before ?? null);
-      for (const other of sameKey(path)) give(other, before);
-      dragged = null;
-      return undefined;
-    }
-    if (event.key === "Escape") studio.escape();
-    const typing = event.target.closest?.("input:not([type=range]):not([type=checkbox]):not([type=radio]), textarea, select");
-    if (control || event.altKey || typing) return undefined;
-    if (/^[1-9]$/.test(event.key)) return look(VIEWS[Number(event.key) - 1]);
-    if (event.key === ",") return studio.seek(studio.index - 1);
-    if (event.key === ".") return studio.seek(studio.index + 1);
-    if (event.key.toLowerCase() === "e" && !one("#eye").hidden) return press("#eye");
-    if (event.key === "?") return one("#keys").showModal();
-    return studio.extra?.(event);
-  };
-
-  studio.start = (name) => {
-    if (tab) return;
-    tab = studio.tab = name;
-    link = location.hash.startsWith("#s=") ? location.hash : "";
-    history.replaceState(null, "", `?s=${name}`);
-    pointing();
-    controls();
-    studio.begin();
-    document.addEventListener("keydown", keys);
-    for (const part of studio.parts) part();
-    window.addEventListener("beforeunload", () => { tries = 4; send({ leaving: true }); });
-    connect();
-  };
-
-  const begin = () => (one("#studio") && one("#canvas") && window.studioColors && studio.begin && studio.parts.length === 4
-    ? studio.start(one("#studio").dataset.tab) : requestAnimationFrame(begin));
-  begin();
-})();
+const begin = () => (one("#studio") && one("#canvas") ? studio.start(one("#studio").dataset.tab) : requestAnimationFrame(begin));
+begin();

@@ -20,8 +20,8 @@ _TOOLS = {
     "brush": "Brush", "rectangle": "Rectangle", "lasso": "Lasso", "color": "Pixels of a color", "move": "Move the view",
 }  # fmt: skip
 _LABELS = {"mean-median": "Mean and median (thesis)", "biharmonic": "Biharmonic", "texture": "Texture"}
-_FRAME = "async () => emit(await window.studioBrush.shownFrame())"
-_ALL_SENT = "async () => { await window.studioBrush.sent(); emit(); }"
+_FRAME = "async () => emit(await studio.brush.shownFrame())"
+_ALL_SENT = "async () => { await studio.brush.sent(); emit(); }"
 _BLANK = "what is hatched is filled; wheel or fingers zoom, Shift and a drag move the view"
 _TICK = 0.4  # s between looks at a method
 
@@ -44,12 +44,12 @@ class _Actions:
         self._loaded()
 
     def _loaded(self) -> None:
-        ui.run_javascript("studioBrush.load()")
+        ui.run_javascript("studio.brush.load()")
         self.results.refresh()
 
     def load_mask(self) -> None:
         self.inpainting.load_mask(self.typed["mask"])
-        ui.run_javascript("studioBrush.replaced()")
+        ui.run_javascript("studio.brush.replaced()")
         self.results.refresh()
 
     def save_mask(self) -> None:
@@ -165,7 +165,7 @@ def inpainting_dialog(session: Document, jobs: Jobs, tab: str, device: str | Non
 
     def show() -> None:
         dialog.open()
-        ui.run_javascript(f"studioBrush.opened({'true' if inpainting.name else 'false'})")
+        ui.run_javascript(f"studio.brush.opened({'true' if inpainting.name else 'false'})")
 
     return show
 
