@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.pupils.circle import Circle
-from clsco.optics.pupils.diffracted import Diffracted
+from clsco.optics.pupils.hankel import HankelDiffracted
 from clsco.plan.waves import disc_psnr
 
 Array = NDArray[np.float64]
@@ -56,7 +56,7 @@ def hopkins(unit: float, radius: float, reach: int, tent: bool = True) -> Array:
 
 def difference(unit: float, radius: float, tent: bool = True) -> float:
     """L1 of the package's weights less Hopkins', up to 2 px beyond the rim."""
-    lens, reach = Diffracted(Circle(), ((unit, 1.0),), 0.002, keeps=False), int(radius) + 2
+    lens, reach = HankelDiffracted(Circle(), ((unit, 1.0),), 0.002, keeps=False), int(radius) + 2
     span = np.arange(reach + 1.0)
     fold = np.where(span > 0, 2.0, 1.0)
     found = lens.share(span, span[:, None], np.asarray(radius), tent)
@@ -65,7 +65,7 @@ def difference(unit: float, radius: float, tent: bool = True) -> float:
 
 def psnr_of_disc(unit: float, radius: float) -> float:
     """PSNR of black and white squares blurred by a disc instead of waves, dB."""
-    waves, disc = PointSpread(Diffracted(Circle(), ((unit, 1.0),), min(0.01, 0.05 / unit))), PointSpread(Circle())
+    waves, disc = PointSpread(HankelDiffracted(Circle(), ((unit, 1.0),), min(0.01, 0.05 / unit))), PointSpread(Circle())
     far = waves.reach(radius)
     span = np.arange(-far, far + 1.0)
     kernel = np.zeros((SIDE, SIDE))

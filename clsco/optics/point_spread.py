@@ -18,8 +18,12 @@ from clsco.constants import LENS_CELLS
 from clsco.errors import SceneError
 from clsco.optics.pupils import FORMULAS
 from clsco.optics.pupils.diffracted import Diffracted
+from clsco.optics.pupils.fourier import FourierDiffracted
 from clsco.optics.pupils.gaussian import Gaussian
+from clsco.optics.pupils.hankel import HankelDiffracted, is_round
 from clsco.optics.pupils.pupil import Array, Pupil
+from clsco.optics.pupils.wavefront import Wavefront
+from clsco.scene.aberrations import zernike_terms
 from clsco.scene.model import Aperture, Camera, Psf
 
 MINIMUM_BLUR = 0.5  # px; sampled PSFs leave smaller radii alone (thesis, 2.2)
@@ -306,12 +310,24 @@ def _diffracted(pupil: Pupil, psf: Psf, camera: Camera | None, color: int = GREE
     if not units[0] >= LEAST_UNIT or not units[-1] <= MOST_UNIT:
         rule = f"must make wavelength s0 / (D pixel_pitch) {LEAST_UNIT:g} to {MOST_UNIT:g} px"
         raise SceneError(f"psf.wavelengths: {rule}; got {units[0]:.3g} px, of {nodes[0]:.4g} nm")
-    bands = tuple((unit, 1.0 / len(units)) for unit in units)
-    found = Diffracted(pupil, bands, psf.tail, psf.rest == "renormalize")
+    bands, keeps = tuple((unit, 1.0 / len(units)) for unit in units), psf.rest == "renormalize"
+    wavefront = _wavefront(psf, camera)
+    found: Diffracted
+    if is_round(pupil) and wavefront.is_flat:
+        found = HankelDiffracted(pupil, bands, psf.tail, keeps)
+    else:
+        found = FourierDiffracted(pupil, bands, psf.tail, keeps, wavefront)
     if found.margin > MOST_MARGIN:
         rule = f"must leave at most {MOST_MARGIN:g} px of light outside of the rim of the blur"
-        raise SceneError(f"psf.tail: {rule}; got {found.margin:.4g} px, of {psf.tail:g} and {nodes[-1]:.4g} nm")
+        bent = "" if wavefront.is_flat else f", and aberrations by {2.0 * wavefront.slope:.3g} px"
+        raise SceneError(f"psf.tail: {rule}; got {found.margin:.4g} px, of {psf.tail:g} and {nodes[-1]:.4g} nm{bent}")
     return found
+
+
+def _wavefront(psf: Psf, camera: Camera) -> Wavefront:
+    """Errors of the wavefront in px of path: waves of green light are the same lengths for all colors."""
+    unit = diffraction_unit(camera, psf.wavelengths[GREEN])
+    return Wavefront(tuple((n, m, waves * unit) for n, m, waves in zernike_terms(psf.zernike)), psf.seidel.W040 * unit)
 
 
 def diffraction_unit(camera: Camera, wavelength: float) -> float:

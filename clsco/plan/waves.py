@@ -8,6 +8,7 @@ from clsco.errors import SceneError
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_tables import table_bytes
 from clsco.optics.pupils.diffracted import Diffracted
+from clsco.optics.pupils.fourier import FourierDiffracted
 from clsco.plan.passes import Parameters
 
 MOST_WAVES = 512.0  # of defocus at the rim: the transform of more would take seconds for each radius
@@ -25,8 +26,11 @@ def disc_psnr(unit: float) -> float:
 
 
 def check_waves(psf: PointSpread, largest: float) -> None:
-    """Raise SceneError where a blur radius of `largest` px is too many waves of defocus."""
+    """Raise SceneError where a blur radius of `largest` px is too many waves of defocus, or with the aberrations turns
+    the phase too fast for the samples of the pupil."""
     pupil = psf.pupil
+    if isinstance(pupil, FourierDiffracted):
+        pupil.samples(largest)
     if not isinstance(pupil, Diffracted) or pupil.waves(largest) <= MOST_WAVES:
         return
     rule = f'"wave" takes at most {MOST_WAVES:g} waves of defocus at the rim'
@@ -44,9 +48,12 @@ def wave_words(psf: PointSpread, smallest: float, largest: float, silhouettes: i
         table_bytes(psf, smallest, largest, silhouettes) if silhouettes else 0
     )
     rest = "given to the rest" if pupil.keeps else "lost"
-    return (
+    found = (
         ("waves", f"Q = {pupil.widest:.3g} px, {pupil.waves(largest):.3g} waves of defocus at the largest R"),
         ("tail", f"{100.0 * cut:.2g} % of the light, beyond {pupil.margin:.3g} px from the rim, is {rest}"),
         ("tables", f"{size / 2**20:.2g} MiB"),
         ("disc", f"would have about {disc_psnr(pupil.widest):.0f} dB against waves"),
     )
+    if not isinstance(pupil, FourierDiffracted):
+        return found
+    return *found, ("pupil", f"{pupil.samples(largest):.0f} samples over the diameter, by Fourier transforms")

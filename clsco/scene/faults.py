@@ -9,6 +9,7 @@ from typing import Any, TypeVar, get_args
 from pydantic import BaseModel, ValidationError
 
 from clsco.errors import SceneError
+from clsco.scene.aberrations import Seidel, Zernike
 from clsco.scene.groups import Group, unknown_groups
 from clsco.scene.motions import Keyframe, LensKeyframe, ObjectMotion
 from clsco.scene.objects import repeated_names
@@ -52,7 +53,8 @@ def _places(root: type[BaseModel]) -> list[tuple[str, type[BaseModel]]]:
     shapes = (("object[0]", shape) for shape in SHAPES.values())
     moving: Any = known["camera"].model_fields["motion"].annotation
     moved = (("object[0].motion", ObjectMotion), ("camera.motion", moving), ("object[0].motion.keyframe[0]", Keyframe))
-    return [*known.items(), *shapes, *moved, ("lens.keyframe[0]", LensKeyframe), ("group[0]", Group)]
+    errors = (("psf.seidel", Seidel), ("psf.zernike", Zernike))
+    return [*known.items(), *shapes, *moved, ("lens.keyframe[0]", LensKeyframe), ("group[0]", Group), *errors]
 
 
 def parsed(root: type[Root], mapping: Any, where: str) -> Root:

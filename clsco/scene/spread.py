@@ -9,6 +9,7 @@ from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, mo
 
 from clsco.errors import SceneError
 from clsco.records import MOST_RIMS
+from clsco.scene.aberrations import Seidel, Zernike, zernike_terms
 from clsco.scene.arrays import HasInputs, Input, TextureInput
 from clsco.scene.quantities import Flag, Strict, Triple, Within, as_python, at_keys, fault
 
@@ -98,7 +99,7 @@ Wavelength = Annotated[float, Within(100.0, 20000.0, "nm")]
 Wavelengths = Annotated[tuple[Wavelength, Wavelength, Wavelength], Triple]
 SpreadModel = Literal["pillbox", "gaussian", "wave"]
 MODEL_KEYS = {"sigma_ratio": "gaussian", "truncation": "gaussian"} | dict.fromkeys(
-    ("wavelengths", "bandwidth", "tail", "rest"), "wave"
+    ("wavelengths", "bandwidth", "seidel", "zernike", "tail", "rest"), "wave"
 )
 """Keys of [psf] that belong to one model."""
 
@@ -129,6 +130,11 @@ class Psf(Strict):
     model = "wave"."""
     bandwidth: Annotated[float, Within(0.0, 1000.0, "nm")] = 0.0
     """Width of a band around each of them that has as much light everywhere, nm; only with model = "wave"."""
+    seidel: Seidel = Seidel.model_construct()
+    """Errors of the wavefront by Seidel's terms; only with model = "wave"."""
+    zernike: Zernike = Zernike.model_construct()
+    """Errors of the wavefront by Zernike polynomials, the same on every point of the field; only with
+    model = "wave"."""
     tail: Annotated[float, Within(1e-4, 0.2)] = 0.01
     """Share of the light of a point that is left out at most, far beyond the rim of its blur; only with
     model = "wave"."""
@@ -160,6 +166,11 @@ class Psf(Strict):
         return self
 
     @property
+    def aberrated(self) -> bool:
+        """True where the wavefront has errors."""
+        return self.seidel.W040 != 0.0 or bool(zernike_terms(self.zernike))
+
+    @property
     def asks_for_rays(self) -> bool:
         """True where visibility tests are given, not only the default."""
         return self.occlusion == "visibility" and "occlusion" in self.model_fields_set
@@ -183,9 +194,11 @@ def misfit(psf: Psf, aperture: Aperture) -> tuple[str, str, Any] | None:
         return "rim", 'needs psf.edge = "integrated" or "area"', psf.edge
     if aperture.rim and psf.model == "wave":
         return "rim", 'needs psf.model = "pillbox" or "gaussian"', psf.model
+    if psf.aberrated and aperture.squeeze < 1.0:
+        return "squeeze", "must be at least 1 with psf.seidel or psf.zernike, which are of a circle", aperture.squeeze
     for key, about, value in found:
-        if psf.model == "gaussian" or (psf.model == "wave" and (key, value) != ("shape", "ring")):
-            return key, f'{about} needs psf.model = "pillbox"', value
+        if psf.model == "gaussian":
+            return key, f'{about} needs psf.model = "pillbox" or "wave"', value
         if psf.edge == "sampled":
             return key, f'{about} needs psf.edge = "integrated" or "area"', value
     return None

@@ -19,7 +19,7 @@ from clsco.optics.motion import poses_at
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.pupils.blades import CurvedPolygon
 from clsco.optics.pupils.circle import Circle
-from clsco.optics.pupils.diffracted import Diffracted
+from clsco.optics.pupils.hankel import HankelDiffracted
 from clsco.optics.pupils.ellipse import Ellipse
 from clsco.optics.pupils.gaussian import Gaussian
 from clsco.optics.pupils.image import Image, image_pupil
@@ -37,7 +37,7 @@ from clsco.scene.model import Camera, CameraMotion, DepthMap, Fill, ImageOptions
 from clsco.scene.motions import CameraShake
 from tests.scenes import scene_of
 
-WAVES = Diffracted(Circle(), ((0.5, 1.0),))
+WAVES = HankelDiffracted(Circle(), ((0.5, 1.0),))
 PUPILS = (
     Circle(), Gaussian(0.7, 3.0), Polygon(), Ring(0.5), image_pupil(np.eye(6)), CurvedPolygon(5, 3.0, 0.4),
     Ellipse(2.0), WAVES,

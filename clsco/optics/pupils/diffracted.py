@@ -1,25 +1,21 @@
-"""Openings as waves see them: the point spread by diffraction at a round opening (float64, pure)."""
+"""Base of openings as waves see them: their rims diffract light (float64, pure)."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
-from math import ceil, pi
+from math import pi
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsco.optics.pupils.circle import Circle
-from clsco.optics.pupils.diffraction import cell_width, pixel_rings, round_light
 from clsco.optics.pupils.pupil import Array, Edges, Pupil
-from clsco.optics.pupils.ring import Ring
 
 LAW = 1.1  # light beyond d px outside of the rim is at most so many times 2 Q / (pi^2 d), for an open circle
 LEAST_MARGIN = 1.0  # px
-DIRECT = 64  # radii up to which each has weights of its own; of more they are interpolated
 STEPS, MOST_STEPS = ((1.6, 2), (0.8, 4), (0.2, 8), (0.05, 16)), 32  # intervals of tables per px, from a Q on
 PANEL_NODES = 10
-PANEL = 0.25  # px of R that one polynomial is for, at most; half a period of the fastest oscillation, 4 Q
 ANGLES = (np.arange(PANEL_NODES) + 0.5) * pi / PANEL_NODES
 CHEBYSHEV = -np.cos(ANGLES)
 BARYCENTRIC = np.where(np.arange(PANEL_NODES) % 2, -1.0, 1.0) * np.sin(ANGLES)
@@ -32,22 +28,12 @@ class Diffracted(Pupil):
     Attributes
     ----------
     opening : Pupil
-        A circle or a ring.
     bands : tuple of (float, float)
         Q = wavelength s0 / (D pitch), px, and share of the light, of each wavelength.
     tail : float
         Share of the light that is left out, far from the rim.
     keeps : bool
         The rest has all of the light.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from clsco.optics.pupils.circle import Circle
-    >>> from clsco.optics.pupils.diffracted import Diffracted
-    >>> lens = Diffracted(Circle(), ((0.5, 1.0),))
-    >>> lens.share(np.array([0.0, 1.0]), np.zeros(2), np.array(0.0), tent=True).round(4)
-    array([0.6151, 0.0695])
     """
 
     opening: Pupil
@@ -86,9 +72,9 @@ class Diffracted(Pupil):
         return self.opening.second_moment
 
     @property
-    def inner(self) -> float:
-        """Radius of what is covered in the middle, in radii of the opening."""
-        return self.opening.obstruction if isinstance(self.opening, Ring) else 0.0
+    @abstractmethod
+    def rim(self) -> float:
+        """Length of its rims per area, as a multiple of that of an open circle."""
 
     @property
     def widest(self) -> float:
@@ -111,8 +97,7 @@ class Diffracted(Pupil):
 
         By the law of straight edges it is in proportion to the length of the rim.
         """
-        rim = 1.0 / (1.0 - self.inner)
-        return max(LAW * 2.0 * self.widest * rim / (pi**2 * self.tail), LEAST_MARGIN) + 0.5
+        return max(LAW * 2.0 * self.widest * self.rim / (pi**2 * self.tail), LEAST_MARGIN) + 0.5
 
     def transmission(self, x: Array, y: Array) -> Array:
         return self.opening.transmission(x, y)
@@ -120,72 +105,39 @@ class Diffracted(Pupil):
     def cells(self, count: int) -> Array:
         return self.opening.cells(count)
 
-    def share(self, dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
-        a, b, r = np.broadcast_arrays(np.abs(dx), np.abs(dy), radius if self.signed else np.abs(radius))
-        if not a.size:
-            return np.zeros(a.shape)
-        places, place = np.unique(np.maximum(a, b) + 1j * np.minimum(a, b), return_inverse=True)
-        radii, which = np.unique(r, return_inverse=True)
-        weights = self._weights if len(radii) <= DIRECT else self._interpolated
-        found = weights(places, radii, tent)
-        return np.asarray(found[place.reshape(a.shape), which.reshape(a.shape)])
-
     def waves(self, radius: float) -> float:
         """Defocus of a blur radius in px at the edge of the opening, in waves of the shortest wavelength."""
         return abs(radius) / (4.0 * self.narrowest)
 
+    @abstractmethod
     def left_out(self, radius: float) -> float:
         """Share of the light of a blur radius in px that is cut off."""
-        light, inside = self._light(np.array([radius]))
-        return float(1.0 - (light * inside).sum())
-
-    def _weights(self, places: NDArrayComplex, radii: Array, tent: bool) -> Array:
-        """Weights (places, radii)."""
-        rings, width = _rings(self, radii.tobytes()), self._width
-        found = np.empty((len(places), len(radii)))
-        for k, (a, b) in enumerate(zip(places.real.tolist(), places.imag.tolist(), strict=True)):
-            first, shares = pixel_rings(a, b, tent, width)
-            light = rings[first : first + len(shares)]
-            found[k] = shares[: len(light)] @ light
-        return np.maximum(found, 0.0)
-
-    def _interpolated(self, places: NDArrayComplex, radii: Array, tent: bool) -> Array:
-        """The same by polynomials in the radius, which the weights are smooth in: to 1e-9 where Q is 0.1 px or more."""
-        panel = min(PANEL, 2.0 * self.narrowest)
-        panels, number = np.unique(np.floor(radii / panel), return_inverse=True)
-        nodes = (panels[:, None] + 0.5 * (CHEBYSHEV + 1.0)) * panel
-        values = self._weights(places, nodes.ravel(), tent).reshape(len(places), *nodes.shape)
-        away = radii[:, None] - nodes[number]
-        factor = BARYCENTRIC / np.where(away == 0.0, 1e-300, away)
-        factor /= factor.sum(axis=1, keepdims=True)
-        return np.maximum(np.einsum("prn,rn->pr", values[:, number], factor), 0.0)
-
-    @property
-    def _width(self) -> float:
-        return cell_width(self.narrowest)
-
-    def _light(self, radii: Array) -> tuple[Array, Array]:
-        """Light in each ring (rings, radii), and what part of it is inside of the margin."""
-        width, end = self._width, np.abs(radii) * self.extent + self.margin
-        count = 2 * ceil(0.5 * float(end.max()) / width)
-        light = sum(
-            share * round_light(radii, unit, self.inner, np.zeros_like, width, count) for unit, share in self.bands
-        )
-        depth = np.clip(end - (np.arange(count)[:, None] + 0.5) * width, 0.0, 1.0)
-        return np.asarray(light), depth**3 * (10.0 + depth * (6.0 * depth - 15.0))
 
 
-NDArrayComplex = np.ndarray[tuple[int, ...], np.dtype[np.complex128]]
+def faded(depth: Array) -> Array:
+    """Part of the light that is kept so many px inside of where it ends: 0 outside, and all of it from 1 px on."""
+    held = np.clip(depth, 0.0, 1.0)
+    return np.asarray(held**3 * (10.0 + held * (6.0 * held - 15.0)))
 
 
-def is_round(opening: Pupil) -> bool:
-    """True of an opening that rings of light are made of."""
-    return isinstance(opening, Circle | Ring)
+def panels_of(radii: Array, panel: float) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """Polynomials in R that give weights at signed radii, each for a panel of so many px.
+
+    Returns
+    -------
+    numbers : ndarray of int
+        Panels, rising; one from n panel on has the number n, and nodes by `panel_nodes`.
+    which : ndarray of int (radii,)
+        Index of each radius' panel.
+    factors : ndarray (radii, PANEL_NODES)
+        What values at the nodes of its panel are multiplied by.
+    """
+    numbers, which = np.unique(np.floor(radii / panel).astype(np.int64), return_inverse=True)
+    away = radii[:, None] - panel_nodes(numbers, panel)[which]
+    factors = BARYCENTRIC / np.where(away == 0.0, 1e-300, away)
+    return numbers, which, factors / factors.sum(axis=1, keepdims=True)
 
 
-@lru_cache(maxsize=32)
-def _rings(pupil: Diffracted, radii: bytes) -> Array:
-    """Light in each ring (rings, radii), for radii as float64."""
-    light, inside = pupil._light(np.frombuffer(radii))
-    light = light * inside
-    return np.asarray(light / light.sum(axis=0) if pupil.keeps else light)
+def panel_nodes(numbers: NDArray[np.int64], panel: float) -> Array:
+    """Radii (panels, PANEL_NODES) at the nodes of panels of so many px."""
+    return np.asarray((numbers[:, None] + 0.5 * (CHEBYSHEV + 1.0)) * panel)

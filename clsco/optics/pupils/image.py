@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 
 import numpy as np
@@ -60,6 +60,10 @@ class Image(Pupil):
     @property
     def light(self) -> float:
         return float(self.image.mean()) * 4.0 / (np.pi * self.squeeze)
+
+    @property
+    def amplitude(self) -> Image:
+        return replace(self, digest=f"root of {self.digest}", data=np.sqrt(self.image).astype(np.float32).tobytes())
 
     @property
     def image(self) -> Array:

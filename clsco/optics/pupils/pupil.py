@@ -79,6 +79,11 @@ class Pupil(ABC):
         """Name for reports."""
 
     @property
+    def amplitude(self) -> Pupil:
+        """Opening whose transmission is the square root of this one's: what waves come through."""
+        return self
+
+    @property
     @abstractmethod
     def light(self) -> float:
         """Light that passes, as a part of what an open circle of radius 1 lets through."""

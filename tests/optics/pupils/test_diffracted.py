@@ -12,7 +12,8 @@ from clsco.errors import SceneError
 from clsco.optics.point_spread import PointSpread, diffraction_unit, point_spread, spreads_of_colors
 from clsco.optics.psf_tables import psf_table, table_weights
 from clsco.optics.pupils.circle import Circle
-from clsco.optics.pupils.diffracted import DIRECT, Diffracted
+from clsco.optics.pupils.diffracted import Diffracted
+from clsco.optics.pupils.hankel import DIRECT, HankelDiffracted
 from clsco.optics.pupils.diffraction import bessel_j0, round_intensity
 from clsco.optics.pupils.pupil import Pupil
 from clsco.optics.pupils.ring import Ring
@@ -23,7 +24,7 @@ MARGIN_RULE = "must leave at most 256 px of light outside of the rim of the blur
 
 
 def waves(unit: float, opening: Pupil | None = None, tail: float = 0.01, keeps: bool = True) -> Diffracted:
-    return Diffracted(opening or Circle(), ((unit, 1.0),), tail, keeps)
+    return HankelDiffracted(opening or Circle(), ((unit, 1.0),), tail, keeps)
 
 
 def offsets(reach: int) -> tuple[Array, Array]:
@@ -124,7 +125,7 @@ def test_tables_are_as_good_as_those_of_discs(unit: float) -> None:
 
 def test_a_band_is_the_mean_of_its_wavelengths() -> None:
     x, y = offsets(6)
-    both = Diffracted(Circle(), ((0.4, 0.5), (0.5, 0.5)), keeps=False)
+    both = HankelDiffracted(Circle(), ((0.4, 0.5), (0.5, 0.5)), keeps=False)
     each = [waves(unit, keeps=False) for unit in (0.4, 0.5)]
     mean = np.mean([lens.share(x, y, np.asarray(2.0), True) for lens in each], axis=0)
     found = both.share(x, y, np.asarray(2.0), True)

@@ -1,0 +1,161 @@
+"""Openings of any shape, and lenses with aberrations, as waves see them (float64, pure)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+from math import floor, log2
+
+import numpy as np
+
+from clsco.cache import Cache
+from clsco.optics.pupils.diffracted import Diffracted, faded, panel_nodes, panels_of
+from clsco.optics.pupils.pupil import Array, Pupil
+from clsco.optics.pupils.transform import (
+    Spectrum,
+    fast_length,
+    image_parts,
+    pixel_weights,
+    pupil_samples,
+    spectra,
+    spot_light,
+)
+from clsco.optics.pupils.wavefront import Wavefront
+
+RIM_CELLS, RIM_SIGMA = 128, 2  # cells per radius that the length of the rim is measured by, and their blur
+LONGEST_PANEL, PANEL_PER_UNIT = 1.0, 6.0  # px of R that one polynomial is for, at most, and that in Q
+PLACES = 2**16  # of sources in a pixel, that are told apart
+SPECTRA_BYTES, WEIGHTS_BYTES = 2**27, 2**27
+_spectra, _weights = Cache(SPECTRA_BYTES), Cache(WEIGHTS_BYTES)
+
+
+@dataclass(frozen=True)
+class FourierDiffracted(Diffracted):
+    """Opening of any shape behind which a wavefront may be in error, see `Diffracted`.
+
+    Attributes
+    ----------
+    wavefront : Wavefront
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from clsco.optics.pupils.circle import Circle
+    >>> from clsco.optics.pupils.fourier import FourierDiffracted
+    >>> from clsco.optics.pupils.wavefront import Wavefront
+    >>> lens = FourierDiffracted(Circle(), ((0.5, 1.0),), wavefront=Wavefront(((3, 1, 0.1),)))
+    >>> lens.share(np.array([-1.0, 0.0, 1.0]), np.zeros(3), np.array(0.0), tent=True).round(3)
+    array([0.156, 0.221, 0.083])
+    """
+
+    wavefront: Wavefront = field(default_factory=Wavefront)
+
+    @property
+    def signed(self) -> bool:
+        return True
+
+    @property
+    def name(self) -> str:
+        return super().name if self.wavefront.is_flat else f"{super().name}, aberrations"
+
+    @property
+    def rim(self) -> float:
+        return _rim(self.opening)
+
+    @property
+    def margin(self) -> float:
+        """Distance from the rim as of a perfect lens, and what the wavefront bends rays by."""
+        return super().margin + 2.0 * self.wavefront.slope
+
+    def share(self, dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
+        right, down, r = np.broadcast_arrays(dx, dy, radius)
+        found = np.zeros(r.shape)
+        column, row = np.rint(right), np.rint(down)
+        places = np.rint((column - right) * PLACES) + 1j * np.rint((row - down) * PLACES)
+        numbers, which, factors = panels_of(r.ravel(), self.panel)
+        of_panel = which.reshape(r.shape)
+        for place in np.unique(places):
+            for number in np.unique(of_panel[places == place]):
+                here = (places == place) & (of_panel == number)
+                squares = self._squares(int(numbers[number]), (place.real / PLACES, place.imag / PLACES), tent)
+                half = squares.shape[1] // 2
+                x, y = column[here].astype(np.int64), row[here].astype(np.int64)
+                inside = np.maximum(np.abs(x), np.abs(y)) < half
+                values = squares[:, np.where(inside, y + half, 0), np.where(inside, x + half, 0)]
+                found[here] = inside * np.einsum("ns,sn->s", values, factors[here.ravel()])
+        return np.maximum(found, 0.0)
+
+    def rows(self, radii: Array, dx: Array, dy: Array, tent: bool) -> Array:
+        column, row = np.rint(dx).astype(np.int64), np.rint(dy).astype(np.int64)
+        place = tuple(float(np.rint((at[0] - d[0]) * PLACES) / PLACES) for at, d in ((column, dx), (row, dy)))
+        numbers, which, factors = panels_of(radii, self.panel)
+        found = np.zeros((len(radii), len(dy), len(dx)))
+        for k, number in enumerate(numbers.tolist()):
+            squares = self._squares(number, (place[0], place[1]), tent)
+            half = squares.shape[1] // 2
+            x, y = np.abs(column) < half, np.abs(row) < half
+            values = squares[:, row[y][:, None] + half, column[x] + half]
+            found[np.ix_(which == k, y, x)] = np.tensordot(factors[which == k], values, axes=1)
+        return np.maximum(found, 0.0)
+
+    def left_out(self, radius: float) -> float:
+        return 1.0 - float(self._light(radius, radius).sum())
+
+    @property
+    def panel(self) -> float:
+        """Panels of R that one polynomial is for, px: whole intervals of tables."""
+        return min(2.0 ** floor(log2(PANEL_PER_UNIT * self.narrowest)), LONGEST_PANEL)
+
+    def samples(self, radius: float) -> float:
+        """Samples of the pupil over its diameter for a blur radius in px; raises SceneError where it needs too many."""
+        return pupil_samples((0.5 * abs(radius) * self.extent + self.wavefront.slope) / self.narrowest)
+
+    def _squares(self, number: int, place: tuple[float, float], tent: bool) -> Array:
+        """Weights (nodes, y, x) at the nodes of a panel, of a source at a place in its pixel."""
+        if number < 0 and self.wavefront.is_flat:  # the same as of -R, mirrored in the source
+            mirrored = self._squares(-1 - number, (-place[0], -place[1]), tent)
+            return np.roll(mirrored[::-1, ::-1, ::-1], 1, axis=(1, 2))
+
+        def make() -> Array:
+            found = _spectra.get((self, number), lambda: self._spectra(number), lambda made: made.nbytes)
+            parts = image_parts(self.narrowest, self.extent)
+            width = found.shape[1] // parts
+            return np.stack([pixel_weights(each, parts, width, place, tent) for each in found])
+
+        return _weights.get((self, number, place, tent), make, lambda made: made.nbytes)
+
+    def _spectra(self, number: int) -> Spectrum:
+        """Spectra (nodes, y, x) of the light at the nodes of a panel."""
+        nodes = panel_nodes(np.array([number]), self.panel)[0]
+        farthest = self.panel * max(abs(number), abs(number + 1))
+        found = []
+        for radius in nodes.tolist():
+            light = self._light(radius, farthest)
+            found.append(spectra(light / light.sum() if self.keeps else light))
+        return np.stack(found)
+
+    def _light(self, radius: float, farthest: float) -> Array:
+        """Light in cells (y, x) around the source that is inside of the margin; `farthest`: |R| that they are for."""
+        parts, samples = image_parts(self.narrowest, self.extent), self.samples(farthest)
+        width = fast_length(2.0 * (farthest * self.extent + self.margin + 1.0) + 2.0, 2)
+        light = sum(
+            share * spot_light(self.opening, self.wavefront, unit, radius, samples, parts, width)
+            for unit, share in self.bands
+        )
+        at = (np.arange(parts * width) - parts * width // 2) / parts
+        return np.asarray(light * faded(abs(radius) * self.extent + self.margin - np.hypot(at, at[:, None])))
+
+
+@lru_cache(maxsize=64)
+def _rim(opening: Pupil) -> float:
+    """Length of the rims per area, as a multiple of that of an open circle.
+
+    The squared gradient of an amplitude blurred by a Gaussian adds up to 1 / (2 sigma sqrt(pi)) across an edge, however
+    it lies; by Parseval's theorem a sum over frequencies.
+    """
+    amplitude = np.pad(opening.amplitude.cells(RIM_CELLS), 8 * RIM_SIGMA)
+    bend = (2.0 * np.pi * np.fft.fftfreq(len(amplitude))) ** 2
+    squared = bend[:, None] + bend
+    spectrum = np.abs(np.fft.fft2(amplitude)) ** 2 * squared * np.exp(-squared * RIM_SIGMA**2)
+    length = 2.0 * RIM_SIGMA * np.sqrt(np.pi) * spectrum.sum() / amplitude.size
+    return float(0.5 * length / (amplitude**2).sum() * RIM_CELLS / opening.extent)

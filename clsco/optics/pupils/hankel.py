@@ -1,0 +1,103 @@
+"""Round openings as waves see them, by distances from the source (float64, pure)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from math import ceil
+
+import numpy as np
+
+from clsco.optics.pupils.circle import Circle
+from clsco.optics.pupils.diffracted import PANEL_NODES, Diffracted, faded, panel_nodes, panels_of
+from clsco.optics.pupils.diffraction import cell_width, pixel_rings, round_light
+from clsco.optics.pupils.pupil import Array, Pupil
+from clsco.optics.pupils.ring import Ring
+
+DIRECT = 64  # radii up to which each has weights of its own; of more they are interpolated
+PANEL = 0.25  # px of R that one polynomial is for, at most; half a period of the fastest oscillation, 4 Q
+
+
+@dataclass(frozen=True)
+class HankelDiffracted(Diffracted):
+    """Circle or ring without aberrations, see `Diffracted`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from clsco.optics.pupils.circle import Circle
+    >>> from clsco.optics.pupils.hankel import HankelDiffracted
+    >>> lens = HankelDiffracted(Circle(), ((0.5, 1.0),))
+    >>> lens.share(np.array([0.0, 1.0]), np.zeros(2), np.array(0.0), tent=True).round(4)
+    array([0.6151, 0.0695])
+    """
+
+    @property
+    def inner(self) -> float:
+        """Radius of what is covered in the middle, in radii of the opening."""
+        return self.opening.obstruction if isinstance(self.opening, Ring) else 0.0
+
+    @property
+    def rim(self) -> float:
+        return 1.0 / (1.0 - self.inner)
+
+    def share(self, dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
+        a, b, r = np.broadcast_arrays(np.abs(dx), np.abs(dy), radius if self.signed else np.abs(radius))
+        if not a.size:
+            return np.zeros(a.shape)
+        places, place = np.unique(np.maximum(a, b) + 1j * np.minimum(a, b), return_inverse=True)
+        radii, which = np.unique(r, return_inverse=True)
+        weights = self._weights if len(radii) <= DIRECT else self._interpolated
+        found = weights(places, radii, tent)
+        return np.asarray(found[place.reshape(a.shape), which.reshape(a.shape)])
+
+    def left_out(self, radius: float) -> float:
+        light, inside = self._light(np.array([radius]))
+        return float(1.0 - (light * inside).sum())
+
+    def _weights(self, places: NDArrayComplex, radii: Array, tent: bool) -> Array:
+        """Weights (places, radii)."""
+        rings, width = _rings(self, radii.tobytes()), self._width
+        found = np.empty((len(places), len(radii)))
+        for k, (a, b) in enumerate(zip(places.real.tolist(), places.imag.tolist(), strict=True)):
+            first, shares = pixel_rings(a, b, tent, width)
+            light = rings[first : first + len(shares)]
+            found[k] = shares[: len(light)] @ light
+        return np.maximum(found, 0.0)
+
+    def _interpolated(self, places: NDArrayComplex, radii: Array, tent: bool) -> Array:
+        """The same by polynomials in the radius, which the weights are smooth in: to 1e-9 where Q is 0.1 px or more."""
+        panel = min(PANEL, 2.0 * self.narrowest)
+        numbers, which, factors = panels_of(radii, panel)
+        nodes = panel_nodes(numbers, panel)
+        values = self._weights(places, nodes.ravel(), tent).reshape(len(places), -1, PANEL_NODES)
+        return np.maximum(np.einsum("prn,rn->pr", values[:, which], factors), 0.0)
+
+    @property
+    def _width(self) -> float:
+        return cell_width(self.narrowest)
+
+    def _light(self, radii: Array) -> tuple[Array, Array]:
+        """Light in each ring (rings, radii), and what part of it is inside of the margin."""
+        width, end = self._width, np.abs(radii) * self.extent + self.margin
+        count = 2 * ceil(0.5 * float(end.max()) / width)
+        light = sum(
+            share * round_light(radii, unit, self.inner, np.zeros_like, width, count) for unit, share in self.bands
+        )
+        return np.asarray(light), faded(end - (np.arange(count)[:, None] + 0.5) * width)
+
+
+NDArrayComplex = np.ndarray[tuple[int, ...], np.dtype[np.complex128]]
+
+
+def is_round(opening: Pupil) -> bool:
+    """True of an opening that rings of light are made of."""
+    return isinstance(opening, Circle | Ring)
+
+
+@lru_cache(maxsize=32)
+def _rings(pupil: HankelDiffracted, radii: bytes) -> Array:
+    """Light in each ring (rings, radii), for radii as float64."""
+    light, inside = pupil._light(np.frombuffer(radii))
+    light = light * inside
+    return np.asarray(light / light.sum(axis=0) if pupil.keeps else light)

@@ -1,0 +1,137 @@
+"""Diffraction by any opening: light of a defocused point by Fourier transforms of the pupil (float64, pure).
+
+Lengths are in px of the detector, Q = wavelength s0 / (D pitch). The amplitude at x is the transform of the pupil,
+U(x) = integral of A(l) exp(2 pi i W(l)) exp(-i pi l x / Q) dl, with W = R |l|^2 / (4 Q) and the wavefront's path / Q.
+All wavelengths share the grid of the image, `parts` samples per px: a window of w px then has M = w / Q samples of the
+pupil over its diameter, which need not be whole.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from math import ceil
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.errors import SceneError
+from clsco.optics.pupils.pupil import Array, Pupil
+from clsco.optics.pupils.wavefront import Wavefront
+
+Spectrum = NDArray[np.complex128]
+FEWEST, MOST = 512, 2048  # samples of the pupil over its diameter
+PER_SLOPE, LEAST_PER_SLOPE = 32.0, 8.0  # samples over the diameter for each wave per radius of the steepest slope
+LEAST_PARTS = 4  # samples of the image per px, for the edge of its window
+
+
+def fast_length(least: float, step: int = 1) -> int:
+    """Smallest multiple of a step, at least so large, whose transform is fast: without factors of more than 5."""
+    count = max(ceil(least / step - 1e-9), 1)
+    while True:
+        rest = count
+        for factor in (2, 3, 5):
+            while rest % factor == 0:
+                rest //= factor
+        if rest == 1:
+            return count * step
+        count += 1
+
+
+def image_parts(unit: float, extent: float) -> int:
+    """Even number of samples of the image per px that hold all frequencies of its light, of Q = unit px or more."""
+    return fast_length(max(2.0 * extent / unit, LEAST_PARTS), 2)
+
+
+def pupil_samples(slope: float) -> float:
+    """Samples of the pupil over its diameter for a steepest slope of its phase in waves per radius.
+
+    Raises SceneError where the phase would turn by more than 1/4 wave from one of MOST samples to the next, so that
+    light would go to wrong places.
+    """
+    if MOST < LEAST_PER_SLOPE * slope:
+        rule = f"must turn the phase by at most 1/4 wave from one of {MOST} samples of the pupil to the next"
+        raise SceneError(f"psf: defocus and aberrations {rule}; got {2.0 * slope / MOST:.3g} waves")
+    return min(max(PER_SLOPE * slope, FEWEST), MOST)
+
+
+def spot_light(
+    opening: Pupil, wavefront: Wavefront, unit: float, radius: float, samples: float, parts: int, width: int
+) -> Array:  # fmt: skip
+    """Light of a defocused point in cells of 1 / parts px around it, as part of all of its light.
+
+    Parameters
+    ----------
+    opening : Pupil
+    wavefront : Wavefront
+    unit : float
+        Q, px.
+    radius : float
+        Signed blur radius, px.
+    samples : float
+        Least number of samples of the pupil over its diameter.
+    parts : int
+        Cells per px, see `image_parts`.
+    width : int
+        px a side that the light is given of, even.
+
+    Returns
+    -------
+    ndarray (parts width, parts width)
+        Row 0 on top; the point is at the middle index.
+
+    Notes
+    -----
+    Cells at the rim of the pupil count by their area in it; what such a cell's squared amplitude lacks of its light is
+    beyond the window. Validated against Hopkins' transfer function, and the Hankel transform with spherical aberration
+    (benchmarks/truth/wave.py).
+    """
+    window = fast_length(max(samples * unit, width))
+    amplitude, path, at = _pupil(opening, wavefront, window / unit)
+    turn = np.exp(0.5j * np.pi / unit * radius * at * at)
+    field = amplitude * np.exp(2j * np.pi / unit * path) if path.size else amplitude
+    field = field * turn * turn[:, None]
+    count, half = parts * window, parts * width // 2
+    for _ in range(2):  # each along rows, which are turned to columns; a shift of the pupil is a phase of the image
+        whole = np.fft.fft(field, count)
+        field = np.ascontiguousarray(np.concatenate([whole[:, -half:], whole[:, :half]], axis=1).T)
+    cells = 0.25 * np.pi * (window / unit) ** 2 * opening.light
+    return np.asarray((field.real**2 + field.imag**2) / (cells * count**2))
+
+
+@lru_cache(maxsize=4)
+def _pupil(opening: Pupil, wavefront: Wavefront, samples: float) -> tuple[Array, Array, Array]:
+    """Amplitude (y, x) of each cell of a grid with so many cells over the diameter, the path in it, px, or nothing for
+    a flat wavefront, and the places in radii along either axis."""
+    root = opening.amplitude
+    index = np.arange(-ceil(0.5 * samples * opening.extent), ceil(0.5 * samples * opening.extent) + 1.0)
+    area = 0.25 * np.pi * samples**2 * root.light
+    amplitude = area * root.rows(np.array([0.5 * samples]), index, index, tent=False)[0]
+    at = index * (2.0 / samples)
+    path = np.empty(0) if wavefront.is_flat else wavefront.path(at, at[:, None])
+    return amplitude, path, at
+
+
+def spectra(light: Array) -> Spectrum:
+    """Half of the transform of light (y, x) along both axes, (frequencies of y, those of x from 0 on)."""
+    half = light.shape[1] // 2
+    return np.fft.fft(np.fft.rfft(light, axis=1)[:, :half], axis=0)
+
+
+def pixel_weights(spectrum: Spectrum, parts: int, width: int, offset: tuple[float, float], tent: bool) -> Array:
+    """Light in pixels (width, width) of a source at an offset (right, down) px in its own, in the middle.
+
+    spectrum: of light in cells by `spectra`; tent: of a square source instead of a point. Sums over the response of a
+    pixel are products of frequencies, and samples at whole pixels fold them.
+    """
+    response = 2 if tent else 1
+    across = np.arange(spectrum.shape[1]) / width
+    factor = np.where(across > 0.0, 2.0, 1.0) * np.sinc(across) ** response * np.exp(-2j * np.pi * across * offset[0])
+    by_column = np.fft.ifft(_folded(spectrum * factor, width), axis=1).T
+    down = np.fft.fftfreq(by_column.shape[1], 1.0 / by_column.shape[1]) / width
+    factor = np.sinc(down) ** response * np.exp(-2j * np.pi * down * offset[1])
+    return np.ascontiguousarray(np.fft.ifft(_folded(by_column * factor, width), axis=1).real.T)
+
+
+def _folded(spectrum: Spectrum, width: int) -> Spectrum:
+    """Sums of frequencies, along rows, that are alike at whole pixels."""
+    return np.asarray(spectrum.reshape(len(spectrum), -1, width).sum(axis=1))

@@ -1,0 +1,105 @@
+"""Wavefront errors of a lens, as Zernike polynomials and Seidel's terms (float64, pure).
+
+Lengths are optical paths in px, waves times Q, so that one wavefront serves all wavelengths; a ray through l arrives at
+R l + 2 grad W, in px. Axes of an image: x to the right, y down.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from math import factorial, sqrt
+
+import numpy as np
+
+from clsco.optics.pupils.pupil import Array
+
+ON_RADIUS, ON_CIRCLE = 65, 128  # places that the steepest slope is looked for at; it is on the rim of most terms
+STEP = 1e-4  # of the differences that slopes are
+
+
+@dataclass(frozen=True)
+class Wavefront:
+    """Optical path through a lens, less that of a sphere around the image of a point.
+
+    Attributes
+    ----------
+    zernike : tuple of (int, int, float)
+        n, m and the rms over the lens in px of each polynomial.
+    spherical : float
+        Seidel's W040 in px: of the fourth power of the distance from the middle of the lens, at its rim.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from clsco.optics.pupils.wavefront import Wavefront
+    >>> float(Wavefront(((2, 0, 1.0),)).path(np.array(1.0), np.array(0.0)).round(6))
+    1.732051
+    """
+
+    zernike: tuple[tuple[int, int, float], ...] = ()
+    spherical: float = 0.0
+
+    @property
+    def is_flat(self) -> bool:
+        """True if the lens is a perfect one."""
+        return not self.zernike and self.spherical == 0.0
+
+    @property
+    def is_round(self) -> bool:
+        """True if it is the same in all directions."""
+        return all(m == 0 for _, m, _ in self.zernike)
+
+    def path(self, x: Array, y: Array) -> Array:
+        """Optical path in px at lens points, which broadcast."""
+        total = self.spherical * (x * x + y * y) ** 2
+        for n, m, size in self.zernike:
+            total = total + size * zernike(n, m, x, y)
+        return np.asarray(total)
+
+    @property
+    def slope(self) -> float:
+        """Largest change of the path along the lens, px per radius."""
+        return 0.0 if self.is_flat else _slope(self)
+
+
+@lru_cache(maxsize=64)
+def _slope(wavefront: Wavefront) -> float:
+    radius, angle = np.linspace(0.0, 1.0, ON_RADIUS)[:, None], np.arange(ON_CIRCLE) * (2.0 * np.pi / ON_CIRCLE)
+    x, y = radius * np.cos(angle), radius * np.sin(angle)
+    across = wavefront.path(x + STEP, y) - wavefront.path(x - STEP, y)
+    down = wavefront.path(x, y + STEP) - wavefront.path(x, y - STEP)
+    return float(np.hypot(across, down).max()) / (2.0 * STEP)
+
+
+def zernike(n: int, m: int, x: Array, y: Array) -> Array:
+    """Zernike polynomial of the standard of OSA and ANSI Z80.28, of rms 1 over the unit circle.
+
+    Parameters
+    ----------
+    n : int
+        Radial order.
+    m : int
+        Angular frequency, |m| <= n and n - m even: cosines where it is positive, sines where it is negative. Angles are
+        counter-clockwise from the right, in the image of a far light.
+    x, y : ndarray
+        Lens points, in radii, right and down; they broadcast.
+
+    Returns
+    -------
+    ndarray
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from clsco.optics.pupils.wavefront import zernike
+    >>> float(zernike(2, 2, np.array(1.0), np.array(0.0)).round(6))
+    2.44949
+    """
+    order, square = abs(m), x * x + y * y
+    radial: Array | float = 0.0
+    for k in range((n - order) // 2 + 1):
+        ways = factorial(n - k) // (factorial(k) * factorial((n + order) // 2 - k) * factorial((n - order) // 2 - k))
+        radial = radial + (-1) ** k * ways * square ** ((n - order) // 2 - k)
+    turned = (x - 1j * y) ** order  # rho^order at the angle counter-clockwise
+    return np.asarray(sqrt((2.0 if m else 1.0) * (n + 1)) * radial * (turned.real if m >= 0 else turned.imag))
