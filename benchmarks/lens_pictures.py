@@ -26,6 +26,7 @@ CAMERA = {
 }
 CAT_EYE = [{"distance": 16.0, "diameter": 17.0}, {"distance": -6.0, "diameter": 13.0}]  # mm
 FAR, FOCUS, NEAR = 1000.0, 100.0, 53.0  # mm
+WAVES = {"model": "wave", "wavelengths": [20000.0] * 3}  # Q is 0.23 px
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,10 @@ EFFECTS = (
     Effect("field_curvature", {"lens": {"field_curvature": -0.02}}, (FAR, FOCUS)),
     Effect("axial", {"lens": {"axial": [1.2, 0.0, -1.2]}}),
     Effect("vignetting", {"lens": {"vignetting": "natural"}}),
-    Effect("wave", {"psf": {"model": "wave", "wavelengths": [20000.0] * 3}}),
+    Effect("wave", {"psf": WAVES}),
+    Effect("coma", {"psf": WAVES | {"zernike": {"3,1": 1.0}}}, (FAR, FOCUS, NEAR)),
+    Effect("astigmatism", {"psf": WAVES | {"zernike": {"2,2": 1.5}}}, (FAR, FOCUS, NEAR)),
+    Effect("spherical", {"psf": WAVES | {"seidel": {"W040": 5.0}}}, (FAR, FOCUS, NEAR)),
 )
 
 

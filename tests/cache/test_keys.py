@@ -19,9 +19,11 @@ from clsco.optics.motion import poses_at
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.pupils.blades import CurvedPolygon
 from clsco.optics.pupils.circle import Circle
-from clsco.optics.pupils.hankel import HankelDiffracted
+from clsco.optics.pupils.diffracted import Diffracted
 from clsco.optics.pupils.ellipse import Ellipse
+from clsco.optics.pupils.fourier import FourierDiffracted
 from clsco.optics.pupils.gaussian import Gaussian
+from clsco.optics.pupils.hankel import HankelDiffracted
 from clsco.optics.pupils.image import Image, image_pupil
 from clsco.optics.pupils.outline import Outline
 from clsco.optics.pupils.polygon import Polygon
@@ -37,10 +39,10 @@ from clsco.scene.model import Camera, CameraMotion, DepthMap, Fill, ImageOptions
 from clsco.scene.motions import CameraShake
 from tests.scenes import scene_of
 
-WAVES = HankelDiffracted(Circle(), ((0.5, 1.0),))
+WAVES = HankelDiffracted(Circle(), ((0.5, 1.0),)), FourierDiffracted(Circle(), ((0.5, 1.0),))
 PUPILS = (
     Circle(), Gaussian(0.7, 3.0), Polygon(), Ring(0.5), image_pupil(np.eye(6)), CurvedPolygon(5, 3.0, 0.4),
-    Ellipse(2.0), WAVES,
+    Ellipse(2.0), *WAVES,
 )  # fmt: skip
 OTHER_WORDS = {"integrated": "area"}
 
@@ -73,7 +75,9 @@ def _other(value: Any) -> Any:
 @pytest.mark.parametrize("samples", [0, 2])
 def test_tables_of_weights_depend_on_each_field_of_a_point_spread(samples: int) -> None:
     known = [PointSpread(pupil) for pupil in PUPILS]
-    assert {type(psf.pupil) for psf in known} == {*Pupil.__subclasses__(), *Outline.__subclasses__()} - {Outline}
+    bases = Outline, Diffracted
+    kinds = {kind for base in (Pupil, *bases) for kind in base.__subclasses__()}
+    assert {type(psf.pupil) for psf in known} == kinds - {*bases}
     every = [*known, *(each for psf in known for each in changed(psf))]
     assert len(every) > 4 * len(known)
     assert len({_key(psf, samples) for psf in every}) == len(set(every)) == len(every)

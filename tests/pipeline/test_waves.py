@@ -31,6 +31,9 @@ NEAR: Any = {"shape": "sphere", "radius": 5.0, "center": [2.0, 0.0, 247.0], "tex
 COLORED: Any = {**TILTED, "texture": "#c86432"}
 LONG = {"wavelengths": [2500.0] * 3, "tail": 0.04}  # Q = 0.5 px
 
+COMA: Any = {"model": "wave", **LONG, "zernike": {"3,1": 0.2, "2,-2": 0.05}}
+HALF: Any = np.tri(9, dtype=np.float32)
+
 scene = partial(scene_from, {"camera": CAMERA, "psf": {"model": "wave"}})
 CASES: dict[str, dict[str, Any]] = {
     "facing": {"object": [FACING]},
@@ -43,12 +46,27 @@ CASES: dict[str, dict[str, Any]] = {
     "layered": {"object": [BALL, FACING], "psf": {"model": "wave", "occlusion": "layered"}},
     "colors": {"object": [NEAR, COLORED]},
     "ring": {"object": [TILTED], "aperture": {"shape": "ring", "obstruction": 0.4}},
+    "coma": {"object": [TILTED], "psf": COMA},
+    "spherical, hidden": {"object": [NEAR, TILTED], "psf": {"model": "wave", **LONG, "seidel": {"W040": -0.4}}},
+    "coma, hidden, wide": {"object": [BALL, {**FACING, "distance": 275.0}], "psf": COMA},
+    "coma, renormalized": {"object": [TILTED], "psf": {**COMA, "border": "renormalize", "rest": "lose"}},
+    "coma, layered": {"object": [BALL, FACING], "psf": {**COMA, "occlusion": "layered"}},
+    "blades": {"object": [TILTED], "aperture": {"shape": "polygon", "blades": 5}, "psf": {"model": "wave", **LONG}},
+    "blades, hidden": {
+        "object": [BALL, {**FACING, "distance": 275.0}],
+        "psf": {"model": "wave", **LONG},
+        "aperture": {"shape": "polygon", "blades": 7, "blade_curvature": 0.4},
+    },
+    "image": {"object": [NEAR, TILTED], "aperture": {"shape": "image", "image": HALF}, "psf": {"model": "wave"}},
+    "coma, colors": {"object": [NEAR, COLORED], "psf": {"model": "wave", "zernike": {"3,1": 0.2}}},
+    "squeezed": {"object": [TILTED], "aperture": {"squeeze": 2.0}, "psf": COMA},
     "moving": {
         "object": [{**NEAR, "motion": {"velocity": [20.0, 0.0, 10.0]}}, TILTED],
         "sequence": {"frames": 1, "samples": 3, "shutter": 0.05},
     },
 }
-FEW = ("facing", "hidden, far light", "colors", "layered")
+LENSES = ("microscope_objective", "phone_camera", "slide_upside_down", "star_field", "tilted_mirror")
+FEW = ("facing", "hidden, far light", "colors", "layered", "coma", "blades")
 
 
 @pytest.mark.parametrize("method", ["auto", "scatter"])
@@ -58,7 +76,7 @@ def test_device_and_reference_agree(case: str, method: str) -> None:
     assert_agree(rendered(wanted, method=method), reference_frames(wanted), least=0.0)
 
 
-@pytest.mark.parametrize("name", mostly_slow(["microscope_objective", "phone_camera", "star_field"], ["star_field"]))
+@pytest.mark.parametrize("name", mostly_slow(LENSES, ["star_field", "tilted_mirror"]))
 def test_examples(name: str) -> None:
     (wanted,) = load_sweep(EXAMPLES / f"{name}.toml", ("camera.resolution=[56, 40]", "psf.tail=0.1")).scenes
     (frame,), (exact,) = rendered(wanted), reference_frames(wanted)
@@ -66,19 +84,21 @@ def test_examples(name: str) -> None:
     assert np.abs(frame.color - exact.color).max() < 1e-5
 
 
-def test_tiles_agree() -> None:
-    wanted = scene(object=[TILTED])
+@pytest.mark.parametrize("case", ["through the focus", "coma"])
+def test_tiles_agree(case: str) -> None:
+    wanted = scene(**CASES[case])
     assert_agree(rendered(wanted, method="tiles"), reference_frames(wanted), least=0.0)
 
 
-def test_single_precision() -> None:
-    wanted = scene(object=[FACING])
+@pytest.mark.parametrize("case", ["facing", "coma, hidden, wide"])
+def test_single_precision(case: str) -> None:
+    wanted = scene(**CASES[case])
     (single,) = rendered(wanted, precision="single")
     (double,) = rendered(wanted)
     assert np.abs(single.color - double.color).max() < 2e-4
 
 
-@pytest.mark.parametrize("case", ["through the focus", "hidden, far light"])
+@pytest.mark.parametrize("case", ["through the focus", "hidden, far light", "coma, hidden, wide"])
 def test_strips_have_the_bits_of_the_whole(case: str) -> None:
     wanted = scene(**{**CASES[case], "camera": {"resolution": [48, 200]}})
     size = device_bytes(prepare(wanted, device=choose()).plan)
@@ -95,24 +115,25 @@ def inner(image: np.ndarray[Any, Any], border: int = 12) -> np.ndarray[Any, Any]
     return np.asarray(image[border:-border, border:-border], np.float64)
 
 
-@pytest.mark.parametrize("distance", [250.0167, 262.0])
-def test_a_facing_plane_is_convolved_exactly(distance: float) -> None:
+@pytest.mark.parametrize("psf", [{"model": "wave"}, {**COMA, "tail": 0.1}], ids=["circle", "coma"])
+@pytest.mark.parametrize("distance", [240.0, 250.0167, 262.0])
+def test_a_facing_plane_is_convolved_exactly(distance: float, psf: dict[str, Any]) -> None:
     """In focus as well: the Airy spot is no special case."""
-    wanted = scene(object=[{**FACING, "distance": distance}], camera={"resolution": [64, 48]})
+    wanted = scene(object=[{**FACING, "distance": distance}], camera={"resolution": [64, 48]}, psf=psf)
     (frame,) = clsco.render(wanted, truth=["sharp", "blur_radius"])
     assert frame.sharp is not None
     assert frame.blur_radius is not None
-    radius, psf = float(frame.blur_radius[0, 0]), scene_point_spread(prepare(wanted).scene)
-    far = psf.reach(radius)
+    radius, spread = float(frame.blur_radius[0, 0]), scene_point_spread(prepare(wanted).scene)
+    far = spread.reach(abs(radius))
     span = np.arange(-far, far + 1.0)
-    weights = psf.weights(span, span[:, None], np.asarray(radius))
+    weights = spread.weights(span, span[:, None], np.asarray(radius))[::-1, ::-1]  # the sum is over sources
     sharp = np.pad(frame.sharp.astype(np.float64), far)
     rows, columns = frame.color.shape
     exact = np.zeros((rows, columns))
     for i in range(2 * far + 1):
         for j in range(2 * far + 1):
             exact += weights[i, j] * sharp[i : i + rows, j : j + columns]
-    assert np.abs(inner(frame.color) - inner(exact)).max() < 1e-6
+    assert np.abs(inner(frame.color, far) - inner(exact, far)).max() < 1e-6
 
 
 @pytest.mark.parametrize(("f_number", "pitch"), [(2.0, 0.01), (2.8, 0.005), (4.0, 0.005)])
@@ -155,6 +176,14 @@ def test_too_many_waves_are_refused() -> None:
     assert error.value.messages[0].startswith(f'psf.model: "wave" takes at most {MOST_WAVES:g} waves of defocus')
 
 
+def test_aliased_pupils_are_refused() -> None:
+    camera = {"resolution": [32, 32], "pixel_pitch": 0.02}
+    wide = scene(object=[{**FACING, "distance": 150.0}], camera=camera, psf={"model": "wave", "zernike": {"4,0": 18.0}})
+    with pytest.raises(SceneError, match=r"must turn the phase by at most 1/4 wave from one of 2048 samples") as error:
+        prepare(wide)
+    assert error.value.messages[0].startswith("psf: defocus and aberrations ")
+
+
 def test_the_lens_of_waves_cannot_open() -> None:
     keys = [{"time": 0.0, "f_number": 2.0}, {"time": 1.0, "f_number": 4.0}]
     with pytest.raises(SceneError, match=r'f_number: cannot change with psf.model = "wave"'):
@@ -168,3 +197,6 @@ def test_words_of_the_plan() -> None:
     assert words["disc"] == "would have about 50 dB against waves"
     assert "of the light, beyond" in words["tail"]
     assert words["tables"].endswith("MiB")
+    plan = prepare(scene(**CASES["coma"])).plan
+    (words,) = [dict(step.parameters) for step in plan.passes if step.kind == "blur"]
+    assert words["pupil"] == "512 samples over the diameter, by Fourier transforms"

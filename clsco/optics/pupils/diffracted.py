@@ -6,6 +6,7 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import pi
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from clsco.optics.pupils.pupil import Array, Edges, Pupil
 
 LAW = 1.1  # light beyond d px outside of the rim is at most so many times 2 Q / (pi^2 d), for an open circle
 LEAST_MARGIN = 1.0  # px
-STEPS, MOST_STEPS = ((1.6, 2), (0.8, 4), (0.2, 8), (0.05, 16)), 32  # intervals of tables per px, from a Q on
+MOST_STEPS = 32  # intervals of tables per px
 PANEL_NODES = 10
 ANGLES = (np.arange(PANEL_NODES) + 0.5) * pi / PANEL_NODES
 CHEBYSHEV = -np.cos(ANGLES)
@@ -35,6 +36,8 @@ class Diffracted(Pupil):
     keeps : bool
         The rest has all of the light.
     """
+
+    STEPS: ClassVar[tuple[tuple[float, int], ...]]  # intervals of tables per px, from a Q on
 
     opening: Pupil
     bands: tuple[tuple[float, float], ...]
@@ -89,7 +92,7 @@ class Diffracted(Pupil):
     @property
     def steps(self) -> int:
         """Intervals per px of R, over which weights are cubics to 1e-5: they turn once in 4 Q, or a pixel."""
-        return next((steps for unit, steps in STEPS if self.narrowest >= unit), MOST_STEPS)
+        return next((steps for unit, steps in self.STEPS if self.narrowest >= unit), MOST_STEPS)
 
     @property
     def margin(self) -> float:

@@ -48,6 +48,8 @@ class FourierDiffracted(Diffracted):
     array([0.156, 0.221, 0.083])
     """
 
+    STEPS = ((1.6, 2), (0.45, 4), (0.1, 8), (0.04, 16))
+
     wavefront: Wavefront = field(default_factory=Wavefront)
 
     @property
@@ -99,7 +101,7 @@ class FourierDiffracted(Diffracted):
         return np.maximum(found, 0.0)
 
     def left_out(self, radius: float) -> float:
-        return 1.0 - float(self._light(radius, radius).sum())
+        return 1.0 - float(self._light(radius, abs(radius)).sum())
 
     @property
     def panel(self) -> float:
@@ -118,9 +120,8 @@ class FourierDiffracted(Diffracted):
 
         def make() -> Array:
             found = _spectra.get((self, number), lambda: self._spectra(number), lambda made: made.nbytes)
-            parts = image_parts(self.narrowest, self.extent)
-            width = found.shape[1] // parts
-            return np.stack([pixel_weights(each, parts, width, place, tent) for each in found])
+            width = found.shape[1] // image_parts(self.narrowest, self.extent)
+            return np.stack([pixel_weights(each, width, place, tent) for each in found])
 
         return _weights.get((self, number, place, tent), make, lambda made: made.nbytes)
 

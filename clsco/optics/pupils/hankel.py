@@ -32,6 +32,8 @@ class HankelDiffracted(Diffracted):
     array([0.6151, 0.0695])
     """
 
+    STEPS = ((1.6, 2), (0.8, 4), (0.2, 8), (0.05, 16))
+
     @property
     def inner(self) -> float:
         """Radius of what is covered in the middle, in radii of the opening."""

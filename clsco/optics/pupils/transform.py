@@ -48,7 +48,7 @@ def pupil_samples(slope: float) -> float:
     Raises SceneError where the phase would turn by more than 1/4 wave from one of MOST samples to the next, so that
     light would go to wrong places.
     """
-    if MOST < LEAST_PER_SLOPE * slope:
+    if LEAST_PER_SLOPE * slope > MOST:
         rule = f"must turn the phase by at most 1/4 wave from one of {MOST} samples of the pupil to the next"
         raise SceneError(f"psf: defocus and aberrations {rule}; got {2.0 * slope / MOST:.3g} waves")
     return min(max(PER_SLOPE * slope, FEWEST), MOST)
@@ -117,7 +117,7 @@ def spectra(light: Array) -> Spectrum:
     return np.fft.fft(np.fft.rfft(light, axis=1)[:, :half], axis=0)
 
 
-def pixel_weights(spectrum: Spectrum, parts: int, width: int, offset: tuple[float, float], tent: bool) -> Array:
+def pixel_weights(spectrum: Spectrum, width: int, offset: tuple[float, float], tent: bool) -> Array:
     """Light in pixels (width, width) of a source at an offset (right, down) px in its own, in the middle.
 
     spectrum: of light in cells by `spectra`; tent: of a square source instead of a point. Sums over the response of a

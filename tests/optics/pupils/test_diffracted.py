@@ -13,8 +13,8 @@ from clsco.optics.point_spread import PointSpread, diffraction_unit, point_sprea
 from clsco.optics.psf_tables import psf_table, table_weights
 from clsco.optics.pupils.circle import Circle
 from clsco.optics.pupils.diffracted import Diffracted
-from clsco.optics.pupils.hankel import DIRECT, HankelDiffracted
 from clsco.optics.pupils.diffraction import bessel_j0, round_intensity
+from clsco.optics.pupils.hankel import DIRECT, HankelDiffracted
 from clsco.optics.pupils.pupil import Pupil
 from clsco.optics.pupils.ring import Ring
 from clsco.scene.model import Aperture, Camera, Psf
