@@ -29,7 +29,7 @@ class Seidel(Strict):
     @classmethod
     def _on_the_axis(cls, value: Any) -> Any:
         varying = [name for name in OF_THE_FIELD if isinstance(value, Mapping) and name in value]
-        rule = "varies over the field, which point spreads by waves do not; W040 does not, nor does psf.zernike"
+        rule = "varies over the field; use W040 or psf.zernike, which do not"
         if varying:
             raise at_keys([((name,), fault(rule), value[name]) for name in varying])
         return value

@@ -10,6 +10,7 @@ from typing import Any, get_args
 
 from pydantic import BaseModel
 
+from clsco.scene.aberrations import Seidel, Zernike
 from clsco.scene.file import MAX_OUTPUTS, SECTIONS, SWEEPABLE, holds_tables
 from clsco.scene.model import CameraMotion, ObjectMotion, Scene
 from clsco.scene.shapes import SHAPES
@@ -45,7 +46,13 @@ def scene_schema() -> dict[str, Any]:
     for shape in SHAPES.values():
         definition = definitions[shape.__name__]
         definition["required"] = ["shape", *definition.get("required", [])]
-    swept: list[type[BaseModel]] = [CameraMotion, ObjectMotion, *(SECTIONS[name] for name in SWEEPABLE)]
+    swept: list[type[BaseModel]] = [
+        CameraMotion,
+        ObjectMotion,
+        Seidel,
+        Zernike,
+        *(SECTIONS[name] for name in SWEEPABLE),
+    ]
     for model in swept:
         for key, entry in definitions[model.__name__]["properties"].items():
             annotation = model.model_fields[key].annotation
@@ -77,6 +84,8 @@ def _describe(definition: dict[str, Any], model: type[BaseModel]) -> None:
     pydantic would read the source at every start of a process (`use_attribute_docstrings`), which takes 25 ms.
     """
     for kind in reversed([kind for kind in model.__mro__ if issubclass(kind, BaseModel) and kind is not BaseModel]):
+        if all(field.description for field in kind.model_fields.values()):  # as of one that has no source
+            continue
         (tree,) = ast.parse(dedent(getsource(kind))).body
         assert isinstance(tree, ast.ClassDef)
         for field, text in pairwise(tree.body):

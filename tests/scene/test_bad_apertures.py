@@ -27,7 +27,7 @@ APERTURES: list[tuple[str, str]] = [
     ("aperture.exposure = 'darker'", 'aperture.exposure: must be normalized or area; got "darker"'),
     (
         "aperture.squeeze = 2.0\npsf.model = 'gaussian'",
-        'aperture.squeeze: an aperture that is squeezed needs psf.model = "pillbox"; got 2.0',
+        'aperture.squeeze: an aperture that is squeezed needs psf.model = "pillbox" or "wave"; got 2.0',
     ),
     (
         "aperture.squeeze = 2.0\npsf.edge = 'sampled'",
@@ -52,6 +52,10 @@ APERTURES: list[tuple[str, str]] = [
     (
         "aperture.rim = [{distance = -30.0, diameter = 2.0}]",
         "aperture.rim[0].distance: must be before the detector, 21.739 mm behind the lens; got -30.0",
+    ),
+    (
+        "aperture.squeeze = 0.5\npsf = {model = 'wave', seidel = {W040 = 1.0}}",
+        "aperture.squeeze: must be at least 1 with psf.seidel or psf.zernike, which are of a circle; got 0.5",
     ),
     ("aperture.shape = 'image'", 'aperture.image: is needed by aperture.shape = "image"; got none'),
 ]

@@ -37,6 +37,21 @@ from tests.scene.test_bad_scenes import messages_of
         ('psf = {model = "wave", tail = 0.3}', "psf.tail: must be between 0.0001 and 0.2; got 0.3"),
         ('psf = {model = "wave", rest = "keep"}', 'psf.rest: must be renormalize or lose; got "keep"'),
         (
+            "psf.seidel = {W040 = 1.0}",
+            'psf.seidel: belongs to psf.model = "wave", not "pillbox"; got a table of 1 keys',
+        ),
+        (
+            'psf = {model = "wave", seidel = {W131 = 1.0}}',
+            "psf.seidel.W131: varies over the field; use W040 or psf.zernike, which do not; got 1.0",
+        ),
+        ('psf = {model = "wave", seidel = {W404 = 1.0}}', "psf.seidel.W404: unknown key (did you mean W040?); got 1.0"),
+        (
+            'psf = {model = "wave", zernike = {"3,1" = 21}}',
+            'psf.zernike."3,1": must be between -20 and 20 waves; got 21',
+        ),
+        ('psf = {model = "wave", zernike = {"3,2" = 1}}', 'psf.zernike."3,2": unknown key (did you mean 6,2?); got 1'),
+        ('psf = {model = "wave", zernike = 3}', "psf.zernike: must be a table; got 3"),
+        (
             'psf = {model = "wave", bandwidth = 470}',
             "psf.bandwidth: must be less than each of the wavelengths, of which one is 465 nm; got 470.0",
         ),

@@ -133,7 +133,7 @@ def panels_of(radii: Array, panel: float) -> tuple[NDArray[np.int64], NDArray[np
     which : ndarray of int (radii,)
         Index of each radius' panel.
     factors : ndarray (radii, PANEL_NODES)
-        What values at the nodes of its panel are multiplied by.
+        Weights of the values at the nodes of its panel.
     """
     numbers, which = np.unique(np.floor(radii / panel).astype(np.int64), return_inverse=True)
     away = radii[:, None] - panel_nodes(numbers, panel)[which]
