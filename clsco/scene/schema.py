@@ -10,7 +10,6 @@ from typing import Any, get_args
 
 from pydantic import BaseModel
 
-from clsco.scene.aberrations import Seidel, Zernike
 from clsco.scene.file import MAX_OUTPUTS, SECTIONS, SWEEPABLE, holds_tables
 from clsco.scene.model import CameraMotion, ObjectMotion, Scene
 from clsco.scene.shapes import SHAPES
@@ -46,13 +45,7 @@ def scene_schema() -> dict[str, Any]:
     for shape in SHAPES.values():
         definition = definitions[shape.__name__]
         definition["required"] = ["shape", *definition.get("required", [])]
-    swept: list[type[BaseModel]] = [
-        CameraMotion,
-        ObjectMotion,
-        Seidel,
-        Zernike,
-        *(SECTIONS[name] for name in SWEEPABLE),
-    ]
+    swept: list[type[BaseModel]] = [CameraMotion, ObjectMotion, *(SECTIONS[name] for name in SWEEPABLE)]
     for model in swept:
         for key, entry in definitions[model.__name__]["properties"].items():
             annotation = model.model_fields[key].annotation
