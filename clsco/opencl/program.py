@@ -38,7 +38,7 @@ SINGLE_TAPS, GATHERED_TAPS = "common/lanes.clh", "common/cpu/lanes.clh"
 TAP_BLOCKS = "common/cpu/blocks.clh"
 OCCLUSION_HEADERS = ("common/occluder.clh", "common/visibility.clh", "common/visibility_test.clh")
 GATHER_HEADERS = tuple(
-    f"blur/cpu/{name}.clh" for name in ("vectors", "many", "discs", "quadrants", "gaussians", "columns", "spans")
+    f"blur/cpu/{name}.clh" for name in ("vectors", "many", "discs", "quadrants", "shapes", "gaussians", "columns", "spans")
 )
 # With the feature TEXTURED.
 MAPPING_HEADERS = ("common/angles.clh", *(f"trace/{name}.clh" for name in ("mapping", "footprint", "detail")))

@@ -125,6 +125,11 @@ class PointSpread:
         return self.pupil.uniform
 
     @property
+    def has_runs(self) -> bool:
+        """Taps of a general shape that are all open have one weight, of which columns of a blur have runs."""
+        return self.layout == "general" and not self.diffracted
+
+    @property
     def extent(self) -> float:
         """Largest distance from the middle of the lens that light passes at, in its radii: of R = 1 px the rim is so
         many px from the source. Waves go beyond it, see `reach`."""

@@ -15,7 +15,8 @@ from clsco.optics.point_spread import PointSpread, subpixel_offsets
 from clsco.optics.psf_grid import NODES, TO_POWERS, block_intervals, half_widths, octant_taps, row_lanes, table_radius
 
 Array = NDArray[np.float64]
-OUTLINE, OUTLINE_RING = 2, 4  # numbers of an outline
+OUTLINE, OUTLINE_RUN = 2, 4  # numbers of an outline, and of one with a run of one weight
+SAME = 1e-9  # of a weight, within which two are the same: shares of wide blurs are exact to 1e-10 of it
 RUN = 16  # intervals whose weights are computed at once, of one half-width
 
 
@@ -34,7 +35,8 @@ class WeightBlock:
     taps : ndarray of float32, (taps, POWERS, count)
         Coefficients of a main table, by tap.
     outlines : ndarray of int32, (count, half-width + 1, 2)
-        Outlines of a main table, see `_outline`.
+        Outlines of a main table, see `_outline`; of a ring (.., 4), see `_run_outline`, and of a general shape
+        (count, 2 half-width + 1, 4), of columns from the left.
     """
 
     widths: NDArray[np.int32]
@@ -82,7 +84,7 @@ def _symmetric(psf: PointSpread, span: range, subpixel: int) -> WeightBlock:
     fine, hollow, widths = subpixel > 0, int(psf.pupil.hollow), half_widths(psf, span, subpixel > 0)
     reach, coefficients = int(widths[-1]), list[NDArray[np.float32]]()
     taps = np.zeros((0 if fine else octant_taps(reach) + hollow, POWERS, len(span)), np.float32)
-    outlines = np.zeros((0 if fine else len(span), reach + 1, OUTLINE_RING if hollow else OUTLINE), np.int32)
+    outlines = np.zeros((0 if fine else len(span), reach + 1, OUTLINE_RUN if hollow else OUTLINE), np.int32)
     outlines[..., 1] = -1
     for number, radii, half_width in _runs(psf, span, fine):
         values = _subpixel_rows(psf, radii, half_width, subpixel) if fine else _main_rows(psf, radii, half_width)
@@ -109,19 +111,26 @@ def _general(psf: PointSpread, span: range, samples: int) -> WeightBlock:
     fine = samples > 0
     offsets = subpixel_offsets(samples) if fine else np.zeros(1)
     found: tuple[list[NDArray[np.float32]], ...] = ([], [])
-    for _, radii, half_width in _runs(psf, span, fine):
+    widths = half_widths(psf, span, fine).astype(np.int32)
+    reach, of_columns = int(widths[-1]), psf.has_runs and not fine
+    outlines = np.zeros((len(span) if of_columns else 0, 2 * reach + 1, OUTLINE_RUN), np.int32)
+    outlines[..., 1] = -1
+    for number, radii, half_width in _runs(psf, span, fine):
         taps = np.arange(-half_width, half_width + 1.0)
         squares = [psf.rows(radii, taps - ox, taps - oy, fine) for oy in offsets for ox in offsets]
+        if of_columns:
+            columns = slice(reach - half_width, reach + half_width + 1)
+            for k, nodes in enumerate(np.split(np.arange(len(radii)), len(radii) // len(NODES)), number):
+                values = squares[0][nodes]
+                outlines[k, columns] = _column_outline(values, _is_open(psf, values, radii[nodes]))
         if psf.diffracted:  # rays of a lens cross in focus, and waves that it bends do not
             mirrored = [psf.rows(-radii, taps - ox, taps - oy, fine) for oy in offsets for ox in offsets]
         else:
             mirrored = [square[:, ::-1, ::-1] for square in reversed(squares)]
         for blocks, each in zip(found, (squares, mirrored), strict=True):
             blocks += [block.ravel() for block in _cubics(np.concatenate(each, axis=1), half_width)]
-    widths = half_widths(psf, span, fine).astype(np.int32)
     positive, negative = (np.concatenate(blocks) for blocks in found)
-    no_taps, no_outlines = np.zeros((0, POWERS, 0), np.float32), np.zeros((0, 0, 2), np.int32)
-    return WeightBlock(widths, positive, negative, no_taps, no_outlines)
+    return WeightBlock(widths, positive, negative, np.zeros((0, POWERS, 0), np.float32), outlines)
 
 
 def _separable(psf: PointSpread, span: range) -> WeightBlock:
@@ -180,9 +189,26 @@ def _outline(block: NDArray[np.float32]) -> NDArray[np.int32]:
 
 
 def _is_open(psf: PointSpread, values: Array, radii: Array) -> NDArray[np.bool_]:
-    """Taps (|dy|, |dx|) all between the rims of a ring at all radii of an interval: `values` (radii, |dy|, |dx|)."""
+    """Taps (dy, dx) all of which is open at all radii of an interval: `values` (radii, dy, dx)."""
     whole = 1.0 / (np.pi * psf.pupil.light * radii * radii)
-    return np.asarray((np.abs(values / whole[:, None, None] - 1.0) < 1e-12).all(axis=0))
+    return np.asarray((np.abs(values / whole[:, None, None] - 1.0) < SAME).all(axis=0))
+
+
+def _column_outline(values: Array, is_open: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """Outline of the weights of an interval of a general shape: int32 (columns, 4).
+
+    values (radii, dy, dx); is_open (dy, dx). Of each column the first and the last dy with a weight above 0, and of its
+    longest run of open taps the first one and the one after the last.
+    """
+    lit, count = (values > 0.0).any(axis=0), len(is_open)
+    place, half_width = np.arange(count)[:, None], count // 2
+    some = lit.any(axis=0)
+    first, last = lit.argmax(axis=0) - half_width, count - 1 - lit[::-1].argmax(axis=0) - half_width
+    length = place - np.maximum.accumulate(np.where(is_open, -1, place), axis=0)
+    most, stop = length.max(axis=0), length.argmax(axis=0) + 1 - half_width
+    run = np.stack([stop - most, stop], axis=1) * (most > 0)[:, None]
+    ends = np.stack([np.where(some, first, 0), np.where(some, last, -1)], axis=1)
+    return np.concatenate([ends, run], axis=1).astype(np.int32)
 
 
 def _ring_outline(block: NDArray[np.float32], is_open: NDArray[np.bool_]) -> NDArray[np.int32]:

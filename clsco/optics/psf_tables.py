@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from clsco.constants import POWERS, TAP_LANES, WIDE_LANES
 from clsco.errors import SceneError
 from clsco.optics.point_spread import PointSpread
-from clsco.optics.psf_blocks import OUTLINE, OUTLINE_RING, WeightBlock, weight_block
+from clsco.optics.psf_blocks import OUTLINE, OUTLINE_RUN, WeightBlock, weight_block
 from clsco.optics.psf_grid import (
     block_intervals,
     half_width,
@@ -92,12 +92,17 @@ def span_sizes(psf: PointSpread, span: range, subpixel: int) -> dict[str, int]:
     of_taps = 4 * POWERS * WIDE_LANES * -(-len(span) // TAP_LANES)
     if psf.layout == "general":
         coefficients = 2 * int((row * (2 * widths + 1) * max(subpixel, 1) ** 2).sum())
-        return {"intervals": 16 * len(span), "coefficients": coefficients, "taps": 0, "outlines": 0}
+        sizes |= {"intervals": 16 * len(span), "coefficients": coefficients}
+        if psf.has_runs and not subpixel:
+            sides = _window_sides(widths)
+            sizes["taps"] = int(4 * POWERS * WIDE_LANES * (sides * sides + 1).sum())
+            sizes["outlines"] = 4 * OUTLINE_RUN * (len(span) * (2 * widest + 1) + len(sides))
+        return sizes
     if subpixel:
         return sizes | {"coefficients": int((row * (2 * widths + 1) * subpixel * ((subpixel + 1) // 2)).sum())}
     if psf.layout == "separable":
         return sizes | {"coefficients": int(row.sum()), "taps": of_taps * (widest + 1)}
-    outline = 4 * OUTLINE_RING if psf.pupil.hollow else 4 * OUTLINE
+    outline = 4 * OUTLINE_RUN if psf.pupil.hollow else 4 * OUTLINE
     sizes |= {"taps": of_taps * _tap_count(psf, widest), "outlines": outline * len(span) * (widest + 1)}
     return sizes | {"coefficients": int((row * (widths + 1)).sum())}
 
@@ -178,7 +183,10 @@ def table_of(
     if psf.signed:
         widths, sizes = np.tile(widths, 2), np.tile(sizes, 2)
     intervals = np.stack([np.cumsum(sizes) - sizes, widths], axis=1).astype(np.int32)
-    taps, outlines = _joined_taps(found), _joined_outlines(found)
+    if psf.has_runs and not subpixel:
+        taps, outlines = _windows(found)
+    else:
+        taps, outlines = _joined_taps(found), _joined_outlines(found)
     reach = int(widths.max())
     return PsfTable(
         span.start, span.start, span.stop, intervals, join(of_radii), reach, len(span), taps, outlines
@@ -198,8 +206,14 @@ def _part(psf: PointSpread, block: WeightBlock, start: int, span: range, subpixe
         block.coefficients[of_part],
         block.negative[of_part],
         block.taps[: _tap_count(psf, widest), :, first:end],
-        block.outlines[first:end, : widest + 1],
+        _widest_columns(psf, block.outlines[first:end], widest),
     )
+
+
+def _widest_columns(psf: PointSpread, outlines: NDArray[np.int32], widest: int) -> NDArray[np.int32]:
+    """Outlines of the columns up to a half-width."""
+    middle = outlines.shape[1] // 2 if psf.has_runs else 0
+    return outlines[:, max(middle - widest, 0) : middle + widest + 1]
 
 
 def _tap_count(psf: PointSpread, widest: int) -> int:
@@ -228,6 +242,74 @@ def _joined_taps(found: list[WeightBlock]) -> NDArray[np.float32]:
         start += block.taps.shape[2]
     windows = np.lib.stride_tricks.sliding_window_view(joined, WIDE_LANES, axis=2)[:, :, ::TAP_LANES]
     return np.ascontiguousarray(windows.swapaxes(1, 2))
+
+
+def _window_sides(widths: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Taps along an axis of windows of WIDE_LANES intervals of a general shape, TAP_LANES apart."""
+    last = np.minimum(np.arange(0, len(widths), TAP_LANES) + WIDE_LANES, len(widths)) - 1
+    return 2 * widths[last].astype(np.int64) + 1
+
+
+def _windows(found: list[WeightBlock]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Coefficients by tap of each window of intervals of a general shape, and outlines with the places of windows, see
+    `PsfTable`."""
+    widths = np.concatenate([block.widths for block in found]).astype(np.int64)
+    sides, outlines = _window_sides(widths), _centered_outlines(found, int(widths[-1]))
+    places = np.concatenate([[0], np.cumsum(sides * sides + 1)])
+    taps = np.zeros((int(places[-1]), POWERS, WIDE_LANES), np.float32)
+    intervals = (each for block in found for each in _interval_taps(block))
+    for k, (half_width, of_interval) in enumerate(intervals):
+        start, stop = outlines[k, :, 2:].T
+        column = int((stop - start).argmax())
+        is_open = start[column] < stop[column]
+        open_tap = of_interval[half_width + column - int(widths[-1]), half_width + start[column]] if is_open else 0.0
+        for window in range(max(k // TAP_LANES - 1, 0), k // TAP_LANES + 1):
+            side, lane = int(sides[window]), k - window * TAP_LANES
+            of_window = taps[places[window] + 1 : places[window + 1]].reshape(side, side, POWERS, WIDE_LANES)
+            inside = slice(side // 2 - half_width, side // 2 + half_width + 1)
+            of_window[inside, inside, :, lane] = of_interval
+            taps[places[window], :, lane] = open_tap
+    heads = np.zeros((len(sides), OUTLINE_RUN), np.int32)
+    heads[:, 0], heads[:, 1] = places[:-1] * POWERS * WIDE_LANES, sides
+    return taps, np.concatenate([_shared_outlines(outlines).reshape(-1, OUTLINE_RUN), heads])
+
+
+def _interval_taps(block: WeightBlock) -> Iterator[tuple[int, NDArray[np.float32]]]:
+    """Half-width and coefficients (dx, dy, POWERS) of each interval of a general shape."""
+    start = 0
+    for half_width in block.widths.tolist():
+        side, lanes = 2 * half_width + 1, row_lanes(half_width)
+        rows = block.coefficients[start : start + side * POWERS * lanes].reshape(side, POWERS, lanes)
+        yield half_width, rows[..., :side].transpose(2, 0, 1)
+        start += rows.size
+
+
+def _centered_outlines(found: list[WeightBlock], widest: int) -> NDArray[np.int32]:
+    """Outlines (count, 2 widest + 1, OUTLINE_RUN) of all intervals of a general shape, of which columns without light
+    have none."""
+    joined = np.zeros((sum(len(block.outlines) for block in found), 2 * widest + 1, OUTLINE_RUN), np.int32)
+    joined[..., 1] = -1
+    start = 0
+    for block in found:
+        beside, end = widest - block.outlines.shape[1] // 2, start + len(block.outlines)
+        joined[start:end, beside : 2 * widest + 1 - beside] = block.outlines
+        start = end
+    return joined
+
+
+def _shared_outlines(outlines: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Outlines of intervals that hold for WIDE_LANES of them: of each the light of those up to it, and the part of a
+    run that those from it on share."""
+    far = np.int32(2**30)
+    dark, closed = outlines[..., 1] < outlines[..., 0], outlines[..., 3] <= outlines[..., 2]
+    first, start = (np.where(none, far, outlines[..., k]) for none, k in ((dark, 0), (closed, 2)))
+    last, stop = (np.where(none, -far, outlines[..., k]) for none, k in ((dark, 1), (closed, 3)))
+    for step in (1, 2, 4, 8):
+        first[step:], last[step:] = np.minimum(first[step:], first[:-step]), np.maximum(last[step:], last[:-step])
+        start[:-step], stop[:-step] = np.maximum(start[:-step], start[step:]), np.minimum(stop[:-step], stop[step:])
+    closed = stop <= start
+    ends = first, last, np.where(closed, 0, start), np.where(closed, 0, stop)
+    return np.stack([np.where(first > last, none, each) for each, none in zip(ends, (0, -1, 0, 0), strict=True)], axis=-1)
 
 
 def _joined_outlines(found: list[WeightBlock]) -> NDArray[np.int32]:

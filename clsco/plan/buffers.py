@@ -47,7 +47,7 @@ Scratch = Literal["none", "columns", "rows"]
 BANDS_PER_CORE = 4  # of `gather` at a time, where they need memory of their own
 SUMS_BEYOND = 64  # sums of `convolve` beyond the last row that a vector there reads, and that are used for nothing
 PAGE, BESIDE_PAGE = 64, 5  # vectors of 8 doubles in 4 KiB, and how far from a multiple of it rows should be long
-ITEM_BYTES = 20  # of a group of sources of a column, beside its vectors
+ITEM_BYTES, SHAPE_BYTES = 20, 28  # of a group of sources of a column, beside its vectors; of a general shape
 MOST_IN_ONE_SUM = 256  # taps of `gather` that a float adds up before it goes into another sum
 MAP_BYTES = structs("double")["texture_map_t"].itemsize
 COUNTERS = COUNTER_DONE + 1  # ints, of a filling
@@ -83,8 +83,8 @@ def bands_at_a_time(rows: int, cores: int) -> int:
 
 def band_scratch(psf: PointSpread, fp64: bool) -> Scratch:
     """Kind of scratch that `gather` keeps for each band of a frame: whole rows of sampled discs, columns of others."""
-    found: dict[str, Scratch] = {"disc": "rows" if fp64 else "none", "general": "none"}
-    return found.get(psf.layout, "columns")
+    found: dict[str, Scratch] = {"disc": "rows", "general": "columns" if psf.has_runs else "none"}
+    return found.get(psf.layout, "columns") if fp64 or psf.layout not in found else "none"
 
 
 def has_spans(spec: BlurSpec, fp64: bool) -> bool:
@@ -134,6 +134,10 @@ def column_bytes(psf: PointSpread, tilt: bool, channels: int, far: int) -> int:
         item = 4 * WIDE_LANES * (slopes + channels + far + 1 + WIDE_LANES)
         sums = 4 * WIDE_LANES * MOST_ASIDE * BAND * (1 + tilt)
         return sums + tiles + min(max(ITEMS_BYTES // item, 2 * WIDE_LANES), MOST_ITEMS) * (item + 8)
+    if psf.layout == "general":
+        ends, sums = (1 + tilt) * channels * (BAND + 1), channels * BAND
+        items = MOST_ITEMS * (4 * WIDE_LANES * (2 + slopes + 2 * channels) + SHAPE_BYTES)
+        return 8 * WIDE_LANES * ends + 4 * WIDE_LANES * sums + tiles + items
     ends, sums = (1 + slopes) * channels, (1 + tilt) * channels
     rims = int(tilt and psf.diffracted)
     items = MOST_ITEMS * (4 * WIDE_LANES * (2 + slopes + rims + 2 * channels) + ITEM_BYTES)
