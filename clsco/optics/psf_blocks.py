@@ -35,8 +35,8 @@ class WeightBlock:
     taps : ndarray of float32, (taps, POWERS, count)
         Coefficients of a main table, by tap.
     outlines : ndarray of int32, (count, half-width + 1, 2)
-        Outlines of a main table, see `_outline`; of a ring (.., 4), see `_run_outline`, and of a general shape
-        (count, 2 half-width + 1, 4), of columns from the left.
+        Outlines of a main table, see `_outline`; of a ring (.., 4), see `_ring_outline`, and of a general shape
+        (count, 2 half-width + 1, 4), see `_column_outline`.
     """
 
     widths: NDArray[np.int32]
@@ -200,7 +200,7 @@ def _column_outline(values: Array, is_open: NDArray[np.bool_]) -> NDArray[np.int
     values (radii, dy, dx); is_open (dy, dx). Of each column the first and the last dy with a weight above 0, and of its
     longest run of open taps the first one and the one after the last.
     """
-    lit, count = (values > 0.0).any(axis=0), len(is_open)
+    lit, count = np.asarray((values > 0.0).any(axis=0)), len(is_open)
     place, half_width = np.arange(count)[:, None], count // 2
     some = lit.any(axis=0)
     first, last = lit.argmax(axis=0) - half_width, count - 1 - lit[::-1].argmax(axis=0) - half_width

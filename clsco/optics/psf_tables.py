@@ -45,12 +45,16 @@ class PsfTable:
     first: the interval that `intervals` begins with; count: how many there are, and of a signed shape so many again, of
     the negative radii, whose coordinates are larger by count. low, end: of these intervals, those that hold the radii
     that the table was asked for, to which others are clamped; reach: their largest half-width.
-    taps, outlines: of a main table, else empty, as for a general shape. taps: the same weights once more, float32
+    taps, outlines: of a main table, else empty. taps: the same weights once more, float32
     (taps, count / TAP_LANES, POWERS, WIDE_LANES): of the octant's taps a >= b >= 0 in the order of a (a + 1) / 2 + b
     or, of what is separable, of those along an axis, the coefficients of WIDE_LANES intervals from every TAP_LANES-th
     one on; zeros beyond the reach of an interval, and after the last one; of a ring before them the weight between its
     rims. outlines: int32, (count, reach + 1, 2), see `clsco.optics.psf_blocks._outline`, or of a ring (.., 4), see
-    `clsco.optics.psf_blocks._ring_outline`, but for what is separable. Of a sampled disc coefficients and taps have the
+    `clsco.optics.psf_blocks._ring_outline`, but for what is separable. Of a general shape, unless waves spread it, taps
+    (.., POWERS, WIDE_LANES) are for each such window first the weight of runs, and then the weights of all dx from the
+    left and in each of these all dy, as far as the window's widest interval reaches; outlines (.., 4) those of
+    `_shared_outlines` for each interval and dx, and after them for each window where it begins in taps, and how many dy
+    it has. Of a sampled disc coefficients and taps have the
     one weight of each interval, and outlines the square roots of 0, 1, ... up to the last interval's number, rounded
     down.
     place: what the table is kept as; one that is made for more radii takes the place of an earlier one.
@@ -258,15 +262,15 @@ def _windows(found: list[WeightBlock]) -> tuple[NDArray[np.float32], NDArray[np.
     places = np.concatenate([[0], np.cumsum(sides * sides + 1)])
     taps = np.zeros((int(places[-1]), POWERS, WIDE_LANES), np.float32)
     intervals = (each for block in found for each in _interval_taps(block))
-    for k, (half_width, of_interval) in enumerate(intervals):
+    for k, (half, of_interval) in enumerate(intervals):
         start, stop = outlines[k, :, 2:].T
         column = int((stop - start).argmax())
         is_open = start[column] < stop[column]
-        open_tap = of_interval[half_width + column - int(widths[-1]), half_width + start[column]] if is_open else 0.0
+        open_tap = of_interval[half + column - int(widths[-1]), half + start[column]] if is_open else 0.0
         for window in range(max(k // TAP_LANES - 1, 0), k // TAP_LANES + 1):
             side, lane = int(sides[window]), k - window * TAP_LANES
             of_window = taps[places[window] + 1 : places[window + 1]].reshape(side, side, POWERS, WIDE_LANES)
-            inside = slice(side // 2 - half_width, side // 2 + half_width + 1)
+            inside = slice(side // 2 - half, side // 2 + half + 1)
             of_window[inside, inside, :, lane] = of_interval
             taps[places[window], :, lane] = open_tap
     heads = np.zeros((len(sides), OUTLINE_RUN), np.int32)
@@ -277,10 +281,10 @@ def _windows(found: list[WeightBlock]) -> tuple[NDArray[np.float32], NDArray[np.
 def _interval_taps(block: WeightBlock) -> Iterator[tuple[int, NDArray[np.float32]]]:
     """Half-width and coefficients (dx, dy, POWERS) of each interval of a general shape."""
     start = 0
-    for half_width in block.widths.tolist():
-        side, lanes = 2 * half_width + 1, row_lanes(half_width)
+    for half in block.widths.tolist():
+        side, lanes = 2 * half + 1, row_lanes(half)
         rows = block.coefficients[start : start + side * POWERS * lanes].reshape(side, POWERS, lanes)
-        yield half_width, rows[..., :side].transpose(2, 0, 1)
+        yield half, rows[..., :side].transpose(2, 0, 1)
         start += rows.size
 
 
@@ -308,8 +312,9 @@ def _shared_outlines(outlines: NDArray[np.int32]) -> NDArray[np.int32]:
         first[step:], last[step:] = np.minimum(first[step:], first[:-step]), np.maximum(last[step:], last[:-step])
         start[:-step], stop[:-step] = np.maximum(start[:-step], start[step:]), np.minimum(stop[:-step], stop[step:])
     closed = stop <= start
-    ends = first, last, np.where(closed, 0, start), np.where(closed, 0, stop)
-    return np.stack([np.where(first > last, none, each) for each, none in zip(ends, (0, -1, 0, 0), strict=True)], axis=-1)
+    dark = first > last
+    ends = np.where(dark, 0, first), np.where(dark, -1, last), np.where(closed, 0, start), np.where(closed, 0, stop)
+    return np.stack(ends, axis=-1)
 
 
 def _joined_outlines(found: list[WeightBlock]) -> NDArray[np.int32]:

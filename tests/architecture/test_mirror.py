@@ -105,6 +105,13 @@ WITHOUT_TWIN = {
         ),
         "the sum of scatter, column by column",
     ),
+    "shapes": dict.fromkeys(
+        (
+            *("shape_column_of", "add_shape_taps", "add_shape_ends", "finish_shape_sums"),
+            *("spread_shape_items", "put_shape_items"),
+        ),
+        "the sum of scatter, column by column",
+    ),
     "gaussians": dict.fromkeys(
         ("axis_column_of", "add_block", "spread_axis_items", "weigh", "put_axis_items"), "one axis after the other"
     ),
@@ -159,7 +166,8 @@ OTHERWISE = {
 
 # Files whose twin is part of another file.
 PART_OF = {"gather": "blur", "sources": "trace", "texture": "trace", "tiles": "blur"}
-PART_OF |= dict.fromkeys(("psf", "vectors", "many", "discs", "quadrants", "gaussians", "columns", "spans"), "blur")
+PART_OF |= dict.fromkeys(("psf", "vectors", "many", "discs", "quadrants", "shapes"), "blur")
+PART_OF |= dict.fromkeys(("gaussians", "columns", "spans"), "blur")
 PART_OF |= {"blocks": "visibility_test"}
 
 

@@ -15,11 +15,12 @@ from clsco.opencl.buffers import download, empty, upload
 from clsco.opencl.program import build
 from clsco.opencl.session import Session
 from clsco.optics.point_spread import PointSpread
-from clsco.optics.psf_tables import PsfTable, psf_table
+from clsco.optics.psf_tables import PsfTable
 from clsco.passes import blur as spread
 from clsco.passes.blur import FILES_OF, PIXELS, BlurredPlane, TableBlur
 from clsco.passes.frame_blur import make_blur
 from clsco.passes.pack import grid_struct, psf_struct
+from clsco.passes.tables import shared_tables
 from clsco.plan.buffers import margin
 from clsco.plan.methods import Blur
 from clsco.records import Struct, flat, structs
@@ -109,8 +110,8 @@ class Light:
         return twin.scatter(spec_of(self.psf, aperture=self.aperture), self.sources, self.sub, self.shape, self.guard)
 
     def table(self) -> PsfTable:
-        """Weights of whole pixels."""
-        return psf_table(self.spread, self.smallest, self.largest)
+        """Weights of whole pixels, in the table that a blur finds."""
+        return shared_tables().table(self.spread, self.smallest, self.largest)
 
     def constant(self, radius: float) -> Light:
         """The same with one radius and no gradient."""
@@ -131,7 +132,7 @@ def light(
 
 def records(given: Light, radius: Array, gradient: Array, there: Array, subpixel: bool) -> Array:
     """Sources (..., 4) as trace.cl writes them, slots left out."""
-    table = psf_table(given.spread, given.smallest, given.largest, given.samples if subpixel else 0)
+    table = shared_tables().table(given.spread, given.smallest, given.largest, given.samples if subpixel else 0)
     out = np.zeros((*radius.shape, 4), np.float32)
     coordinate = table_coordinate(given.spread, radius, subpixel, table.low, table.end - table.low, table.count)
     out[..., 0] = np.where(there, coordinate, np.float32(-1))
@@ -220,7 +221,7 @@ def renormalized(session: Session, given: Light, method: Blur) -> spread.Sources
 
 def gather(session: Session, given: Light, items: int, kept: dict[str, int], **planes: Any) -> None:
     """Run as many work-items of `gather`; kept: features other than those of the blur."""
-    chosen = features(given.psf, given.channels, 0, given.largest) | kept
+    chosen = features(given.psf, given.channels, 0, given.largest, given.aperture) | kept
     program, table = build(session, FILES_OF["gather"], chosen, STRUCTS, "double"), given.table()
     names = ("intervals", "coefficients", "taps", "outlines")
     planes |= {name: getattr(table, name) for name in names} | {"psf": psf_struct(given.spread, table, None, "double")}

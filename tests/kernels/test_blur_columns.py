@@ -61,9 +61,9 @@ def gathered(session: Session, given: Light, part_rows: int = 0, part: Amid | No
     planes = Amid(session, source, float(source[0].max()))
     value = Amid(session, flat(given.sources.radiance, np.float32), 1.0)
     total = Signed(session, (given.channels, rows, pitch))
-    kept = band_scratch(point_spread(psf), True)
+    kept = band_scratch(given.spread, True)
     if kept == "columns":
-        size = column_bytes(point_spread(psf), psf.tilt, given.channels, table.reach)
+        size = column_bytes(given.spread, psf.tilt, given.channels, table.reach)
     else:
         size = row_bytes(psf.tilt, given.channels, table.reach)
     own = np.zeros((3, -(-size // 128) * 32), np.float32)  # that of three work-items, and the one in the middle runs
