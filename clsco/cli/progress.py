@@ -82,10 +82,12 @@ def _is_in_lines() -> bool:
 
 @contextmanager
 def _lines(total: int, what: str) -> Iterator[Callable[[], object]]:
-    """Print a line of JSON at the begin, at the end, and meanwhile every LINES_S seconds."""
-    done, last = 0, 0.0
+    """Print a line of JSON at the beginning, at the end, and meanwhile every LINES_S seconds."""
+    done, said, last = 0, -1, 0.0
 
     def say() -> None:
+        nonlocal said
+        said = done
         click.echo(json.dumps({"progress": what, "done": done, "total": total}), err=True)
 
     def advance() -> None:
@@ -99,7 +101,8 @@ def _lines(total: int, what: str) -> Iterator[Callable[[], object]]:
     try:
         yield advance
     finally:
-        say()
+        if said != done:
+            say()
 
 
 @contextmanager
