@@ -42,7 +42,10 @@ def test_its_picture_is_that_of_the_reference() -> None:
 def test_what_is_too_large_is_refused_with_the_number() -> None:
     long = small().replace("object.0.motion.velocity", [5.0, 0.0, 0.0]).replace("sequence.samples", 4095)
     for scene, message in (
-        (long.replace("camera.resolution", [512, 512]), r"take at most 10 min; got \d+(\.\d)? (min|h|d) for this scene"),
+        (
+            long.replace("camera.resolution", [512, 512]),
+            r"take at most 10 min; got \d+(\.\d)? (min|h|d) for this scene",
+        ),
         (small().replace("camera.resolution", [16384, 8192]), r"fit into \d+ MiB; got about \d+ MiB for this scene"),
     ):
         with pytest.raises(SceneError, match=f"reference: must {message}"):
