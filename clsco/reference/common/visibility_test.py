@@ -62,14 +62,15 @@ def _inside(visibility: Visibility, x: Array, y: Array) -> tuple[Array, Array]:
 
 def cell_visibility(visibility: Visibility) -> Array:
     """Share (N, L, L) of each cell of the lens that nothing hides, of the N sources that the lens is not wide for."""
-    narrow = ~visibility.wide
-    size, points = 2 * LENS_CELLS, visibility.radius.size
-    share = np.ones((np.count_nonzero(narrow), size, size))
-    if narrow.any():
-        for i in range(size):
-            for j in range(size):
-                x, y = (np.full(points, n + 0.5 - LENS_CELLS) for n in (j, i))
-                share[:, i, j] = free_share(visibility, x, y)[narrow]
+    narrow = np.flatnonzero(~visibility.wide)
+    at = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS
+    share = np.ones((narrow.size, at.size, at.size))
+    if narrow.size:
+        there = np.flatnonzero(visibility.row >= 0)
+        sources = there[np.argsort(visibility.row[there])]
+        cells, across = visibility.of(np.repeat(sources[narrow], at.size)), np.tile(at, narrow.size)
+        for i, down in enumerate(at):  # a row of cells of all sources at a time
+            share[:, i] = free_share(cells, across, np.full_like(across, down)).reshape(narrow.size, -1)
     return share
 
 
