@@ -57,6 +57,9 @@ NEAR_FOCUS = 0.3  # |R| in px below which smaller parts are needed as well
 # rounding must not decide.
 APART = 1.17
 
+# Merged sources (kernels/trace/merge.cl).
+MERGED_SIDE = 3  # pixels along an axis that one source stands for, an odd number
+
 # Visibility (kernels/common/visibility.clh).
 LENS_CELLS = 8  # cells of the lens per half axis, where it is tested on a grid of its own
 

@@ -69,8 +69,9 @@ def render(
         Method of the blur: "auto", the default, or "gather", "scatter", "tiles" or "convolve" where it can blur the
         scene.
     tolerance : float, optional
-        RMS error of white up to which fewer time samples and silhouette samples are taken, as it is estimated; None for
-        all that the scene says. `Frame.metadata["approximation"]` has the numbers and the estimated error.
+        RMS error of white up to which fewer time samples and silhouette samples are taken, and hidden sources of wide
+        blur merged, as it is estimated; None for all that the scene says. `Frame.metadata["approximation"]` has the
+        numbers and the estimated error.
     frames : iterable of int, optional
         Numbers of the wanted frames, from 0; by default all.
     memory : int or str, optional

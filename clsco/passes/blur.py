@@ -43,7 +43,20 @@ UNITS_PER_TAP = 1 / 125  # of work (`clsco.opencl.pace`), were all sources as wi
 
 # Features of what casts rays at surfaces, which a blur does not, and of what only sources on surfaces have.
 PLAIN = dict.fromkeys(
-    ("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "FILTER", "SUBPIXELS", "OCCLUDED", "LIMITED", "CURVED"), 0
+    (
+        "SEVERAL",
+        "QUADRATIC",
+        "LINEAR",
+        "NAPPE",
+        "BOUNDED",
+        "FILTER",
+        "SUBPIXELS",
+        "OCCLUDED",
+        "LIMITED",
+        "CURVED",
+        "MERGED",
+    ),
+    0,
 )
 
 Events = list[tuple[str, cl.Event]]
@@ -81,6 +94,7 @@ def blur_features(spec: BlurSpec, channels: int, fp64: bool, maps: Maps) -> dict
             "OCCLUDED": spec.occluders,
             "LIMITED": int(spec.limited),
             "CURVED": spec.curved,
+            "MERGED": int(spec.merged > 0.0),
             "GATHER": int(method == "gather"),
             "BY_ROWS": int(scratch == "rows"),
             "BY_COLUMNS": int(scratch == "columns"),

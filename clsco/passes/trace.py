@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 import pyopencl as cl
 
-from clsco.constants import STATISTIC_SLOTS, STATISTIC_SMALLEST
+from clsco.constants import MERGED_SIDE, STATISTIC_SLOTS, STATISTIC_SMALLEST
 from clsco.opencl.buffers import allocate, download, upload
 from clsco.opencl.program import build
 from clsco.opencl.session import Session
@@ -26,7 +26,7 @@ from clsco.plan.plan import Plan
 from clsco.records import REAL, Struct, structs
 
 ROUNDED = 1e-5  # relative: far more than rays and depths in single precision differ from those of the host
-TRACE_FILES = ("trace/trace.cl", "trace/truth.cl")  # the kernels that cast rays
+TRACE_FILES = ("trace/trace.cl", "trace/truth.cl", "trace/merge.cl")  # the kernels that cast rays
 # What of the statistics a frame must begin with: no radius met, no slot taken (trace.cl).
 EMPTY_STATISTICS = np.zeros(STATISTICS, np.int32)
 EMPTY_STATISTICS[STATISTIC_SMALLEST] = np.iinfo(np.int32).max
@@ -149,7 +149,8 @@ class Tracer:
     def trace(self, at: Moment) -> Sources | None:
         """Sources of one occlusion group, None where a part of an exposure has none; its buffers are those of the group
         before, which the queue is done with."""
-        buffers, sizes, head = self.buffers, hit_buffers(self.plan.grid, self.plan.mapped > 0), self._head(at)
+        plan, buffers, head = self.plan, self.buffers, self._head(at)
+        sizes = hit_buffers(plan.grid, plan.mapped > 0)
         window = self._window(at)
         if window is None:
             return None
@@ -167,9 +168,10 @@ class Tracer:
         out = (source, buffers["statistics"], *self.extents)
         self._per_pixel("aim", at, window, *head, depth, label, *out, *beside, *self._exposure(at))
         hidden: dict[str, Any] = {}
-        if self.plan.spec.occluders:
+        if plan.spec.occluders:
             hidden = {"lens": head[1], "surfaces": at.sample.surfaces, "group": head[3], "depth": depth}
-        return Sources(source, value, label=label, **hidden)
+        found = Sources(source, value, label=label, **hidden)
+        return found if plan.silhouettes else self._merged(at, found)
 
     def _cast(self, at: Moment, planes: HitPlanes, window: Window, exposure: tuple[Any, ...]) -> None:
         """Enqueue the rays of one occlusion group, which are the same for all lenses."""
@@ -208,9 +210,21 @@ class Tracer:
             run("trace_detail", (plan.slots,), PIXELS[:1], at.events, *detailed)
             value = buffers["sharper"]
             self._per_pixel("sharpen", at, window, at.grid, sources.value, buffers["share"], source, value)
-        return replace(
+        found = replace(
             sources, value=value, sub_source=subs[0], sub_value=subs[1], capacity=plan.slots, sub_depth=depth
         )
+        return self._merged(at, found)
+
+    def _merged(self, at: Moment, sources: Sources) -> Sources:
+        """The sources with those merged that a tolerance lets be."""
+        plan, grid = self.plan, at.grid
+        if plan.merged:
+            size = (-(-int(grid["width"]) // MERGED_SIDE), -(-int(grid["height"]) // MERGED_SIDE))
+            added = (MERGED_SIDE**2 - 1) / 12 / plan.psf.pupil.second_moment
+            numbers = np.array([plan.merged, added], np.float32)
+            planes = sources.depth, sources.label, *numbers, sources.source
+            self.target.run("merge", size, PIXELS, at.events, grid, self.lens(at), self.psf, *planes)
+        return sources
 
     def _check_room(self) -> None:
         """Raise TooFewSlotsError where sub-pixel sources have no room: before the blur, which may take seconds."""

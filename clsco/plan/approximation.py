@@ -1,4 +1,4 @@
-"""Fewer time samples and silhouette samples, by what they are estimated to change in a frame (float64, pure).
+"""Fewer time samples, silhouette samples and sources, by what they are estimated to change in a frame (float64, pure).
 
 A pattern that moves by D px while the shutter is open is multiplied, at f cycles per px along the motion, by the sum
 M(f) = sum_i w_i exp(2 pi i f D t_i) of the time samples, t from 0 to 1. Fewer of them give another sum:
@@ -8,6 +8,9 @@ M(f) = sum_i w_i exp(2 pi i f D t_i) of the time samples, t from 0 to 1. Fewer o
 P: power of what moves, from the texture along its rows and columns, and l c^2 / (2 pi f)^2 of outlines of length l per
 px^2 and contrast c; H: of the PSF. The coverage of a pixel at an outline, from N x N sub-pixel sources, is off by what
 it is for an edge along the sources' rows, and the blur spreads that: e^2 = l c^2 off^2 sum_f H(f)^2.
+
+One source in the place of MERGED_SIDE x MERGED_SIDE (kernels/trace/merge.cl) leaves a lattice of discs, whose harmonics
+are e^2 = share L^2 (4 H(g)^2 + 4 H(sqrt(2) g)^2) of a radiance L, g = 1 / MERGED_SIDE per px.
 Validated against frames of all samples: tests/plan/test_approximation.py.
 """
 
@@ -22,6 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.constants import MERGED_SIDE
 from clsco.errors import SceneError
 from clsco.inputs.textures import Texture
 from clsco.optics.exposure import frame_exposure, shutter_span
@@ -43,6 +47,7 @@ NOTHING = np.zeros(SIDE)
 CYCLE_STEPS = 8  # per cycle
 EACH = 7  # px: every so many pixels of a texture have its mean; no period of a pattern, as a rule
 MARGIN = 1.5  # of squared errors: rays know outlines and ways roughly
+MERGED_RADII = tuple(8.0 * 2.0 ** (k / 2) for k in range(9))  # px: |R| from which on sources may be merged
 WAYS = (0.55, 0.7, 0.85, 1.0)  # parts of the longest way, of which the worst counts: not all that moves goes as far
 
 
@@ -60,6 +65,8 @@ class ApproximationReport:
         Time samples that are taken, and those of the scene.
     silhouette_samples, of_silhouette_samples : int
         The same for sub-pixel sources along an axis of a pixel, 1 where there are none.
+    merged : float
+        |R| in px from which on sources that are hidden in part may be merged, 0 for none.
     """
 
     tolerance: float
@@ -68,6 +75,7 @@ class ApproximationReport:
     of_samples: int
     silhouette_samples: int
     of_silhouette_samples: int
+    merged: float = 0.0
 
     @property
     def taken(self) -> Samples:
@@ -77,13 +85,14 @@ class ApproximationReport:
     def line(self) -> str:
         """Report in a line."""
         time, silhouettes = (self.samples, self.of_samples), (self.silhouette_samples, self.of_silhouette_samples)
-        if time == silhouettes == (1, 1):
+        if time == silhouettes == (1, 1) and not self.merged:
             return "exact: nothing can be saved, as nothing moves, and no silhouette is in sight"
         if self.rms_error == 0.0:
             return f"exact: fewer samples may be off by more than {self.tolerance:g} of white"
         kinds = (("time", *time), ("silhouette", *silhouettes))
-        taken = " and ".join(f"{count} of {whole} {kind} samples" for kind, count, whole in kinds if whole > 1)
-        return f"{taken}: estimated RMS error {self.rms_error:.2g} of white"
+        taken = [f"{count} of {whole} {kind} samples" for kind, count, whole in kinds if whole > 1]
+        taken += [f"hidden sources merged from {self.merged:.3g} px of blur on"] if self.merged else []
+        return f"{' and '.join(taken)}: estimated RMS error {self.rms_error:.2g} of white"
 
 
 def same_tolerance(report: Mapping[str, Any] | None, tolerance: float | None) -> bool:
@@ -102,6 +111,8 @@ def fewer_samples(
     plan: Plan, tolerance: float, textures: Callable[[], tuple[Texture, ...]], maps: Maps, least: Samples = (1, 1)
 ) -> tuple[Scene, ApproximationReport]:
     """Take the fewest samples whose estimated error is within a tolerance: time samples first, which save most.
+
+    Sources are merged last; the scene does not say it, so that the plan has to be told.
 
     Parameters
     ----------
@@ -129,9 +140,10 @@ def fewer_samples(
     """
     checked_tolerance(tolerance)
     scene, exact = plan.scene, (plan.samples, max(plan.silhouettes, 1))
-    samples, silhouettes, square = *exact, 0.0
+    samples, silhouettes, square, merged = *exact, 0.0, 0.0
     whole = exact[1] == 1 or needs_detail(scene, plan.psf, plan.largest_blur)  # silhouettes have all their samples
-    if not (exact[0] == 1 and whole) and not scene.lens_moves:  # whose changes are not in the estimate
+    merges = _may_merge(plan)
+    if (exact[0] > 1 or not whole or merges) and not scene.lens_moves:  # whose changes are not in the estimate
         parts = _parts(scene, textures(), maps)
         outlines = sum(float(_passed(plan.psf, part.radius)[: SIDE // 2].mean()) * sum(part.outline) for part in parts)
         cycles = *_cycles(plan.psf, parts), outlines / (12.0 * exact[1] ** 2)
@@ -143,7 +155,10 @@ def fewer_samples(
             halves = tuple(2**n for n in range(4) if least[1] <= 2**n < exact[1])
             silhouettes = _fewest(halves, tolerance**2 - square, of_coverage) or exact[1]
             square += of_coverage(silhouettes) if silhouettes < exact[1] else 0.0
-    report = ApproximationReport(tolerance, sqrt(square), samples, exact[0], silhouettes, exact[1])
+        if merges:
+            merged, of_merging = _merging(plan.psf, parts, tolerance**2 - square)
+            square += of_merging
+    report = ApproximationReport(tolerance, sqrt(square), samples, exact[0], silhouettes, exact[1], merged)
     if (samples, silhouettes) == exact:
         return scene, report
     update: dict[str, Any] = {}
@@ -163,17 +178,40 @@ def _fewest(counts: range | tuple[int, ...], square: float, error: Callable[[int
     return counts[few] if few < len(counts) else 0
 
 
+def _may_merge(plan: Plan) -> bool:
+    """True if some sources may be so wide, and hidden in part, that to merge them saves time."""
+    spec, psf = plan.spec, plan.psf
+    wide = plan.largest_blur >= MERGED_RADII[0]
+    return wide and spec.method == "gather" and spec.occluders > 0 and psf.uniform and not psf.signed and not psf.rims
+
+
+def _merging(psf: PointSpread, parts: tuple[_Part, ...], square: float) -> tuple[float, float]:
+    """Least |R| from which on sources may be merged within a squared error, 0 for none, and its squared error."""
+    along, across = (round(SIDE * frequency / MERGED_SIDE) - 1 for frequency in (1.0, sqrt(2.0)))
+    for least in MERGED_RADII:
+        error, wide = 0.0, [part for part in parts if part.widest >= least]
+        for part in wide:
+            passed = _passed(psf, max(part.radius, least))
+            error += MARGIN * part.light * 4.0 * float(passed[along] + passed[across])
+        if wide and error <= square:
+            return least, error
+    return 0.0, 0.0
+
+
 @dataclass(frozen=True)
 class _Part:
     """An object as the frame shows it.
 
-    way: of its image and of the rim of its blur while the shutter is open, px along x and y; radius: its smallest |R|,
-    px; power: of its texture, of white^2 of the frame, by FREQUENCIES along x and y; outline: length times squared
-    contrast per px^2, of outlines across x and y.
+    way: of its image and of the rim of its blur while the shutter is open, px along x and y; radius, widest: its
+    smallest and largest |R|, px; light: its mean squared radiance, times its share of the frame; power: of its texture,
+    of white^2 of the frame, by FREQUENCIES along x and y; outline: length times squared contrast per px^2, of outlines
+    across x and y.
     """
 
     way: tuple[float, float]
     radius: float
+    widest: float
+    light: float
     power: tuple[Array, Array]
     outline: tuple[float, float]
 
@@ -237,14 +275,14 @@ def _parts(scene: Scene, textures: tuple[Texture, ...], maps: Maps) -> tuple[_Pa
     parts = []
     for k in np.flatnonzero(np.bincount(nearest.ravel() + 1)[1:]).tolist():
         seen = nearest == k
-        radii = (lens.blur_radius(w[k][seen], squared[seen]) for lens in lenses_at(scene, 0.0))
-        radius = min(float(np.abs(found).min()) for found in radii)
+        radii = np.abs([lens.blur_radius(w[k][seen], squared[seen]) for lens in lenses_at(scene, 0.0)])
         way, power = (0.0, 0.0), (NOTHING, NOTHING)
         if scene.moves:
             way = _way(scene, [each[k] for each in paths])
             along = _power(textures[k], scene.objects[k].mapped is not None)
             power = (seen.mean() * along[0], seen.mean() * along[1])
-        parts.append(_Part(way, radius, power, (across[k], down[k])))
+        light = float(seen.mean() * contrasts[k, -1])
+        parts.append(_Part(way, float(radii.min()), float(radii.max()), light, power, (across[k], down[k])))
     return tuple(parts)
 
 

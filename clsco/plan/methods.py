@@ -56,6 +56,8 @@ class BlurSpec:
         Sources are in depth layers, of which nearer ones hide farther ones.
     curved : int
         Feature CURVED, where visibility tests need radii.
+    merged : float
+        |R| in px from which on sources that are hidden in part may be merged; 0 for none.
     """
 
     psf: PointSpread
@@ -70,6 +72,7 @@ class BlurSpec:
     border: Literal["lose", "renormalize"] = "lose"
     layered: bool = False
     curved: int = 0
+    merged: float = 0.0
 
     @property
     def marked(self) -> bool:

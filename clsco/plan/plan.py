@@ -101,6 +101,8 @@ class Plan:
         Pixels near silhouettes that there must be room for.
     extents : tuple of Extent
         Predicted extents of the objects that `groups` are for; empty where they are for any.
+    merged : float
+        |R| in px from which on a tolerance merges sources that are hidden in part; 0 for none.
     """
 
     scene: Scene
@@ -122,6 +124,7 @@ class Plan:
     strip_rows: int = 0
     least_slots: int = 0
     extents: tuple[Extent, ...] = ()
+    merged: float = 0.0
 
     @property
     def divided(self) -> bool:
@@ -258,6 +261,7 @@ class Plan:
             self.psf, self.blur, self.smallest_blur, self.largest_blur, self.silhouettes, self.tilt,
             occluders=room, limited=room > 0 and self._shapes["NAPPE"] > 0, border=self.scene.psf.border,
             layered=self.occlusion == "layered", curved=curvature_of(self.scene) if room else 0,
+            merged=self.merged,
         )  # fmt: skip
 
     @cached_property
@@ -331,6 +335,7 @@ class Plan:
             "TILT": int(self.tilt),
             "SUBPIXELS": self.silhouettes,
             "CURVED": curvature_of(scene),
+            "MERGED": int(spec.merged > 0.0),
             **{name: psf[name] for name in ("SAMPLED", "GENERAL", "EDGES", "RIMS", "WAVES")},
         }
 

@@ -26,6 +26,8 @@ from tests.slow import mostly_slow
 CAMERA: dict[str, Any] = {"resolution": [96, 72], "pixel_pitch": 0.05, "aperture_diameter": 12.0}
 BALL: dict[str, Any] = {"shape": "sphere", "center": [0.0, 0.0, 262.0], "radius": 1.0, "texture": "#e0e0e0"}
 WALL: dict[str, Any] = {"shape": "plane", "distance": 300.0, "texture": "#303030"}
+CARD: dict[str, Any] = {"shape": "rectangle", "center": [-2.0, 0.0, 262.0], "size": [6.0, 8.0], "texture": "#e0e0e0"}
+FAR: dict[str, Any] = {"shape": "plane", "distance": 500.0, "texture": "bricks"}
 MOVES: dict[str, Any] = {"velocity": [160.0, 30.0, 0.0]}
 STRIPES = np.tile(np.arange(96) // 4 % 2, (72, 1)).astype(np.float32)
 STILL: dict[str, Any] = {"camera": CAMERA, "object": [BALL, WALL]}
@@ -42,6 +44,11 @@ SCENES: dict[str, dict[str, Any]] = {
     | {"object": [WALL | {"texture": STRIPES, "motion": {"velocity": [240.0, 0.0, 0.0]}}], "camera": CAMERA},
     "camera": MOVING | {"camera": CAMERA | {"motion": MOVES}, "object": [BALL, WALL | {"texture": "checkerboard"}]},
     "Gaussian": MOVING | {"object": [BALL | {"motion": MOVES}, WALL], "psf": {"model": "gaussian"}},
+    "hidden background": STILL
+    | {
+        "camera": CAMERA | {"aperture_diameter": 50.0, "focus_distance": 262.0},
+        "object": [CARD, BALL | {"center": [4.0, 0.0, 262.0]}, FAR],
+    },
     "lit": MOVING | {"object": [BALL | {"motion": MOVES}, WALL], "light": {"direction": [1.0, 1.0, 1.0]}},
 }
 
@@ -51,7 +58,8 @@ def prepared(scene: Any, tolerance: float | None = None) -> Prepared:
 
 
 @pytest.mark.parametrize(
-    "name", mostly_slow(list(SCENES), ["blurred outline", "outline in focus", "stripes", "turning"])
+    "name",
+    mostly_slow(list(SCENES), ["blurred outline", "outline in focus", "stripes", "turning", "hidden background"]),
 )
 def test_the_true_error_stays_below_the_estimate_and_the_tolerance(name: str) -> None:
     exact, saved = clsco.render_frame(SCENES[name], truth=()), 0
@@ -62,7 +70,27 @@ def test_the_true_error_stays_below_the_estimate_and_the_tolerance(name: str) ->
         assert error <= max(report.rms_error, 1e-6) <= tolerance
         assert found.metadata["samples"] == report.samples <= report.of_samples == exact.metadata["samples"]
         saved += report.of_samples - report.samples + report.of_silhouette_samples - report.silhouette_samples
+        saved += report.merged > 0.0
     assert saved > 0
+
+
+def test_sources_are_merged_where_blur_is_wide_and_something_in_the_way() -> None:
+    """Their light stays, also in strips, whose blocks are those of the frame."""
+    scene = SCENES["hidden background"]
+    exact = clsco.render_frame(scene, truth=())
+    found = [clsco.render_frame(scene, truth=(), tolerance=0.03, memory=memory) for memory in (None, "2 MiB")]
+    for frame in found:
+        report = ApproximationReport(**frame.metadata["approximation"])
+        assert "hidden sources merged" in report.line()
+        assert report.merged >= 8.0
+        assert (frame.color != exact.color).any()
+        assert frame.color.mean() == pytest.approx(exact.color.mean(), abs=2e-4)
+    assert found[1].metadata["strips"] > 1
+    assert np.abs(found[1].color - found[0].color).max() < 0.01
+    for other in ({"object": [FAR]}, {"camera": CAMERA}, {"psf": {"occlusion": "none"}}):
+        report = prepared(scene | other, 0.03).approximation
+        assert report is not None
+        assert report.merged == 0.0
 
 
 def test_stripes_that_move_by_their_own_width_are_not_taken_for_still_ones() -> None:

@@ -62,11 +62,9 @@ INLINE float8 free_taps(const visibility_t *visibility, spread_t s, int first, i
 #endif
 }
 
-// The same for all channels, `apart` apart in `radiance` and `planes` in `out`, for a source with occluders that is not
-// wide.
+// The same for all channels, `planes` apart in `out`, for a source with occluders that is not wide.
 INLINE void add_occluded_rows(spread_t s, const visibility_t *visibility, int up, int down,
-                              __global const float *radiance, int apart, float4 source, __global float *out,
-                              int planes, int pitch)
+                              const float *light, float4 source, __global float *out, int planes, int pitch)
 {
     const float8 lane = (float8)(0, 1, 2, 3, 4, 5, 6, 7);
     for (int dy = -up; dy <= down; ++dy)
@@ -78,20 +76,20 @@ INLINE void add_occluded_rows(spread_t s, const visibility_t *visibility, int up
             w *= factor > 0 ? factor : (float8)0;
 #endif
             for (int k = 0; k < CHANNELS; ++k)
-                ADD_TAPS(out + k * planes + dy * pitch + b, w * radiance[k * apart]);
+                ADD_TAPS(out + k * planes + dy * pitch + b, w * light[k]);
         }
 }
 
-INLINE void add_occluded(spread_t s, const visibility_t *visibility, int up, int down, __global const float *radiance,
-                         int apart, float4 source, __global float *out, int planes, int pitch SPAN_ARGUMENTS)
+INLINE void add_occluded(spread_t s, const visibility_t *visibility, int up, int down, const float *light,
+                         float4 source, __global float *out, int planes, int pitch SPAN_ARGUMENTS)
 {
 #if !WAVES
     if (visibility->wide)
-        add_spans(s, visibility, up, down, radiance, apart, source, out, planes,
+        add_spans(s, visibility, up, down, light, source, out, planes,
                   pitch SPANS_TO(ends, column, columns));
     else
 #endif
-        add_occluded_rows(s, visibility, up, down, radiance, apart, source, out, planes, pitch);
+        add_occluded_rows(s, visibility, up, down, light, source, out, planes, pitch);
 }
 #endif
 
@@ -185,8 +183,11 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
                     source_visibility(grid, lens, surfaces, group, psf, lens_cells, grid.top + y + spread.oy,
                                       x - grid.guard + spread.ox,
                                       sub_depth[id], spread, p, (real)1 / SUBPIXELS, &visibility);
-                    add_occluded(spread, &visibility, up, down, sub_value + id, capacity * SUBPIXELS * SUBPIXELS, p,
-                                 out - half_width, apart, pitch SPANS_TO(own_ends, x - grid.guard, grid.columns));
+                    float light[CHANNELS];
+                    for (int k = 0; k < CHANNELS; ++k)
+                        light[k] = sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id];
+                    add_occluded(spread, &visibility, up, down, light, p, out - half_width, apart,
+                                 pitch SPANS_TO(own_ends, x - grid.guard, grid.columns));
                     continue;
                 }
 #endif
@@ -205,12 +206,14 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
         const int vectors = MAX(up + down + 1, 0) * (spread.lanes / TAP_LANES);
         left -= CHANNELS * vectors;
 #if OCCLUDED
-        if (as_int(s.w) == PARTLY_OCCLUDED) {
+        if (IS_PARTLY(as_int(s.w))) {
             left -= HIDDEN_WORK + HIDDEN_TAPS * vectors;
             visibility_t visibility;
             source_visibility(grid, lens, surfaces, group, psf, lens_cells, grid.top + y, x - grid.guard, depth[at],
-                              spread, s, (real)1, &visibility);
-            add_occluded(spread, &visibility, up, down, value + at, plane, s, out - half_width, apart,
+                              spread, s, source_width(s), &visibility);
+            float light[CHANNELS];
+            light_of(value + at, plane, grid.width, s, light);
+            add_occluded(spread, &visibility, up, down, light, s, out - half_width, apart,
                          pitch SPANS_TO(own_ends, x - grid.guard, grid.columns));
             continue;
         }
