@@ -27,6 +27,7 @@ CAMERA: dict[str, Any] = {"resolution": [96, 72], "pixel_pitch": 0.05, "aperture
 BALL: dict[str, Any] = {"shape": "sphere", "center": [0.0, 0.0, 262.0], "radius": 1.0, "texture": "#e0e0e0"}
 WALL: dict[str, Any] = {"shape": "plane", "distance": 300.0, "texture": "#303030"}
 CARD: dict[str, Any] = {"shape": "rectangle", "center": [-2.0, 0.0, 262.0], "size": [6.0, 8.0], "texture": "#e0e0e0"}
+CARD |= {"rotation": [0.0, 0.0, 20.0]}
 FAR: dict[str, Any] = {"shape": "plane", "distance": 500.0, "texture": "bricks"}
 MOVES: dict[str, Any] = {"velocity": [160.0, 30.0, 0.0]}
 STRIPES = np.tile(np.arange(96) // 4 % 2, (72, 1)).astype(np.float32)
