@@ -203,9 +203,9 @@ class _Part:
     """An object as the frame shows it.
 
     way: of its image and of the rim of its blur while the shutter is open, px along x and y; radius, widest: its
-    smallest and largest |R|, px; light: its mean squared radiance, times its share of the frame; power: of its texture,
-    of white^2 of the frame, by FREQUENCIES along x and y; outline: length times squared contrast per px^2, of outlines
-    across x and y.
+    smallest and largest |R|, px, the latter 0 where nothing is nearer; light: its mean squared radiance, times its
+    share of the frame; power: of its texture, of white^2 of the frame, by FREQUENCIES along x and y; outline: length
+    times squared contrast per px^2, of outlines across x and y.
     """
 
     way: tuple[float, float]
@@ -281,8 +281,9 @@ def _parts(scene: Scene, textures: tuple[Texture, ...], maps: Maps) -> tuple[_Pa
             way = _way(scene, [each[k] for each in paths])
             along = _power(textures[k], scene.objects[k].mapped is not None)
             power = (seen.mean() * along[0], seen.mean() * along[1])
+        widest = float(radii.max()) if (np.delete(w, k, axis=0) > w[k][seen].min()).any() else 0.0
         light = float(seen.mean() * contrasts[k, -1])
-        parts.append(_Part(way, float(radii.min()), float(radii.max()), light, power, (across[k], down[k])))
+        parts.append(_Part(way, float(radii.min()), widest, light, power, (across[k], down[k])))
     return tuple(parts)
 
 
