@@ -90,9 +90,9 @@ def test_sources_are_merged_where_blur_is_wide_and_something_in_the_way() -> Non
     assert found[1].metadata["strips"] > 1
     assert np.abs(found[1].color - found[0].color).max() < 0.01
     for other in ({"object": [FAR]}, {"camera": CAMERA}, {"psf": {"occlusion": "none"}}):
-        report = prepared(scene | other, 0.03).approximation
-        assert report is not None
-        assert report.merged == 0.0
+        without = prepared(scene | other, 0.03).approximation
+        assert without is not None
+        assert without.merged == 0.0
 
 
 def test_stripes_that_move_by_their_own_width_are_not_taken_for_still_ones() -> None:
