@@ -1,6 +1,7 @@
 """Processor time of blurs by waves beside the disc: python -m benchmarks.speed.waves [SIZE]
 
-An image with radii that vary by 1 px around R is blurred by turns by a disc and by waves, Q = 0.11 px, in gray:
+An image with radii that vary by 1 px around R is blurred by turns by a disc and by waves, Q = 0.11 px, in gray, of a
+circle, of a ring, and of a circle with coma, whose tables have no symmetry, as those of blades and images have none:
 medians of the processor time of all threads, in ns per pixel. Tables and programs are made before.
 """
 
@@ -9,12 +10,19 @@ from __future__ import annotations
 import resource
 import sys
 from statistics import median
+from typing import Any
 
 import numpy as np
 
 import clsco
 
 TURNS = 7
+WAVES: dict[str, Any] = {"model": "wave"}
+RING = {"shape": "ring", "obstruction": 0.35}
+LENSES: dict[str, tuple[dict[str, Any], dict[str, Any] | None]] = {
+    "disc": ({}, None), "ring": ({}, RING), "waves": (WAVES, None), "ring, waves": (WAVES, RING),
+    "coma, waves": (WAVES | {"zernike": {"3,1": 0.1}}, None),
+}  # fmt: skip
 CAMERA = clsco.Camera(f_number=2.0, focal_length=20.0, pixel_pitch=0.01)
 
 
@@ -28,18 +36,19 @@ def main(size: int) -> None:
     """Print a row for each radius."""
     rng = np.random.default_rng(1)
     image = rng.random((size, size), np.float32)
-    print("ns per pixel   disc   waves   ratio")
+    print("ns per pixel " + "".join(f"{name:>16}" for name in LENSES))
     for radius in (2.0, 6.0, 20.0):
         radii = radius + np.linspace(-0.5, 0.5, size)[:, None] * np.ones(size)
-        found: dict[str, list[float]] = {"pillbox": [], "wave": []}
+        found: dict[str, list[float]] = {name: [] for name in LENSES}
         for turn in range(TURNS + 1):
-            for model, times in found.items():
+            for name, times in found.items():
+                psf, aperture = LENSES[name]
                 start = seconds()
-                clsco.defocus(image, radii, {"model": model, "occlusion": "none"}, camera=CAMERA)
+                clsco.defocus(image, radii, {"occlusion": "none", **psf}, aperture=aperture, camera=CAMERA)
                 if turn:
                     times.append(1e9 * (seconds() - start) / size**2)
-        disc, waves = (median(times) for times in found.values())
-        print(f"R {radius:4.0f}       {disc:6.1f}  {waves:6.1f}   {waves / disc:5.2f}")
+        ns = [median(times) for times in found.values()]
+        print(f"R {radius:4.0f}       " + "".join(f"{each:8.1f} ({each / ns[0]:4.2f})" for each in ns))
 
 
 if __name__ == "__main__":

@@ -39,6 +39,7 @@ from clsco.plan.larger import Met, larger_plan
 from clsco.plan.memory import Limit, device_bytes
 from clsco.plan.plan import Plan
 from clsco.plan.prepare import Prepared
+from clsco.plan.waves import light_cut
 from clsco.records import Real, Struct
 
 
@@ -207,6 +208,7 @@ class Renderer:
                 "seconds": film.seconds(),
             }
             | self._exposure()
+            | self._light_cut()
             | self._line_times(film.index)
         )
 
@@ -218,6 +220,11 @@ class Renderer:
             if scene.aperture.exposure == "normalized"
             else {"exposure": exposure_factor(scene.aperture, self.plan.psf)}
         )
+
+    def _light_cut(self) -> dict[str, Any]:
+        """Share of the light of a point that a point spread by waves leaves out, as `clsco plan` says it."""
+        spec = self.plan.spec
+        return {"light_cut": light_cut(spec.psf, spec.smallest, spec.largest)} if spec.psf.diffracted else {}
 
     def _line_times(self, index: int) -> dict[str, Any]:
         """Times of the ground truth of the first and the last line, where lines are exposed in turn."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from math import log10
 
 from clsco.errors import SceneError
@@ -38,12 +39,22 @@ def check_waves(psf: PointSpread, largest: float) -> None:
     raise SceneError(f"psf.model: {rule}; got {pupil.waves(largest):.4g} ({about})")
 
 
+@lru_cache(maxsize=64)
+def light_cut(psf: PointSpread, smallest: float, largest: float) -> float:
+    """Largest share of the light of a point that is left out, for |blur radii| from smallest to largest px; 0 but of
+    waves."""
+    pupil = psf.pupil
+    if not isinstance(pupil, Diffracted):
+        return 0.0
+    return max(pupil.left_out(radius) for radius in {smallest, largest, -largest})
+
+
 def wave_words(psf: PointSpread, smallest: float, largest: float, silhouettes: int) -> Parameters:
     """Parameters of the blur for reports; none where it is not by waves."""
     pupil = psf.pupil
     if not isinstance(pupil, Diffracted):
         return ()
-    cut = max(pupil.left_out(smallest), pupil.left_out(largest))
+    cut = light_cut(psf, smallest, largest)
     size = table_bytes(psf, smallest, largest) + (
         table_bytes(psf, smallest, largest, silhouettes) if silhouettes else 0
     )

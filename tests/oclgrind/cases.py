@@ -99,7 +99,7 @@ OBJECTS: dict[str, tuple[Object, ...]] = {
 CHOICES: dict[str, Sequence[Any]] = {
     "objects": [*OBJECTS, "ball before plane", "three"],
     "shape": [(rows, columns) for rows, columns in SHAPES if rows * columns <= 20],  # with a guard band of 8 px or more
-    "model": ("pillbox", "gaussian"),
+    "model": ("pillbox", "gaussian", "wave"),
     "edge": ("integrated", "area", "sampled"),
     "tilt": (True, False),
     "silhouette_samples": (1, 2, 3),
@@ -143,6 +143,8 @@ def scenes_of(drawn: Drawn) -> list[Scene]:
     """The scene, once for each lens. Raises ValueError where these choices do not go together."""
     psf = {key: drawn[key] for key in ("model", "edge", "tilt", "silhouette_samples", "border")}
     psf |= {"occlusion": drawn["occlusion"]} if drawn["occlusion"] else {}
+    if drawn["model"] == "wave":
+        psf |= {"tail": 0.1, "zernike": {"3,1": 0.1 * (drawn["seed"] % 2)}}
     sections: dict[str, Any] = {"psf": Psf(**psf)}
     items = OBJECTS[drawn["objects"]]
     if drawn["motion"] is not None:

@@ -14,6 +14,7 @@ import clsco
 from clsco.errors import SceneError
 from clsco.inputs.pupils import scene_point_spread
 from clsco.opencl.device import choose
+from clsco.optics.pupils.hankel import HankelDiffracted
 from clsco.plan.memory import device_bytes
 from clsco.plan.prepare import prepare
 from clsco.plan.waves import MOST_WAVES, disc_psnr
@@ -188,6 +189,15 @@ def test_the_lens_of_waves_cannot_open() -> None:
     keys = [{"time": 0.0, "f_number": 2.0}, {"time": 1.0, "f_number": 4.0}]
     with pytest.raises(SceneError, match=r'f_number: cannot change with psf.model = "wave"'):
         scene(object=[FACING], lens={"keyframe": keys})
+
+
+def test_the_light_that_is_cut_is_told() -> None:
+    (frame,) = rendered(scene(object=[FACING]), truth=())
+    spread = scene_point_spread(scene(object=[FACING])).pupil
+    assert isinstance(spread, HankelDiffracted)
+    assert frame.metadata["light_cut"] == pytest.approx(spread.left_out(3.0), rel=0.3)
+    (disc,) = rendered(scene(object=[FACING], psf={"model": "pillbox"}), truth=())
+    assert "light_cut" not in disc.metadata
 
 
 def test_words_of_the_plan() -> None:
