@@ -140,7 +140,10 @@ def column_bytes(psf: PointSpread, tilt: bool, channels: int, far: int) -> int:
         return 8 * WIDE_LANES * ends + 4 * WIDE_LANES * sums + tiles + items
     ends, sums = (1 + slopes) * channels, (1 + tilt) * channels
     rims = int(tilt and psf.diffracted)
-    items = MOST_ITEMS * (4 * WIDE_LANES * (2 + slopes + rims + 2 * channels) + ITEM_BYTES)
+    item = 2 + slopes + rims + 2 * channels
+    items = MOST_ITEMS * (4 * WIDE_LANES * item + ITEM_BYTES)
+    if psf.rims:
+        items += MOST_ITEMS * (4 * WIDE_LANES * (item + 1 + 3 * len(psf.rims)) + ITEM_BYTES)
     return 8 * WIDE_LANES * ends * (BAND + 1) + 4 * WIDE_LANES * sums * (BAND + 2 * far) + tiles + items
 
 

@@ -85,7 +85,7 @@ __kernel void scatter(const grid_t grid, const psf_t psf, __global const float *
             const spread_t spread = subpixel_spread(psf, sub_intervals, sub_coefficients, p.x, sub);
 #if OCCLUDED
             visibility_t seen;
-            const visibility_t *visibility = as_int(p.w) == PARTLY_OCCLUDED ? &seen : 0;
+            const visibility_t *visibility = IS_PARTLY(as_int(p.w)) ? &seen : 0;
             if (visibility)
                 source_visibility(grid, lens, surfaces, group, psf, lens_cells, grid.top + row + spread.oy,
                                   column + spread.ox, sub_depth[id], spread, p, (real)1 / SUBPIXELS, &seen);
@@ -102,7 +102,7 @@ __kernel void scatter(const grid_t grid, const psf_t psf, __global const float *
     const spread_t spread = pixel_spread(psf, intervals, coefficients, s.x);
 #if OCCLUDED
     visibility_t seen;
-    const visibility_t *visibility = as_int(s.w) == PARTLY_OCCLUDED ? &seen : 0;
+    const visibility_t *visibility = IS_PARTLY(as_int(s.w)) ? &seen : 0;
     if (visibility)
         source_visibility(grid, lens, surfaces, group, psf, lens_cells, grid.top + row, column, depth[at], spread, s,
                           (real)1, &seen);

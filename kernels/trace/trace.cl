@@ -39,13 +39,15 @@ static float4 source_record(const grid_t grid, const lens_t lens, __constant sur
     const real size = blur_radius(lens, seen_ray, seen_w);
     const division_t division = division_of(size, psf.lens_extent, subpixel ? (real)1 / SUBPIXELS : 1, tilt);
     int seen = check_visibility(lens, surfaces, group, seen_ray, seen_w, division, 0, &edge);
+    int partly = PARTLY_OCCLUDED;
 #if RIMS
+    partly = seen == CLEAR && division.wide && !subpixel ? CUT : PARTLY_OCCLUDED;
     seen = MAX(seen, meet_rims(lens, psf, seen_ray, seen_w, size, division, 0));
 #endif
     *label |= edge ? EDGE : 0;
     if (seen == HIDDEN)
         return record;
-    record.w = as_float(seen == PARTLY ? PARTLY_OCCLUDED : WHOLE);
+    record.w = as_float(seen == PARTLY ? partly : WHOLE);
 #endif
     note_radius(statistics, spread);
     record.x = table_coordinate(psf, spread, subpixel);

@@ -107,6 +107,13 @@ WITHOUT_TWIN = {
         ),
         "the sum of scatter, column by column",
     ),
+    "cut": dict.fromkeys(
+        (
+            *("lowest_of", "cut_share", "add_cut_taps", "add_cut_ends", "finish_cut_sums", "cut_rows"),
+            *("spread_cut_items", "put_cut_items"),
+        ),
+        "the sum of scatter, column by column",
+    ),
     "shapes": dict.fromkeys(
         (
             *("shape_column_of", "add_shape_taps", "add_shape_ends", "finish_shape_sums"),
@@ -168,7 +175,7 @@ OTHERWISE = {
 
 # Files whose twin is part of another file.
 PART_OF = {"gather": "blur", "sources": "trace", "texture": "trace", "tiles": "blur"}
-PART_OF |= dict.fromkeys(("psf", "vectors", "many", "discs", "quadrants", "shapes"), "blur")
+PART_OF |= dict.fromkeys(("psf", "vectors", "many", "discs", "quadrants", "cut", "shapes"), "blur")
 PART_OF |= dict.fromkeys(("gaussians", "columns", "spans"), "blur")
 PART_OF |= {"blocks": "visibility_test"}
 

@@ -177,7 +177,7 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
                 const int vectors = MAX(up + down + 1, 0) * (spread.lanes / TAP_LANES);
                 left -= CHANNELS * vectors;
 #if OCCLUDED
-                if (as_int(p.w) == PARTLY_OCCLUDED) {
+                if (IS_PARTLY(as_int(p.w))) {
                     left -= HIDDEN_WORK + HIDDEN_TAPS * vectors;
                     visibility_t visibility;
                     source_visibility(grid, lens, surfaces, group, psf, lens_cells, grid.top + y + spread.oy,
@@ -269,7 +269,7 @@ __kernel void gather(const grid_t grid, const psf_t psf, __global const float *s
         const int until = cut ? MIN(at_first + budget.x, steps) : steps;
         const bool others = ADD_ALIKE(grid, psf, source, value, intervals, taps, outlines, first, end,
                                       at_first * GATHER_STEP, until * GATHER_STEP, scratch + own * scratch_size, pitch,
-                                      pad, total);
+                                      pad, total CUT_VALUES(lens, depth));
         if (cut)
             position[own] = others || (before & OTHERS) ? until | OTHERS : until < steps ? until : DONE;
         if (cut || !others)
