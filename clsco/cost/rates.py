@@ -30,6 +30,8 @@ RATES: dict[str, float] = {
     "separable taps": 4.8e-10,
     "general row": 0,
     "general taps": 2.2e-09,
+    "shape row": 1.3e-09,
+    "shape taps": 1.7e-10,
     "sub-pixel source": 1.6e-08,
     "sub-pixel taps": 2.5e-09,
     "hidden source": 7.5e-07,
@@ -47,7 +49,8 @@ RATES: dict[str, float] = {
     "reference pose": 8.2e-08,
 }
 """Operation -> seconds: rays and what they meet, sub-pixel rays, the forward warp, taps in vectors of 8 and rows of
-them by layout of weights (`PointSpread.layout`), what tests what hides a source, and what is done per pixel."""
+them by layout of weights (`PointSpread.layout`; "shape" of general ones without waves), what tests what hides a source,
+and what is done per pixel."""
 
 CORE_SECONDS = 0.000143
 """Seconds of `clsco.cost.predict.core_seconds` on the core that the rates are of."""

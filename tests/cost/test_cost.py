@@ -81,7 +81,7 @@ def works(scene: Scene, truth: tuple[str, ...] = ()) -> list[tuple[str, dict[str
 
 
 def test_every_pass_has_a_rate_and_every_rate_is_of_a_pass() -> None:
-    others = ("lit", "plane_defocused", "thesis_pipeline")
+    others = ("lit", "plane_defocused", "thesis_pipeline", "tilted_mirror")
     scenes = [example(name) for name in (*EXAMPLES, *others)] + [crowd(90)]
     scenes += [example("sphere").replace("psf.edge", edge) for edge in ("area", "sampled")]
     scenes += [example("occlusion_three").replace(*pair) for pair in (
