@@ -20,6 +20,7 @@ MOVING_MARGIN = 4  # px around what moves, within which sources are not still
 # Bits of the feature CURVED (kernels/common/geometry.clh).
 CURVED_FIELD = 1
 CURVED_SPHERE = 2
+CURVED_IMAGE = 4
 
 # Coordinates of a surface that a texture lies on (clsco/optics/texture_mapping.py, kernels/trace/mapping.clh), and what
 # is beyond an image.

@@ -18,7 +18,7 @@ from clsco.inputs.focus import seen
 from clsco.inputs.textures import mapped_size
 from clsco.optics.exposure import frame_exposure, middle_time
 from clsco.optics.lens import Lens
-from clsco.optics.lens_path import lens_at
+from clsco.optics.lens_path import lens_at, reference_camera
 from clsco.optics.motion import poses_at
 from clsco.optics.psf_grid import row_lanes
 from clsco.optics.quadrics import cutting_bounds, place
@@ -315,7 +315,7 @@ def _of_image(plan: Plan, lattice: Lattice, maps: Maps) -> dict[str, Work]:
     sizes = zip(plan.scene.camera.frame_size[::-1], (lattice.row, lattice.column), strict=True)
     i, j = (np.clip(at.round().astype(np.intp), 0, size - 1) for size, at in sizes)
     w, number = seen(plan.scene, maps, i, j)
-    lit, rays = w > 0.0, pixel_ray(plan.scene.camera, i[:, None], j[None, :])
+    lit, rays = w > 0.0, pixel_ray(reference_camera(plan.scene), i[:, None], j[None, :])
     radius = np.where(lit, blur_radius(lens_at(plan.scene, 0.0, plan.only), rays, w), 0.0)
     pixels = lattice.total(np.ones(w.shape))
     blur = _of_blur(plan, lattice, radius, lit, np.zeros(w.shape))

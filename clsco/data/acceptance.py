@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from clsco.data.folder import RefusedError
 from clsco.errors import SceneError
 from clsco.optics.exposure import middle_time
-from clsco.optics.lens import LARGEST_BLUR, ray_step
+from clsco.optics.lens import LARGEST_BLUR
 from clsco.optics.lens_path import camera_at, lenses_at
 from clsco.optics.motion import poses_at, rest_center
 from clsco.optics.quadrics import place, predict_inverse_depth
+from clsco.optics.rays import places_of, slopes_at
 from clsco.plan.predict import without_lens
 from clsco.scene.model import Rectangle, Scene
 from clsco.scene.text import shown
@@ -110,10 +111,9 @@ def looks_of(scenes: Sequence[Scene]) -> list[Look]:
 
 def _slopes(scene: Scene, time: float) -> tuple[Array, Array]:
     assert scene.camera.resolution is not None
-    (columns, rows), step = scene.camera.resolution, ray_step(camera_at(scene, time))
+    columns, rows = scene.camera.resolution
     share = (np.arange(RAYS) + 0.5) / RAYS - 0.5
-    across, up = np.meshgrid(share * columns * step, -share * rows * step)
-    return across, up
+    return slopes_at(camera_at(scene, time), *np.meshgrid(share * columns, -share * rows))
 
 
 def _seen(scene: Scene, number: int) -> _Seen:
@@ -130,7 +130,7 @@ def _flow(scene: Scene, seen: _Seen, interval: float) -> Array:
     time = middle_time(scene.sequence, seen.number)
     now, then = poses_at(scene, time), poses_at(scene, time + interval)
     x, y = _slopes(scene, time)
-    here, there = (ray_step(camera_at(scene, when)) for when in (time, time + interval))
+    here, there = (camera_at(scene, when) for when in (time, time + interval))
     length = np.zeros(seen.w.shape)
     for number, item in enumerate(scene.objects):
         own = seen.front == number
@@ -141,7 +141,7 @@ def _flow(scene: Scene, seen: _Seen, interval: float) -> Array:
         body = before.rotation.T @ (rays / seen.w[own] - center - before.shift[:, None])
         point = center + after.shift[:, None] + after.rotation @ body
         ahead = point[2] > 0.0
-        way = point[:2] / np.where(ahead, point[2], 1.0) / there - rays[:2] / here
+        way = np.subtract(places_of(there, *(point[:2] / np.where(ahead, point[2], 1.0))), places_of(here, *rays[:2]))
         length[own] = np.where(ahead, np.sqrt((way * way).sum(axis=0)), 0.0)
     return length
 
@@ -161,7 +161,7 @@ def _looked(scene: Scene, frames: Sequence[_Seen], ways: Sequence[Array]) -> Loo
         flows.append(way[hit])
         time, hit = middle_time(scene.sequence, seen.number), seen.front >= 0
         x, y = _slopes(scene, time)
-        radii += [np.abs(lens.blur_radius(seen.w[hit], (x * x + y * y)[hit])) for lens in lenses_at(scene, time)]
+        radii += [np.abs(lens.image_radius(seen.w[hit], x[hit], y[hit])) for lens in lenses_at(scene, time)]
     return Look(np.concatenate(depths), np.concatenate(radii), np.concatenate(flows), valid, visible)
 
 

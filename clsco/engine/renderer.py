@@ -24,12 +24,12 @@ from clsco.inputs.channels import of_channels
 from clsco.opencl.buffers import download
 from clsco.opencl.session import Progress, Session
 from clsco.optics.exposure import line_times, middle_time
-from clsco.optics.lens import Lens, ray_step
-from clsco.optics.lens_path import camera_at
+from clsco.optics.lens import Lens
+from clsco.optics.lens_path import camera_at, reference_camera
 from clsco.optics.point_spread import exposure_factor
 from clsco.optics.sensor import camera_word
 from clsco.passes.blur import Events
-from clsco.passes.pack import camera_grid
+from clsco.passes.pack import camera_grid, towards
 from clsco.passes.placed import Moment, PlacedScene
 from clsco.passes.static_image import StaticMap
 from clsco.passes.trace import EMPTY_STATISTICS, Hits, TooFewSlotsError
@@ -84,8 +84,9 @@ class Renderer:
         maps = self.prepared.maps
         if plan.static_map:
             radiance, (depth,) = scene.textures[0].radiance, (each for each in maps if each is not None)
-            lens = Lens.of(plan.scene.camera, plan.scene.lens, plan.only)
-            return StaticMap(self.session, plan.scene.camera, lens, radiance, depth, plan.guard_px, self.scene.real)
+            camera = reference_camera(plan.scene)
+            lens = Lens.of(camera, plan.scene.lens, plan.only)
+            return StaticMap(self.session, camera, lens, radiance, depth, plan.guard_px, self.scene.real)
         return ForwardWarp(plan, scene, maps) if plan.forward else None
 
     def _lights(self) -> tuple[Light, ...]:
@@ -122,8 +123,7 @@ class Renderer:
         weights = step.weights if by_columns else step.weights[part.inside]
         sample, grid = self.scene.at(film.times[step.number]), self._grid(part)
         if self.plan.scene.zooms:
-            grid = grid.copy()
-            grid["step"] = ray_step(sample.camera)
+            grid = towards(grid, sample.camera)
         return Moment(
             strip=part, grid=grid, events=film.events, bounds=film.bounds.get(step.number),
             sample=sample, weights=weights, first=count == next(iter(counts)),
@@ -135,7 +135,7 @@ class Renderer:
         """grid_t of a strip, or of a part of one."""
         if strip not in self.grids:
             plan = self.plan
-            self.grids[strip] = camera_grid(plan.scene.camera, plan.guard_px, self.scene.real, strip)
+            self.grids[strip] = camera_grid(reference_camera(plan.scene), plan.guard_px, self.scene.real, strip)
         return self.grids[strip]
 
     def add(self, film: Film, strip: Strip, count: int) -> None:

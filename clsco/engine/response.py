@@ -17,10 +17,10 @@ from clsco.inputs.files import InputFiles
 from clsco.inputs.focus import seen
 from clsco.opencl.session import DeviceLike
 from clsco.optics.exposure import middle_time, shutter_span
-from clsco.optics.lens import ray_step
-from clsco.optics.lens_path import camera_at
+from clsco.optics.lens_path import camera_at, reference_camera
 from clsco.optics.motion import poses_at, rest_center, rest_poses
 from clsco.optics.quadrics import place, predict_inverse_depth
+from clsco.optics.rays import places_of, slopes_at
 from clsco.optics.vignetting import throughput
 from clsco.plan.prepare import Prepared, prepare
 from clsco.scene.arrays import ArrayInput
@@ -190,8 +190,8 @@ def _projected(item: Object, texture: str | ArrayInput) -> Object:
 
 def _longest_way(scene: Scene, number: int, index: int) -> int:
     """Way in px, rounded up, of the point of an object that the exposure finds farthest from its reference pose."""
-    item, step = scene.objects[number], ray_step(scene.camera)
-    x, y = np.meshgrid(*(np.linspace(-0.5, 0.5, GRID) * side * step for side in scene.camera.frame_size))
+    item, camera = scene.objects[number], reference_camera(scene)
+    x, y = slopes_at(camera, *np.meshgrid(*(np.linspace(-0.5, 0.5, GRID) * side for side in camera.frame_size)))
     w = predict_inverse_depth(item, place(item, rest_poses(scene)[number]), x, y)
     there = (w > 0) | item.is_background
     if not there.any():
@@ -202,6 +202,6 @@ def _longest_way(scene: Scene, number: int, index: int) -> int:
     for time in np.linspace(*shutter_span(scene.sequence, index), TIMES).tolist():
         pose = poses_at(scene, time)[number]
         point = w[there] * (center + pose.shift[:, None]) + pose.rotation @ body
-        moved = point[:2] / np.maximum(point[2], 1e-3) / ray_step(camera_at(scene, time)) - rays[:2] / step
-        longest = max(longest, float(np.hypot(*moved).max()))
+        place_at = places_of(camera_at(scene, time), *(point[:2] / np.maximum(point[2], 1e-3)))
+        longest = max(longest, float(np.hypot(*np.subtract(place_at, places_of(camera, *rays[:2]))).max()))
     return math.ceil(min(longest, max(scene.camera.frame_size)))

@@ -13,7 +13,7 @@ from clsco.frame.strips import Grid
 from clsco.opencl.buffers import allocate
 from clsco.opencl.session import Session
 from clsco.optics.depth_layers import LayerBounds
-from clsco.optics.lens import Lens, ray_step
+from clsco.optics.lens import Lens
 from clsco.optics.lens_path import colored
 from clsco.optics.quadrics import axial_blur_radius
 from clsco.passes.accumulate import FrameSum
@@ -23,7 +23,7 @@ from clsco.passes.colors import JoinedColors
 from clsco.passes.fill import FillPlanes
 from clsco.passes.frame_blur import make_blur
 from clsco.passes.layered import DepthLayers
-from clsco.passes.pack import psf_struct
+from clsco.passes.pack import psf_struct, towards
 from clsco.passes.placed import Moment, PlacedScene
 from clsco.passes.sensor import FrameSensor
 from clsco.passes.static_image import StaticMap
@@ -147,9 +147,8 @@ def _aims(plan: Plan) -> Callable[[Moment, int], Moment] | None:
         return None
 
     def aimed(at: Moment, color: int) -> Moment:
-        camera, grid = colored(at.sample.camera, plan.scene.lens, color), at.grid.copy()
-        grid["step"] = ray_step(camera)
-        return replace(at, grid=grid, sample=replace(at.sample, camera=camera))
+        camera = colored(at.sample.camera, plan.scene.lens, color)
+        return replace(at, grid=towards(at.grid, camera), sample=replace(at.sample, camera=camera))
 
     return aimed
 

@@ -17,6 +17,7 @@ from clsco.optics.exposure import middle_time
 from clsco.optics.lens import ray_step
 from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import Eye, eye_pose, poses_at, rest_center
+from clsco.optics.rays import slopes_at
 from clsco.scene.model import Scene
 
 FLIP = np.diag([1.0, -1.0, 1.0])  # y up in scenes, down in files of cameras
@@ -91,8 +92,8 @@ def gets_behind(scene: Scene, frame: Frame, step: int) -> NDArray[np.bool_]:
     for k, item in enumerate(scene.objects):
         row, column = np.nonzero((frame.object_id == k) & ~flow.any(axis=-1))
         middle = 0.5 * (np.array(frame.depth.shape) - 1)
-        step_px = ray_step(camera_at(scene, middle_time(scene.sequence, frame.index)))
-        across, up = (column - middle[1]) * step_px, (middle[0] - row) * step_px
+        camera = camera_at(scene, middle_time(scene.sequence, frame.index))
+        across, up = slopes_at(camera, column - middle[1], middle[0] - row)
         point = np.stack([across, up, np.ones_like(across)], axis=-1) * frame.depth[row, column, None]
         center = rest_center(item)
         body = (point - center - now[k].shift) @ now[k].rotation  # turned back

@@ -13,7 +13,9 @@ from clsco.errors import ImageError
 from clsco.files.images import check_sizes
 from clsco.inputs.depth_files import read_depth
 from clsco.inputs.textures import load_texture
-from clsco.optics.lens import LARGEST_BLUR, Lens, blur_radius, ray_step
+from clsco.optics.lens import LARGEST_BLUR, Lens, blur_radius
+from clsco.optics.lens_path import reference_camera
+from clsco.optics.rays import slopes_at
 from clsco.scene.arrays import ArrayInput, Input, LayerInput
 from clsco.scene.model import Camera, DepthMap, Scene
 from clsco.scene.quantities import MIN_LENGTH_MM
@@ -205,7 +207,7 @@ def map_values(
     """
     name = str(item.depth)
     check_sizes("the frame", scene.camera.frame_size, name, (raw.shape[1], raw.shape[0]))
-    numbers = item.unit, item.scale, scene.camera, item.baseline, name, item.offset, item.depth_kind
+    numbers = item.unit, item.scale, reference_camera(scene), item.baseline, name, item.offset, item.depth_kind
     values = inverse_depth(raw, *numbers)
     if item.soft_edges == "assign":
         values = _without_soft_edges(values, raw if item.unit in ("mm", "m") else None, scene.camera, image)
@@ -268,8 +270,8 @@ def _convert(value: Array, unit: str, camera: Camera, baseline: float | None) ->
 def _ray_lengths(shape: tuple[int, ...], camera: Camera) -> Array:
     """Distance along the ray of each pixel (rows, columns) per depth along the axis."""
     rows, columns = shape
-    y, x = ((np.arange(size) - (size - 1) / 2) * ray_step(camera) for size in (rows, columns))
-    return np.asarray(np.sqrt(1.0 + x**2 + y[:, None] ** 2))
+    x, y = slopes_at(camera, np.arange(columns) - (columns - 1) / 2, (rows - 1) / 2 - np.arange(rows)[:, None])
+    return np.asarray(np.sqrt(1.0 + x**2 + y**2))
 
 
 def _check_blur(w: Array, value: Array, unit: str, scale: float, camera: Camera, where: str) -> None:

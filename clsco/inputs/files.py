@@ -32,6 +32,7 @@ from clsco.inputs.textures import (
     radiance_of,
     require_suffix,
 )
+from clsco.optics.distortion import Distortion
 from clsco.optics.point_spread import PointSpread, exposure_factor
 from clsco.resources import code_digest
 from clsco.scene.arrays import ArrayInput, Input, LayerInput
@@ -180,7 +181,7 @@ class InputFiles:
         if content is None:
             return map_values(scene, item, depth_numbers(source), known)
         kinds = item.depth_kind, item.no_depth, scene.fill.method == "none"
-        numbers = item.unit, item.scale, item.baseline, item.offset, *kinds
+        numbers = item.unit, item.scale, item.baseline, item.offset, Distortion.of(scene.lens), *kinds
         seen = (picture, scene.image.transfer) if item.soft_edges == "assign" else None
         return self.cache.get(
             ("inverse depth", content, numbers, seen, scene.camera.model_dump_json()),

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from clsco.errors import SceneError
 from clsco.inputs.depth_maps import FARTHEST
 from clsco.inputs.files import InputFiles
-from clsco.optics.lens import SHARP, Lens, ray_step
-from clsco.optics.lens_path import camera_at
+from clsco.optics.lens import SHARP
+from clsco.optics.lens_path import camera_at, lens_at, reference_camera
 from clsco.optics.motion import poses_at
 from clsco.optics.quadrics import place, predict_inverse_depth
+from clsco.optics.rays import ray_slopes
 from clsco.scene.model import DepthMap, Scene
 from clsco.scene.quantities import MAX_LENGTH_MM, MIN_LENGTH_MM
 
@@ -58,8 +59,8 @@ def lens_line(scene: Scene, w: Array) -> str:
     """
     seen = w[w > 0]
     near, far, camera = float(seen.max()), float(seen.min()), scene.camera
-    y, x = (ray_step(camera) * (np.arange(size) - 0.5 * (size - 1)) for size in w.shape)
-    radii = Lens.of(camera, scene.lens).blur_radius(seen, (x * x + y[:, None] ** 2)[w > 0])
+    x, y = ray_slopes(reference_camera(scene), *np.ogrid[: w.shape[0], : w.shape[1]])
+    radii = lens_at(scene, 0.0).image_radius(seen, x[w > 0], y[w > 0])
     sharp = int(np.count_nonzero(np.abs(radii) <= SHARP))
     low, high = (round(float(end), 2) + 0.0 for end in (radii.min(), radii.max()))
     percent = "under 1" if 0 < 100 * sharp < w.size else f"{100 * sharp // w.size}"
@@ -138,9 +139,7 @@ def seen(
     Where no surface is, w is 0, and the number that of a background, or -1. Rows and columns of a depth map, see
     `InputFiles.maps`, lie in the frame.
     """
-    columns, rows = scene.camera.frame_size
-    step = ray_step(camera_at(scene, 0.0))
-    x, y = np.meshgrid((j - (columns - 1) / 2) * step, ((rows - 1) / 2 - i) * step)
+    x, y = ray_slopes(camera_at(scene, 0.0), i[:, None], j)
     behind = next((number for number, item in enumerate(scene.objects) if item.is_background), -1)
     nearest, whose = np.zeros(x.shape), np.full(x.shape, behind)
     for number, (item, pose, depth) in enumerate(zip(scene.objects, poses_at(scene, 0.0), maps, strict=True)):

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from clsco.optics.lens import ray_step
 from clsco.optics.motion import Eye, Pose, rest_center
+from clsco.optics.rays import image_slopes, slopes_at
 from clsco.scene.model import Camera, Object
 
 # A depth at a point's place that is nearer by at most this factor is taken for the point's own surface.
@@ -23,8 +24,7 @@ def _points(camera: Camera, depth: NDArray[np.floating]) -> Array:
     """Surface points (rows, columns, 3) in mm of a depth map in mm; 0 where depth is infinite."""
     rows, columns = depth.shape
     i, j = np.indices(depth.shape)
-    step = ray_step(camera)
-    rays = np.stack([(j - (columns - 1) / 2) * step, ((rows - 1) / 2 - i) * step, np.ones(depth.shape)], axis=-1)
+    rays = np.stack([*slopes_at(camera, j - (columns - 1) / 2, (rows - 1) / 2 - i), np.ones(depth.shape)], axis=-1)
     return np.asarray(rays * np.where(np.isfinite(depth), depth, 0.0).astype(np.float64)[..., None])
 
 
@@ -129,11 +129,12 @@ def map_flow(seen: MapPoints, camera: Camera, then: Sequence[Pose]) -> Floats:
     for k in range(len(seen.items)):
         moved = seen.moved(k, then[k])
         own = (seen.object_id == k) & np.isfinite(seen.depth) & (moved[..., 2] > 0)
-        ahead = np.where(own, moved[..., 2], 1.0)
-        here = np.where(own, point[..., 2], 1.0) * ratio
+        there, here = (
+            image_slopes(by, *(at[..., axis] / np.where(own, at[..., 2], 1.0) for axis in (0, 1)))
+            for by, at in ((camera, moved), (seen.camera, point))
+        )
         for axis, sign in ((0, 1.0), (1, -1.0)):
-            shift = sign * (moved[..., axis] / ahead - point[..., axis] / here) / step
-            flow[..., axis] = np.where(own, shift, flow[..., axis])
+            flow[..., axis] = np.where(own, sign * (there[axis] - here[axis] / ratio) / step, flow[..., axis])
     return flow.astype(np.float32)
 
 

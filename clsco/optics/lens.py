@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Self
+from dataclasses import dataclass, replace
+from typing import Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.optics.distortion import Distortion, distortion_of
 from clsco.scene.lens import Lens as Aberrations
 from clsco.scene.model import Camera
 
@@ -35,6 +36,8 @@ class Lens:
         ray: -c s0^2 / (2 s) with the curvature c of that image.
     spherical : float
         1 where a sphere around the lens is in focus, and no plane.
+    distortion : Distortion, optional
+        Of the image, which blur takes part in.
 
     Examples
     --------
@@ -51,6 +54,7 @@ class Lens:
     detector_power: float
     sag: float = 0.0
     spherical: float = 0.0
+    distortion: Distortion | None = None
 
     @classmethod
     def of(cls, camera: Camera, real: Aberrations | None = None, color: int | None = None) -> Self:
@@ -78,12 +82,29 @@ class Lens:
             1.0 / s,
             -0.5 * curvature * scale * scale / s,
             float(real is not None and real.focus_surface == "sphere"),
+            distortion_of(camera),
         )
 
     @property
     def is_curved(self) -> bool:
         """True if what is in focus is no plane."""
         return self.sag != 0.0 or self.spherical > 0.0
+
+    def along(self, x: NDArray[np.float64] | float, y: NDArray[np.float64] | float) -> Self:
+        """The lens for rays of slopes x and y alone, which a distorted image has larger or smaller; numbers become
+        arrays of their shape."""
+        if self.distortion is None:
+            return self
+        return replace(self, blur_scale=cast(float, self.blur_scale * self.distortion.stretch(x, y)))
+
+    def image_radius(
+        self, inverse_depth: NDArray[np.float64] | float, x: NDArray[np.float64] | float,
+        y: NDArray[np.float64] | float,
+    ) -> NDArray[np.float64]:  # fmt: skip
+        """Signed blur radius in px of inverse depths in 1/mm on rays of slopes x and y, which broadcast: in a distorted
+        image that of the disc of the same area."""
+        squared = np.asarray(x) ** 2 + np.asarray(y) ** 2 if self.is_curved else 0.0
+        return self.along(x, y).blur_radius(inverse_depth, squared)
 
     def blur_radius(
         self, inverse_depth: NDArray[np.float64] | float, squared_slope: NDArray[np.float64] | float = 0.0

@@ -9,6 +9,7 @@ from itertools import chain, pairwise
 import numpy as np
 
 from clsco.errors import SceneError
+from clsco.optics.distortion import with_distortion
 from clsco.optics.exposure import sequence_times
 from clsco.optics.keyframes import Path, path_through
 from clsco.optics.lens import Lens
@@ -17,6 +18,11 @@ from clsco.scene.model import Lens as SceneLens
 
 DENSE = 33  # places between two keyframes at which the widest aperture is looked for
 WIDER = 1.01
+
+
+def reference_camera(scene: Scene) -> Camera:
+    """The camera that sees the reference pose, and whose pixels those of textures and depth maps are."""
+    return with_distortion(scene.camera, scene.lens)
 
 
 def camera_at(scene: Scene, time: float) -> Camera:
@@ -50,7 +56,7 @@ def camera_at(scene: Scene, time: float) -> Camera:
     (5.0, 7.5)
     """
     if scene.lens is None or not scene.lens.moves:
-        return scene.camera
+        return reference_camera(scene)
     camera, changed = scene.camera, dict[str, float | None]()
     zoom, focus, opening = _paths(scene.lens)
     f, power, share = camera.focal_length, 1.0 / camera.focused_distance, 1.0 / camera.opening
@@ -76,7 +82,7 @@ def camera_at(scene: Scene, time: float) -> Camera:
         changed |= {"f_number": 1.0 / share}
     if opening is not None or zoom is not None:
         changed |= {"aperture_diameter": f * share}
-    return camera.model_copy(update=changed)
+    return with_distortion(camera.model_copy(update=changed), scene.lens)
 
 
 def _rule(key: str, rule: str, got: float, time: float) -> str:

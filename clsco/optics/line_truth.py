@@ -10,17 +10,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.optics.distortion import distortion_of
 from clsco.optics.exposure import line_times
 from clsco.optics.lens import ray_step
 from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import Eye, Pose, poses_at, rest_center
 from clsco.optics.quadrics import place, predict_inverse_depth
-from clsco.scene.model import Object, Scene
+from clsco.optics.rays import image_slopes
+from clsco.scene.model import Camera, Object, Scene
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.intp]
@@ -40,16 +43,27 @@ class Lines:
         Lines are columns, not rows.
     times : ndarray of float64, (lines,)
         Seconds since the reference pose.
-    steps : ndarray of float64, (lines,)
-        Slopes between the rays of neighboring pixels.
+    cameras : tuple of Camera
+        Camera at each of them.
     poses : tuple of tuple of Pose
         Poses of all objects at each of them.
     """
 
     by_columns: bool
     times: Array
-    steps: Array
+    cameras: tuple[Camera, ...]
     poses: tuple[tuple[Pose, ...], ...]
+
+    @cached_property
+    def steps(self) -> Array:
+        """Slopes (lines,) between the rays of neighboring pixels on the axis."""
+        return np.array([ray_step(camera) for camera in self.cameras])
+
+    def slopes(self, line: Pixels, right: Array, up: Array) -> tuple[Array, Array]:
+        """Slopes of the rays through places in px right of and above the middle of the image, each at the time of its
+        line."""
+        x, y, distortion = right * self.steps[line], up * self.steps[line], distortion_of(self.cameras[0])
+        return (x, y) if distortion is None else distortion.undistorted(x, y)
 
     def of_object(self, number: int) -> tuple[Array, Array]:
         """Rotations (lines, 3, 3) and shifts (lines, 3) in mm of an object."""
@@ -60,8 +74,8 @@ class Lines:
 def lines_of(scene: Scene, frame: int, eye: Eye) -> Lines:
     """Lines of a frame of a scene with its resolution, as an eye sees it."""
     times = line_times(scene, frame)
-    steps = np.array([ray_step(camera_at(scene, time)) for time in times.tolist()])
-    return Lines(scene.sequence.by_columns, times, steps, tuple(poses_at(scene, time, eye) for time in times.tolist()))
+    found = [(camera_at(scene, time), poses_at(scene, time, eye)) for time in times.tolist()]
+    return Lines(scene.sequence.by_columns, times, tuple(one for one, _ in found), tuple(each for _, each in found))
 
 
 def _first_met(
@@ -115,8 +129,7 @@ class LinePoints:
             row, column = np.nonzero(self.number == k)
             rotations, shifts = now.of_object(k)
             line = column if now.by_columns else row
-            step = now.steps[line]
-            across, up = (column - 0.5 * (columns - 1)) * step, (0.5 * (rows - 1) - row) * step
+            across, up = now.slopes(line, column - 0.5 * (columns - 1), 0.5 * (rows - 1) - row)
             point = np.stack([across, up, np.ones(row.shape)], axis=-1) * depth[row, column, None].astype(np.float64)
             self.bodies[row, column] = np.einsum(
                 "nij,ni->nj", rotations[line], point - rest_center(item) - shifts[line]
@@ -149,7 +162,7 @@ class LinePoints:
 
         def at(line: Pixels | int, of: Any = ...) -> tuple[Array, NDArray[np.bool_]]:
             moved = np.einsum("...ij,...j->...i", rotations[line], body[of])
-            return self._project(center + shifts[line] + moved, then.steps[line])
+            return self._project(center + shifts[line] + moved, then, line)
 
         def fast(line: int, of: Any = ...) -> NDArray[np.bool_]:
             return np.asarray(np.abs((at(line + 1, of)[0] - at(line, of)[0])[:, axis]) > STEEP)
@@ -172,12 +185,14 @@ class LinePoints:
             shown[steep], found[steep] = _first_met(lambda line: at(line, steep), last, axis)
         return shown, found
 
-    def _project(self, point: Array, step: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Places (points, 2) in px of points in mm, column and row, and which are before the lens; step: slope between
-        rays, of all or of each."""
+    def _project(self, point: Array, then: Lines, line: Pixels | int) -> tuple[Array, NDArray[np.bool_]]:
+        """Places (points, 2) in px of points in mm at the time of a line, of all or of each, column and row, and which
+        are before the lens."""
         before, (rows, columns) = point[:, 2] > 0.0, self.shape
-        slopes = point[:, :2] / np.where(before, point[:, 2], 1.0)[:, None] / np.asarray(step)[..., None]
-        return np.stack([0.5 * (columns - 1) + slopes[:, 0], 0.5 * (rows - 1) - slopes[:, 1]], axis=-1), before
+        ahead = np.where(before, point[:, 2], 1.0)
+        slopes = image_slopes(then.cameras[0], point[:, 0] / ahead, point[:, 1] / ahead)
+        right, up = (slope / then.steps[line] for slope in slopes)
+        return np.stack([0.5 * (columns - 1) + right, 0.5 * (rows - 1) - up], axis=-1), before
 
     def occluded(self, then: Lines, flow: Array) -> NDArray[np.bool_]:
         """Mark points that are not visible where a flow takes them.

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.optics.lens import Lens, ray_step
+from clsco.optics.lens import Lens
 from clsco.optics.lens_path import camera_at, lens_at
 from clsco.optics.point_spread import PointSpread, Rim
+from clsco.optics.rays import ray_slopes
 from clsco.optics.vignetting import throughput
 from clsco.scene.model import Scene
 
@@ -64,9 +65,8 @@ def frame_throughput(scene: Scene, time: float, psf: PointSpread) -> Array:
     found = throughput(camera, "none" if scene.lens is None else scene.lens.vignetting)
     if not psf.rims:
         return found
-    (columns, rows), step, lens = camera.frame_size, ray_step(camera), lens_at(scene, time)
-    x, y = np.arange(columns) - 0.5 * (columns - 1), 0.5 * (rows - 1) - np.arange(rows)
-    slopes = step * np.stack(np.broadcast_arrays(x, y[:, None]), axis=-1).reshape(-1, 2)
+    (columns, rows), lens = camera.frame_size, lens_at(scene, time)
+    slopes = np.stack(ray_slopes(camera, np.arange(rows)[:, None], np.arange(columns)), axis=-1).reshape(-1, 2)
     in_focus = lens.blur_radius(0.0, (slopes * slopes).sum(axis=1)) / lens.blur_scale + np.zeros(len(slopes))
     share = rim_throughput(lens, psf, slopes, in_focus, np.zeros(len(slopes)))
     return np.asarray(found * share.reshape(found.shape))

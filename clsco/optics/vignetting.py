@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.optics.distortion import distortion_of
 from clsco.optics.lens import ray_step
+from clsco.optics.rays import slopes_at
 from clsco.scene.lens import Vignetting
 from clsco.scene.model import Camera
 
@@ -41,12 +43,15 @@ def throughput(camera: Camera, vignetting: Vignetting) -> Array:
     0.25
     """
     columns, rows = camera.frame_size
-    x, y = np.arange(columns) - 0.5 * (columns - 1), np.arange(rows) - 0.5 * (rows - 1)
+    x, y = np.arange(columns) - 0.5 * (columns - 1), 0.5 * (rows - 1) - np.arange(rows)
     squared = x * x + (y * y)[:, None]
     if vignetting == "none":
         return np.ones((rows, columns))
     if vignetting == "natural":
         inverse = 1.0 + ray_step(camera) ** 2 * squared
+        if distortion_of(camera) is not None:
+            across, up = slopes_at(camera, x, y[:, None])
+            inverse = 1.0 + across * across + up * up
         return np.asarray(1.0 / (inverse * inverse))
     a1, a2, a3 = vignetting
     share = squared / (0.25 * (columns * columns + rows * rows))

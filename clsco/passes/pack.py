@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from clsco.constants import MAP_PROJECTED
 from clsco.frame.strips import Strip
 from clsco.inputs.mipmaps import level_sizes
+from clsco.optics.distortion import Distortion, distortion_of
 from clsco.optics.lens import Lens, ray_step
 from clsco.optics.light import PlacedLight
 from clsco.optics.motion import Pose
@@ -64,7 +66,31 @@ def camera_grid(
     """grid_t of a camera with a resolution, for a guard band of `guard` px; strip as for `grid_struct`; reference: the
     camera of the reference pose, if it is another one."""
     columns, rows = camera.resolution or (0, 0)  # known once the textures are loaded
-    return grid_struct(rows, columns, guard, real, strip, ray_step(camera), ray_step(reference or camera))
+    grid = grid_struct(rows, columns, guard, real, strip, ray_step(camera), ray_step(reference or camera))
+    if (distortion := distortion_of(camera)) is not None:
+        grid["radial"], grid["tangential"], grid["reach"] = distortion.radial, distortion.tangential, distortion.reach
+        grid["newton"] = _grid_steps(grid, distortion)
+    return grid
+
+
+def towards(grid: Struct, camera: Camera) -> Struct:
+    """grid_t with the rays of another camera, whose lens zooms or has another magnification."""
+    grid = grid.copy()
+    grid["step"] = ray_step(camera)
+    if (distortion := distortion_of(camera)) is not None:
+        grid["newton"] = _grid_steps(grid, distortion)
+    return grid
+
+
+def _grid_steps(grid: Struct, distortion: Distortion) -> int:
+    """Steps of Newton's method that all rays of a grid, and of its reference pose, need at most."""
+    corner = float(np.hypot(0.5 * grid["columns"], 0.5 * grid["frame_rows"]) + np.sqrt(2.0) * grid["guard"])
+    return _newton_steps(distortion, corner * float(max(grid["step"], grid["rest_step"])))
+
+
+@lru_cache(maxsize=64)
+def _newton_steps(distortion: Distortion, radius: float) -> int:
+    return distortion.steps_to(radius)
 
 
 def lens_struct(lens: Lens, real: Real) -> Struct:

@@ -17,7 +17,7 @@ from clsco.inputs.textures import Texture, empty_image
 from clsco.opencl.buffers import upload
 from clsco.opencl.session import Session
 from clsco.optics.lens import ray_step
-from clsco.optics.lens_path import camera_at
+from clsco.optics.lens_path import camera_at, reference_camera
 from clsco.optics.light import place_light
 from clsco.optics.motion import Eye, Pose, poses_at, rest_center, rest_poses
 from clsco.optics.point_spread import PointSpread
@@ -245,7 +245,7 @@ class PlacedScene:
         """The objects in given poses; before the camera of the scene by default."""
         placed = self._placed(poses)
         packed = self._surface_structs(placed)
-        return TimeSample(time, camera or self.scene.camera, tuple(poses), placed, packed, self.hold(packed))
+        return TimeSample(time, camera or reference_camera(self.scene), tuple(poses), placed, packed, self.hold(packed))
 
     def poses(self, sample: TimeSample) -> cl.Buffer:
         """pose_t of every object."""

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from clsco.frame.strips import Strip, around
 from clsco.opencl.buffers import lent
 from clsco.opencl.session import Session
-from clsco.optics.lens import Lens, ray_step
+from clsco.optics.lens import Lens
+from clsco.optics.rays import slopes_at
 from clsco.passes.blur import Area, Image
 from clsco.records import REAL, Real, flat
 from clsco.scene.model import Camera
@@ -96,19 +97,19 @@ class StaticMap(GivenImage):
 
     def radii(self, strip: Strip) -> dict[str, NDArray[Any]]:
         w = self._around(self.inverse_depth, strip)
-        there, radii = w > 0, self.lens.blur_radius(w, self._squared_slopes(strip.top - strip.above, *w.shape))
+        there, radii = w > 0, self._radii(w, strip.top - strip.above)
         radii *= there
         return {"coc": radii.astype(REAL[self.real], copy=False), "valid": there.view(np.uint8)}
 
-    def _squared_slopes(self, top: int, rows: int, columns: int) -> Array | float:
-        """Squared slopes of the rays of so many rows from `top` on, with as many columns on both sides of the axis."""
-        if not self.lens.is_curved:
-            return 0.0
-        _, height = self.camera.frame_size
-        step = ray_step(self.camera)
-        up = step * (np.arange(rows) + top - 0.5 * (height - 1))
-        across = step * (np.arange(columns) - 0.5 * (columns - 1))
-        return np.asarray(across**2 + up[:, None] ** 2)
+    def _radii(self, w: Array, top: int) -> Array:
+        """Signed radii of inverse depths (rows, columns) of rows from `top` on, with as many columns on both sides of
+        the axis."""
+        if not self.lens.is_curved and self.lens.distortion is None:
+            return self.lens.blur_radius(w)
+        (rows, columns), (_, height) = w.shape, self.camera.frame_size
+        up = 0.5 * (height - 1) - top - np.arange(rows)
+        slopes = slopes_at(self.camera, np.arange(columns) - 0.5 * (columns - 1), up[:, None])
+        return self.lens.image_radius(w, *slopes)
 
     @cached_property
     def missing(self) -> NDArray[np.bool_]:
@@ -124,7 +125,7 @@ class StaticMap(GivenImage):
         """Ground truth that needs no differences; values as of `clsco.passes.warp.ForwardWarp.truth`."""
         w, there = self.inverse_depth, self.inverse_depth > 0
         seen = there if self.radiance.ndim == 2 else there[..., None]
-        radii = self.lens.blur_radius(w, self._squared_slopes(0, *w.shape))
+        radii = self._radii(w, 0)
         return {
             "sharp": np.where(seen, self.radiance, np.float32(0)),
             "filled": np.where(self.missing, np.uint8(2), np.uint8(0)),

@@ -14,9 +14,10 @@ from clsco.frame.frame import MOTION_NAMES, STEREO_NAMES
 from clsco.frame.strips import Strip
 from clsco.opencl.buffers import allocate, download_into
 from clsco.optics.depth_truth import MapPoints, map_flow, map_normal, map_occluded, map_stereo
+from clsco.optics.distortion import Distortion
 from clsco.optics.exposure import line_times, middle_time
-from clsco.optics.lens import Lens
-from clsco.optics.lens_path import lens_at, lenses_at
+from clsco.optics.lens import Lens, ray_step
+from clsco.optics.lens_path import camera_at, lens_at, lenses_at
 from clsco.optics.line_truth import LinePoints, lines_of
 from clsco.optics.motion import Eye
 from clsco.optics.rims import frame_throughput
@@ -172,14 +173,24 @@ class GroundTruth:
         """Turn radii into those of red, green and blue, where the lens tells these apart; times: of lines, s."""
         if not self.plan.scene.separates_colors or "blur_radius" not in found:
             return
-        sizes, shifts = np.empty((*times.shape, 3)), np.empty((*times.shape, 3))
+        sizes, shifts, steps = np.empty((*times.shape, 3)), np.empty((*times.shape, 3)), np.empty(times.shape)
         for line in np.ndindex(times.shape):
             time = float(times[line])
             middle, lenses = lens_at(self.plan.scene, time), lenses_at(self.plan.scene, time)
             sizes[line] = [lens.blur_scale / middle.blur_scale for lens in lenses]
             shifts[line] = [lens.blur_scale * (lens.focus_power - middle.focus_power) for lens in lenses]
-        radius = found["blur_radius"][..., None] * sizes + shifts
+            steps[line] = ray_step(camera_at(self.plan.scene, time))
+        radius = found["blur_radius"][..., None] * sizes + shifts * self._stretch(steps)
         found["blur_radius"] = np.where(found["mask"][..., None], radius, 0.0).astype(np.float32)
+
+    def _stretch(self, steps: NDArray[np.float64]) -> NDArray[np.float64] | float:
+        """Sizes (rows, columns, 1) in a distorted image over those in one without; steps: between rays, of lines."""
+        distortion = Distortion.of(self.plan.scene.lens)
+        if distortion is None:
+            return 1.0
+        x = (np.arange(self.plan.columns) - 0.5 * (self.plan.columns - 1)) * steps
+        y = (0.5 * (self.plan.rows - 1) - np.arange(self.plan.rows)[:, None]) * steps
+        return distortion.stretch(*distortion.undistorted(x, y))[..., None]
 
     def _take_out_background(self, found: Arrays) -> NDArray[np.bool_]:
         """Make outputs what they are without a surface where there is the background; True there."""

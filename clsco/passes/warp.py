@@ -14,6 +14,7 @@ from clsco.constants import NO_WINNER, OWNED_PIXELS
 from clsco.opencl.buffers import download, empty, upload
 from clsco.opencl.program import build
 from clsco.optics.lens import Lens
+from clsco.optics.lens_path import reference_camera
 from clsco.passes.blur import PIXELS, Events, Target
 from clsco.passes.fill import LINES, LISTED, OWNERS, ZERO, Filler
 from clsco.passes.pack import camera_grid, lens_struct
@@ -103,8 +104,8 @@ class ForwardWarp:
         self, plan: Plan, scene: PlacedScene, maps: Sequence[NDArray[np.float64] | None], owned: bool | None = None
     ) -> None:
         session, real = scene.session, scene.real
-        self.plan, self.scene, self.grid = plan, scene, camera_grid(plan.scene.camera, plan.guard_px, real)
-        self.lens = lens_struct(Lens.of(plan.scene.camera, plan.scene.lens, plan.only), real)
+        self.plan, self.scene, self.grid = plan, scene, camera_grid(reference_camera(plan.scene), plan.guard_px, real)
+        self.lens = lens_struct(Lens.of(reference_camera(plan.scene), plan.scene.lens, plan.only), real)
         self.owned = session.device.kind == "cpu" if owned is None else owned
         features = forward_features(plan, self.owned)
         self.kernels = Target(session, build(session, KERNELS, features, structs(real), real), real)

@@ -29,9 +29,9 @@ from clsco.constants import MERGED_SIDE
 from clsco.errors import SceneError
 from clsco.inputs.textures import Texture
 from clsco.optics.exposure import frame_exposure, shutter_span
-from clsco.optics.lens import ray_step
-from clsco.optics.lens_path import lenses_at
+from clsco.optics.lens_path import lenses_at, reference_camera
 from clsco.optics.point_spread import PointSpread
+from clsco.optics.rays import slopes_at
 from clsco.optics.texture_mapping import needs_detail
 from clsco.plan.image_motion import ImagePath, image_paths, some_frames
 from clsco.plan.plan import Plan
@@ -266,7 +266,7 @@ def _passed(psf: PointSpread, radius: float) -> Array:
 
 def _parts(scene: Scene, textures: tuple[Texture, ...], maps: Maps) -> tuple[_Part, ...]:
     """Objects in sight in the middle of the sequence, with their longest ways in all of it."""
-    w, squared = seen_depths(scene, maps), seen_slopes(scene)
+    w, (x, y) = seen_depths(scene, maps), seen_slopes(scene)
     front = w.max(axis=0)
     nearest = np.where(front > 0.0, w.argmax(axis=0), -1)
     contrasts = _contrasts(textures, scene.light is not None)
@@ -275,7 +275,7 @@ def _parts(scene: Scene, textures: tuple[Texture, ...], maps: Maps) -> tuple[_Pa
     parts = []
     for k in np.flatnonzero(np.bincount(nearest.ravel() + 1)[1:]).tolist():
         seen = nearest == k
-        radii = np.abs([lens.blur_radius(w[k][seen], squared[seen]) for lens in lenses_at(scene, 0.0)])
+        radii = np.abs([lens.image_radius(w[k][seen], x[seen], y[seen]) for lens in lenses_at(scene, 0.0)])
         way, power = (0.0, 0.0), (NOTHING, NOTHING)
         if scene.moves:
             way = _way(scene, [each[k] for each in paths])
@@ -291,8 +291,8 @@ def _way(scene: Scene, paths: list[ImagePath]) -> tuple[float, float]:
     """Longest way of an object's image and of its blur's rim along x and y, px: all of one that goes across both."""
     longest, (lens, *_) = np.zeros(2), lenses_at(scene, 0.0)
     for path in paths:
-        squared = (path.places[:, :2] ** 2).sum(axis=1) * ray_step(scene.camera) ** 2
-        radius = np.abs(lens.blur_radius(path.places[:, 2], squared))
+        slopes = slopes_at(reference_camera(scene), path.places[:, 0], path.places[:, 1])
+        radius = np.abs(lens.image_radius(path.places[:, 2], *slopes))
         rim = (np.abs(np.diff(radius, axis=0)) * path.seen).sum(axis=0)
         along, whole = np.abs(path.steps).sum(axis=0) + rim, np.linalg.norm(path.steps, axis=1).sum(axis=0) + rim
         longest = np.maximum(longest, np.minimum(2.0 * along, whole).max(axis=1, initial=0.0))

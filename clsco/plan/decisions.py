@@ -312,6 +312,8 @@ def choose_still_sources(
         return Choice(False, "the camera moves")
     if scene.shifts_colors:
         return Choice(False, "each color has rays of its own")
+    if scene.lens is not None and scene.lens.distorts:
+        return Choice(False, "what is near what moves is told by pixels that are evenly apart")
     if scene.lens_moves:
         return Choice(False, "the lens changes")
     if "subframes" in asked:

@@ -5,18 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import inf
 
-from clsco.constants import CURVED_FIELD, CURVED_SPHERE
+from clsco.constants import CURVED_FIELD, CURVED_IMAGE, CURVED_SPHERE
 from clsco.optics.quadrics import canonical, cutting_bounds
 from clsco.scene.model import Scene
 from clsco.scene.objects import Object
 
 
 def curvature_of(scene: Scene) -> int:
-    """Feature CURVED: which terms bend the surface in focus, 0 for a plane."""
+    """Feature CURVED: which terms bend the surface in focus, or the image; 0 for flat ones."""
     lens = scene.lens
     if lens is None:
         return 0
-    return CURVED_FIELD * (lens.field_curvature != 0.0) | CURVED_SPHERE * (lens.focus_surface == "sphere")
+    focus = CURVED_FIELD * (lens.field_curvature != 0.0) | CURVED_SPHERE * (lens.focus_surface == "sphere")
+    return focus | CURVED_IMAGE * lens.distorts
 
 
 def shape_features(objects: Sequence[Object]) -> dict[str, int]:

@@ -24,11 +24,12 @@ from numpy.typing import NDArray
 
 from clsco.optics.exposure import jump_times, lines_overlap, shutter_span, subframes_of
 from clsco.optics.lens import ray_step
-from clsco.optics.lens_path import camera_at, lens_at, lenses_at
+from clsco.optics.lens_path import camera_at, lens_at, lenses_at, reference_camera
 from clsco.optics.motion import Pose, poses_at, rest_center
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import place, predict_inverse_depth
-from clsco.plan.predict import Maps, seen_depths
+from clsco.optics.rays import image_slopes, slopes_at
+from clsco.plan.predict import Maps, seen_depths, seen_slopes
 from clsco.scene.model import Camera, Object, Scene
 
 Array = NDArray[np.float64]
@@ -95,8 +96,8 @@ class ImagePath:
         ends[1:] |= self.seen
         ends[:-1] |= self.seen
         x, y, w = (self.places[:, k][ends] for k in range(3))
-        squared = (x * x + y * y) * ray_step(scene.camera) ** 2
-        radii = [lens.blur_radius(w, squared) for lens in lenses_at(scene, 0.0)]
+        slopes = slopes_at(reference_camera(scene), x, y)
+        radii = [lens.image_radius(w, *slopes) for lens in lenses_at(scene, 0.0)]
         if not w.size or any(found.min() * found.max() <= 0.0 for found in radii):
             return 0.0
         return BETWEEN * min(float(np.abs(found).min()) for found in radii)
@@ -191,9 +192,10 @@ def lens_samples(scene: Scene, maps: Maps) -> int:
     if not scene.lens_moves:
         return 1
     w, way = seen_depths(scene, maps), 0.0
+    x, y = (np.broadcast_to(slope, w.shape)[w > 0] for slope in seen_slopes(scene))
     for frame in some_frames(scene):
         times = np.linspace(*shutter_span(scene.sequence, frame), LENS_TIMES)
-        radii = np.array([lens_at(scene, time).blur_radius(w[w > 0]) for time in times.tolist()])
+        radii = np.array([lens_at(scene, time).image_radius(w[w > 0], x, y) for time in times.tolist()])
         changes = np.abs(np.diff(radii, axis=0))
         changes[np.searchsorted(times, jump_times(scene, frame)) - 1] = 0.0  # jumps have time samples of their own
         way = max(way, float(changes.sum(axis=0).max(initial=0.0)))
@@ -270,8 +272,9 @@ def _times(steps: int) -> Array:
 def _body_points(camera: Camera, item: Object, pose: Pose, depth: Array | None) -> Array:
     """Points (3, n) that are seen of an object in a pose, in mm from its center in its reference pose; of a thing that
     no ray meets the middle of the ball around it."""
-    step, (columns, rows) = ray_step(camera), camera.frame_size
-    half = 0.5 * (columns - 1) * step, 0.5 * (rows - 1) * step
+    columns, rows = camera.frame_size
+    x, y = slopes_at(camera, *np.meshgrid(*(np.linspace(-0.5, 0.5, RAYS) * (size - 1) for size in (columns, rows))))
+    half = float(x.max()), float(y.max())
     if depth is not None:
         x, y = _slopes(((-half[0], half[0]), (-half[1], half[1])))
         w = np.full(x.shape, float(np.quantile(depth[depth > 0], 0.99)))  # as if all of it were near
@@ -301,7 +304,7 @@ def _followed(item: Object, body: Array, views: Sequence[tuple[Camera, Pose]], g
     camera, steps = views[0][0], np.array([ray_step(camera) for camera, _ in views])[:, None, None]
     points = turns @ body + (rest_center(item) + shifts)[:, :, None]
     ahead = np.maximum(points[:, 2:], NEAREST)
-    xy = points[:, :2] / ahead / steps
+    xy = np.stack(image_slopes(camera, points[:, 0] / ahead[:, 0], points[:, 1] / ahead[:, 0]), axis=1) / steps
     size = 0.5 * (np.array(camera.frame_size)[:, None] - 1.0) + guard
     near, far = np.minimum(xy[1:], xy[:-1]), np.maximum(xy[1:], xy[:-1])
     visible = points[:, 2] > NEAREST

@@ -411,8 +411,8 @@ def _is_apart(scene: Scene, psf: PointSpread, channels: int) -> bool:
 def _predicted_taps(plan: Plan, predicted: Prediction) -> float:
     """Weights per frame, by inverse depths at some of its pixels."""
     w, middle = predicted.nearest, predicted.times[len(predicted.times) // 2]
-    slopes = np.broadcast_to(predicted.squared_slope, w.shape)
-    seen = np.abs(lens_at(plan.scene, middle).blur_radius(w[w > 0], slopes[w > 0]))
+    slopes = (np.broadcast_to(slope, w.shape)[w > 0] for slope in predicted.slopes)
+    seen = np.abs(lens_at(plan.scene, middle).image_radius(w[w > 0], *slopes))
     if not seen.size:
         return 0.0
     lit = np.pi * (seen * plan.psf.extent + plan.psf.pupil.margin + 0.7) ** 2

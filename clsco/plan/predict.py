@@ -4,24 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, lru_cache, partial
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsco.constants import TAP_LANES
 from clsco.errors import SceneError
+from clsco.optics.distortion import distortion_of
 from clsco.optics.exposure import middle_time, sequence_times, shutter_span
 from clsco.optics.lens import LARGEST_BLUR, ray_step
 from clsco.optics.lens import Lens as LensOptics
-from clsco.optics.lens_path import camera_at, colored, lenses_at
+from clsco.optics.lens_path import camera_at, colored, lenses_at, reference_camera
 from clsco.optics.motion import Eye, Pose, poses_at, rest_center, static_rotation
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import cutting_bounds, place, predict_inverse_depth
+from clsco.optics.rays import slopes_at
 from clsco.scene.model import Camera, Disc, Lens, Object, ObjectMotion, Plane, Rectangle, Scene
 
 Array = NDArray[np.float64]
 Maps = Sequence[Array | None]
+Slopes = tuple[Array, Array]
 Sample = tuple[Camera, tuple[Pose, ...]]
 """The camera and all objects at a time."""
 LEAST_DISTANCE = 0.1  # of a curved image from the lens, in sensor distances
@@ -59,25 +62,19 @@ def check_keyframes(scene: Scene) -> None:
         raise SceneError(faults)
 
 
-def _grid(scene: Scene, step: float, guard: int) -> tuple[Array, Array]:
-    """Slopes (GRID, GRID) of rays over frame and guard band, the outermost pixels included; step: between those of
-    neighboring pixels."""
-    columns, rows = scene.camera.frame_size
+def _grid(camera: Camera, guard: int) -> Slopes:
+    """Slopes (GRID, GRID) of rays over frame and guard band, the outermost pixels included."""
+    columns, rows = camera.frame_size
     x = np.linspace(-0.5 * (columns - 1) - guard, 0.5 * (columns - 1) + guard, GRID)
     y = np.linspace(-0.5 * (rows - 1) - guard, 0.5 * (rows - 1) + guard, GRID)
-    across, up = np.meshgrid(x * step, y * step)
-    return across, up
+    return slopes_at(camera, *np.meshgrid(x, y))
 
 
-def _squared_slopes(scene: Scene, cameras: Sequence[Camera], guard: int) -> list[Array]:
-    """Squared slopes (GRID, GRID) of the rays of each camera."""
-
-    @cache
-    def squared(step: float) -> Array:
-        across, up = _grid(scene, step, guard)
-        return np.asarray(across * across + up * up)
-
-    return [squared(ray_step(camera)) for camera in cameras]
+def _slopes(cameras: Sequence[Camera], guard: int) -> list[Slopes]:
+    """Slopes (GRID, GRID) of the rays of each camera."""
+    alike = {ray_step(camera): camera for camera in cameras}  # in all that rays depend on
+    found = {step: _grid(camera, guard) for step, camera in alike.items()}
+    return [found[ray_step(camera)] for camera in cameras]
 
 
 def displaced(scene: Scene, eye: Eye) -> bool:
@@ -102,11 +99,11 @@ def is_forward(scene: Scene, eye: Eye) -> bool:
 
 def _inverse_depths(scene: Scene, samples: Sequence[Sample], maps: Maps, guard: int) -> Array:
     """Predicted inverse depths (objects, times, GRID, GRID) in 1/mm, 0 where nothing is hit."""
-    found, grid = np.empty((len(scene.objects), len(samples), GRID, GRID)), cache(partial(_grid, scene, guard=guard))
+    found, rays = np.empty((len(scene.objects), len(samples), GRID, GRID)), _slopes([one for one, _ in samples], guard)
     for k, (item, depth) in enumerate(zip(scene.objects, maps, strict=True)):
-        for time, (camera, poses) in enumerate(samples):
+        for time, (_, poses) in enumerate(samples):
             if depth is None:
-                found[k, time] = predict_inverse_depth(item, place(item, poses[k]), *grid(ray_step(camera)))
+                found[k, time] = predict_inverse_depth(item, place(item, poses[k]), *rays[time])
             else:
                 found[k, time] = _moved_map(scene, item, depth, poses[k])
     return found
@@ -115,7 +112,9 @@ def _inverse_depths(scene: Scene, samples: Sequence[Sample], maps: Maps, guard: 
 @lru_cache(maxsize=8)
 def _static_depths(scene: Scene, eye: Eye, guard: int) -> Array:
     """`_inverse_depths` of a scene without a lens whose objects are all analytic, and stay where they are."""
-    found = _inverse_depths(scene, [(scene.camera, poses_at(scene, 0.0, eye))], (None,) * len(scene.objects), guard)
+    found = _inverse_depths(
+        scene, [(reference_camera(scene), poses_at(scene, 0.0, eye))], (None,) * len(scene.objects), guard
+    )
     found.flags.writeable = False
     return found
 
@@ -133,9 +132,9 @@ def _moved_map(scene: Scene, item: Object, depth: Array, pose: Pose) -> Array:
     seen = np.where(depth > 0, depth, np.inf)
     for place_at, extreme in enumerate((seen.argmin(), depth.argmax())):
         i[0, place_at], j[0, place_at] = np.unravel_index(extreme, depth.shape)
-    w, step, center = depth[i, j], ray_step(scene.camera), rest_center(item)
+    w, center = depth[i, j], rest_center(item)
     middle = (np.array(depth.shape) - 1) / 2
-    rays = np.stack([(j - middle[1]) * step, (middle[0] - i) * step, np.ones(i.shape)], axis=-1)
+    rays = np.stack([*slopes_at(reference_camera(scene), j - middle[1], middle[0] - i), np.ones(i.shape)], axis=-1)
     point = rays / np.where(w > 0, w, 1.0)[..., None]
     z = (center + pose.shift + (point - center) @ pose.rotation.T)[..., 2]
     return np.where((w > 0) & (z > 0), 1.0 / np.where(z > 0, z, 1.0), 0.0)
@@ -147,10 +146,10 @@ def seen_depths(scene: Scene, maps: Maps) -> Array:
     return np.asarray(_inverse_depths(scene, [(camera_at(scene, time), poses_at(scene, time))], maps, 0)[:, 0])
 
 
-def seen_slopes(scene: Scene) -> Array:
-    """Squared slopes (GRID, GRID) of the rays of `seen_depths`."""
+def seen_slopes(scene: Scene) -> Slopes:
+    """Slopes (GRID, GRID) of the rays of `seen_depths`."""
     time = middle_time(scene.sequence, scene.sequence.frames // 2) if scene.moves else 0.0
-    return _squared_slopes(scene, [camera_at(scene, time)], 0)[0]
+    return _grid(camera_at(scene, time), 0)
 
 
 def fills_view(scene: Scene, w: Array) -> bool:
@@ -173,7 +172,7 @@ def constant_blur(scene: Scene) -> bool:
     turns = any(any(motion.turns[:2]) for motion in (*scene.motions(item), camera))
     turns |= scene.camera.shake is not None and scene.camera.shake.rotation_rms > 0.0
     turned = scene.stereo is not None and scene.stereo.toe_in > 0.0
-    if scene.is_focus_curved:
+    if scene.blurs_unevenly:
         return False
     flat = isinstance(item, Plane | Rectangle | Disc) and _faces_camera(item) and not turns and not turned
     return len(scene.objects) == 1 and (flat or item.is_background)
@@ -191,8 +190,8 @@ class Prediction:
         Poses of the objects at each time.
     w : ndarray of float64, (objects, times, GRID, GRID)
         Inverse depths in 1/mm over frame and guard band, 0 where nothing is hit.
-    squared_slope : ndarray of float64, (GRID, GRID)
-        Squared slopes of the rays.
+    slopes : tuple of ndarray of float64, (GRID, GRID)
+        Slopes of the rays, right and up.
     smallest, largest : float
         |R| with a margin, px.
     guard : int
@@ -202,7 +201,7 @@ class Prediction:
     times: list[float]
     poses: list[tuple[Pose, ...]]
     w: Array
-    squared_slope: Array
+    slopes: Slopes
     smallest: float
     largest: float
     guard: int
@@ -213,13 +212,26 @@ class Prediction:
         return np.asarray(self.w.max(axis=0))
 
 
-def _check_curvature(scene: Scene, lens: LensOptics, squared: Array) -> None:
+def _check_curvature(scene: Scene, lens: LensOptics, slopes: Slopes) -> None:
     """Raise SceneError where the image of a plane is curved so much that it would come to lie at the lens."""
+    squared = slopes[0] ** 2 + slopes[1] ** 2
     curvature = 0.0 if scene.lens is None else scene.lens.field_curvature
     if not (1.0 + lens.sag * squared > LEAST_DISTANCE).all():
         most = (1.0 - LEAST_DISTANCE) / float(abs(lens.sag) * squared.max()) * abs(curvature)
         rule = f"the image of a plane must stay behind the lens over frame and guard band, up to {most:.3g} 1/mm"
         raise SceneError(f"lens.field_curvature: {rule}; got {curvature:g}")
+
+
+def _check_fold(scene: Scene, cameras: Sequence[Camera], guard: int) -> None:
+    """Raise SceneError where frame and guard band reach to where a distorted image would fold back."""
+    distortion = distortion_of(cameras[0])
+    if distortion is None:
+        return
+    step, corner = max(map(ray_step, cameras)), float(np.hypot(*(0.5 * np.array(cameras[0].frame_size) + guard)))
+    if not corner * step < distortion.image_reach:
+        key = "distortion" if scene.lens is not None and any(scene.lens.distortion) else "tangential"
+        rule = f"frame and guard band must end where the image folds back, {distortion.image_reach / step:.4g} px off"
+        raise SceneError(f"lens.{key}: {rule} the axis; got a corner {corner:.4g} px off")
 
 
 def _widest(scene: Scene, time: float) -> Camera:
@@ -230,18 +242,18 @@ def _widest(scene: Scene, time: float) -> Camera:
     return colored(camera, scene.lens, int(np.argmin(scene.lens.lateral)))
 
 
-def _radii(scene: Scene, lenses: Sequence[Sequence[LensOptics]], w: Array, squared: Sequence[Array]) -> Array:
+def _radii(scene: Scene, lenses: Sequence[Sequence[LensOptics]], w: Array, rays: Sequence[Slopes]) -> Array:
     """Blur radii (n,) in px of `Prediction.w` for the lenses of each time: of a lens that stays all times at once."""
-    if scene.is_focus_curved and is_static_map(scene):  # extreme depths may be anywhere
+    if scene.blurs_unevenly and is_static_map(scene):  # extreme depths may be anywhere
         ends = np.array([w[w > 0].min(initial=np.inf), w.max(initial=0.0)])
-        w = np.broadcast_to(ends[np.isfinite(ends), None, None, None], (*ends.shape, 1, *squared[0].shape))
+        w = np.broadcast_to(ends[np.isfinite(ends), None, None, None], (*ends.shape, 1, GRID, GRID))
     times = [slice(k, k + 1) for k in range(w.shape[1])] if scene.lens_moves else [slice(None)]
     found = [np.empty(0)]
-    for time, of_colors, slope in zip(times, lenses, squared, strict=False):
-        _check_curvature(scene, of_colors[0], slope)
+    for time, of_colors, slopes in zip(times, lenses, rays, strict=False):
+        _check_curvature(scene, of_colors[0], slopes)
         hit = w[:, time] > 0
-        slopes = np.broadcast_to(slope, hit.shape)[hit] if scene.is_focus_curved else 0.0
-        found += [lens.blur_radius(w[:, time][hit], slopes) for lens in of_colors]
+        x, y = (np.broadcast_to(slope, hit.shape)[hit] if scene.blurs_unevenly else 0.0 for slope in slopes)
+        found += [lens.image_radius(w[:, time][hit], x, y) for lens in of_colors]
     return np.concatenate(found)
 
 
@@ -254,9 +266,10 @@ def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
     samples, lenses = [*zip(cameras, poses, strict=True)], [lenses_at(scene, t) for t in times]
     seen = None if scene.moves or not scene.is_analytic else without_lens(scene)
     for _ in range(2):  # the second time with the guard band that the first asked for
+        _check_fold(scene, cameras, guard)
         w = _inverse_depths(scene, samples, maps, guard) if seen is None else _static_depths(seen, eye, guard)
-        squared = _squared_slopes(scene, cameras, guard)
-        radii = np.abs(_radii(scene, lenses, w, squared))
+        rays = _slopes(cameras, guard)
+        radii = np.abs(_radii(scene, lenses, w, rays))
         largest, smallest = (float(radii.max()), float(radii.min())) if radii.size else (0.0, 0.0)
         if largest > LARGEST_BLUR:
             nearest, rule = 1.0 / float(w.max()), f"the blur radius must be at most {LARGEST_BLUR:g} px"
@@ -267,4 +280,5 @@ def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
         if not constant_blur(scene):  # rays between those of the grid
             smallest, largest = max(0.0, 0.9 * smallest - 1.0), 1.1 * largest + 1.0
         guard = guard_band(psf, scene.psf.border, largest)
-    return Prediction(times, poses, w, squared[len(times) // 2], smallest, largest, guard)
+    _check_fold(scene, cameras, guard)
+    return Prediction(times, poses, w, rays[len(times) // 2], smallest, largest, guard)

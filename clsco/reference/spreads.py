@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from clsco.errors import SceneError
 from clsco.optics.exposure import middle_time
-from clsco.optics.lens import LARGEST_BLUR, Lens, ray_step
+from clsco.optics.lens import LARGEST_BLUR, Lens
 from clsco.optics.lens_path import camera_at, lens_at, lenses_at
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_blocks import WeightBlock, weight_block
 from clsco.optics.psf_tables import psf_table, table_weights
+from clsco.optics.rays import ray_slopes
 from clsco.optics.visibility import NO_GROUP
 from clsco.plan.prepare import Prepared, prepare
 from clsco.reference.common.visibility import HIDDEN, PARTLY, Points, check_visibility
@@ -129,13 +130,13 @@ def psf_of(
     count = max(len(lenses), len(spreads))  # of colors that are blurred apart, or 1
     inverse = _inverse_depths(lens_at(scene, time), plan.largest_blur) if depths is None else _given(depths)
     places = _field(camera) if at is None else _places(camera, at)
-    slopes = ((places - _middle(camera)) ** 2).sum(axis=1, keepdims=True) * ray_step(camera) ** 2
+    rays = np.stack(ray_slopes(camera, places[:, 1], places[:, 0]), axis=-1)
     radius = np.empty((count, len(places), len(inverse)))
     for channel, lens in zip(radius, lenses * (count // len(lenses)), strict=True):
-        channel[:] = lens.blur_radius(inverse, slopes)
+        channel[:] = lens.image_radius(inverse, rays[:, :1], rays[:, 1:])
     cuts = any(spread.rims for spread in spreads)
     if at is None and not cuts and (radius == radius[:, :1]).all():
-        places, radius = places[:1], radius[:, :1]
+        places, rays, radius = places[:1], rays[:1], radius[:, :1]
     if (most := float(np.abs(radius).max())) > LARGEST_BLUR:
         raise SceneError(f"psf: |R| must be at most {LARGEST_BLUR:g} px; got {most:.4g} px")
     with np.errstate(divide="ignore"):
@@ -144,7 +145,6 @@ def psf_of(
     spreads *= count // len(spreads)
     weights = _stacked(spreads, radius)
     if cuts:
-        rays = (places - _middle(camera)) * ray_step(camera) * (1.0, -1.0)
         for channel, spread, lens, radii in zip(weights, spreads, lenses * (count // len(lenses)), radius, strict=True):
             channel *= rim_factors(lens, spread, rays, inverse, radii, weights.shape[-1] // 2)
     return PsfStack(weights, depth, radius, places, names, plan.psf.name)

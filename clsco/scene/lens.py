@@ -15,9 +15,11 @@ from clsco.scene.motions import (
     check_interpolation,
     default_of_keyframes,
 )
-from clsco.scene.quantities import MAX_LENGTH_MM, Strict, Triple, Within, as_python, at_keys, fault
+from clsco.scene.quantities import MAX_LENGTH_MM, Pair, Strict, Triple, Within, as_python, at_keys, fault
 
 MOST_VIGNETTING = 10.0
+MOST_DISTORTION = 10.0
+Coefficient = Annotated[float, Within(-MOST_DISTORTION, MOST_DISTORTION)]
 Magnification = Annotated[float, Within(0.9, 1.1)]
 Shift = Annotated[float, Within(-MAX_LENGTH_MM, MAX_LENGTH_MM, "mm")]
 
@@ -78,6 +80,12 @@ class Lens(Strict):
 
     lateral: Annotated[tuple[Magnification, Magnification, Magnification], Triple] = (1.0, 1.0, 1.0)
     """Lateral chromatic aberration: magnification of red, green and blue, in that of the camera."""
+    distortion: Annotated[tuple[Coefficient, Coefficient, Coefficient], Triple] = NONE
+    """Radial distortion k1, k2, k3 in the direction of OpenCV: slopes X / Z and Y / Z of a point at distance r from the
+    axis are seen as if they were 1 + k1 r^2 + k2 r^4 + k3 r^6 times as large."""
+    tangential: Annotated[tuple[Coefficient, Coefficient], Pair] = (0.0, 0.0)
+    """Tangential distortion p1, p2 in the direction and with the axes of OpenCV, x right and y down: x is seen by
+    2 p1 x y + p2 (r^2 + 2 x^2) farther right, y by p1 (r^2 + 2 y^2) + 2 p2 x y farther down."""
 
     @field_validator("interpolation", "outside")
     @classmethod
@@ -100,9 +108,14 @@ class Lens(Strict):
         return any(key.focal_length is not None for key in self.keyframe or ())
 
     @property
-    def curves_focus(self) -> bool:
-        """True if what is in focus is no plane."""
-        return self.field_curvature != 0.0 or self.focus_surface == "sphere"
+    def blurs_unevenly(self) -> bool:
+        """True if it does not blur equal depths alike all over the frame."""
+        return self.field_curvature != 0.0 or self.focus_surface == "sphere" or self.distorts
+
+    @property
+    def distorts(self) -> bool:
+        """True if it does not show straight lines as such."""
+        return any(self.distortion) or any(self.tangential)
 
     @property
     def darkens(self) -> bool:

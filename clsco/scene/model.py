@@ -357,9 +357,9 @@ class Scene(Strict):
 
     @model_validator(mode="after")
     def _radii_need_a_plane(self) -> Self:
-        rule = fault("coc belongs to lenses without field_curvature whose focus_surface is a plane")
+        rule = fault("coc belongs to lenses without field_curvature and distortion whose focus_surface is a plane")
         maps = [k for k, item in enumerate(self.objects) if isinstance(item, DepthMap) and item.unit == "coc"]
-        if self.is_focus_curved and maps:
+        if self.blurs_unevenly and maps:
             raise at_keys([(("object", k, "unit"), rule, "coc") for k in maps])
         return self
 
@@ -435,9 +435,9 @@ class Scene(Strict):
         return self.lens is not None and self.lens.moves
 
     @property
-    def is_focus_curved(self) -> bool:
-        """True if what is in focus is no plane."""
-        return self.lens is not None and self.lens.curves_focus
+    def blurs_unevenly(self) -> bool:
+        """True if the lens does not blur equal depths alike all over the frame."""
+        return self.lens is not None and self.lens.blurs_unevenly
 
     @property
     def darkens(self) -> bool:

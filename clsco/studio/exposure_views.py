@@ -8,6 +8,7 @@ import numpy as np
 
 from clsco.frame.frame import Frame
 from clsco.optics.exposure import frame_exposure, shutter_span
+from clsco.optics.lens_path import reference_camera
 from clsco.optics.motion import Eye, poses_at, rest_center
 from clsco.reference.common.geometry import project
 from clsco.scene.model import Scene
@@ -78,7 +79,7 @@ def exposure_of(frame: Frame, scene: Scene, samples: int) -> dict[str, Any]:
 
 def _arrows(scene: Scene, shutter: list[float], frame: Frame) -> list[list[float]]:
     rows, columns = frame.color.shape[:2]
-    camera = scene.camera.model_copy(update={"resolution": (columns, rows)})
+    camera = reference_camera(scene).model_copy(update={"resolution": (columns, rows)})
     eye, found = eye_of(frame), []
     for item, *poses in zip(scene.objects, *(poses_at(scene, time, eye) for time in shutter), strict=True):
         points = np.array([rest_center(item) + pose.shift for pose in poses])

@@ -13,9 +13,10 @@ from clsco.files.transfer import encode
 from clsco.frame.frame import GREEN, Frame
 from clsco.inputs.pupils import scene_point_spread
 from clsco.optics.exposure import middle_time, pixel_time
-from clsco.optics.lens import SHARP, Lens, ray_step
-from clsco.optics.lens_path import camera_at
+from clsco.optics.lens import SHARP, Lens
+from clsco.optics.lens_path import camera_at, reference_camera
 from clsco.optics.motion import poses_at, rest_center
+from clsco.optics.rays import places_of, slopes_at
 from clsco.reference.blur.blur import tilt_factor, within_rim
 from clsco.reference.common.geometry import blur_gradient, pixel_tilt
 from clsco.reference.spreads import rim_factors, spread_weights
@@ -69,7 +70,7 @@ def inspected(frame: Frame, scene: Scene, x: int, y: int, is_tilted: bool = Fals
         camera = camera_at(scene, middle_time(scene.sequence, frame.index))
         scene = scene.model_copy(update={"camera": camera, "lens": scene.lens and scene.lens.at_rest})
     across, up, _ = _ray(frame, scene, x, y)
-    found["lens"] = lens_figures(scene, depth, float(across * across + up * up))
+    found["lens"] = lens_figures(scene, depth, (float(across), float(up)))
     if radius is not None and values["mask"]:
         gradient = radius_gradient(frame, scene, x, y) if is_tilted else np.zeros(2)
         found["psf"] = point_spread(scene, radius, gradient, (across, up), 1.0 / depth if depth else 0.0)
@@ -102,13 +103,13 @@ def source_of(frame: Frame, scene: Scene, x: int, y: int) -> tuple[int, int, int
     middle = np.array([(columns - 1) / 2, (rows - 1) / 2])
     sized = scene.model_copy(update={"camera": scene.camera.model_copy(update={"resolution": (columns, rows)})})
     time = pixel_time(sized, frame.index, x, y)
-    pose, step = poses_at(scene, time)[number], ray_step(camera_at(scene, time))
-    center = rest_center(scene.objects[number])
-    point = depth * np.array([(x - middle[0]) * step, (middle[1] - y) * step, 1.0])
+    pose, center = poses_at(scene, time)[number], rest_center(scene.objects[number])
+    point = depth * np.array([*slopes_at(camera_at(scene, time), x - middle[0], middle[1] - y), 1.0])
     rest = center + (point - center - pose.shift) @ pose.rotation
     if rest[2] <= 0:
         return "the point is behind the lens at t = 0"
-    column, row = np.rint(middle + rest[:2] / rest[2] / ray_step(scene.camera) * (1, -1)).astype(int).tolist()
+    right, up = places_of(reference_camera(scene), rest[0] / rest[2], rest[1] / rest[2])
+    column, row = np.rint(middle + np.array([right, -up])).astype(int).tolist()
     if not (0 <= column < columns and 0 <= row < rows):
         return "the point is beside the frame at t = 0"
     return column, row, number
@@ -117,8 +118,7 @@ def source_of(frame: Frame, scene: Scene, x: int, y: int) -> tuple[int, int, int
 def _ray(frame: Frame, scene: Scene, x: int, y: int) -> NDArray[np.float64]:
     """Ray through a pixel: slopes right and up, and 1."""
     rows, columns = frame.color.shape[:2]
-    step = ray_step(scene.camera)
-    return np.array([(x - (columns - 1) / 2) * step, ((rows - 1) / 2 - y) * step, 1.0])
+    return np.array([*slopes_at(reference_camera(scene), x - (columns - 1) / 2, (rows - 1) / 2 - y), 1.0])
 
 
 def radius_gradient(frame: Frame, scene: Scene, x: int, y: int) -> NDArray[np.float64]:
@@ -131,8 +131,9 @@ def radius_gradient(frame: Frame, scene: Scene, x: int, y: int) -> NDArray[np.fl
     if not math.isfinite(depth) or facing == 0.0:
         return np.zeros(2)
     # On the tangent plane 1/Z is linear in the direction of the ray.
-    slope, lens = normal[:2] / (facing * depth), Lens.of(scene.camera, scene.lens)
-    return blur_gradient(scene.camera, lens, slope, ray, np.array(1.0 / depth))
+    camera = reference_camera(scene)
+    slope, lens = normal[:2] / (facing * depth), Lens.of(camera, scene.lens)
+    return blur_gradient(camera, lens, slope, ray, np.array(1.0 / depth))
 
 
 def point_spread(
@@ -162,7 +163,7 @@ def point_spread(
     weights = spread_weights(psf, float(spread))
     far = weights.shape[0] // 2
     if psf.rims:
-        lens, place = Lens.of(scene.camera, scene.lens), np.array([slopes])
+        lens, place = Lens.of(reference_camera(scene), scene.lens), np.array([slopes])
         weights = weights * rim_factors(lens, psf, place, np.array([inverse]), np.array([[radius]]), far)[0, 0]
     offset = np.arange(-far, far + 1, dtype=np.float64)
     x, y = within_rim(psf, offset, offset[:, None], spread)
@@ -207,8 +208,8 @@ def figures_of(spread: NDArray[np.floating], column: int, row: int) -> dict[str,
     return found
 
 
-def lens_figures(scene: Scene, depth: float | None, squared_slope: float = 0.0) -> dict[str, Any]:
-    """Distances in mm that the diagram of the lens shows, on its axis; squared_slope: of the ray to the point.
+def lens_figures(scene: Scene, depth: float | None, slopes: tuple[float, float] = (0.0, 0.0)) -> dict[str, Any]:
+    """Distances in mm that the diagram of the lens shows, on its axis; slopes: of the ray to the point.
 
     Returns
     -------
@@ -216,7 +217,7 @@ def lens_figures(scene: Scene, depth: float | None, squared_slope: float = 0.0) 
         `focus`, `near` and `far`: in focus, and where |R| is SHARP; `focal_length`, `sensor`, `aperture`; `depth` and
         `image` of the point, and its `radius`, px. None: infinite.
     """
-    camera = scene.camera
+    camera = reference_camera(scene)
     lens = Lens.of(camera, scene.lens)
     power, margin = lens.focus_power, SHARP / lens.blur_scale
     found = {
@@ -228,7 +229,7 @@ def lens_figures(scene: Scene, depth: float | None, squared_slope: float = 0.0) 
         "aperture": camera.aperture_diameter,
         "depth": math.inf if depth is None else depth,
         "image": math.inf if depth is None else _image_distance(camera.focal_length, depth),
-        "radius": float(lens.blur_radius(0.0 if depth is None else 1 / depth, squared_slope)),
+        "radius": float(lens.image_radius(0.0 if depth is None else 1 / depth, *slopes)),
     }
     return {name: value if math.isfinite(value) else None for name, value in found.items()}
 

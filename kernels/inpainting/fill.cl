@@ -329,7 +329,7 @@ __kernel void fill_ait(const grid_t grid, const lens_t lens, __global const int 
     const real change = (w[from.y] - w[from.x]) * share;
     const real inverse_depth = w[from.x] + change;
     w[at] = inverse_depth;
-    coc[at] = blur_radius(lens, grid_ray(grid, at), inverse_depth);
+    coc[at] = grid_radius(grid, lens, at, inverse_depth);
     status[at] = 1;
 #if SEVERAL
     object[at] = object[from.x];

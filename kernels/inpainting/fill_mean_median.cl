@@ -56,7 +56,7 @@ static void write_estimates(const grid_t grid, const lens_t lens, const around_t
     for (int lane = 0; lane < FILL_LANES; ++lane)
         if (count[lane] >= minimum) {
             w_out[around.at[lane]] = found[lane];
-            coc[around.at[lane]] = blur_radius(lens, grid_ray(grid, around.at[lane]), found[lane]);
+            coc[around.at[lane]] = grid_radius(grid, lens, around.at[lane], found[lane]);
         }
 }
 

@@ -19,13 +19,15 @@
 
 // Record of a hit, as the lens takes it; below 0 where none of its radiance reaches the lens, which is tested from the
 // hit `seen` of inverse depth seen_w. subpixel: the source is one of SUBPIXELS^2. In and out: label, statistics.
-static float4 source_record(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
+static float4 source_record(const grid_t grid, lens_t lens, __constant surface_t *surfaces, const group_t group,
                             const psf_t psf, real3 ray, real w, real3 seen_ray, real seen_w, int subpixel, uchar *label,
                             __global int *statistics)
 {
     float4 record = (float4)(-1, 0, 0, as_float(WHOLE));
     if (*label == 0)
         return record;
+    const lens_t seen_lens = lens_along(grid, lens, seen_ray);
+    lens = lens_along(grid, lens, ray);
     const real radius = blur_radius(lens, ray, w);
     __constant surface_t *surface = surfaces + (*label - 1) / 2;
     float2 tilt = 0;
@@ -36,13 +38,13 @@ static float4 source_record(const grid_t grid, const lens_t lens, __constant sur
 #endif
 #if OCCLUDED
     bool edge;
-    const real size = blur_radius(lens, seen_ray, seen_w);
+    const real size = blur_radius(seen_lens, seen_ray, seen_w);
     const division_t division = division_of(size, psf.lens_extent, subpixel ? (real)1 / SUBPIXELS : 1, tilt);
-    int seen = check_visibility(lens, surfaces, group, seen_ray, seen_w, division, 0, &edge);
+    int seen = check_visibility(seen_lens, surfaces, group, seen_ray, seen_w, division, 0, &edge);
     int partly = PARTLY_OCCLUDED;
 #if RIMS
     partly = seen == CLEAR && division.wide && !subpixel ? CUT : PARTLY_OCCLUDED;
-    seen = MAX(seen, meet_rims(lens, psf, seen_ray, seen_w, size, division, 0));
+    seen = MAX(seen, meet_rims(seen_lens, psf, seen_ray, seen_w, size, division, 0));
 #endif
     *label |= edge ? EDGE : 0;
     if (seen == HIDDEN)
@@ -82,13 +84,13 @@ static float take_radiance(const grid_t grid, __constant surface_t *surfaces, re
 #if TEXTURED && SUBPIXELS
 // Record of a pixel with a texture on a surface, marked where it needs sub-pixel sources. Out: its share in what
 // neighbors exchange, 0 where it has no part in it. root: the label before any visibility test.
-static float4 with_detail(const lens_t lens, __constant texture_map_t *maps, float4 record, real3 ray, real w,
+static float4 with_detail(const grid_t grid, const lens_t lens, __constant texture_map_t *maps, float4 record, real3 ray, real w,
                           uchar root, float texels, __global float *share)
 {
     *share = 0;
     if (record.x >= 0 && maps[(root - 1) / 2].kind != MAP_PROJECTED) {
         __constant texture_map_t *map = maps + (root - 1) / 2;
-        const real radius = blur_radius(lens, ray, w);
+        const real radius = blur_radius(lens_along(grid, lens, ray), ray, w);
         *share = sharpening(map, radius);
         const int detail = detail_of(map, texels, radius);
         if (detail != WHOLE)
@@ -175,7 +177,7 @@ __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *su
                                   statistics);
 #if TEXTURED && SUBPIXELS
     const float texels = value[CHANNELS * grid.height * grid.width + at];
-    record = with_detail(lens, maps, record, ray, depth[at], hit, texels, share + at);
+    record = with_detail(grid, lens, maps, record, ray, depth[at], hit, texels, share + at);
 #endif
 #if DIVIDED
     const bool still = is_still(grid, lens, surfaces, group, psf, exposure, places, ray, depth[at], object,
@@ -374,17 +376,18 @@ __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surf
     uchar root;
     int object;
     const real w = nearest_surface(surfaces, group, ray, &root, &object);
-    const real middle = blur_radius(lens, ray, w);
+    const lens_t here = lens_along(grid, lens, ray);
+    const real middle = blur_radius(here, ray, w);
     const real2 slope = surface_slope(surfaces + object, ray, w);
-    const real2 gradient = blur_gradient(grid, lens, slope, ray, w);
+    const real2 gradient = blur_gradient(grid, here, slope, ray, w);
 #if OCCLUDED
     bool edge;
     real spread;
     const float2 tilt = TILT ? pixel_tilt(gradient, middle, &spread) : (float2)(0, 0);
     const division_t division = division_of(middle, psf.lens_extent, 1, tilt);
-    bool partly = check_visibility(lens, surfaces, group, ray, w, division, 0, &edge) == PARTLY;
+    bool partly = check_visibility(here, surfaces, group, ray, w, division, 0, &edge) == PARTLY;
 #if RIMS
-    partly |= meet_rims(lens, psf, ray, w, middle, division, 0) != CLEAR;
+    partly |= meet_rims(here, psf, ray, w, middle, division, 0) != CLEAR;
 #endif
 #endif
     float values[FINE_PARTS * FINE_PARTS * CHANNELS];
@@ -401,13 +404,19 @@ __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surf
         record.yz = tilt_slope(gradient, radius) * MIN((float)ABS(radius), 1.0f);
 #endif
 #if OCCLUDED
+#if CURVED & CURVED_IMAGE
+        const real2 aside = ray_change(grid, ray, right, -down);
+        sub_depth[id] = w + aside.x * slope.x + aside.y * slope.y;
+#else
         sub_depth[id] = w + grid.step * (right * slope.x - down * slope.y);
+#endif
         if (partly) {
             const real3 towards = pixel_ray(grid, row + down, column + right);
             const division_t own = division_of(radius, psf.lens_extent, (real)1 / SUBPIXELS, record.yz);
-            int seen = check_visibility(lens, surfaces, group, towards, sub_depth[id], own, 0, &edge);
+            const lens_t there = lens_along(grid, lens, towards);
+            int seen = check_visibility(there, surfaces, group, towards, sub_depth[id], own, 0, &edge);
 #if RIMS
-            seen = MAX(seen, meet_rims(lens, psf, towards, sub_depth[id], radius, own, 0));
+            seen = MAX(seen, meet_rims(there, psf, towards, sub_depth[id], radius, own, 0));
 #endif
             record.x = seen == HIDDEN ? -1 : record.x;
             record.w = as_float(seen == PARTLY ? PARTLY_OCCLUDED : WHOLE);
@@ -468,7 +477,7 @@ __kernel void pinhole(const grid_t grid, const lens_t lens, __constant surface_t
     const real w = nearest_surface(surfaces, group, ray, &root, &object);
     take_radiance(grid, surfaces, ray, w, root, row, column, 1, 1, texture TEXTURE_MAPS LIGHT, value + at,
                   grid.height * grid.width);
-    coc[at] = root ? blur_radius(lens, ray, w) : 0;
+    coc[at] = root ? blur_radius(lens_along(grid, lens, ray), ray, w) : 0;
     valid[at] = root != 0;
     if (root)
         note_radius(statistics, coc[at]);

@@ -70,7 +70,7 @@ __kernel void ground_truth(const grid_t grid, const lens_t lens, __constant surf
     if (depth)
         depth[at] = root ? (float)(1 / w) : INFINITY;
     if (coc)
-        coc[at] = root ? (float)blur_radius(lens, ray, w) : 0;
+        coc[at] = root ? (float)blur_radius(lens_along(grid, lens, ray), ray, w) : 0;
     if (normal) {
         const real3 n = root ? surface_normal(surface, ray, w) : (real3)(0, 0, 0);
         normal[3 * at] = (float)n.x;

@@ -104,12 +104,23 @@ static inline int2 move_sources(const grid_t grid, __constant surface_t *surface
     int lowest = INT_MAX, highest = -1;
     for (int column = begin; column < end; ++column) {
         const int at = row * grid.columns + column;
+#if CURVED & CURVED_IMAGE
+        const real3 ray = ray_through(grid, step, row, column);
+        const real w = rest[at], x = ray.x;
+        const real px = R_x * x + R[1] * ray.y + R[2] + across * w;
+        const real py = R_y * x + R[4] * ray.y + R[5] + up * w;
+        const real pz = R_z * x + R[7] * ray.y + R[8] + away * w;
+        const real nearness = 1 / pz;
+        const real3 there = project(grid, grid.step, (real3)(px, py, pz));
+        const real i = there.y + (grid.guard + 1) + ROUNDING, j = there.x + (grid.guard + 1) + ROUNDING;
+#else
         const real w = rest[at], x = step * (column - middle);
         const real px = R_x * x + line_x + across * w;
         const real py = R_y * x + line_y + up * w;
         const real pz = R_z * x + line_z + away * w;
         const real nearness = 1 / pz, scale = nearness * inverse_step;
         const real i = down - py * scale, j = right + px * scale;
+#endif
         const real depth = w * nearness;
         bool used = w > 0 && pz > 0 && !(i < first) && i < bottom && !(j < first) && j < edge;
 #if SEVERAL
@@ -331,7 +342,7 @@ __kernel void reproject_gather(const grid_t grid, const lens_t lens, __global co
     for (int c = 0; c < CHANNELS; ++c)
         value[c * grid.height * grid.width + at] = known ? texture[c * grid.rows * grid.columns + source] : 0;
     w[at] = inverse_depth;
-    coc[at] = known ? blur_radius(lens, grid_ray(grid, at), inverse_depth) : 0;
+    coc[at] = known ? grid_radius(grid, lens, at, inverse_depth) : 0;
     status[at] = 0;
 }
 
@@ -389,7 +400,7 @@ static real copied_radius(const grid_t grid, const lens_t lens, __global const r
                           int at, int from)
 {
 #if CURVED
-    return blur_radius(lens, grid_ray(grid, at), w[at]);
+    return grid_radius(grid, lens, at, w[at]);
 #else
     return coc[from];
 #endif

@@ -16,6 +16,7 @@ from clsco.optics.lens import Lens, ray_step
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_grid import table_coordinate as coordinate_of_radius
 from clsco.optics.quadrics import PlacedSurface
+from clsco.optics.rays import places_of, ray_slopes
 from clsco.optics.visibility import OcclusionGroup
 from clsco.scene.model import Camera
 
@@ -62,12 +63,7 @@ def pixel_ray(camera: Camera, row: ArrayLike, column: ArrayLike) -> Array:
     row, column: px, may be fractional and outside of the frame; they broadcast. The camera's resolution must
     be known. Validated against 3.1 and 3.2 at the corners and the middle.
     """
-    assert camera.resolution is not None
-    columns, rows = camera.resolution
-    step = ray_step(camera)
-    x = step * (np.asarray(column, dtype=np.float64) - (columns - 1) / 2)
-    y = step * ((rows - 1) / 2 - np.asarray(row, dtype=np.float64))
-    x, y = np.broadcast_arrays(x, y)
+    x, y = ray_slopes(camera, row, column)
     return np.stack([x, y, np.ones_like(x)], axis=-1)
 
 
@@ -77,11 +73,9 @@ def project(camera: Camera, position: Array) -> tuple[Array, Array]:
     position: camera frame, mm or any common multiple of the coordinates; the third is not 0.
     Validated as the inverse of `pixel_ray`.
     """
-    assert camera.resolution is not None
-    columns, rows = camera.resolution
-    step = ray_step(camera)
-    x, y = position[..., 0] / position[..., 2], position[..., 1] / position[..., 2]
-    return (rows - 1) / 2 - y / step, (columns - 1) / 2 + x / step
+    columns, rows = camera.frame_size
+    right, up = places_of(camera, position[..., 0] / position[..., 2], position[..., 1] / position[..., 2])
+    return (rows - 1) / 2 - up, (columns - 1) / 2 + right
 
 
 def turned(matrix: Array, vector: Array) -> Array:
@@ -239,14 +233,20 @@ def surface_slope(surface: PlacedSurface, rays: Array, w: Array) -> Array:
 def blur_radius(lens: Lens, rays: Array, w: Array) -> Array:
     """Signed blur radius (...) in px of inverse depths w (...) in 1/mm on rays (..., 3): that of
     `clsco.optics.lens.Lens`."""
-    return lens.blur_radius(w, (rays[..., :2] ** 2).sum(axis=-1))
+    return along_rays(lens, rays).blur_radius(w, (rays[..., :2] ** 2).sum(axis=-1))
+
+
+def along_rays(lens: Lens, rays: Array) -> Lens:
+    """The lens for rays (..., 3), whose numbers are arrays (...) where a distorted image has them in other sizes."""
+    return lens.along(rays[..., 0], rays[..., 1])
 
 
 def blur_gradient(camera: Camera, lens: Lens, slope: Array, rays: Array, w: Array) -> Array:
     """Gradient (..., 2) of the signed blur radius in px per px, right and down.
 
     slope: (..., 2) from `surface_slope`, of w (...) on rays (..., 3). R = kappa (K - w) (2.33), so that it changes
-    against w; with a curved focus the slopes of K, and of the cosine that w is taken times, are added.
+    against w; with a curved focus the slopes of K, and of the cosine that w is taken times, are added. In a distorted
+    image R is times its `stretch`, and what changes per px of it changes per inverse Jacobian of the slopes.
     """
     if lens.is_curved:
         squared = (rays[..., :2] ** 2).sum(axis=-1)
@@ -255,6 +255,14 @@ def blur_gradient(camera: Camera, lens: Lens, slope: Array, rays: Array, w: Arra
             2.0 * lens.detector_power * lens.sag / (1.0 + lens.sag * squared) ** 2 + lens.spherical * w * cosine**3
         )
         slope = cosine[..., None] * slope - outwards[..., None] * rays[..., :2]
+    if lens.distortion is not None:
+        here = along_rays(lens, rays)
+        radius = here.blur_radius(w, (rays[..., :2] ** 2).sum(axis=-1))
+        x, y = rays[..., 0], rays[..., 1]
+        by_size = lens.distortion.stretch_slope(x, y)
+        changes = (radius * by_size[k] - here.blur_scale * slope[..., k] for k in range(2))
+        right, up = lens.distortion.solved(x, y, *changes)
+        return ray_step(camera) * np.stack([right, -up], axis=-1)
     return np.asarray(lens.blur_scale * ray_step(camera) * slope * np.array([-1.0, 1.0]))
 
 

@@ -23,7 +23,14 @@ from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import PlacedSurface
 from clsco.optics.rims import rim_circle
 from clsco.optics.visibility import OcclusionGroup
-from clsco.reference.common.geometry import Array, Bounds, difference_of_products, quarter_discriminant, turned
+from clsco.reference.common.geometry import (
+    Array,
+    Bounds,
+    along_rays,
+    difference_of_products,
+    quarter_discriminant,
+    turned,
+)
 from clsco.reference.common.occluder import TINY, Mask, Occluder, hides_all
 
 CLEAR, PARTLY, HIDDEN = np.uint8(0), np.uint8(1), np.uint8(2)
@@ -456,6 +463,7 @@ def check_visibility(
     HIDDEN (N,); what changes where two surfaces meet, and at outlines of occluders close to the point (N,); and what is
     to be tested for taps.
     """
+    lens = along_rays(lens, points.rays)
     division = division_of(points.radius, psf.extent, points.width, points.gradient)
     state, edge = np.full(points.w.shape, CLEAR), np.zeros(points.w.shape, dtype=bool)
     found = []

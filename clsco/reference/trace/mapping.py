@@ -22,9 +22,9 @@ from clsco.constants import (
 )
 from clsco.inputs.mipmaps import SIDES, mipmap
 from clsco.inputs.mipmaps import cube_side as side_of
-from clsco.optics.lens import ray_step
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import PlacedSurface
+from clsco.optics.rays import ray_changes
 from clsco.optics.texture_mapping import TextureMap, texture_spread
 from clsco.reference.common.geometry import (
     Array,
@@ -88,12 +88,12 @@ def mapped_point(surface: PlacedSurface, texture_map: TextureMap, camera: Camera
     gradient = canonical_gradient(surface, d, w)
     n, facing = turned_back(surface.turn, gradient), (gradient * d).sum(axis=-1)
     each = np.where(facing != 0.0, -1.0 / np.where(facing != 0.0, facing, 1.0), 0.0)
+    changes = [np.eye(3)[axis] + rays * (n[..., axis] * each)[..., None] for axis in range(2)]
+    along, aside, upwards = ray_changes(camera, rays[..., 0], rays[..., 1])
     steps = []
-    for axis, sign in ((0, 1.0), (1, -1.0)):
-        change = np.eye(3)[axis] + rays * (n[..., axis] * each)[..., None]
-        steps.append(
-            turned(texture_map.frame, turned(surface.own_turn, change * (sign * ray_step(camera) / w)[..., None]))
-        )
+    for sign, shares in ((1.0, (along, aside)), (-1.0, (aside, upwards))):
+        change = sum(one * (sign * share / w)[..., None] for one, share in zip(changes, shares, strict=True))
+        steps.append(turned(texture_map.frame, turned(surface.own_turn, change)))
     own = surface.own_offset + turned(surface.own_turn, rays) / w[..., None]
     return Mapped(turned(texture_map.frame, own), *steps)
 

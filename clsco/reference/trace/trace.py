@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.inputs.pupils import scene_point_spread
-from clsco.optics.lens import Lens, ray_step
-from clsco.optics.lens_path import camera_at, colored, lens_at, lenses_at
+from clsco.optics.lens import Lens
+from clsco.optics.lens_path import camera_at, colored, lens_at, lenses_at, reference_camera
 from clsco.optics.light import PlacedLight, place_light
 from clsco.optics.motion import Eye, poses_at
 from clsco.optics.point_spread import PointSpread, subpixel_offsets
 from clsco.optics.quadrics import PlacedSurface, cutting_bounds, place
+from clsco.optics.rays import ray_changes
 from clsco.optics.visibility import OcclusionGroup
 from clsco.reference.common.geometry import (
     HALF_PIXEL,
@@ -129,8 +130,9 @@ def view_at(
     color: int | None = None,
 ) -> View:  # fmt: skip
     """The objects after `time` seconds, and the lens, for light of one color or all; other arguments as for `View`."""
-    reference, lens, lenses = scene.camera, lens_at(scene, time, color), lenses_at(scene, time)
-    if scene.lens_moves or (scene.shifts_colors and color is not None):
+    reference, lens, lenses = reference_camera(scene), lens_at(scene, time, color), lenses_at(scene, time)
+    shifted = scene.shifts_colors and color is not None
+    if scene.lens is not None and (scene.lens.moves or scene.lens.distorts or shifted):
         camera = colored(camera_at(scene, time), scene.lens, color)
         scene = scene.model_copy(update={"camera": camera, "lens": None})
     placed = zip(scene.objects, poses_at(scene, time, eye), strict=True)
@@ -409,8 +411,9 @@ def _with_parts(
         index = np.arange(samples) * parts // samples
         hit.radiance[here] = values[:, index][:, :, index]
         hit.label[here] = sources.label[row, column][:, None, None]
-        x, y = (slope[:, k, None, None] * ray_step(camera) for k in range(2))
-        hit.w[here] = w[:, None, None] + right * x - below * y
+        along, aside, upwards = ray_changes(camera, rays[:, 0], rays[:, 1])
+        x, y = slope[:, 0] * along + slope[:, 1] * aside, slope[:, 0] * aside + slope[:, 1] * upwards
+        hit.w[here] = w[:, None, None] + right * x[:, None, None] - below * y[:, None, None]
         x, y = (gradient[:, k, None, None] for k in range(2))
         hit.radius[here] = radius[:, None, None] + right * x + below * y
         # In its own pixel a source is visible from all of the lens until its disc reaches over the border.

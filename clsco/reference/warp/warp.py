@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.constants import NO_WINNER, WIDEST_GAP
+from clsco.optics.lens_path import reference_camera
 from clsco.optics.motion import Pose, rest_center
 from clsco.optics.quadrics import PlacedSurface, cutting_bounds
 from clsco.reference.common.geometry import Array, mirror_index, pixel_ray, project, solve_quadric
@@ -55,7 +56,7 @@ def reproject_rest(scene: Scene, surfaces: Surfaces, maps: Maps) -> tuple[Array,
     Of every object of the scene: surfaces: at t = 0, None for a depth map; maps: its inverse depth (rows, columns) in
     1/mm, None for others. The nearest counts, of equals the first. Where there is none, both are 0.
     """
-    rays = pixel_ray(scene.camera, *padded_grid(scene.camera, 0))
+    rays = pixel_ray(reference_camera(scene), *padded_grid(scene.camera, 0))
     nearest, whose = np.zeros(rays.shape[:2]), np.zeros(rays.shape[:2], dtype=np.uint8)
     for k, (item, surface, depth) in enumerate(zip(scene.objects, surfaces, maps, strict=True)):
         w = depth if surface is None else solve_quadric(surface, cutting_bounds(item), rays)[0]
@@ -74,14 +75,14 @@ def reproject_targets(
     `reproject_rest`; guard: px; camera: that of the scene by default. Targets are numbers of pixels in row order; -1,
     and inverse depth 0, for what has none: no surface, behind the lens, outside.
     """
-    rays = pixel_ray(scene.camera, *padded_grid(scene.camera, 0))
+    rays = pixel_ray(reference_camera(scene), *padded_grid(scene.camera, 0))
     point = rays / np.where(w > 0.0, w, 1.0)[..., None]
     moved = np.empty_like(point)
     for k, (item, pose) in enumerate(zip(scene.objects, poses, strict=True)):
         own, center = whose == k, rest_center(item)
         moved[own] = center + pose.shift + (point[own] - center) @ pose.rotation.T
     usable = (w > 0.0) & (moved[..., 2] > 0.0)
-    row, column = project(camera or scene.camera, np.where(usable[..., None], moved, 1.0))
+    row, column = project(camera or reference_camera(scene), np.where(usable[..., None], moved, 1.0))
     target_row, target_column = nearest_pixel(row) + guard, nearest_pixel(column) + guard
     height, width = (n + 2 * guard for n in w.shape)
     usable &= (target_row >= 0) & (target_row < height) & (target_column >= 0) & (target_column < width)

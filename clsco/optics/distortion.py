@@ -1,0 +1,184 @@
+"""Distortion of the image by a lens, its inverse and its Jacobian (float64, pure)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clsco.scene.lens import Lens
+from clsco.scene.model import Camera
+
+Array = NDArray[np.float64]
+LEAST_STRETCH = 0.05  # of the image along any direction: beyond where it falls below, it is about to fold back
+MOST_STEPS = 30  # of Newton's method
+CLOSE = 1e-14  # slope: by which the last step may change a place
+
+
+@dataclass(frozen=True)
+class Distortion:
+    """Polynomial distortion of Brown and Conrady, in the direction of OpenCV: from undistorted to distorted slopes.
+
+    With x = X / Z, y = Y / Z, both right and up here, r^2 = x^2 + y^2 and q = 1 + k1 r^2 + k2 r^4 + k3 r^6
+
+        x_d = x q + 2 p1 x y + p2 (r^2 + 2 x^2),   y_d = y q + p1 (r^2 + 2 y^2) + 2 p2 x y.
+
+    Attributes
+    ----------
+    radial : tuple of float
+        k1, k2, k3.
+    tangential : tuple of float
+        p1, p2; p1 for y up, the negative of OpenCV's, whose y goes down.
+
+    Notes
+    -----
+    This is the gradient of a potential: its Jacobian is symmetric, and has no eigenvalue below
+    min(q, q + 2 r^2 dq/dr^2) - 6 |p| r (Weyl). Within the radius up to which that is above 0 it is one-to-one. Beyond
+    `reach`, a little before, it goes on without bending, so that what is far outside of the frame stays there.
+
+    Examples
+    --------
+    >>> from clsco.optics.distortion import Distortion
+    >>> barrel = Distortion((-0.3, 0.0, 0.0))
+    >>> x, y = barrel.image(0.5, 0.0)
+    >>> float(x), round(float(barrel.undistorted(x, y)[0]), 12)
+    (0.4625, 0.5)
+    """
+
+    radial: tuple[float, float, float]
+    tangential: tuple[float, float] = (0.0, 0.0)
+
+    @classmethod
+    def of(cls, lens: Lens | None) -> Self | None:
+        """The distortion of a scene's lens, None for none."""
+        if lens is None or not lens.distorts:
+            return None
+        p1, p2 = lens.tangential
+        return cls(lens.distortion, (-p1, p2))
+
+    @cached_property
+    def reach(self) -> float:
+        """Undistorted slope up to which the polynomials hold; infinite where the image never folds back."""
+        (k1, k2, k3), turn = self.radial, -6.0 * float(np.hypot(*self.tangential))
+        ends = []
+        for a, b, c in ((k1, k2, k3), (3.0 * k1, 5.0 * k2, 7.0 * k3)):
+            roots = np.roots([c, 0.0, b, 0.0, a, turn, 1.0 - LEAST_STRETCH])
+            ends += roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0.0)].tolist()
+        return min(ends, default=np.inf)
+
+    @property
+    def image_reach(self) -> float:
+        """Distorted slope within which every point is the image of one within `reach`."""
+        if self.reach == np.inf:
+            return np.inf
+        squared = self.reach**2
+        return float(self.reach * self._q(squared)[0] - 3.0 * np.hypot(*self.tangential) * squared)
+
+    def _q(self, squared: Array | float) -> tuple[Array, Array, Array]:
+        """q, and its first and second derivative by r^2."""
+        (k1, k2, k3), s = self.radial, np.asarray(squared, dtype=np.float64)
+        return 1.0 + s * (k1 + s * (k2 + s * k3)), k1 + s * (2.0 * k2 + s * (3.0 * k3)), 2.0 * k2 + s * (6.0 * k3)
+
+    def image(self, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
+        """Distorted slopes of slopes x and y, which broadcast."""
+        x, y = (np.asarray(each, dtype=np.float64) for each in (x, y))
+        within = np.minimum(1.0, self.reach / np.maximum(np.hypot(x, y), 1e-300))
+        at_x, at_y = x * within, y * within
+        across, up = self._polynomial(at_x, at_y)
+        return across + (x - at_x), up + (y - at_y)
+
+    def _polynomial(self, x: Array, y: Array) -> tuple[Array, Array]:
+        (up, across), squared = self.tangential, x * x + y * y
+        q, along = self._q(squared)[0], 2.0 * (across * x + up * y)
+        return x * q + along * x + across * squared, y * q + along * y + up * squared
+
+    def undistorted(self, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
+        """Slopes of distorted slopes x and y, which broadcast, by Newton's method from these.
+
+        Notes
+        -----
+        Within `image_reach` to 1e-14; beyond, some slope at `reach`. Validated as the inverse of `image`.
+        """
+        there_x, there_y = np.broadcast_arrays(*(np.asarray(each, dtype=np.float64) for each in (x, y)))
+        at_x, at_y = there_x.copy(), there_y.copy()
+        for _ in range(MOST_STEPS):
+            within = np.minimum(1.0, self.reach / np.maximum(np.hypot(at_x, at_y), 1e-300))
+            at_x, at_y = at_x * within, at_y * within
+            step_x, step_y = self._step(at_x, at_y, there_x, there_y)
+            at_x, at_y = at_x + step_x, at_y + step_y
+            if max(np.abs(step_x).max(initial=0.0), np.abs(step_y).max(initial=0.0)) <= CLOSE:
+                break
+        return at_x, at_y
+
+    def _step(self, x: Array, y: Array, there_x: Array, there_y: Array) -> tuple[Array, Array]:
+        """Step of Newton's method from (x, y) to what is seen at `there`."""
+        across, up = self._polynomial(x, y)
+        return self.solved(x, y, there_x - across, there_y - up)
+
+    def steps_to(self, radius: float) -> int:
+        """Steps of Newton's method from distorted slopes of up to `radius`, within `image_reach`, to CLOSE."""
+        angle = np.linspace(0.0, 2.0 * np.pi, 65 if any(self.tangential) else 2)
+        there = np.linspace(0.0, radius, 65)[:, None]
+        there_x, there_y = there * np.cos(angle), there * np.sin(angle)
+        x, y = there_x, there_y
+        for count in range(1, MOST_STEPS):
+            step_x, step_y = self._step(x, y, there_x, there_y)
+            x, y = x + step_x, y + step_y
+            if max(np.abs(step_x).max(), np.abs(step_y).max()) <= 1e-7:  # the next one squares it
+                return count + 1
+        return MOST_STEPS
+
+    def jacobian(self, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array, Array]:
+        """Derivatives xx, xy, yy of distorted by undistorted slopes, at undistorted ones."""
+        x, y = (np.asarray(each, dtype=np.float64) for each in (x, y))
+        (up, across), (q, slope, _) = self.tangential, self._q(x * x + y * y)
+        along = 2.0 * (across * x + up * y)
+        return (
+            q + 2.0 * x * x * slope + along + 4.0 * across * x,
+            2.0 * (x * y * slope + across * y + up * x),
+            q + 2.0 * y * y * slope + along + 4.0 * up * y,
+        )
+
+    def solved(self, x: Array, y: Array, right: Array, upwards: Array) -> tuple[Array, Array]:
+        """Change of undistorted slopes, at (x, y), that a change of distorted ones is."""
+        xx, xy, yy = self.jacobian(x, y)
+        over = 1.0 / (xx * yy - xy * xy)
+        return (yy * right - xy * upwards) * over, (xx * upwards - xy * right) * over
+
+    def stretch(self, x: ArrayLike, y: ArrayLike) -> Array:
+        """Root of the Jacobian's determinant: sizes in the image over those without distortion."""
+        xx, xy, yy = self.jacobian(x, y)
+        return np.asarray(np.sqrt(xx * yy - xy * xy))
+
+    def stretch_slope(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Relative change of `stretch` per undistorted slope, along x and y."""
+        (up, across), (_, slope, bend) = self.tangential, self._q(x * x + y * y)
+        xx, xy, yy = self.jacobian(x, y)
+        xxx, yyy = (6.0 * slope + 4.0 * x * x * bend) * x, (6.0 * slope + 4.0 * y * y * bend) * y
+        xxy, xyy = 2.0 * y * (slope + 2.0 * x * x * bend), 2.0 * x * (slope + 2.0 * y * y * bend)
+        xxx, xxy, xyy, yyy = xxx + 6.0 * across, xxy + 2.0 * up, xyy + 2.0 * across, yyy + 6.0 * up
+        half = 0.5 / (xx * yy - xy * xy)
+        return half * (xxx * yy + xx * xyy - 2.0 * xy * xxy), half * (xxy * yy + xx * yyy - 2.0 * xy * xyy)
+
+
+class DistortedCamera(Camera):
+    """A camera whose lens distorts the image."""
+
+    distortion: Distortion
+    """Of the slopes of its rays."""
+
+
+def with_distortion(camera: Camera, lens: Lens | None) -> Camera:
+    """The camera with the distortion of its lens, if that has any."""
+    distortion = Distortion.of(lens)
+    if distortion is None:
+        return camera
+    return DistortedCamera.model_construct(**dict(camera) | {"distortion": distortion})
+
+
+def distortion_of(camera: Camera) -> Distortion | None:
+    """Distortion of a camera, None for none."""
+    return camera.distortion if isinstance(camera, DistortedCamera) else None

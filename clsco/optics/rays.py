@@ -1,0 +1,68 @@
+"""Rays through the pixels of a camera, and places in its image (float64, pure)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clsco.optics.distortion import distortion_of
+from clsco.optics.lens import ray_step
+from clsco.scene.model import Camera
+
+Array = NDArray[np.float64]
+
+
+def ray_slopes(camera: Camera, row: ArrayLike, column: ArrayLike) -> tuple[Array, Array]:
+    """Slopes X / Z right and Y / Z up of the rays through pixels (3.1, 3.2).
+
+    Parameters
+    ----------
+    camera : Camera
+        With its resolution.
+    row, column : array_like
+        px, may be fractional and outside of the frame; they broadcast.
+
+    Returns
+    -------
+    x, y : ndarray of float64, of the shape to which they broadcast
+
+    Examples
+    --------
+    >>> from clsco import Camera
+    >>> from clsco.optics.rays import ray_slopes
+    >>> x, y = ray_slopes(Camera(resolution=(3, 3), pixel_pitch=0.01), 0, 2)  # the upper right corner
+    >>> float(x), float(y)
+    (0.0005, 0.0005)
+    """
+    columns, rows = camera.frame_size
+    return slopes_at(camera, np.asarray(column) - 0.5 * (columns - 1), 0.5 * (rows - 1) - np.asarray(row))
+
+
+def slopes_at(camera: Camera, right: ArrayLike, up: ArrayLike) -> tuple[Array, Array]:
+    """Slopes of the rays through places in px right of and above the middle of the image, which broadcast."""
+    step, distortion = ray_step(camera), distortion_of(camera)
+    x, y = np.broadcast_arrays(*(step * np.asarray(each, dtype=np.float64) for each in (right, up)))
+    return (x, y) if distortion is None else distortion.undistorted(x, y)
+
+
+def places_of(camera: Camera, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
+    """Places in px right of and above the middle of the image of rays of slopes x and y (2.4, 2.5)."""
+    step, (across, up) = ray_step(camera), image_slopes(camera, x, y)
+    return across / step, up / step
+
+
+def image_slopes(camera: Camera, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
+    """Slopes at which a camera without distortion would see rays of slopes x and y where this one does."""
+    distortion = distortion_of(camera)
+    return (np.asarray(x), np.asarray(y)) if distortion is None else distortion.image(x, y)
+
+
+def ray_changes(camera: Camera, x: Array, y: Array) -> tuple[Array, Array, Array]:
+    """Changes of the slopes x and y of a ray per px: of x to the right, of y to the right as of x upwards, of y
+    upwards."""
+    step, distortion = ray_step(camera), distortion_of(camera)
+    if distortion is None:
+        return np.full(x.shape, step), np.zeros(x.shape), np.full(x.shape, step)
+    xx, xy, yy = distortion.jacobian(x, y)
+    over = step / (xx * yy - xy * xy)
+    return yy * over, -xy * over, xx * over
