@@ -37,7 +37,7 @@ KERNELS = Path(__file__).resolve().parents[2] / "kernels"
 ON_OR_OFF: tuple[int, ...] = (0, 1)
 GEOMETRY: dict[str, tuple[int, ...]] = {
     **dict.fromkeys(("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "SAMPLED"), ON_OR_OFF),
-    "CURVED": (0, 3, 1, 2),
+    "CURVED": (0, 3, 1, 2, 4, 7),
     "GENERAL": (0,),
     "WAVES": (0,),
     "CHANNELS": (1, 3),
@@ -61,14 +61,14 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     | {"WAVES": (0, 0, 1), "MERGED": ON_OR_OFF},
     GATHER: dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(BLUR, ON_OR_OFF)
-    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BY_COLUMNS": (0, 0, 1), "CURVED": (0, 3, 1, 2)}
+    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BY_COLUMNS": (0, 0, 1), "CURVED": (0, 3, 1, 2, 4, 7)}
     | {"GATHER": (1,), "SPANS": ON_OR_OFF, "RING": (0, 0, 1), "MERGED": ON_OR_OFF}
     | ROOMS
     | {"PREPARE": (0, 1, 2)}
     | GENERAL,
     SCATTER: dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(BLUR, ON_OR_OFF)
-    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "CURVED": (0, 3, 1, 2)}
+    | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "CURVED": (0, 3, 1, 2, 4, 7)}
     | dict.fromkeys(("GATHER", "BY_ROWS", "BY_COLUMNS", "RING"), (0,))
     | ROOMS
     | {"PREPARE": (0, 1, 2)}
@@ -97,7 +97,16 @@ PROGRAMS["layered/layered.cl",] = dict.fromkeys((*PLAIN, "SAMPLED", "GENERAL", "
     "SCATTER": ON_OR_OFF,
 }
 GIVEN_BY_THE_BUILD = {"REAL_IS_DOUBLE", "HAS_INT64_ATOMICS", "HAS_FP64", "VECTOR_WIDTH", "defined"}
-GIVEN_BY_THE_BUILD |= {"CURVED_FIELD", "CURVED_SPHERE", "__FMA__", "__SSE4_1__", "__AVX__", "__AVX2__", "__AVX512F__"}
+GIVEN_BY_THE_BUILD |= {
+    "CURVED_FIELD",
+    "CURVED_SPHERE",
+    "CURVED_IMAGE",
+    "__FMA__",
+    "__SSE4_1__",
+    "__AVX__",
+    "__AVX2__",
+    "__AVX512F__",
+}
 
 
 def headers(files: tuple[str, ...]) -> tuple[str, ...]:

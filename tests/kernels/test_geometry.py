@@ -10,8 +10,10 @@ import pytest
 from numpy.typing import NDArray
 
 import clsco
+from clsco.constants import CURVED_IMAGE
 from clsco.opencl.buffers import download, empty
 from clsco.opencl.session import Session
+from clsco.optics.distortion import with_distortion
 from clsco.optics.lens import Lens
 from clsco.optics.motion import pose_at
 from clsco.optics.point_spread import point_spread
@@ -31,7 +33,7 @@ UNIT = {"double": 2.0**-53, "float": FLOAT}  # relative error of an operation
 
 SOURCE = """
 // Of the hit of the ray through (row, column): slope, normal, blur radius and its gradient, pixel at rest.
-__kernel void follow(__constant surface_t *surface, const grid_t grid, const lens_t lens,
+__kernel void follow(__constant surface_t *surface, const grid_t grid, const lens_t given,
                      __global const real *row, __global const real *column, const int count, __global real *w,
                      __global real *out)
 {
@@ -48,6 +50,7 @@ __kernel void follow(__constant surface_t *surface, const grid_t grid, const len
         return;
     }
     const real2 slope = surface_slope(surface, ray, found);
+    const lens_t lens = lens_along(grid, given, ray);
     const real2 gradient = blur_gradient(grid, lens, slope, ray, found);
     const real3 normal = surface_normal(surface, ray, found);
     const real3 pixel = rest_pixel(surface, grid, ray, found);
@@ -88,6 +91,7 @@ __kernel void small(const psf_t psf, __global const real *a, __global const real
 
 
 CURVED = clsco.Lens(field_curvature=-1 / 30, focus_surface="sphere")
+DISTORTED = clsco.Lens(distortion=(-2.0, 1.0, 0.5), tangential=(0.02, -0.03))
 MOTION = ObjectMotion(velocity=(2.0, 1.0, 5.0), angular_velocity=(10.0, -15.0, 30.0))
 ITEMS: list[tuple[Object, dict[str, int]]] = [
     (Plane(distance=250.0, slope_x=0.7, slope_y=-0.4, motion=MOTION), {"QUADRATIC": 0}),
@@ -95,6 +99,8 @@ ITEMS: list[tuple[Object, dict[str, int]]] = [
     (Cone(half_angle=40.0, apex=(1.0, 2.0, 250.0), motion=MOTION), {"NAPPE": 1}),
     (Plane(distance=250.0, slope_x=0.7, slope_y=-0.4, motion=MOTION), {"QUADRATIC": 0, "CURVED": 3}),
     (Ellipsoid(center=(0.0, 0.0, 300.0), semi_axes=(30.0, 20.0, 50.0), motion=MOTION), {"CURVED": 3}),
+    (Plane(distance=250.0, slope_x=0.7, slope_y=-0.4, motion=MOTION), {"QUADRATIC": 0, "CURVED": 4}),
+    (Ellipsoid(center=(0.0, 0.0, 300.0), semi_axes=(30.0, 20.0, 50.0), motion=MOTION), {"CURVED": 7}),
     (Quadric(coefficients=(1.0, -0.5, 0.0, 0, 0, 0, 0, 0, -40.0, 0), motion=MOTION), {"LINEAR": 1}),
 ]
 
@@ -111,7 +117,9 @@ def test_what_follows_from_a_hit(
     row, column = held(RNG(8).uniform([[-0.16], [-0.12]], [[1.14], [1.1]], (2, count)) * np.array(size[::-1])[:, None])
     w, out = empty(session, 8 * count), empty(session, 88 * count)
     placed = surface_structs([item], [surface], real)
-    lens = Lens.of(camera, CURVED if features.get("CURVED") else None)
+    curved = features.get("CURVED", 0)
+    camera = with_distortion(camera, DISTORTED if curved & CURVED_IMAGE else None)
+    lens = Lens.of(camera, CURVED if curved % CURVED_IMAGE else None)
     optics = camera_grid(camera, 0, real), lens_struct(lens, real)
     positions = (row.astype(REAL[real]), column.astype(REAL[real]))
     run_source(SOURCE, "follow", real, features, count, placed, *optics, *positions, np.int32(count), w, out)

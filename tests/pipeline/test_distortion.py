@@ -1,0 +1,173 @@
+"""Distortion of the image from scene to frame."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+import clsco
+from clsco.optics.distortion import Distortion
+from clsco.plan.memory import device_bytes
+from clsco.plan.prepare import prepare
+from clsco.scene.model import Scene
+from tests.scenes import assert_agree, reference_frames, rendered, scene_from
+from tests.slow import mostly_slow
+
+CAMERA: dict[str, Any] = {
+    "resolution": [40, 32],
+    "pixel_pitch": 0.4,
+    "aperture_diameter": 30.0,
+    "focus_distance": 180.0,
+}
+BALL: dict[str, Any] = {"shape": "sphere", "center": [20.0, 10.0, 270.0], "radius": 60.0, "texture": "#ff8040"}
+WALL: dict[str, Any] = {"shape": "plane", "distance": 290.0, "texture": "siemens_star", "slope_x": 0.3}
+MOVING = {"motion": {"velocity": [40.0, 15.0, 0.0], "angular_velocity": [0.0, 0.0, 20.0]}}
+EXPOSED = {"samples": 3, "shutter": 0.1, "interval": 0.1}
+D: dict[str, Any] = {"distortion": [-0.25, 0.05, 0.0], "tangential": [0.01, -0.02]}
+CURVED: dict[str, Any] = {"field_curvature": -1 / 30, "focus_surface": "sphere", "vignetting": "natural"}
+COLORS: dict[str, Any] = {"axial": [0.2, 0.0, -0.15], "lateral": [1.02, 1.0, 0.97]}
+ZOOM = {"keyframe": [{"time": 0.0, "focal_length": 20.0}, {"time": 0.1, "focal_length": 24.0}]}
+RIMS = {"rim": [{"distance": 20.0, "diameter": 30.0}, {"distance": -10.0, "diameter": 30.0}]}
+FORWARD = {"warp": "forward"}
+scene = partial(scene_from, {"camera": CAMERA})
+SCENES: dict[str, Scene] = {
+    "still": scene(BALL, WALL, lens=D),
+    "pincushion": scene(BALL, WALL, lens={"distortion": [0.3, 0.2, 0.1]}),
+    "one depth": scene(WALL | {"slope_x": 0.0}, lens=D),
+    "moving": scene(BALL | MOVING, WALL, lens=D, sequence=EXPOSED),
+    "rolling": scene(BALL | MOVING, WALL, lens=D, sequence=EXPOSED | {"readout": 0.05}),
+    "zoom": scene(BALL, WALL, lens=D | ZOOM, sequence=EXPOSED),
+    "forward": scene(BALL | MOVING, WALL, lens=D, sequence=EXPOSED, motion=FORWARD),
+    "zoom, forward": scene(BALL, WALL, lens=D | ZOOM, sequence=EXPOSED, motion=FORWARD),
+    "stereo": scene(BALL, WALL, lens=D, stereo={"baseline": 5.0}),
+    "curved": scene(BALL | MOVING, WALL, lens=D | CURVED, sequence=EXPOSED),
+    "colors": scene(BALL, WALL, lens=D | CURVED | COLORS),
+    "layered": scene(BALL, WALL, lens=D, psf={"occlusion": "layered"}),
+    "sampled": scene(BALL, WALL, lens=D, psf={"edge": "sampled"}),
+    "gaussian": scene(BALL, WALL, lens=D, psf={"model": "gaussian"}),
+    "rims": scene(BALL, WALL, lens=D, aperture=RIMS),
+    "blades": scene(BALL, WALL, lens=D, aperture={"shape": "polygon", "blades": 5}),
+    "mapped": scene(BALL | {"texture": "checkerboard", "texture_mapping": "surface"}, WALL, lens=D),
+    "renormalize": scene(BALL, WALL, lens=D, psf={"border": "renormalize"}),
+}
+FAST = ("still", "forward", "one depth")
+
+
+@pytest.mark.parametrize("name", mostly_slow(SCENES, FAST))
+def test_device_against_reference(name: str) -> None:
+    assert_agree(rendered(SCENES[name]), reference_frames(SCENES[name]))
+
+
+@pytest.mark.parametrize("how", ["static", "moving", "ray"])
+def test_depth_maps_against_the_reference(tmp_path: Path, how: str) -> None:
+    np.save(tmp_path / "depth.npy", 270.0 + np.add.outer(np.arange(32), np.arange(40.0)) / 2)
+    given = {"shape": "depth_map", "depth": str(tmp_path / "depth.npy"), "texture": "bricks", "unit": "mm"}
+    given |= {"depth_kind": "ray"} if how == "ray" else {}
+    found = scene(given | (MOVING if how == "moving" else {}), lens=D | CURVED, sequence=EXPOSED)
+    assert_agree(rendered(found), reference_frames(found))
+
+
+@pytest.mark.parametrize("real", ["double", "single"])
+def test_spots_are_where_opencv_has_them(real: Any) -> None:
+    center, z = np.array([[60.0, 45.0], [-75.0, 20.0], [10.0, -50.0]]), 250.017
+    spots = [{"shape": "disc", "center": [x, y, z], "radius": 5.0, "texture": "#ffffff"} for x, y in center.tolist()]
+    matrix = np.array([[50.0, 0.0, 19.5], [0.0, 50.0, 15.5], [0.0, 0.0, 1.0]])
+    points = np.concatenate([center * (1.0, -1.0), np.full((3, 1), z)], axis=1)
+    wanted, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, np.array([-0.25, 0.05, 0.01, -0.02, 0.0]))
+    for spot, (column, row) in zip(spots, wanted[:, 0].tolist(), strict=True):
+        frame = clsco.render_frame(scene(spot, lens=D), truth=(), precision=real)
+        light = frame.color.astype(np.float64)
+        assert light.sum(axis=0) @ np.arange(40) / light.sum() == pytest.approx(column, abs=0.02)
+        assert light.sum(axis=1) @ np.arange(32) / light.sum() == pytest.approx(row, abs=0.02)
+
+
+def test_flow_follows_opencv() -> None:
+    """What a wall shows in a pixel goes where OpenCV projects the moved point."""
+    wall = {"shape": "plane", "distance": 300.0, "motion": {"velocity": [50.0, -20.0, 100.0]}}
+    frame = clsco.render_frame(
+        scene(wall, lens=D, sequence=EXPOSED | {"frames": 2, "samples": 1}), truth=("flow", "depth")
+    )
+    assert frame.flow is not None
+    assert frame.depth is not None
+    matrix, keys = (
+        np.array([[50.0, 0.0, 19.5], [0.0, 50.0, 15.5], [0.0, 0.0, 1.0]]),
+        np.array([-0.25, 0.05, 0.01, -0.02, 0]),
+    )
+    place = np.stack(np.meshgrid(np.arange(40.0), np.arange(32.0)), axis=-1).reshape(-1, 1, 2)
+    lens = Distortion.of(SCENES["still"].lens)
+    assert lens is not None
+    x, y = lens.undistorted(*(np.array([[0.02], [-0.02]]) * (place[:, 0].T - [[19.5], [15.5]])))
+    slopes = np.stack([x, -y], axis=-1)
+    z = frame.depth.reshape(-1, 1).astype(np.float64)
+    points = np.concatenate([slopes * z, z], axis=1) + np.array([5.0, 2.0, 10.0])
+    later, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, keys)
+    np.testing.assert_allclose(frame.flow.reshape(-1, 2), (later - place)[:, 0], atol=1e-4)
+
+
+def test_radii_are_those_of_discs_of_the_same_area() -> None:
+    frame = clsco.render_frame(scene(WALL | {"slope_x": 0.0}, lens=D), truth="blur_radius")
+    x, y = np.meshgrid((np.arange(40) - 19.5) * 0.02, (15.5 - np.arange(32)) * 0.02)
+    lens = Distortion.of(SCENES["still"].lens)
+    assert lens is not None
+    alone = clsco.render_frame(scene(WALL | {"slope_x": 0.0}), truth="blur_radius")
+    wanted = alone.blur_radius * lens.stretch(*lens.undistorted(x, y))  # type: ignore[operator]
+    np.testing.assert_allclose(frame.blur_radius, wanted, rtol=1e-6)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("psf", [{}, {"occlusion": "layered"}], ids=["visibility", "layered"])
+def test_strips_have_the_same_bits(psf: dict[str, Any]) -> None:
+    tall = scene(BALL, WALL, lens=D, psf=psf, camera=CAMERA | {"resolution": [24, 200], "pixel_pitch": 0.1})
+    size = device_bytes(prepare(tall).plan)
+    whole, cut = clsco.render_frame(tall), clsco.render_frame(tall, memory=int(0.9 * size))
+    assert cut.metadata["strips"] > 1
+    assert (whole.color == cut.color).all()
+    assert (whole.blur_radius == cut.blur_radius).all()  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("options", [{"precision": "single"}, {"method": "scatter"}, {"method": "tiles"}], ids=str)
+def test_single_precision_and_other_methods(options: dict[str, Any]) -> None:
+    wanted = scene(WALL, lens=D) if options.get("method") == "tiles" else SCENES["still"]
+    found = clsco.render_frame(wanted, **options)
+    assert np.abs(found.color - next(iter(reference_frames(wanted))).color).max() < 1e-5
+
+
+def test_without_it_nothing_of_it_is_compiled() -> None:
+    thin, given = scene(BALL, WALL), scene(BALL, WALL, lens={"distortion": [0.0, 0.0, 0.0], "tangential": [0.0, 0.0]})
+    one, other = clsco.render_frame(thin), clsco.render_frame(given)
+    assert (one.color == other.color).all()
+    plans = [prepare(each).plan for each in (thin, given)]
+    assert plans[0].features() == plans[1].features()
+    assert plans[0].features()["CURVED"] == 0
+
+
+@pytest.mark.parametrize(
+    ("lens", "key"),
+    [({"distortion": [-1.0, 0.0, 0.0]}, "distortion"), ({"tangential": [0.4, 0.0]}, "tangential")],
+    ids=str,
+)
+def test_an_image_that_folds_back_is_refused(lens: dict[str, Any], key: str) -> None:
+    with pytest.raises(
+        clsco.SceneError, match=rf"lens.{key}: frame and guard band must end where the image folds back, "
+    ):
+        prepare(scene(WALL, lens=lens))
+
+
+def test_the_band_counts_as_the_frame_does() -> None:
+    """The frame alone would do."""
+    sharp, blurred = (
+        scene(WALL, lens={"distortion": [-0.2, 0, 0]}, camera=CAMERA | {"aperture_diameter": d}) for d in (1.0, 90.0)
+    )
+    prepare(sharp)
+    with pytest.raises(clsco.SceneError, match="guard band must end"):
+        prepare(blurred)
+
+
+def test_files_of_radii_need_equal_blur(tmp_path: Path) -> None:
+    given = {"shape": "depth_map", "depth": str(tmp_path / "none.npy"), "texture": "bricks", "unit": "coc"}
+    with pytest.raises(clsco.SceneError, match=r"object\[0\].unit: coc belongs to lenses without field_curvature"):
+        scene(given, lens=D)
