@@ -33,12 +33,14 @@ WAVES = {"model": "wave", "wavelengths": [20000.0] * 3}  # Q is 0.23 px
 class Effect:
     """An effect of a lens in a picture.
 
-    name: of the file; sections: of the scene file, beside a camera; depths: of the points, mm, from above to below.
+    name: of the file; sections: of the scene file, beside a camera; depths: of the points, mm, from above to below;
+    on_surface: they lie on the planes, and are no image that the camera sees.
     """
 
     name: str
     sections: dict[str, Any]
     depths: tuple[float, ...] = (FAR, NEAR)
+    on_surface: bool = False
 
 
 EFFECTS = (
@@ -52,6 +54,7 @@ EFFECTS = (
     Effect("field_curvature", {"lens": {"field_curvature": -0.02}}, (FAR, FOCUS)),
     Effect("axial", {"lens": {"axial": [1.2, 0.0, -1.2]}}),
     Effect("vignetting", {"lens": {"vignetting": "natural"}}),
+    Effect("distortion", {"lens": {"distortion": [-0.35, 0.08, 0.0]}}, on_surface=True),
     Effect("wave", {"psf": WAVES}),
     Effect("coma", {"psf": WAVES | {"zernike": {"3,1": 1.0}}}, (FAR, FOCUS, NEAR)),
     Effect("astigmatism", {"psf": WAVES | {"zernike": {"2,2": 1.5}}}, (FAR, FOCUS, NEAR)),
@@ -70,7 +73,9 @@ def picture(effect: Effect) -> NDArray[np.uint8]:
     """The plain disc on the left, the effect on the right; the farthest points above."""
     shown = []
     for depth in effect.depths:
-        plane = {"shape": "plane", "distance": depth, "texture": points()}
+        plane: dict[str, Any] = {"shape": "plane", "distance": depth, "texture": points()}
+        if effect.on_surface:
+            plane |= {"texture_mapping": "surface", "texture_size": COLUMNS * 0.12 / 20.0 * depth}
         plain = {"camera": CAMERA, "object": [plane]}
         sections = {name: CAMERA | keys if name == "camera" else keys for name, keys in effect.sections.items()}
         pair = [clsco.render_frame(clsco.parse_scene(scene), truth=()).color for scene in (plain, plain | sections)]

@@ -19,6 +19,8 @@ KEYS: dict[str, dict[str, Any]] = {
     "axial": {"axial": [0.01, 0.0, -0.01]},
     "field_curvature and focus_surface": {"field_curvature": -0.001, "focus_surface": "sphere"},
     "vignetting": {"vignetting": "natural"},
+    "distortion": {"distortion": (-0.25, 0.05, 0.0)},
+    "distortion and tangential": {"distortion": (-0.25, 0.05, 0.0), "tangential": (0.002, -0.001)},
 }
 RADII = (6.0, 20.0)
 

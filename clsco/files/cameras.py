@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Pinhole:
-    """A camera without lens distortion, and its pose: X_camera = rotation X_world + translation.
+    """A camera and its pose: X_camera = rotation X_world + translation.
 
     World and camera have x to the right, y down, z into the scene, as OpenCV, COLMAP and Sintel have it.
 
@@ -35,6 +35,8 @@ class Pinhole:
     rotation : ndarray of float64, (3, 3)
     translation : ndarray of float64, (3,)
         mm.
+    distortion : tuple of float, optional
+        k1, k2, p1, p2, k3 of OpenCV; none if not given.
     """
 
     columns: int
@@ -43,10 +45,13 @@ class Pinhole:
     center: tuple[float, float]
     rotation: Array
     translation: Array
+    distortion: tuple[float, ...] = ()
 
 
 def cam_bytes(camera: Pinhole) -> bytes:
     """A .cam file of Sintel: the matrices M (3, 3) and N (3, 4), so that a pixel is M N X for a point X of the world.
+
+    It has no place for distortion: M N X is then the pixel that a lens without it would have.
 
     Notes
     -----
@@ -116,16 +121,20 @@ def colmap_texts(images: Iterable[tuple[str, Pinhole]]) -> dict[str, bytes]:
     Notes
     -----
     COLMAP has the centers of pixels at halves, so its principal point is half a pixel farther right and down. Lengths
-    are in mm, as COLMAP has no unit. Validated by pycolmap, and by points that are projected into the frame.
+    are in mm, as COLMAP has no unit. A camera with distortion is one of FULL_OPENCV, whose k4 to k6 are 0. Validated by
+    pycolmap, and by points that are projected into the frame.
     """
     cameras: dict[str, int] = {}
     lines = ["# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, from world to camera, mm; then a line of no points"]
     for number, (name, camera) in enumerate(images, 1):
         column, row = (at + 0.5 for at in camera.center)
-        kind = f"PINHOLE {camera.columns} {camera.rows} {camera.focal!r} {camera.focal!r} {column!r} {row!r}"
+        numbers = [camera.focal, camera.focal, column, row, *camera.distortion]
+        numbers += [0.0] * 3 if camera.distortion else []  # k4 to k6
+        model = "FULL_OPENCV" if camera.distortion else "PINHOLE"
+        kind = f"{model} {camera.columns} {camera.rows} {' '.join(map(repr, numbers))}"
         identity = cameras.setdefault(kind, len(cameras) + 1)
-        numbers = (*_quaternion(camera.rotation), *camera.translation)
-        pose = " ".join(repr(float(value) + 0.0) for value in numbers)  # 0 instead of -0
+        turned = (*_quaternion(camera.rotation), *camera.translation)
+        pose = " ".join(repr(float(value) + 0.0) for value in turned)  # 0 instead of -0
         lines.append(f"{number} {pose} {identity} {name}\n")
     kinds = [f"{identity} {kind}" for kind, identity in cameras.items()]
     return {

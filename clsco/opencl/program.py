@@ -28,7 +28,7 @@ from clsco.resources import folder
 
 _LOG = logging.getLogger("clsco")
 Argument: TypeAlias = cl.Buffer | np.generic | NDArray[np.void] | None
-HEADERS = ("common/geometry.clh",)
+HEADERS = ("common/distortion.clh", "common/geometry.clh")
 # Built before all others: in OpenCL C 1.2, or for a processor in what its compiler makes more of.
 BUILTINS, CPU_BUILTINS = "common/builtins.clh", "common/cpu/builtins.clh"
 # On processors with PoCL before these, for its own header, which the option leaves out.

@@ -78,7 +78,7 @@ class Distortion:
         return float(self.reach * self._q(squared)[0] - 3.0 * np.hypot(*self.tangential) * squared)
 
     def _q(self, squared: Array | float) -> tuple[Array, Array, Array]:
-        """q, and its first and second derivative by r^2."""
+        """The factor q, and its first and second derivative by r^2."""
         (k1, k2, k3), s = self.radial, np.asarray(squared, dtype=np.float64)
         return 1.0 + s * (k1 + s * (k2 + s * k3)), k1 + s * (2.0 * k2 + s * (3.0 * k3)), 2.0 * k2 + s * (6.0 * k3)
 
@@ -153,6 +153,12 @@ class Distortion:
         xx, xy, yy = self.jacobian(x, y)
         return np.asarray(np.sqrt(xx * yy - xy * xy))
 
+    def ellipticity(self, x: ArrayLike, y: ArrayLike) -> Array:
+        """Largest difference between the axes of the image of a small disc and the disc of the same area, relative."""
+        xx, xy, yy = self.jacobian(x, y)
+        size, half = np.sqrt(xx * yy - xy * xy), np.hypot(0.5 * (xx - yy), xy)
+        return np.asarray((0.5 * (xx + yy) + half) / size - 1.0)
+
     def stretch_slope(self, x: Array, y: Array) -> tuple[Array, Array]:
         """Relative change of `stretch` per undistorted slope, along x and y."""
         (up, across), (_, slope, bend) = self.tangential, self._q(x * x + y * y)
@@ -168,7 +174,7 @@ class DistortedCamera(Camera):
     """A camera whose lens distorts the image."""
 
     distortion: Distortion
-    """Of the slopes of its rays."""
+    """Acts on the slopes of its rays."""
 
 
 def with_distortion(camera: Camera, lens: Lens | None) -> Camera:

@@ -37,7 +37,7 @@ class Lens:
     spherical : float
         1 where a sphere around the lens is in focus, and no plane.
     distortion : Distortion, optional
-        Of the image, which blur takes part in.
+        Bends the image, and blur with it.
 
     Examples
     --------

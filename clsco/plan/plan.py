@@ -54,7 +54,7 @@ from clsco.plan.request import Request
 from clsco.plan.sensor import sensor_pass
 from clsco.plan.vignetting import vignetting_pass
 from clsco.plan.waves import check_waves
-from clsco.plan.words import of_blur, of_frame, of_rays, shapes_of
+from clsco.plan.words import of_blur, of_distortion, of_frame, of_rays, shapes_of
 from clsco.scene.model import Scene
 
 Array = NDArray[np.float64]
@@ -458,7 +458,8 @@ def _image_passes(plan: Plan) -> Iterator[Pass]:
     """The passes of the image of a time sample up to its blurred plane, after those of a forward warp."""
     spec, grid, light, choices = plan.spec, plan.grid, light_of(plan.spec), plan.choices
     if plan.static_map:
-        shown = ("pixels", "as the depth map and its image have them"), *of_frame(choices, plan.colors, plan.alpha)
+        shown = (("pixels", "as the depth map and its image have them"), *of_distortion(plan.scene))
+        shown += of_frame(choices, plan.colors, plan.alpha)
         yield Pass("static image", shown, map_buffers(grid), gives=(light, "counts"))
     elif not plan.forward and spec.layered:
         rays = of_rays(plan.scene, choices, plan.colors, plan.alpha)

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import numpy as np
+
+from clsco.optics.distortion import distortion_of
+from clsco.optics.lens_path import reference_camera
+from clsco.optics.rays import ray_slopes
 from clsco.plan.decisions import Choices
 from clsco.plan.methods import BlurSpec
 from clsco.plan.passes import Parameters
 from clsco.plan.waves import wave_words
 from clsco.scene.model import Scene
+
+PLACES = 33  # along each axis of the frame, at which distortion is looked at
 
 
 def shapes_of(scene: Scene) -> str:
@@ -20,7 +27,19 @@ def of_rays(scene: Scene, choices: Choices, colors: int, alpha: bool) -> Paramet
     moved: Parameters = (("texture sampling", scene.motion.texture_filter),) if sampled else ()
     if scene.has_mapped_textures:
         moved += (("surface textures", "means over the pixel's footprint, from mipmaps"),)
-    return (("rays", f"against the {shapes_of(scene)}, one per pixel"), *moved, *of_frame(choices, colors, alpha))
+    first = ("rays", f"against the {shapes_of(scene)}, one per pixel")
+    return (first, *of_distortion(scene), *moved, *of_frame(choices, colors, alpha))
+
+
+def of_distortion(scene: Scene) -> Parameters:
+    """Words of a distorted image, none without one: how far discs are from the ellipses that they stand for."""
+    camera = reference_camera(scene)
+    if (distortion := distortion_of(camera)) is None:
+        return ()
+    columns, rows = camera.frame_size
+    x, y = ray_slopes(camera, np.linspace(0.0, rows - 1.0, PLACES)[:, None], np.linspace(0.0, columns - 1.0, PLACES))
+    off = 100.0 * float(distortion.ellipticity(x, y).max())
+    return (("distortion", f"discs of the area of ellipses, whose rims are up to {off:.2g} % of R elsewhere"),)
 
 
 def of_frame(choices: Choices, colors: int, alpha: bool) -> Parameters:

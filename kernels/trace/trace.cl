@@ -84,8 +84,8 @@ static float take_radiance(const grid_t grid, __constant surface_t *surfaces, re
 #if TEXTURED && SUBPIXELS
 // Record of a pixel with a texture on a surface, marked where it needs sub-pixel sources. Out: its share in what
 // neighbors exchange, 0 where it has no part in it. root: the label before any visibility test.
-static float4 with_detail(const grid_t grid, const lens_t lens, __constant texture_map_t *maps, float4 record, real3 ray, real w,
-                          uchar root, float texels, __global float *share)
+static float4 with_detail(const grid_t grid, const lens_t lens, __constant texture_map_t *maps, float4 record,
+                          real3 ray, real w, uchar root, float texels, __global float *share)
 {
     *share = 0;
     if (record.x >= 0 && maps[(root - 1) / 2].kind != MAP_PROJECTED) {

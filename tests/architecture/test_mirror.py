@@ -11,7 +11,8 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 # The reference has all sources, also with a tolerance.
 KERNELS = sorted(set((ROOT / "kernels").rglob("*.cl")) - {ROOT / "kernels" / "trace" / "merge.cl"})
-# NumPy has what angles.clh has, and the reference all sources at all time samples; others are vectors of processors.
+# NumPy has what angles.clh has, clsco.optics.distortion what distortion.clh has, and the reference all sources at all
+# time samples; others are vectors of processors.
 VECTORS = [
     f"{group}/{folder}{name}.clh"
     for group, name in (("common", "builtins"), ("common", "lanes"), ("inpainting", "lanes"))
@@ -19,7 +20,10 @@ VECTORS = [
 ]
 HEADERS = sorted(
     set((ROOT / "kernels").rglob("*.clh"))
-    - {ROOT / "kernels" / name for name in ("common/angles.clh", "common/cpu/pocl.clh", "trace/still.clh", *VECTORS)}
+    - {
+        ROOT / "kernels" / name
+        for name in ("common/angles.clh", "common/distortion.clh", "common/cpu/pocl.clh", "trace/still.clh", *VECTORS)
+    }
 )
 # What has no twin of its own, and why.
 WITHOUT_TWIN = {
@@ -65,6 +69,9 @@ WITHOUT_TWIN = {
     "geometry": {
         "note_radius": "the largest and the smallest of an array",
         "ray_through": "pixel_ray before another lens",
+        "ray_change": "ray_changes of clsco.optics.rays, times px",
+        "lens_along": "along_rays",
+        "grid_radius": "blur_radius of all pixels",
         "grid_ray": "pixel_ray of the rows and columns of the padded grid",
         **dict.fromkeys(("load3", "row3", "column3", "inner_product"), "arrays of NumPy, and their products"),
     },

@@ -54,6 +54,7 @@ TESTS = {
     "common/cpu/builtins.clh": "kernels/test_blur kernels/test_trace",
     "common/cpu/pocl.clh": "kernels/test_tiles",
     "common/cpu/lanes.clh": "kernels/test_convolve kernels/test_layered",
+    "common/distortion.clh": "kernels/test_geometry pipeline/test_distortion",
     "common/geometry.clh": "kernels/test_geometry kernels/test_bounds kernels/test_ray_surface "
     "kernels/test_trace kernels/test_trace_hidden pipeline/test_views pipeline/test_strips",
     "common/lanes.clh": "kernels/test_tiles",

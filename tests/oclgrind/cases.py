@@ -394,6 +394,8 @@ def lens_cases() -> Iterator[Case]:
     bends: dict[str, dict[str, Any]] = {
         "field": {"field_curvature": -0.03, "vignetting": "natural"},
         "sphere": {"focus_surface": "sphere", "vignetting": (-0.3, 0.1, 0.0)},
+        "image": {"distortion": (-0.25, 0.05, 0.0), "tangential": (0.01, -0.02)},
+        "image and focus": {"distortion": (0.2, 0.1, 0.0), "field_curvature": -0.03, "focus_surface": "sphere"},
         "colors": {"field_curvature": -0.03, "focus_surface": "sphere", "axial": (0.2, 0.0, -0.1)},
     }
     for number, (name, keys) in enumerate(bends.items()):

@@ -46,7 +46,7 @@ def start(tmp_path_factory: pytest.TempPathFactory) -> Start:
     (kernels / "common/cpu").mkdir(parents=True)
     declared = resources.folder("kernels") / "common/cpu/pocl.clh"
     (kernels / "common/cpu/pocl.clh").write_text(declared.read_text("utf-8"))
-    for header in ("common/cpu/builtins.clh", "common/geometry.clh"):
+    for header in ("common/cpu/builtins.clh", "common/distortion.clh", "common/geometry.clh"):
         (kernels / header).write_text("")
     (kernels / "work.cl").write_text(WORK)
     environ = {name: value for name, value in os.environ.items() if name not in ("POCL_CACHE_DIR", "PYOPENCL_CTX")}

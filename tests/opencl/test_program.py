@@ -77,6 +77,7 @@ def kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "common/cpu/pocl.clh").write_text(declared.read_text("utf-8"))
     for builtins in (program_module.BUILTINS, program_module.CPU_BUILTINS):
         (tmp_path / builtins).write_text("")
+    (tmp_path / "common/distortion.clh").write_text("")
     (tmp_path / "common/geometry.clh").write_text(HEADER)
     (tmp_path / "work.cl").write_text(WORK)
     monkeypatch.setattr(program_module, "folder", lambda name: tmp_path)

@@ -87,7 +87,7 @@ def test_spots_are_where_opencv_has_them(real: Any) -> None:
 
 
 def test_flow_follows_opencv() -> None:
-    """What a wall shows in a pixel goes where OpenCV projects the moved point."""
+    """A point of a wall goes where OpenCV projects it after the move."""
     wall = {"shape": "plane", "distance": 300.0, "motion": {"velocity": [50.0, -20.0, 100.0]}}
     frame = clsco.render_frame(
         scene(wall, lens=D, sequence=EXPOSED | {"frames": 2, "samples": 1}), truth=("flow", "depth")
