@@ -9,6 +9,8 @@ from typing import Any, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.constants import START
+
 Real = Literal["double", "float"]
 Struct = np.void
 MOST_RIMS = 4  # before and behind a lens
@@ -23,8 +25,8 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     grid_t: rows, columns of the frame, or of a strip of it (`clsco.frame.strips`); frame_rows: of the frame; top:
     first row of the strip; guard: columns, above: rows of the grid before its own; width, height of the grid; step:
     slope between neighboring rays on the axis, rest_step: in the reference pose; radial, tangential, reach: see
-    `clsco.optics.distortion.Distortion`, newton: steps to its inverse. lens_t: see `clsco.optics.lens.Lens`. surface_t:
-    see `clsco.optics.quadrics.PlacedSurface`; texture: its number in the stack. texture_map_t: see
+    `clsco.optics.distortion.Distortion`, start, newton: first guess of its inverse, and steps to it. lens_t: see
+    `clsco.optics.lens.Lens`. surface_t: see `clsco.optics.quadrics.PlacedSurface`; texture: its number in the stack. texture_map_t: see
     `clsco.optics.texture_mapping.TextureMap`. light_t: see `clsco.optics.light.PlacedLight`. pose_t: see
     `clsco.optics.motion.Pose`; step: slope between neighboring rays then. exposure_t: see
     `clsco.optics.still.Exposed`; still: 1 where still sources are made, and 0 where the others are, in the window.
@@ -38,7 +40,10 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     grid: list[Any] = [
         (name, i) for name in ("rows", "columns", "frame_rows", "top", "guard", "above", "width", "height")
     ]
-    grid += [("newton", i), *_reals(real, step=(), rest_step=(), radial=three, tangential=two, reach=())]
+    grid += [
+        ("newton", i),
+        *_reals(real, step=(), rest_step=(), radial=three, tangential=two, reach=(), start=(START,)),
+    ]
     lens = _reals(real, blur_scale=(), focus_power=(), radius=(), detector_power=(), sag=())
     surface = _reals(real, turn=nine, body_turn=nine, own_turn=nine, offset=three, body_offset=three, own_offset=three)
     surface += _reals(real, rest=three, q=three, l=three)

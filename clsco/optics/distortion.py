@@ -9,6 +9,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clsco.constants import START
 from clsco.scene.lens import Lens
 from clsco.scene.model import Camera
 
@@ -16,6 +17,8 @@ Array = NDArray[np.float64]
 LEAST_STRETCH = 0.05  # of the image along any direction: beyond where it falls below, it is about to fold back
 MOST_STEPS = 30  # of Newton's method
 CLOSE = 1e-14  # slope: by which the last step may change a place
+NEARLY = 1e-7  # slope: a step after one of this size changes a place by its square
+NODES = 64  # places that the start is fitted at
 
 
 @dataclass(frozen=True)
@@ -118,17 +121,29 @@ class Distortion:
         across, up = self._polynomial(x, y)
         return self.solved(x, y, there_x - across, there_y - up)
 
+    def start(self, radius: float) -> Array:
+        """Coefficients (START,) of the polynomial of r_d^2 that undistorted slopes are times distorted ones, without
+        the tangential part, nearly, up to distorted slopes of `radius`: of the start of Newton's method on devices."""
+        squared = (radius * np.sin(0.25 * np.pi * (2.0 * np.arange(NODES) + 1.0) / NODES)) ** 2
+        there = np.sqrt(squared)
+        scale = type(self)(self.radial).undistorted(there, np.zeros(NODES))[0] / there
+        fitted = np.polynomial.Chebyshev.fit(squared, scale, START - 1, domain=[0.0, radius**2])
+        return np.asarray(fitted.convert(domain=[-1.0, 1.0], kind=np.polynomial.Polynomial).coef)
+
     def steps_to(self, radius: float) -> int:
-        """Steps of Newton's method from distorted slopes of up to `radius`, within `image_reach`, to CLOSE."""
+        """Steps of Newton's method from `start` to CLOSE, for distorted slopes of up to `radius`."""
         angle = np.linspace(0.0, 2.0 * np.pi, 65 if any(self.tangential) else 2)
         there = np.linspace(0.0, radius, 65)[:, None]
         there_x, there_y = there * np.cos(angle), there * np.sin(angle)
-        x, y = there_x, there_y
+        scale = np.polynomial.polynomial.polyval(there_x**2 + there_y**2, self.start(radius))
+        x, y = there_x * scale, there_y * scale
+        bent_x, bent_y = type(self)((0.0, 0.0, 0.0), self.tangential)._polynomial(x, y)
+        x, y = x - (bent_x - x), y - (bent_y - y)
         for count in range(1, MOST_STEPS):
             step_x, step_y = self._step(x, y, there_x, there_y)
             x, y = x + step_x, y + step_y
-            if max(np.abs(step_x).max(), np.abs(step_y).max()) <= 1e-7:  # the next one squares it
-                return count + 1
+            if max(np.abs(step_x).max(), np.abs(step_y).max()) <= NEARLY:
+                return count
         return MOST_STEPS
 
     def jacobian(self, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array, Array]:

@@ -69,7 +69,7 @@ def camera_grid(
     grid = grid_struct(rows, columns, guard, real, strip, ray_step(camera), ray_step(reference or camera))
     if (distortion := distortion_of(camera)) is not None:
         grid["radial"], grid["tangential"], grid["reach"] = distortion.radial, distortion.tangential, distortion.reach
-        grid["newton"] = _grid_steps(grid, distortion)
+        _set_start(grid, distortion)
     return grid
 
 
@@ -78,19 +78,19 @@ def towards(grid: Struct, camera: Camera) -> Struct:
     grid = grid.copy()
     grid["step"] = ray_step(camera)
     if (distortion := distortion_of(camera)) is not None:
-        grid["newton"] = _grid_steps(grid, distortion)
+        _set_start(grid, distortion)
     return grid
 
 
-def _grid_steps(grid: Struct, distortion: Distortion) -> int:
-    """Steps of Newton's method that all rays of a grid, and of its reference pose, need at most."""
+def _set_start(grid: Struct, distortion: Distortion) -> None:
+    """Set where Newton's method begins, and how many steps rays of a grid and of its reference pose need at most."""
     corner = float(np.hypot(0.5 * grid["columns"], 0.5 * grid["frame_rows"]) + np.sqrt(2.0) * grid["guard"])
-    return _newton_steps(distortion, corner * float(max(grid["step"], grid["rest_step"])))
+    grid["start"], grid["newton"] = _start_of(distortion, corner * float(max(grid["step"], grid["rest_step"])))
 
 
 @lru_cache(maxsize=64)
-def _newton_steps(distortion: Distortion, radius: float) -> int:
-    return distortion.steps_to(radius)
+def _start_of(distortion: Distortion, radius: float) -> tuple[NDArray[np.float64], int]:
+    return distortion.start(radius), distortion.steps_to(radius)
 
 
 def lens_struct(lens: Lens, real: Real) -> Struct:

@@ -80,6 +80,7 @@ LONG |= {"background"}  # see tests/pipeline/test_background.py
 LONG |= {"night"}  # see tests/pipeline/test_sensor.py
 LONG |= {"focus_pull", "hand_held"}  # see tests/pipeline/test_lens_path.py and test_keyframes.py
 LONG |= {"dolly_zoom"}  # see tests/pipeline/test_zoom.py
+LONG |= {"wide_angle"}  # see tests/pipeline/test_distortion.py
 LONG |= {"disc"}  # see tests/pipeline/test_rotated.py
 LONG |= {"lens_fast_prime", "lens_coded_aperture", "lens_heart"}  # see tests/pipeline/test_apertures.py
 LONG |= {"lit"}  # see tests/pipeline/test_surface_textures.py and test_light.py
