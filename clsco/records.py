@@ -26,9 +26,9 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     first row of the strip; guard: columns, above: rows of the grid before its own; width, height of the grid; step:
     slope between neighboring rays on the axis, rest_step: in the reference pose; radial, tangential, reach: see
     `clsco.optics.distortion.Distortion`, start, newton: first guess of its inverse, and steps to it. lens_t: see
-    `clsco.optics.lens.Lens`. surface_t: see `clsco.optics.quadrics.PlacedSurface`; texture: its number in the stack. texture_map_t: see
-    `clsco.optics.texture_mapping.TextureMap`. light_t: see `clsco.optics.light.PlacedLight`. pose_t: see
-    `clsco.optics.motion.Pose`; step: slope between neighboring rays then. exposure_t: see
+    `clsco.optics.lens.Lens`. surface_t: see `clsco.optics.quadrics.PlacedSurface`; texture: its number in the stack.
+    texture_map_t: see `clsco.optics.texture_mapping.TextureMap`. light_t: see `clsco.optics.light.PlacedLight`. pose_t:
+    see `clsco.optics.motion.Pose`; step: slope between neighboring rays then. exposure_t: see
     `clsco.optics.still.Exposed`; still: 1 where still sources are made, and 0 where the others are, in the window.
     group_t: see `clsco.optics.visibility.OcclusionGroup`; count: of all objects.
     psf_t:
