@@ -21,7 +21,6 @@ MOVING_MARGIN = 4  # px around what moves, within which sources are not still
 CURVED_FIELD = 1
 CURVED_SPHERE = 2
 CURVED_IMAGE = 4
-START = 7  # coefficients of the first guess of undistorted slopes (kernels/common/distortion.clh)
 
 # Coordinates of a surface that a texture lies on (clsco/optics/texture_mapping.py, kernels/trace/mapping.clh), and what
 # is beyond an image.

@@ -9,11 +9,10 @@ from typing import Any, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.constants import START
-
 Real = Literal["double", "float"]
 Struct = np.void
 MOST_RIMS = 4  # before and behind a lens
+START = 7  # coefficients of the first guess of undistorted slopes
 REAL: dict[Real, np.dtype[Any]] = {"double": np.dtype("f8"), "float": np.dtype("f4")}
 REAL_BYTES = 8  # planned for a number on the device, in either precision
 

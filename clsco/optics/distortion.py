@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clsco.constants import START
+from clsco.records import START
 from clsco.scene.lens import Lens
 from clsco.scene.model import Camera
 
