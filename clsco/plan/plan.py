@@ -54,7 +54,7 @@ from clsco.plan.request import Request
 from clsco.plan.sensor import sensor_pass
 from clsco.plan.vignetting import vignetting_pass
 from clsco.plan.waves import check_waves
-from clsco.plan.words import of_blur, of_distortion, of_frame, of_rays, shapes_of
+from clsco.plan.words import of_blur, of_frame, of_pixels, of_rays, shapes_of
 from clsco.scene.model import Scene
 
 Array = NDArray[np.float64]
@@ -457,13 +457,11 @@ def _moving_passes(plan: Plan) -> Iterator[Pass]:
 def _image_passes(plan: Plan) -> Iterator[Pass]:
     """The passes of the image of a time sample up to its blurred plane, after those of a forward warp."""
     spec, grid, light, choices = plan.spec, plan.grid, light_of(plan.spec), plan.choices
+    about = plan.scene, choices, plan.colors, plan.alpha
     if plan.static_map:
-        shown = (("pixels", "as the depth map and its image have them"), *of_distortion(plan.scene))
-        shown += of_frame(choices, plan.colors, plan.alpha)
-        yield Pass("static image", shown, map_buffers(grid), gives=(light, "counts"))
+        yield Pass("static image", of_pixels(*about), map_buffers(grid), gives=(light, "counts"))
     elif not plan.forward and spec.layered:
-        rays = of_rays(plan.scene, choices, plan.colors, plan.alpha)
-        yield Pass("pinhole", rays, map_buffers(grid) | _of_scene(plan), gives=(light,))
+        yield Pass("pinhole", of_rays(*about), map_buffers(grid) | _of_scene(plan), gives=(light,))
     if plan.forward or plan.static_map or spec.layered:
         yield from blur_passes(spec, grid, plan.device, of_blur(spec, choices, len(plan.groups)))
     else:

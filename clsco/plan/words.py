@@ -31,6 +31,12 @@ def of_rays(scene: Scene, choices: Choices, colors: int, alpha: bool) -> Paramet
     return (first, *of_distortion(scene), *moved, *of_frame(choices, colors, alpha))
 
 
+def of_pixels(scene: Scene, choices: Choices, colors: int, alpha: bool) -> Parameters:
+    """Words of a depth map and its image that are taken as they are; arguments as for `of_rays`."""
+    first = ("pixels", "as the depth map and its image have them")
+    return (first, *of_distortion(scene), *of_frame(choices, colors, alpha))
+
+
 def of_distortion(scene: Scene) -> Parameters:
     """Words of a distorted image, none without one: how far discs are from the ellipses that they stand for."""
     camera = reference_camera(scene)

@@ -22,7 +22,7 @@ static bool is_alike(const grid_t grid, const lens_t lens, __global const real *
             const int at = middle + i * grid.width + j, mark = as_int(MARKS(source, plane)[at]);
             if (source[at] < 0 || (mark != WHOLE && mark != PARTLY_OCCLUDED) || label[at] != label[middle])
                 return false;
-            const real own = blur_radius(lens, pixel_ray(grid, FRAME_ROW(grid, y + i), x + j - grid.guard), depth[at]);
+            const real own = grid_radius(grid, lens, at, depth[at]);
             if (!(ABS(own - radius) <= MERGED_CHANGE * ABS(radius)))
                 return false;
         }
@@ -44,7 +44,7 @@ __kernel void merge(const grid_t grid, const lens_t lens, const psf_t psf, __glo
     __global float *marks = MARKS(source, plane);
     if (as_int(marks[middle]) != PARTLY_OCCLUDED)
         return;
-    const real radius = blur_radius(lens, pixel_ray(grid, FRAME_ROW(grid, y), x - grid.guard), depth[middle]);
+    const real radius = grid_radius(grid, lens, middle, depth[middle]);
     if (!(ABS(radius) >= least) || !is_alike(grid, lens, depth, label, source, x, y, radius))
         return;
     for (int i = -REACH; i <= REACH; ++i)
