@@ -259,7 +259,8 @@ class Preview:
         while self._state == state and (left := end - time.monotonic()) > 0:
             self._news.clear()
             try:
-                await asyncio.wait_for(self._news.wait(), left)
+                async with asyncio.timeout(left):
+                    await self._news.wait()
             except TimeoutError:
                 break
         return self._state != state

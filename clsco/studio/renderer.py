@@ -207,7 +207,8 @@ class RendererProcess:
     async def _answer(self, number: int, watch: Watch | None) -> Any:
         """The next answer to a job: a ClscoError or None at its end. Raises TimeoutError and EOFError."""
         while True:
-            of, answer = await asyncio.wait_for(self._answers.get(), SILENCE)
+            async with asyncio.timeout(SILENCE):  # wait_for loses a cancellation that comes with the answer
+                of, answer = await self._answers.get()
             if of < 0:
                 raise EOFError
             if of != number:

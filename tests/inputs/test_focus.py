@@ -34,7 +34,8 @@ COARSE = "(the pixel pitch is 4.5 mm: one of 4.5 um is 0.0045)"
 def test_a_line_says_what_the_lens_does(depths: list[list[float]], camera: Camera, line: str) -> None:
     w = 1.0 / np.array(depths)
     w[w == 1e-13] = 1e-12  # as what is infinitely far has it
-    assert lens_line(Scene(camera=camera, objects=(Plane(),)), w) == line
+    scene = Scene(camera=camera, objects=(Plane(),)).replace("camera.resolution", w.shape[::-1])
+    assert lens_line(scene, w) == line
 
 
 def focus_of(scene: Scene, on: tuple[int, int] | float) -> float | None:
