@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pydantic import BaseModel
 
 from clsco import SceneError, parse_scene
 from clsco.scene.schema import scene_schema
@@ -325,7 +326,8 @@ def test_defaults_in_force_are_those_of_the_schema(session: Document) -> None:
     for section in ("psf", "sequence", "motion", "fill"):
         for key, entry in definitions[section.capitalize()]["properties"].items():
             if "default" in entry:
-                assert session.known(f"{section}.{key}") == entry["default"]
+                known = session.known(f"{section}.{key}")
+                assert (known.model_dump() if isinstance(known, BaseModel) else known) == entry["default"]
 
 
 def test_each_scene_of_a_sweep_can_be_shown(tmp_path: Path) -> None:
