@@ -118,12 +118,17 @@ def headers(files: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def asked_for(files: tuple[str, ...]) -> set[str]:
-    """Features by which the preprocessor chooses in files and their headers."""
+    """Features by which the preprocessor chooses in files and their headers, also by a name for several of them."""
     found: set[str] = set()
+    joined: dict[str, str] = {}
     for name in (*headers(files), *files):
-        for condition in re.findall(r"^#\s*(?:el)?if\s+(.*)", (KERNELS / name).read_text("utf-8"), re.MULTILINE):
+        text = (KERNELS / name).read_text("utf-8")
+        joined |= dict(re.findall(r"^#define (\w+) (\(.*&&.*\))$", text, re.MULTILINE))
+        for condition in re.findall(r"^#\s*(?:el)?if\s+(.*)", text, re.MULTILINE):
             found |= set(re.findall(r"\b[A-Za-z_]\w*", condition.split("//")[0]))
-    return found - GIVEN_BY_THE_BUILD
+    for name in found & joined.keys():
+        found |= set(re.findall(r"\b[A-Za-z_]\w*", joined[name]))
+    return found - joined.keys() - GIVEN_BY_THE_BUILD
 
 
 def variants(features: dict[str, tuple[int, ...]]) -> list[dict[str, int]]:
