@@ -58,10 +58,6 @@ def warm_cache(device: str | None, processes: int | None = None) -> Warmed:
         As for `clsco.render`.
     processes : int, optional
 
-    Returns
-    -------
-    Warmed
-
     Raises
     ------
     DeviceError

@@ -25,19 +25,8 @@ _HUB_FORMATS = ("webdataset", "parquet")
 def split_files(storage: Storage) -> dict[str, list[tuple[str, int]]]:
     """Files of each split with the number of samples in them, by the parts of the manifest.
 
-    Parameters
-    ----------
-    storage : Storage
-
-    Returns
-    -------
-    dict
-        Split to files, in the order of the shards; "" of a set without splits.
-
-    Raises
-    ------
-    ImageError
-        A part is damaged.
+    Returns: split to files, in the order of the shards; "" of a set without splits. Raises ImageError: a part is
+    damaged.
     """
     found: dict[str, list[tuple[str, int]]] = {}
     for _, data in ManifestParts(storage).read():
@@ -160,10 +149,6 @@ def readme(card: Mapping[str, Any]) -> str:
     ----------
     card : mapping
         The whole card.
-
-    Returns
-    -------
-    str
     """
     identity, counts = card["identity"], card["counts"]
     lines = [

@@ -74,14 +74,7 @@ class VariedKeys:
 
 
 class Reader:
-    """Makes the parts of a distribution from its tables, and lists all faults.
-
-    Parameters
-    ----------
-    tables : RowTables
-    folder : Folder
-    splits : Splits
-    """
+    """Makes the parts of a distribution from its tables, and lists all faults."""
 
     def __init__(self, tables: RowTables, folder: Folder, splits: Splits) -> None:
         self.faults: list[str] = []

@@ -244,10 +244,6 @@ def load_distribution(
     folder : Path, optional
         Start of the paths of a mapping; by default the current folder.
 
-    Returns
-    -------
-    Distribution
-
     Raises
     ------
     SceneError

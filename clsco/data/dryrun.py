@@ -130,10 +130,6 @@ def dry_run(
     sheet_path : Path, optional
         PNG file with pictures of 16 samples; it is not written where there is no device.
 
-    Returns
-    -------
-    DryRun
-
     Raises
     ------
     SceneError

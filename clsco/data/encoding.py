@@ -137,10 +137,6 @@ def meta_bytes(record: Record, flat: bool = False) -> bytes:
     flat : bool
         Nested tables are text, again JSON: `datasets` needs one type for each key, and scenes differ in theirs.
 
-    Returns
-    -------
-    bytes
-
     Raises
     ------
     ImageError
@@ -165,10 +161,6 @@ def parsed_meta(path: Path, content: bytes | str) -> dict[str, Any]:
     path : Path
         For messages.
     content : bytes or str
-
-    Returns
-    -------
-    dict
 
     Raises
     ------

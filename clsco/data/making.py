@@ -276,10 +276,6 @@ def workers_of(names: Sequence[str] = (), count: int | None = None) -> Workers:
     count : int, optional
         Number of processes.
 
-    Returns
-    -------
-    Workers
-
     Raises
     ------
     DeviceError

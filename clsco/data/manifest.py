@@ -202,12 +202,7 @@ def numbers_of(shard: int, samples: range, size: int) -> range:
 
 
 class ManifestParts:
-    """The parts of a set in a storage, and which of its shards are done.
-
-    Parameters
-    ----------
-    storage : Storage
-    """
+    """The parts of a set in a storage, and which of its shards are done."""
 
     def __init__(self, storage: Storage) -> None:
         self.storage = storage

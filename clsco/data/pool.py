@@ -62,10 +62,6 @@ def places(devices: Sequence[tuple[DeviceName, bool]], workers: int | None) -> l
         Each with whether it is a processor.
     workers : int, optional
         Processes in all, which take the devices in turn.
-
-    Returns
-    -------
-    list of Place
     """
     cores = processors()
     if workers is None:

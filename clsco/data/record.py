@@ -181,10 +181,6 @@ def array_sha256(array: NDArray[Any]) -> str:
     Parameters
     ----------
     array : ndarray of numbers or bool, any shape
-
-    Returns
-    -------
-    str
     """
     plain = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
     digest = hashlib.sha256(f"{array.dtype.name} {','.join(map(str, array.shape))}\n".encode())
@@ -205,10 +201,6 @@ def parse_stored(text: str) -> dict[str, str]:
     text : str
         Such as "color=float32,depth=float16", or "all=float16". Images can be codes, uint8 or uint16 (default), or
         linear floats; what else is in floats can be float32 (default) or float16.
-
-    Returns
-    -------
-    dict
 
     Raises
     ------
@@ -239,10 +231,6 @@ def make_record(
         Names in files. What a frame does not have is left out, such as `uv` where no texture lies on a surface.
     stored : mapping, optional
         Types as `parse_stored` gives them.
-
-    Returns
-    -------
-    Record
 
     Raises
     ------

@@ -113,10 +113,6 @@ def scripted(function: DrawScene, splits: SplitsLike = None, folder: Path | None
     folder : Path, optional
         Start of the paths of textures; by default the current folder.
 
-    Returns
-    -------
-    ScriptedDistribution
-
     Raises
     ------
     SceneError

@@ -200,10 +200,6 @@ def status_of(
         Shards that are looked at; by default all.
     merged : Merged, optional
         Takes the lines of those that are done.
-
-    Returns
-    -------
-    Status
     """
     faults: list[str] = []
     done = there.done(there.shards if shards is None else shards, hashes, faults, merged)

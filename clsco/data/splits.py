@@ -30,10 +30,6 @@ def splits_of(given: SplitsLike) -> Splits:
     given : str, mapping, sequence of pairs or None
         Names and shares, such as "train=0.9,val=0.05,test=0.05"; None or "": no splits.
 
-    Returns
-    -------
-    tuple of (str, float)
-
     Raises
     ------
     SceneError

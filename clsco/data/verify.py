@@ -132,10 +132,6 @@ def flow_error(scene: Scene, frame: Frame, depth: NDArray[np.float32], flow: NDA
     depth : ndarray of float32 (rows, columns), mm
         Depth of each surface point; the scene's motion takes it to the middle of the next frame's shutter.
     flow : ndarray of float32 (rows, columns, 2), px
-
-    Returns
-    -------
-    float
     """
     assert frame.object_id is not None
     rows, columns = depth.shape

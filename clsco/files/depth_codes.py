@@ -35,10 +35,6 @@ def dpt_bytes(depth: NDArray[np.floating], where: str = "depth") -> bytes:
     where : str
         Place or name that messages begin with.
 
-    Returns
-    -------
-    bytes
-
     Raises
     ------
     ImageError
@@ -138,10 +134,6 @@ def pfm_bytes(array: NDArray[np.floating], where: str = "array") -> bytes:
         takes +inf for unknown.
     where : str
         Place or name that messages begin with.
-
-    Returns
-    -------
-    bytes
 
     Raises
     ------

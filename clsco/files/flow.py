@@ -38,10 +38,6 @@ def flo_bytes(flow: NDArray[np.floating], valid: NDArray[np.bool_] | None = None
     where : str
         Place or name that messages begin with.
 
-    Returns
-    -------
-    bytes
-
     Raises
     ------
     ImageError
@@ -62,10 +58,6 @@ def flo_bytes(flow: NDArray[np.floating], valid: NDArray[np.bool_] | None = None
 
 def read_flo(path: str | os.PathLike[str]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Read a .flo file.
-
-    Parameters
-    ----------
-    path : path
 
     Returns
     -------

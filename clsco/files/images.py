@@ -68,10 +68,6 @@ def read_image(
     layer : str, optional
         Layer of an EXR with several, as for `clsco.files.layers.image_channels`.
 
-    Returns
-    -------
-    Picture
-
     Raises
     ------
     ImageError
@@ -96,15 +92,7 @@ def read_image(
 def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
     """Size of an image from its header alone.
 
-    Returns
-    -------
-    (columns, rows)
-        As `read_image` would give them.
-
-    Raises
-    ------
-    ImageError
-        For what the header shows.
+    Returns: as `read_image` would give them. Raises ImageError for what the header shows.
     """
     with opened(path) as (file, kind):
         return checked_size(file, kind)
@@ -334,10 +322,7 @@ def write_json(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None
 def write_exr_image(path: str | os.PathLike[str], image: NDArray[np.floating]) -> None:
     """Write an image (rows, columns[, 3]) as the channels R G B; gray fills all three, which every reader shows.
 
-    Raises
-    ------
-    ImageError
-        As `write_exr`.
+    Raises ImageError: as `write_exr`.
     """
     write_exr(path, {name: image if image.ndim == 2 else image[..., n] for n, name in enumerate("RGB")})
 

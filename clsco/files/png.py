@@ -67,10 +67,6 @@ def png_size(file: BinaryIO) -> tuple[int, int]:
 def checked_png(file: BinaryIO) -> tuple[bytes, int, int, bytes | None]:
     """Check a PNG from its first byte to its last pixel, as far as possible without decoding.
 
-    Parameters
-    ----------
-    file : BinaryIO
-
     Returns
     -------
     (bytes, int, int, bytes or None)

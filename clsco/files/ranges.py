@@ -18,10 +18,6 @@ def first_of(values: NDArray[Any], wrong: NDArray[np.bool_]) -> str:
     values : ndarray, (rows, columns[, ...])
     wrong : ndarray of bool, (rows, columns) or of the shape of `values`
         At least one of them. Where it has no channels, all channels of the pixel are shown.
-
-    Returns
-    -------
-    str
     """
     first = tuple(int(index) for index in np.unravel_index(int(wrong.argmax()), wrong.shape))
     shown = ", ".join(f"{value:.6g}" for value in np.ravel(values[first]))

@@ -100,10 +100,6 @@ def sensor_truth(
     light : ndarray (rows, columns[, 3]), optional
         Light of the exposure, for `electrons` and `noise_sigma`.
     sensor_model : SensorModel
-
-    Returns
-    -------
-    dict
     """
     found: dict[str, NDArray[Any]] = {}
     if "raw" in names:

@@ -235,10 +235,6 @@ def frame_files(
         Time samples whose images are files, too.
     held : collection of str
         Arrays that the frame has, as they are called in files; without "color" it has no PNG.
-
-    Returns
-    -------
-    set of str
     """
     eyes = ("left", "right") if stereo else ("",)
     pictured = eyes if "color" in held else ()

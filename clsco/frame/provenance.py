@@ -64,19 +64,7 @@ def _unit(parts: Iterable[Any]) -> str:
 def file_digests(scenes: Iterable[Scene]) -> dict[str, str]:
     """SHA-256 of all texture and depth files of scenes.
 
-    Parameters
-    ----------
-    scenes : iterable of Scene
-
-    Returns
-    -------
-    dict
-        Path to digest in hexadecimal.
-
-    Raises
-    ------
-    ImageError
-        A file cannot be read.
+    Returns: path to digest in hexadecimal. Raises ImageError: a file cannot be read.
     """
     paths = [path for scene in scenes for _, item in scene.inputs for path in item.files().values()]
     return {path: _digest(path) for path in dict.fromkeys(paths)}
@@ -104,10 +92,6 @@ def scene_sha256(scene: Scene, digests: Mapping[str, str] | None = None) -> str:
         With its resolution.
     digests : mapping, optional
         Digests of `file_digests`, where they are known.
-
-    Returns
-    -------
-    str
 
     Raises
     ------

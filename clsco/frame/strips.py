@@ -53,10 +53,6 @@ def cut(rows: int, tallest: int, guard: int, reach: int, step: int = 1) -> tuple
         Distance in rows at which a source may still contribute to a pixel.
     step : int
         Grids begin at multiples of this many rows.
-
-    Returns
-    -------
-    tuple of Strip
     """
     tops = range(0, rows, tallest)
     return tuple(part(rows, top, min(top + tallest, rows), guard, reach, step) for top in tops)

@@ -148,10 +148,6 @@ def parse_types(text: str, known: Mapping[str, Sequence[str]]) -> dict[str, str]
     known : mapping of str to sequence of str
         Types that each array can have.
 
-    Returns
-    -------
-    dict
-
     Raises
     ------
     SceneError
@@ -237,10 +233,6 @@ def parse_truth(text: str, formats: Mapping[str, TruthFormat]) -> tuple[TruthFil
         Such as "npz,flo", "npz:depth,coc,exr" or "npz+float16+compressed:depth".
     formats : mapping of str to TruthFormat
         Known formats.
-
-    Returns
-    -------
-    tuple of TruthFile
 
     Raises
     ------

@@ -120,10 +120,6 @@ def written_frames(folder: Path, only: range | None = None) -> WrittenFrames:
     only : range, optional
         Numbers of the frames that count; by default all that are there.
 
-    Returns
-    -------
-    WrittenFrames
-
     Raises
     ------
     SceneError

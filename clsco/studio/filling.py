@@ -38,10 +38,7 @@ class FillingProcess:
     ) -> tuple[NDArray[Any], dict[str, Any]] | None:
         """Fill an image; returns it with the figures of its report, or None where `cancel` ended it.
 
-        Raises
-        ------
-        ClscoError
-            As `clsco.inpaint`; the process ended by itself; another image is being filled.
+        Raises ClscoError: as `clsco.inpaint`; the process ended by itself; another image is being filled.
         """
         if not self._working.acquire(blocking=False):
             raise ImageError(f"{method}: must wait for what is being filled")

@@ -66,10 +66,6 @@ def generate(session: Document, jobs: Jobs, folder: str, wanted: Wanted = Wanted
         For the frames, and the scene file that they are made of; below the root.
     wanted : Wanted
 
-    Returns
-    -------
-    CommandJob
-
     Raises
     ------
     ClscoError
@@ -89,10 +85,8 @@ def focal_stack(
 def stack_scenes(session: Document, nearest: float, farthest: float, steps: int) -> tuple[Scene, ...]:
     """The scenes of a focal stack that is looked at, as `focal_stack` writes it.
 
-    Raises
-    ------
-    SceneError
-        The distances cannot be, there are more than MOST_LOOKED_AT, or the scene has several values of another key.
+    Raises SceneError: the distances cannot be, there are more than MOST_LOOKED_AT, or the scene has several values of
+    another key.
     """
     if not 2 <= steps <= MOST_LOOKED_AT:
         raise SceneError(f"focal stack: must have 2 to {MOST_LOOKED_AT} steps to be looked at; got {steps}")
@@ -134,10 +128,6 @@ def data_set(
     form : str
         As for `clsco dataset make --format`.
     device : str
-
-    Returns
-    -------
-    CommandJob
 
     Raises
     ------

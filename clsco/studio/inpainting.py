@@ -112,10 +112,7 @@ class Inpainting:
     def paint(self, columns: int, rows: int, runs: Sequence[int]) -> None:
         """Take a mask as runs, row after row: known pixels, missing ones, known ones, and so on.
 
-        Raises
-        ------
-        ImageError
-            It is not of the size of the image, or the runs do not make it up.
+        Raises ImageError: it is not of the size of the image, or the runs do not make it up.
         """
         if (rows, columns) != self.mask.shape:
             got = f"{columns} x {rows}"
@@ -186,15 +183,8 @@ class Inpainting:
     def fill(self, method: str) -> FilledImage | None:
         """Fill the missing pixels, and keep the result beside those of other methods.
 
-        Returns
-        -------
-        Filled or None
-            None where it was canceled.
-
-        Raises
-        ------
-        ClscoError
-            As `clsco.inpaint`; nothing is missing; the process of the method ended.
+        Returns: none where it was canceled. Raises ClscoError: as `clsco.inpaint`; nothing is missing; the process of
+        the method ended.
         """
         self._require(method)
         mask = self.mask

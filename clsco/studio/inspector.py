@@ -83,10 +83,7 @@ def inspected(frame: Frame, scene: Scene, x: int, y: int, is_tilted: bool = Fals
 def source_of(frame: Frame, scene: Scene, x: int, y: int) -> tuple[int, int, int] | str:
     """Find the source, in the reference pose, of the point that a pixel shows in the middle of the exposure.
 
-    Returns
-    -------
-    (int, int, int) or str
-        Column, row and object, as `clsco.response` takes them; or why there is no such source.
+    Returns: column, row and object, as `clsco.response` takes them; or why there is no such source.
     """
     if scene.stereo is not None:
         return "not of a stereo pair"
@@ -211,11 +208,8 @@ def figures_of(spread: NDArray[np.floating], column: int, row: int) -> dict[str,
 def lens_figures(scene: Scene, depth: float | None, slopes: tuple[float, float] = (0.0, 0.0)) -> dict[str, Any]:
     """Distances in mm that the diagram of the lens shows, on its axis; slopes: of the ray to the point.
 
-    Returns
-    -------
-    dict
-        `focus`, `near` and `far`: in focus, and where |R| is SHARP; `focal_length`, `sensor`, `aperture`; `depth` and
-        `image` of the point, and its `radius`, px. None: infinite.
+    Returns: `focus`, `near` and `far`: in focus, and where |R| is SHARP; `focal_length`, `sensor`, `aperture`; `depth`
+    and `image` of the point, and its `radius`, px. None: infinite.
     """
     camera = reference_camera(scene)
     lens = Lens.of(camera, scene.lens)

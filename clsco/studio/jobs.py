@@ -144,10 +144,7 @@ class Jobs:
     def add(self, title: str, arguments: Sequence[str], folder: str, pattern: str, total: int) -> CommandJob:
         """Begin a command, or have it wait for those before.
 
-        Raises
-        ------
-        ClscoError
-            The folder is not below the root, or another command that is not done writes to it.
+        Raises ClscoError: the folder is not below the root, or another command that is not done writes to it.
         """
         self.require_free(folder)
         number = 1 + max((job.number for job in self._jobs), default=0)

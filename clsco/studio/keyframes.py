@@ -98,10 +98,7 @@ def add_keyframe(session: Document, path: str, time: float) -> None:
 def remove_keyframe(session: Document, path: str, index: int) -> None:
     """Remove a keyframe, as one step of undo. With the last one all keys that only keyframes have are gone.
 
-    Raises
-    ------
-    SceneError
-        There is no such keyframe, or the others cannot be without it.
+    Raises SceneError: there is no such keyframe, or the others cannot be without it.
     """
     _known(session, path)
     keys = list(at(session.table, path.split(".")) or [])

@@ -91,10 +91,6 @@ def grip(session: Document, index: int, object_id: int, depth: float, eye: Eye =
     eye : {"left", "right"}
         View of a stereo pair.
 
-    Returns
-    -------
-    Grip
-
     Raises
     ------
     SceneError

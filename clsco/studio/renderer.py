@@ -149,11 +149,8 @@ class RendererProcess:
     async def inspect(self, question: Question, watch: Watch | None = None) -> dict[str, Any]:
         """Ask for the figures of a pixel. `watch` and errors are as for `pictures`.
 
-        Returns
-        -------
-        dict
-            Figures of `clsco.studio.inspector.inspected`, and `seconds` that measuring takes; or where the question
-            measures `x`, `y`, and `response`, what `clsco.studio.inspector.figures_of` gives of the response.
+        Returns: figures of `clsco.studio.inspector.inspected`, and `seconds` that measuring takes; or where the
+        question measures `x`, `y`, and `response`, what `clsco.studio.inspector.figures_of` gives of the response.
         """
         async with aclosing(self._ask("inspect", question, watch)) as answers:
             return await anext(answers)

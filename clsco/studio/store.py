@@ -58,10 +58,6 @@ def scene_text(table: Mapping[str, Any], path: Path, old: Path | None) -> str:
     old : Path or None
         The file that the scene was in, whose comments, order and keys at their defaults stay, as far as the scene has
         them.
-
-    Returns
-    -------
-    str
     """
     if path.suffix.lower() == ".json":
         return json.dumps(_kept(sparse(table), table, _content(old)), indent=2, ensure_ascii=False) + "\n"

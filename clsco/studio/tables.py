@@ -106,10 +106,6 @@ def reshaped(item: Table, shape: Any, kept: Mapping[str, Table]) -> tuple[Table,
         The new shape; any other value is left for the rules of scenes to refuse.
     kept : mapping
         Keys of the shapes that the object has had, by shape.
-
-    Returns
-    -------
-    (dict, dict)
     """
     own = {key: value for key, value in item.items() if key not in _ALIKE}
     alike = {key: value for key, value in item.items() if key in _ALIKE}

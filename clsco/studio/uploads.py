@@ -19,17 +19,8 @@ KINDS = ("png", "jpg", "jpeg", "tif", "tiff", "exr", "pfm", "npy")
 def keep_image(root: Path, content: bytes, kind: str) -> str:
     """Write an image that came from the browser below the root, decoded once, under a name made of its content.
 
-    Returns
-    -------
-    str
-        Its path relative to the root.
-
-    Raises
-    ------
-    ImageError
-        For everything that `clsco.files.images.read_image` refuses, and where it cannot be written.
-    SceneError
-        A link would have it written outside of the root.
+    Returns: its path relative to the root. Raises ImageError for everything that `clsco.files.images.read_image`
+    refuses, and where it cannot be written; SceneError: a link would have it written outside of the root.
     """
     if kind not in KINDS:
         raise ImageError(f"image: must be one of {', '.join(KINDS)}; got {kind[:20]!r}")

@@ -34,12 +34,7 @@ CONTAINERS = {
 def container_named(name: str) -> Container:
     """The container of a name, which can be used.
 
-    Raises
-    ------
-    SceneError
-        There is none of this name.
-    ImageError
-        The extra that it needs is not installed.
+    Raises SceneError: there is none of this name; ImageError: the extra that it needs is not installed.
     """
     if name not in CONTAINERS:
         raise SceneError(f"format: must be one of {', '.join(CONTAINERS)}; got {name}")

@@ -44,10 +44,6 @@ class ShardReader(ABC):
         wanted : collection of str, optional
             Names of arrays, whole ones or what they hold; nothing else is read where the format has it apart.
 
-        Returns
-        -------
-        Record
-
         Raises
         ------
         ImageError
@@ -123,10 +119,7 @@ def record_bytes(layout: Layout) -> int:
 def blocks(path: Path, records: Iterable[Record], kind: str) -> Iterator[tuple[Layout, list[Record]]]:
     """The layout of all records, and up to `block_size` of them at a time.
 
-    Raises
-    ------
-    ImageError
-        Two records differ in their layout, or there is none.
+    Raises ImageError: two records differ in their layout, or there is none.
     """
     layout: Layout | None = None
     block: list[Record] = []

@@ -160,10 +160,7 @@ def draw_jobs(session: Document, jobs: Jobs) -> Callable[[], None]:
 
     While they only get on, what can be pressed stays: else clicks and the focus would be lost.
 
-    Returns
-    -------
-    function
-        Ends it, when the page is closed.
+    Returns: ends it, when the page is closed.
     """
     followed: dict[int, Callable[[CommandJob], None]] = {}
 

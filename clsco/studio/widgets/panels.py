@@ -42,15 +42,7 @@ class Chosen:
 def draw_panels(session: Document, chosen: Chosen | None = None) -> Callable[[], None]:
     """Draw the objects of a session and all panels, and draw them again when there are others.
 
-    Parameters
-    ----------
-    session : Document
-    chosen : Chosen, optional
-
-    Returns
-    -------
-    function
-        Ends it, when the page is closed.
+    Returns: ends it, when the page is closed.
     """
     now = chosen or Chosen()
 
