@@ -5,13 +5,12 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from clsco.cli.convert import convert
 from clsco.cli.options import (
     ARRAYS,
     PATH,
@@ -232,10 +231,10 @@ def verify(data: str, sample: int, device: str | None, base: Path, quiet: bool) 
 @quiet_option
 def remake(data: str, out: str | None, devices: tuple[str, ...], workers: int | None, base: Path, quiet: bool) -> None:
     """Make a set again by what its card says, and compare. Exit status 1 and a line for each difference."""
-    from clsco.data import remaking
+    from clsco.data import copies
 
     require_opencl()
-    found = remaking.remake(data, out, folder=base, devices=devices, workers=workers, progress=_bar(quiet))
+    found = copies.remake(data, out, folder=base, devices=devices, workers=workers, progress=_bar(quiet))
     for line in found:
         echo(line)
     if found:
@@ -250,7 +249,7 @@ def open_data(data: str, sheet: Path | None) -> None:
     """Tell what is in a set: samples, splits, arrays, and how to load it."""
     from clsco.cli.tables import print_tables, table
     from clsco.data.dataset import open as opened
-    from clsco.data.sheet import record_sheet
+    from clsco.data.dataset import record_sheet
     from clsco.files.images import write_png
 
     found = opened(data)
@@ -296,4 +295,28 @@ def show(data: str, number: int, base: Path) -> None:
         storage.close()
 
 
-dataset.add_command(convert)
+@dataset.command(short_help="Write a data set in another format.")
+@click.argument("data", metavar="DATA")
+@click.option("-o", "out", metavar="OUT", required=True, help="Folder for it, or an address like s3://bucket/set.")
+@click.option(
+    "--format", "form", metavar="NAME", type=SET_FORMAT, required=True,
+    help="webdataset, folders, npz, hdf5 or zarr, each also uncompressed, like npz+raw; parquet.",
+)  # fmt: skip
+@click.option("--resume", is_flag=True, help="Go on with the conversion in OUT.")
+@quiet_option
+def convert(data: str, out: str, form: str, resume: bool, quiet: bool) -> None:
+    """Write the data set DATA in another format. All arrays keep their bits."""
+    from clsco.cli.progress import progress
+    from clsco.data.copies import convert as convert_set
+    from clsco.data.storage import open_storage
+
+    source, target = open_storage(data), open_storage(out)
+    target.tidy()
+    with ExitStack() as stack:
+        stack.callback(source.close)
+        stack.callback(target.close)
+        _, status = convert_set(
+            source, target, form, resume, lambda count: stack.enter_context(progress(count, quiet, "shards"))
+        )
+    place = click.format_filename(out)
+    echo(f"{place}: {status.made} samples in {len(status.done)} shards, {status.failed} failed, as {form}")

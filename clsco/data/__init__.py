@@ -10,12 +10,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from clsco.data.copies import remake as remake
     from clsco.data.dataset import Dataset as Dataset
     from clsco.data.dataset import open as open  # noqa: A004
     from clsco.data.making import FailedSamplesError as FailedSamplesError
     from clsco.data.making import make as make
     from clsco.data.record import Record as Record
-    from clsco.data.remaking import remake as remake
 
 _HOME = {
     "make": "clsco.data.making",
@@ -23,7 +23,7 @@ _HOME = {
     "open": "clsco.data.dataset",
     "Dataset": "clsco.data.dataset",
     "Record": "clsco.data.record",
-    "remake": "clsco.data.remaking",
+    "remake": "clsco.data.copies",
 }
 __all__ = ["Dataset", "FailedSamplesError", "Record", "make", "open", "remake"]
 

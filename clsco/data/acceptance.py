@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.data.folder import RefusedError
+from clsco.data.forms import RefusedError
 from clsco.errors import SceneError
 from clsco.optics.exposure import middle_time
 from clsco.optics.lens import LARGEST_BLUR

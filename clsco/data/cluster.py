@@ -14,10 +14,8 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
 from clsco import __version__
-from clsco.data.pool import limit_threads, stoppable
-from clsco.data.schedule import DIED, Schedule, ShardTask
+from clsco.data.pool import DIED, Schedule, ShardTask, device_of, failure_of, limit_threads, perform, stoppable
 from clsco.data.storage import open_storage
-from clsco.data.worker import device_of, failure_of, perform
 from clsco.errors import ClscoError, DeviceError, ImageError
 from clsco.resources import processors
 

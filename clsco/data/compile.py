@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from clsco.data.acceptance import DERIVED, derivation
-from clsco.data.folder import Folder, RefusedError, cell_value
-from clsco.data.forms import FORMS, FormContext, form_of, is_form
-from clsco.data.splits import Splits
+from clsco.data.draws import Splits
+from clsco.data.forms import FORMS, Folder, FormContext, RefusedError, cell_value, form_of, is_form
 from clsco.data.tables import RowTables
 from clsco.data.values import ChoiceForm, Files, Form, Frustum, GridForm, Integers, RowForm
 from clsco.scene.changes import displace, key_parts, put

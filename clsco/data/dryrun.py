@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from clsco.data.acceptance import Look, looks_of
 from clsco.data.build import located
 from clsco.data.compile import Parameter
+from clsco.data.dataset import TILE, contact_sheet
 from clsco.data.distribution import Distribution, Drawn, Sample
-from clsco.data.sheet import TILE, contact_sheet
-from clsco.data.splits import of_samples
+from clsco.data.draws import of_samples
 from clsco.data.values import ChoiceForm, Column, Files, Frustum, Turned
 from clsco.errors import ClscoError, DeviceError, SceneError
 from clsco.files.images import write_png

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import math
-from collections.abc import Callable, Mapping
+import os
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path, PureWindowsPath
 from typing import Any
 
 import numpy as np
 
-from clsco.data.folder import Folder, RefusedError
-from clsco.data.splits import Splits, of_files
+from clsco.data.draws import Splits, of_files
 from clsco.data.values import (
     ChoiceForm,
     Files,
@@ -28,7 +32,167 @@ from clsco.data.values import (
     shares,
 )
 from clsco.errors import SceneError
+from clsco.files.atomic import sha256
+from clsco.resources import open_regular
 from clsco.scene.text import shown
+
+MAX_NAME = 1024
+MAX_FILES = 100_000
+MAX_LOOKED_AT = 1_000_000  # of folders that a pattern makes us look at
+MAX_DEEP = 32  # folders in each other
+MAX_BYTES = 2**31  # of a file
+MAX_TOTAL = 2**37
+MAX_TABLE_BYTES = 2**20
+MAX_CELLS = 100_000
+
+
+class RefusedError(Exception):
+    """A value is not what it must be: the rule, and the value if another one than was looked at."""
+
+    def __init__(self, rule: str, got: Any = None) -> None:
+        self.rule, self.got = rule, got
+        super().__init__(rule)
+
+    def message(self, key: str, value: Any) -> str:
+        """`key: rule; got value`."""
+        return f"{key}: {self.rule}; got {shown(value) if self.got is None else self.got}"
+
+
+class Folder:
+    """The folder of a distribution file.
+
+    Parameters
+    ----------
+    path : Path
+        Nothing outside of it is read, whatever links say.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path.resolve()
+        self.digests: dict[str, str] = {}
+        """SHA-256 by name, of all files that have been taken."""
+        self._bytes = self._entries = 0
+
+    def inside(self, name: Any) -> Path:
+        """The path of a file here by its name, links resolved. Raises RefusedError."""
+        if not isinstance(name, str) or not 0 < len(name) <= MAX_NAME or not name.isprintable():
+            raise RefusedError(f"must be the name of a file, of at most {MAX_NAME} characters")
+        windows = PureWindowsPath(name)
+        if Path(name).is_absolute() or windows.drive or windows.root or ".." in windows.parts:
+            raise RefusedError("must be a path inside the folder of the distribution file, without ..")
+        try:
+            path = (self.path / name).resolve(strict=True)
+            if not path.is_relative_to(self.path):
+                raise RefusedError("must not lead out of the folder of the distribution file by a link")
+            if not path.is_file():
+                raise RefusedError("must be a file")
+        except (OSError, ValueError, RuntimeError):  # the last: links that go round in a circle, before Python 3.13
+            raise RefusedError("must be an existing file") from None
+        return path
+
+    def take(self, name: Any) -> str:
+        """Note a file that samples may need; returns its SHA-256. Raises RefusedError."""
+        if name in self.digests:
+            return self.digests[name]
+        path = self.inside(name)
+        try:
+            size = path.stat().st_size
+            self._bytes += size
+            if size > MAX_BYTES or self._bytes > MAX_TOTAL:
+                raise RefusedError(f"a file must have at most {MAX_BYTES} bytes, and all of them {MAX_TOTAL}", size)
+            if len(self.digests) == MAX_FILES:
+                raise RefusedError(f"must be at most {MAX_FILES} files in all", "more")
+            self.digests[name] = sha256(path)
+        except OSError as error:
+            raise RefusedError("must be readable", error.strerror) from None
+        return self.digests[name]
+
+    def match(self, pattern: Any) -> list[str]:
+        """Names of the files that a pattern like "textures/**/*.png" fits, in order. Raises RefusedError."""
+        if not isinstance(pattern, str) or not 0 < len(pattern) <= MAX_NAME or not pattern.isprintable():
+            raise RefusedError('must be a pattern of files, like "textures/**/*.png"')
+        windows = PureWindowsPath(pattern)
+        parts = pattern.split("/")
+        if windows.drive or windows.root or ".." in windows.parts or "" in parts:
+            raise RefusedError("must be a pattern inside the folder of the distribution file, without ..")
+        if parts.count("**") > 1 or len(parts) > MAX_DEEP:
+            raise RefusedError(f"must have ** at most once, and at most {MAX_DEEP} parts")
+        names = sorted(self._found(self.path, parts, ""))
+        if not names:
+            raise RefusedError("must fit a file")
+        return names
+
+    def _found(self, folder: Path, parts: list[str], before: str) -> Iterator[str]:
+        """Names of files under `folder` that the parts of a pattern fit; before: what their names begin with."""
+        if before.count("/") > MAX_DEEP:
+            raise RefusedError(f"must not go through more than {MAX_DEEP} folders in each other")
+        try:
+            with os.scandir(folder) as listed:
+                entries = list(self._counted(listed))
+        except OSError as error:
+            raise RefusedError("its folders must be readable", error.strerror) from None
+        part, rest = (parts[1], parts[2:]) if parts[0] == "**" and len(parts) > 1 else (parts[0], parts[1:])
+        for entry in entries:
+            if entry.name.startswith(".") and not part.startswith("."):
+                continue
+            name = before + entry.name
+            if parts[0] == "**" and entry.is_dir(follow_symlinks=False):
+                yield from self._found(folder / entry.name, parts, f"{name}/")
+            if not fnmatchcase(entry.name, part):
+                continue
+            if rest and entry.is_dir(follow_symlinks=False):
+                yield from self._found(folder / entry.name, rest, f"{name}/")
+            elif not rest and entry.is_file():
+                yield name
+
+    def _counted(self, entries: Iterator[os.DirEntry[str]]) -> Iterator[os.DirEntry[str]]:
+        for entry in entries:
+            self._entries += 1
+            if self._entries > MAX_LOOKED_AT:
+                raise RefusedError(f"folders must have at most {MAX_LOOKED_AT} entries in all", "more")
+            yield entry
+
+    def rows(self, name: Any) -> tuple[list[str], list[list[str]]]:
+        """The head and the rows of a file of comma-separated values. Raises RefusedError."""
+        path = self.inside(name)
+        if path.suffix.lower() != ".csv":
+            raise RefusedError("must end in .csv")
+        try:
+            with io.TextIOWrapper(open_regular(path), encoding="utf-8-sig", newline="") as file:
+                text = file.read(MAX_TABLE_BYTES + 1)
+        except UnicodeDecodeError:
+            raise RefusedError("must be UTF-8 text") from None
+        except OSError as error:
+            raise RefusedError("must be readable", error.strerror) from None
+        if len(text) > MAX_TABLE_BYTES:
+            raise RefusedError(f"must have at most {MAX_TABLE_BYTES} characters")
+        try:
+            head, *rows = [row for row in csv.reader(text.splitlines(), strict=True) if row]
+        except csv.Error as error:
+            raise RefusedError(f"must be comma-separated values: {error}") from None
+        except ValueError:
+            raise RefusedError("must have a head and rows") from None
+        if not rows or len(head) * len(rows) > MAX_CELLS:
+            raise RefusedError(f"must have a row, and at most {MAX_CELLS} cells", f"{len(rows)} rows")
+        for number, row in enumerate(rows, 1):
+            if len(row) != len(head):
+                raise RefusedError(f"row {number} must have {len(head)} cells", len(row))
+        self.take(name)
+        return [cell.strip() for cell in head], rows
+
+
+def cell_value(text: str) -> Any:
+    """Value of a cell of a table: true, false, a number, or text."""
+    text = text.strip()
+    if text in ("true", "false"):
+        return text == "true"
+    for kind in (int, float):
+        try:
+            return kind(text) if len(text) <= 40 else text
+        except ValueError:
+            continue
+    return text
+
 
 LARGEST = 1e30  # of a number, so that sums and cubes are finite
 MAX_INTEGER = 2**53

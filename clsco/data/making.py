@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
 from clsco import __version__
 from clsco.data.containers import container_named
-from clsco.data.distribution import Distribution, load_distribution
+from clsco.data.distribution import Distribution, DrawScene, ScriptedDistribution, load_distribution, scripted
+from clsco.data.draws import SplitsLike
 from clsco.data.manifest import Identity, shard_numbers
 from clsco.data.pool import Place, places, run_pool
 from clsco.data.record import parse_stored
-from clsco.data.scripted import DrawScene, ScriptedDistribution, scripted
 from clsco.data.sets import DataSet, Status, begun, finish, known_license
-from clsco.data.splits import SplitsLike
 from clsco.data.storage import open_storage
 from clsco.errors import ClscoError, DeviceError, SceneError
 from clsco.frame.truth_files import ATTRIBUTES, OF_THE_IMAGE, array_names

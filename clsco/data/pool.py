@@ -4,24 +4,27 @@ from __future__ import annotations
 
 import logging
 import os
+import resource
 import signal
+import sys
 import threading
-from collections.abc import Callable, Iterator, MutableMapping, Sequence
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator, MutableMapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from multiprocessing.connection import wait
+from multiprocessing.connection import Connection, wait
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from clsco.data.schedule import RETRIES, Schedule, ShardTask
 from clsco.data.storage import open_storage
-from clsco.data.worker import DeviceName, run_worker
-from clsco.engine.child import Child, how_ended
+from clsco.engine.child import Child, at_forced_end, how_ended
 from clsco.errors import ClscoError, DeviceError
 from clsco.resources import processors
 
 if TYPE_CHECKING:
-    from clsco.data.shards import SetJob
+    from clsco.data.shards import SetJob, ShardMaker
+    from clsco.opencl.device import Device
 
 _LOG = logging.getLogger("clsco")
 RECYCLED_SHARDS = 32  # after so many a process is replaced: what leaks in drivers goes with it
@@ -219,3 +222,184 @@ def limit_threads(count: int, environ: MutableMapping[str, str]) -> None:
     """Have libraries that are loaded from now on, or processes with this environment, take so many threads."""
     for name in _THREAD_VARIABLES:
         environ.setdefault(name, str(count))
+
+
+REPORT_S = 0.2  # between reports of how far a shard has come
+
+DeviceName = str | int | None
+"""Part of a name as for `clsco.render`, or the number of a device among all, where several have one name."""
+
+
+def run_worker(pipe: Connection, job: SetJob, name: DeviceName, overlapped: bool) -> None:
+    """Make what comes through the pipe, and report it there, until the parent says None or ends."""
+    signal.signal(signal.SIGTERM, _ended)  # so that no file is written any more when all are removed
+    storage = open_storage(job.where)
+    at_forced_end(storage.close)
+    try:
+        device = device_of(name)
+        from clsco.data.shards import ShardMaker, device_family
+
+        maker = ShardMaker(job, storage, device, overlapped)
+        pipe.send(("ready", device_family(device)))
+        while (task := pipe.recv()) is not None:
+            pipe.send(_answer(maker, task, pipe))
+    except (ClscoError, OSError) as error:
+        pipe.send(("fatal", str(error)))
+    finally:
+        storage.close()
+
+
+def device_of(name: DeviceName) -> Device:
+    """The device of a name or number. Raises DeviceError where there is none."""
+    from clsco.opencl.device import choose, list_devices
+
+    return list_devices()[0][name] if isinstance(name, int) else choose(name, "device")
+
+
+def perform(maker: ShardMaker, task: ShardTask, advance: Any = lambda: None) -> tuple[int, int]:
+    """Do a task; the number of samples made, and of those that failed."""
+    made = maker.make(task.shard, task.tried, dict(task.failed), advance)
+    if task.tried is None:
+        maker.deliver(made, {"pid": os.getpid(), "device": str(maker.renderer.device), "rss": resident_bytes()})
+    else:
+        maker.drop(made)
+    return made.samples, made.failed
+
+
+def failure_of(error: BaseException) -> tuple[str, str]:
+    """Class of an error: "fatal" where the disk or the store failed, so that other shards fail as well, else
+    "failed"."""
+    text = str(error) if isinstance(error, ClscoError) else f"sample: must be made; got {error!r}"
+    known: BaseException | None = error
+    while known is not None:
+        if isinstance(known, OSError):
+            return "fatal", text
+        known = known.__cause__
+    return "failed", text
+
+
+def resident_bytes() -> int:
+    """Memory of this process."""
+    try:
+        with open("/proc/self/statm", "rb") as file:
+            return int(file.read().split()[1]) * resource.getpagesize()
+    except OSError:  # no such file on other systems: the most that it ever was, in KiB or on macOS in bytes
+        most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        return most if sys.platform == "darwin" else most << 10
+
+
+def _answer(maker: ShardMaker, task: ShardTask, pipe: Connection) -> tuple[Any, ...]:
+    count, reported = 0, time.monotonic()
+
+    def advance() -> None:
+        nonlocal count, reported
+        count += 1
+        if task.tried is None and time.monotonic() > reported + REPORT_S:
+            reported = time.monotonic()
+            pipe.send(("progress", task.shard, count))
+
+    try:
+        made, failed = perform(maker, task, advance)
+    except Exception as error:  # whatever it is, it is reported to the parent, which goes on
+        return failure_of(error)
+    return "done", made, failed, resident_bytes()
+
+
+def _ended(number: int, _: FrameType | None) -> None:
+    raise SystemExit(128 + number)
+
+
+RETRIES = 3
+DIED = f"sample: must be made; got a process that ended, {RETRIES} times"
+
+
+@dataclass(frozen=True)
+class ShardTask:
+    """A shard that is to be made, or some of its samples that are tried only.
+
+    Attributes
+    ----------
+    shard : int
+    tried : range or None
+        Numbers of samples that are made and dropped; None to make the shard.
+    failed : tuple of (int, str)
+        Samples that are known to fail, with their messages.
+    """
+
+    shard: int
+    tried: range | None = None
+    failed: tuple[tuple[int, str], ...] = ()
+
+
+class Schedule:
+    """The tasks of a set.
+
+    A shard whose process dies is made again, up to `RETRIES` times in all; then halves of its samples are tried, down
+    to those that fail by themselves. The rest of the shard is made without them.
+
+    Parameters
+    ----------
+    shards : iterable of (int, range)
+        Numbers of the shards that are to be made, each with those of its samples.
+    """
+
+    def __init__(self, shards: Iterable[tuple[int, range]]) -> None:
+        self.samples = dict(shards)
+        self.waiting = deque(ShardTask(shard) for shard in self.samples)
+        self._deaths: Counter[ShardTask] = Counter()
+        self._trials: Counter[int] = Counter()  # of each shard, those that are waiting or under way
+        self._rounds: Counter[int] = Counter()  # of trials of each shard
+        self._failed: dict[int, dict[int, str]] = {}
+        self._left = len(self.samples)
+
+    @property
+    def is_over(self) -> bool:
+        """True if all shards are made."""
+        return self._left == 0
+
+    def done(self, task: ShardTask) -> None:
+        """A task has ended well."""
+        if task.tried is None:
+            self._left -= 1
+        else:
+            self._after_trial(task.shard)
+
+    def died(self, task: ShardTask, cause: str | None = None) -> None:
+        """A task has failed.
+
+        cause: what it raised; None where its process ended, so that it may succeed at the next time.
+
+        Raises ClscoError for a shard that fails though each of its samples by itself does not.
+        """
+        self._deaths[task] += 1
+        again = cause is None and self._deaths[task] < RETRIES
+        if task.tried is None:
+            numbers = self.samples[task.shard]
+            if again:
+                self.waiting.appendleft(task)
+            elif self._rounds[task.shard] == RETRIES or not numbers:
+                rule = "must be made, as each of its samples by itself was"
+                raise ClscoError(f"shard {task.shard}: {rule}; got {cause or DIED}")
+            else:
+                self._rounds[task.shard] += 1
+                self._failed.setdefault(task.shard, {})
+                self._try(task.shard, numbers)
+        elif len(task.tried) > 1:
+            middle = task.tried.start + len(task.tried) // 2
+            self._try(task.shard, range(task.tried.start, middle))
+            self._try(task.shard, range(middle, task.tried.stop))
+            self._after_trial(task.shard)
+        elif again:
+            self.waiting.appendleft(task)
+        else:
+            self._failed[task.shard][task.tried.start] = cause or DIED
+            self._after_trial(task.shard)
+
+    def _try(self, shard: int, numbers: range) -> None:
+        self._trials[shard] += 1
+        self.waiting.append(ShardTask(shard, numbers))
+
+    def _after_trial(self, shard: int) -> None:
+        self._trials[shard] -= 1
+        if not self._trials[shard]:
+            self.waiting.appendleft(ShardTask(shard, failed=tuple(sorted(self._failed[shard].items()))))

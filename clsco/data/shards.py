@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import hashlib
 import math
+import queue
+import threading
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsco.data.containers import Container, container_named
-from clsco.data.distribution import Distribution, Sample
+from clsco.data.distribution import Distribution, Sample, ScriptedDistribution
 from clsco.data.manifest import CONFLICT, LOG, UNSPLIT, Identity, line, numbers_of, parsed_part, part_bytes, part_key
-from clsco.data.prefetch import prefetch
 from clsco.data.record import Record, make_record
-from clsco.data.scripted import ScriptedDistribution
 from clsco.data.storage import Storage, remove_path
 from clsco.engine.sequence import render_prepared
 from clsco.errors import ImageError, KernelError, SceneError
@@ -329,3 +329,48 @@ def _by_file(rows: Iterable[dict[str, Any]]) -> list[list[dict[str, Any]]]:
     for row in sorted(rows, key=lambda row: row["number"]):
         found.setdefault(row["file"], []).append(row)
     return list(found.values())
+
+
+V = TypeVar("V")
+DEPTH = 2
+
+
+def prefetch(produced: Generator[V, None, None], depth: int = DEPTH) -> Generator[V, None, None]:
+    """Yield what `produced` does, up to `depth` values of which wait meanwhile.
+
+    An error of the producer is raised here. When this generator is closed, the producer ends before its next value.
+    """
+    values: queue.Queue[tuple[bool, V | BaseException | None]] = queue.Queue(depth)
+    ended = threading.Event()
+
+    def put(value: tuple[bool, V | BaseException | None]) -> None:
+        while not ended.is_set():
+            try:
+                values.put(value, timeout=0.1)
+            except queue.Full:
+                continue
+            return
+
+    def produce() -> None:
+        try:
+            for value in produced:
+                put((True, value))
+                if ended.is_set():
+                    return
+            put((False, None))
+        except BaseException as error:  # raised again where the values are used
+            put((False, error))
+
+    thread = threading.Thread(target=produce, daemon=True)
+    thread.start()
+    try:
+        while True:
+            goes_on, value = values.get()
+            if isinstance(value, BaseException):
+                raise value
+            if not goes_on:
+                return
+            yield value  # type: ignore[misc]
+    finally:
+        ended.set()
+        thread.join()

@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from clsco.data.folder import Folder, RefusedError
-from clsco.data.forms import is_form
+from clsco.data.forms import Folder, RefusedError, is_form
 from clsco.errors import SceneError
 from clsco.scene.changes import displace, key_parts, override
 from clsco.scene.file import read_mapping

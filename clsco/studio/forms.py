@@ -19,8 +19,7 @@ from clsco.scene.schema import scene_schema
 from clsco.scene.shapes import SHAPES
 from clsco.scene.texture_keys import BUILT_IN_TEXTURES
 from clsco.studio.session import Document
-from clsco.studio.tables import at, without
-from clsco.studio.words import (
+from clsco.studio.tables import (
     BY_FOCAL_LENGTH,
     BY_UNIT,
     COMPONENTS,
@@ -32,8 +31,10 @@ from clsco.studio.words import (
     SLIDERS,
     SYMBOLS,
     THESIS_TITLES,
+    at,
     keyframe_label,
     pose_label,
+    without,
     words,
 )
 

@@ -3,20 +3,29 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 
-from clsco.data.containers import DEFAULT
+import numpy as np
+
+from clsco.data.containers import CONTAINERS, DEFAULT
 from clsco.errors import ClscoError, SceneError
 from clsco.files.atomic import writable_folder, write_whole
+from clsco.files.png import png_parts
+from clsco.files.transfer import encode
+from clsco.files.video import PRESETS
+from clsco.frame.files import TRUTH_FORMATS
 from clsco.plan.prepare import prepare_sweep
+from clsco.resources import folder, read_regular
 from clsco.scene.file import absolute, swept_keys
 from clsco.scene.model import Scene
 from clsco.scene.sweep import parse_sweep
 from clsco.scene.text import key_name
 from clsco.scene.toml import toml_text
+from clsco.studio.folder import listed
 from clsco.studio.jobs import CommandJob, Jobs
-from clsco.studio.offers import shipped_distributions
 from clsco.studio.session import Document
 from clsco.studio.store import moved
 from clsco.studio.tables import Table, sparse, with_value
@@ -183,3 +192,91 @@ def _name(session: Document, path: str) -> str:
     """A path below the root, relative to it, that is no option of a command. Raises SceneError."""
     name = session.inside(Path(path)).relative_to(session.root).as_posix()
     return f"./{name}" if name.startswith("-") else name
+
+
+_LARGEST = 2**20  # bytes of a file that may be a distribution
+_VIDEO = ("av", "video")
+_SETS = "sets"  # folder of the distributions that are shipped, and of their copies
+
+
+def truth_formats() -> dict[str, str]:
+    """Formats of `clsco render --format`, each with the extra that it lacks; "" for none."""
+    return {name: _missing(form.needs) for name, form in TRUTH_FORMATS.items()}
+
+
+def clip_presets() -> dict[str, str]:
+    """Presets of `clsco video`, likewise."""
+    return dict.fromkeys(PRESETS, _missing(_VIDEO))
+
+
+def clip_name(preset: str) -> str:
+    """Name of a clip that is made by a preset."""
+    return f"clip{PRESETS[preset].suffix}"
+
+
+def set_formats() -> dict[str, str]:
+    """Formats of `clsco dataset make --format`, likewise."""
+    return {name: _missing(container.needs) for name, container in CONTAINERS.items()}
+
+
+def first_format() -> str:
+    """The format that a form shows at first: the default, or where its extra is not installed the first that is."""
+    forms = set_formats()
+    return next(name for name in (DEFAULT, *forms) if not forms[name])
+
+
+def distributions(root: Path) -> list[str]:
+    """Distribution files below a folder, and those that are shipped, by the names that their copies would have."""
+    found = [name for name in listed(root, (".toml",)) if _is_distribution(root / name)]
+    return found + [name for name in shipped_distributions() if name not in found]
+
+
+def shipped_distributions() -> dict[str, Path]:
+    """Distribution files of the package, by the names of their copies in a studio's folder."""
+    paths = Path(str(folder("examples"))) / _SETS
+    return {f"{_SETS}/{path.name}": path for path in sorted(paths.glob("*.toml"))}
+
+
+def _is_distribution(path: Path) -> bool:
+    try:
+        content = tomllib.loads(read_regular(path, _LARGEST, follow=True).decode("utf-8-sig"))
+    except (OSError, ValueError, RecursionError):
+        return False
+    return bool({"vary", "derive", "accept"} & content.keys())
+
+
+def _missing(needs: tuple[str, str] | None) -> str:
+    if needs is None or find_spec(needs[0]) is not None:
+        return ""
+    return f"needs {needs[0]}: pip install 'clsco[{needs[1]}]'"
+
+
+SMALL = 160  # px of a small picture, at most
+
+
+def sample_picture(folder: Path, part: int, parts: int) -> bytes:
+    """A small PNG of the color of a sample.
+
+    Parameters
+    ----------
+    folder : Path
+    part, parts : int
+        The first sample of the part-th of equal parts of the set.
+
+    Raises
+    ------
+    ClscoError, OSError, IndexError
+        There is no such sample.
+    """
+    from clsco.data import dataset
+
+    opened = dataset.open(folder)
+    try:
+        record = opened[part * len(opened) // parts]
+        name = next(name for name in record.arrays if name.rpartition(".")[2] == "color")  # of the first frame and view
+        radiance = record.radiance(name)
+    finally:
+        opened.close()
+    step = max(1, -(-max(radiance.shape[:2]) // SMALL))
+    codes = encode(np.ascontiguousarray(radiance[::step, ::step]), 8, "srgb").astype(np.uint8)
+    return b"".join(png_parts(codes))

@@ -21,7 +21,7 @@ from clsco.reference.blur.blur import tilt_factor, within_rim
 from clsco.reference.common.geometry import blur_gradient, pixel_tilt
 from clsco.reference.spreads import rim_factors, spread_weights
 from clsco.scene.model import Scene
-from clsco.studio.exposure_views import eye_of
+from clsco.studio.pictures import eye_of
 
 PLOTTED = 32  # px from the center of the plot to its border
 

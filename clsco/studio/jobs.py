@@ -22,7 +22,7 @@ from typing import Literal
 
 from clsco.errors import ClscoError
 from clsco.resources import remove_left
-from clsco.studio.state import StateFolder
+from clsco.studio.session import StateFolder
 
 LIST = "jobs.json"
 LARGEST = 2**23  # bytes of the list

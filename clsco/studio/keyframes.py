@@ -14,8 +14,7 @@ from clsco.scene.model import Scene
 from clsco.scene.motions import ObjectMotion
 from clsco.scene.text import brief, shown
 from clsco.studio.session import Document
-from clsco.studio.tables import Table, at, with_value, without
-from clsco.studio.words import SHAPE_LABELS, words
+from clsco.studio.tables import SHAPE_LABELS, Table, at, with_value, without, words
 
 LATEST = 1e9  # s, of a keyframe
 LENS = "lens.keyframe"

@@ -14,8 +14,7 @@ from clsco.studio.widgets.files import open_dialog, preset_dialog, save_dialog, 
 from clsco.studio.widgets.html import button, say
 from clsco.studio.widgets.inpainting import inpainting_dialog
 from clsco.studio.widgets.jobs import draw_jobs, generate_dialog
-from clsco.studio.widgets.panels import draw_panels
-from clsco.studio.widgets.sweep import draw_sweep
+from clsco.studio.widgets.panels import draw_panels, draw_sweep
 
 KEYS = (
     ("← → ↑ ↓", "step of a slider; with Shift ten times, with Alt a tenth"),

@@ -12,7 +12,6 @@ from typing import Any, Protocol
 from clsco.errors import CanceledError, ClscoError
 from clsco.optics.motion import Eye
 from clsco.scene.model import Scene
-from clsco.studio.exposure_views import moment_of
 from clsco.studio.pictures import (
     DRAGGING,
     EXACT,
@@ -22,6 +21,7 @@ from clsco.studio.pictures import (
     STACKED,
     VIEWS,
     ViewPicture,
+    moment_of,
     packed_message,
 )
 from clsco.studio.reference import reference_picture

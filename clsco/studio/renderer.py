@@ -398,9 +398,8 @@ class _RenderWorker:
     def _about(self, job: PictureJob, rendered: Scene, frame: Frame, seconds: float) -> dict[str, Any]:
         from clsco.plan.prepare import prepare
         from clsco.plan.request import Request
-        from clsco.studio.exposure_views import exposure_of
-        from clsco.studio.pictures import truth_of
-        from clsco.studio.planned import plan_line
+        from clsco.studio.ladder import plan_line
+        from clsco.studio.pictures import exposure_of, truth_of
 
         request, device, files = Request(truth_of(job.view)), self._live.session.device, self._live.files
         prepared = prepare(rendered, request, device, files)

@@ -14,9 +14,9 @@ from clsco.files.png import png_parts
 from clsco.files.transfer import encode
 from clsco.inputs.textures import load_texture
 from clsco.scene.file import FILE_KEYS
+from clsco.studio.generate import SMALL, sample_picture
 from clsco.studio.inpainting import Inpainting, inpainting_of
 from clsco.studio.jobs import Jobs
-from clsco.studio.samples import SMALL, sample_picture
 from clsco.studio.session import Document
 
 Sessions = Callable[[str], Document | None]

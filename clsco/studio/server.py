@@ -24,19 +24,18 @@ from starlette.staticfiles import StaticFiles
 from clsco.errors import ClscoError, ImageError, SceneError
 from clsco.scene.model import Scene
 from clsco.scene.toml import toml_text
-from clsco.studio.door import door
+from clsco.studio.folder import keep_image
 from clsco.studio.generate import stack_scenes
-from clsco.studio.guard import MAX_MESSAGE, Guard
+from clsco.studio.guard import MAX_MESSAGE, Guard, door
 from clsco.studio.jobs import Jobs
 from clsco.studio.keyframes import add_keyframe, remove_keyframe, tracks
-from clsco.studio.pointing import Pointer
+from clsco.studio.moving import Pointer
 from clsco.studio.presets import choose_method
 from clsco.studio.preview import Preview
 from clsco.studio.renderer import RendererProcess
 from clsco.studio.routes import add_routes
 from clsco.studio.session import Document
 from clsco.studio.tables import is_path
-from clsco.studio.uploads import keep_image
 
 MAX_PATCH = 2**16  # bytes
 LOOPBACK = ("127.0.0.1", "localhost", "[::1]")

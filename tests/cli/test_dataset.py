@@ -19,9 +19,9 @@ import clsco
 import clsco.data
 from clsco.cli.main import main
 from clsco.data import pool
+from clsco.data.pool import perform
 from clsco.data.shards import ShardMaker
 from clsco.data.storage import open_storage
-from clsco.data.worker import perform
 from clsco.files.images import read_image
 from clsco.opencl.device import choose
 from tests.data.test_shards import files

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from clsco.data.containers import CONTAINERS, container_named
-from clsco.data.encoding import NESTED
+from clsco.data.containers.base import NESTED
 from clsco.data.record import Record, make_record
 from clsco.errors import ImageError, SceneError
 from tests.data.samples import contents, drawn, frame, record, same

@@ -35,7 +35,7 @@ def test_a_converted_set_is_as_if_made_so(one: str, other: str, tmp_path: Path) 
 def test_a_conversion_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     source = make_set(tmp_path / "source")
     wanted = contents(make_set(tmp_path / "wanted", "npz"))
-    monkeypatch.setattr("clsco.data.convert.CONTAINERS", {**CONTAINERS, "npz": failing(3)})
+    monkeypatch.setattr("clsco.data.copies.CONTAINERS", {**CONTAINERS, "npz": failing(3)})
     run = convert(source, tmp_path / "out", "npz")
     assert (run.exit_code, run.output) == (1, "error: npz: no space\n")
     with pytest.raises(KeyError):
@@ -128,7 +128,7 @@ def test_cards_say_what_is_in_a_set(tmp_path: Path) -> None:
     ],
 )
 def test_licenses_as_the_hub_knows_them(given: str, lines: list[str], tmp_path: Path) -> None:
-    from clsco.data.card import readme
+    from clsco.data.sets import readme
 
     card = json.loads((make_set(tmp_path / "set") / "dataset.json").read_text())
     text = readme({**card, "license": given or "unspecified"})

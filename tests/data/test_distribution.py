@@ -319,7 +319,7 @@ def distribution_digest(path: Path) -> str:
 
 
 def test_splits_do_not_depend_on_the_count_and_have_their_shares(load: Load) -> None:
-    from clsco.data.splits import of_samples
+    from clsco.data.draws import of_samples
 
     splits = (("train", 0.9), ("val", 0.05), ("test", 0.05))
     many = of_samples(splits, 3, np.arange(40000, dtype=np.uint64))
@@ -412,7 +412,7 @@ def test_keys_that_follow_give_what_is_wanted(load: Load) -> None:
     ],
 )  # fmt: skip
 def test_bad_splits_are_refused(given: Any, rule: str) -> None:
-    from clsco.data.splits import splits_of
+    from clsco.data.draws import splits_of
 
     with pytest.raises(SceneError, match=rule):
         splits_of(given)

@@ -11,7 +11,7 @@ import pytest
 
 from clsco.data.distribution import load_distribution
 from clsco.data.dryrun import show
-from clsco.data.folder import Folder, RefusedError
+from clsco.data.forms import Folder, RefusedError
 from clsco.errors import SceneError
 from tests.data.written import SCENE, Load, messages
 

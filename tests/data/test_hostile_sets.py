@@ -22,7 +22,7 @@ import pytest
 
 import clsco.data
 from clsco.data.containers import CONTAINERS
-from clsco.data.encoding import decoded, encoded, meta_bytes, npy_bytes, parsed_meta
+from clsco.data.containers.base import decoded, encoded, meta_bytes, npy_bytes, parsed_meta
 from clsco.errors import ImageError
 from clsco.files.png import png_parts
 from tests.data.samples import make_set, record

@@ -17,7 +17,7 @@ import clsco
 import clsco.data
 from clsco.cli.main import main
 from clsco.data import making
-from clsco.data.scripted import scripted
+from clsco.data.distribution import scripted
 from clsco.errors import SceneError
 from clsco.files.images import save_image
 from clsco.scene.toml import toml_text

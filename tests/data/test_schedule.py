@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from clsco.data.schedule import DIED, RETRIES, Schedule, ShardTask
+from clsco.data.pool import DIED, RETRIES, Schedule, ShardTask
 from clsco.errors import ClscoError
 
 

@@ -13,9 +13,8 @@ import pytest
 import clsco
 from clsco.data.containers import container_named
 from clsco.data.distribution import Sample, load_distribution
-from clsco.data.prefetch import prefetch
 from clsco.data.sets import DataSet, begun, finish, open_set, ranges, status_of
-from clsco.data.shards import SampleRenderer, SetJob, ShardMaker
+from clsco.data.shards import SampleRenderer, SetJob, ShardMaker, prefetch
 from clsco.data.storage import open_storage
 from clsco.data.verify import verify_samples
 from clsco.errors import DeviceError, ImageError, SceneError

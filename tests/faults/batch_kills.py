@@ -173,8 +173,7 @@ class Trial:
 
     def look(self) -> None:
         """No part may name what is not whole."""
-        from clsco.data.card import CARD
-        from clsco.data.sets import open_set, status_of
+        from clsco.data.sets import CARD, open_set, status_of
         from clsco.data.storage import open_storage
 
         if (self.out / CARD).exists():

@@ -33,7 +33,7 @@ import tifffile
 import zarr
 
 from clsco.data.containers import CONTAINERS
-from clsco.data.encoding import meta_bytes, npy_bytes
+from clsco.data.containers.base import meta_bytes, npy_bytes
 from clsco.errors import ClscoError
 from clsco.files.arrays import read_exr, read_npz
 from clsco.files.images import read_image

@@ -23,7 +23,7 @@ from typing import Any
 import clsco.data
 from clsco.data.build import located
 from clsco.data.containers import CONTAINERS
-from clsco.data.convert import convert
+from clsco.data.copies import convert
 from clsco.data.manifest import part_key
 from clsco.data.sets import open_set, status_of
 from clsco.data.storage import open_storage

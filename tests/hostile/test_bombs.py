@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from clsco.data.encoding import LARGEST_RECORD, parsed_meta
+from clsco.data.containers.base import LARGEST_RECORD, parsed_meta
 from clsco.errors import ImageError
 from clsco.files import confined as confining
 from clsco.files.confined import confined

@@ -22,8 +22,8 @@ pytest.importorskip("nicegui", reason="needs the extra clsco[studio]")
 import uvicorn
 from uvicorn.server import ServerState
 
-from clsco.studio import door as door_module
-from clsco.studio.door import MAX_HEADER, MOST_WAITING, door
+from clsco.studio import guard as door_module
+from clsco.studio.guard import MAX_HEADER, MOST_WAITING, door
 from tests.studio.browser import chromium, rest
 from tests.studio.running import Running, studio
 

@@ -10,7 +10,7 @@ import pytest
 import clsco
 from clsco.files.transfer import encode
 from clsco.scene.model import Scene
-from clsco.studio.exposure_views import exposure_of, moment_of
+from clsco.studio.pictures import exposure_of, moment_of
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

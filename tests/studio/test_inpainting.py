@@ -19,7 +19,7 @@ from clsco.cli.main import main
 from clsco.files.images import read_image, write_png
 from clsco.studio.inpainting import FILLERS, Inpainting
 from clsco.studio.jobs import Jobs
-from clsco.studio.removals import REMOVALS
+from clsco.studio.presets import REMOVALS
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

@@ -21,21 +21,26 @@ from clsco import ClscoError, load_scene
 from clsco.cli.main import main
 from clsco.data.containers import CONTAINERS, DEFAULT
 from clsco.frame.files import TRUTH_FORMATS
+from clsco.studio import generate as generate_module
 from clsco.studio import jobs as jobs_module
-from clsco.studio import offers
-from clsco.studio.generate import Wanted, clip, data_set, focal_stack, free_folder, generate
-from clsco.studio.jobs import LARGEST, LIST, CommandJob, Jobs
-from clsco.studio.offers import (
+from clsco.studio.generate import (
+    Wanted,
+    clip,
     clip_name,
     clip_presets,
+    data_set,
     distributions,
     first_format,
+    focal_stack,
+    free_folder,
+    generate,
+    sample_picture,
     set_formats,
     shipped_distributions,
     truth_formats,
 )
+from clsco.studio.jobs import LARGEST, LIST, CommandJob, Jobs
 from clsco.studio.presets import load_preset, presets
-from clsco.studio.samples import sample_picture
 from clsco.studio.session import Document
 
 # In place of clsco: `work FOLDER COUNT SECONDS` writes files as frames are written, one after the other.
@@ -395,7 +400,7 @@ def test_what_is_not_installed_is_said_in_words(monkeypatch: pytest.MonkeyPatch)
     assert set(clip_presets()) >= {"mp4", "webm", "ffv1-16", "prores-hq"}
     assert clip_name("ffv1") == "clip.mkv"
     assert set(truth_formats().values()) == {""}
-    monkeypatch.setattr(offers, "find_spec", lambda name: None)
+    monkeypatch.setattr(generate_module, "find_spec", lambda name: None)
     assert truth_formats()["exr"] == "needs OpenEXR: pip install 'clsco[exr]'"
     assert truth_formats()["npz"] == ""
     assert clip_presets()["mp4"] == "needs av: pip install 'clsco[video]'"
@@ -405,7 +410,7 @@ def test_what_is_not_installed_is_said_in_words(monkeypatch: pytest.MonkeyPatch)
 
 def test_the_extra_of_the_studio_brings_what_its_forms_offer_first() -> None:
     assert first_format() == DEFAULT
-    needed = [CONTAINERS[DEFAULT].needs, TRUTH_FORMATS["exr"].needs, offers._VIDEO]
+    needed = [CONTAINERS[DEFAULT].needs, TRUTH_FORMATS["exr"].needs, generate_module._VIDEO]
     extras = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"][
         "optional-dependencies"
     ]

@@ -15,7 +15,7 @@ import pytest
 
 pytest.importorskip("fastapi", reason="needs the extra studio")
 
-from clsco.studio.pointing import Pointer
+from clsco.studio.moving import Pointer
 from clsco.studio.preview import Preview
 from clsco.studio.server import Studio, Tab
 from clsco.studio.session import Document

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 import clsco
 from clsco.cli.main import main
 from clsco.plan.prepare import prepare
-from clsco.studio.planned import plan_line
+from clsco.studio.ladder import plan_line
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

@@ -15,14 +15,13 @@ pytest.importorskip("fastapi", reason="needs the extra studio")
 
 from clsco import ClscoError, ImageError, SceneError
 from clsco.files.images import write_png
+from clsco.studio.folder import keep_image
+from clsco.studio.generate import distributions
 from clsco.studio.jobs import CommandJob
-from clsco.studio.offers import distributions
 from clsco.studio.presets import load_preset
 from clsco.studio.server import Studio
-from clsco.studio.session import Document
-from clsco.studio.state import StateFolder
+from clsco.studio.session import Document, StateFolder
 from clsco.studio.store import digest_of
-from clsco.studio.uploads import keep_image
 from tests.studio.running import studio
 
 NAMES = ("lock", "jobs.json", "job_1.end", "job_1.end.part", "job_1.log", "kept", "kept_one.json", "key")

@@ -5,10 +5,10 @@ from __future__ import annotations
 from functools import partial
 from importlib.util import find_spec
 
-from clsco.data.containers import folders, hdf5, npz, parquet, webdataset, zarr3
+from clsco.data.containers import folders, hdf5, parquet, webdataset, zarr3
+from clsco.data.containers.base import NEEDS
 from clsco.data.containers.base import Container as Container
 from clsco.data.containers.base import ShardReader as ShardReader
-from clsco.data.encoding import NEEDS
 from clsco.errors import ImageError, SceneError
 
 DEFAULT = "webdataset"
@@ -20,8 +20,8 @@ CONTAINERS = {
         Container("webdataset+raw", ".tar", partial(webdataset.write, raw=True), webdataset.TarReader),
         Container("folders", "", folders.write, folders.FolderReader, NEEDS),
         Container("folders+raw", "", partial(folders.write, raw=True), folders.FolderReader),
-        Container("npz", "", npz.write, npz.NpzReader),
-        Container("npz+raw", "", partial(npz.write, raw=True), npz.NpzReader),
+        Container("npz", "", folders.write_npz, folders.NpzReader),
+        Container("npz+raw", "", partial(folders.write_npz, raw=True), folders.NpzReader),
         Container("hdf5", ".h5", hdf5.write, hdf5.Hdf5Reader, hdf5.NEEDS),
         Container("hdf5+raw", ".h5", partial(hdf5.write, raw=True), hdf5.Hdf5Reader, hdf5.NEEDS),
         Container("zarr", ".zarr", zarr3.write, zarr3.ZarrReader, zarr3.NEEDS),

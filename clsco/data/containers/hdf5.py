@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.data.containers.base import ShardReader, whole
-from clsco.data.encoding import LARGEST_META, described, meta_bytes, parsed_meta
-from clsco.data.encoding import NEEDS as DEFLATE
+from clsco.data.containers.base import LARGEST_META, ShardReader, described, meta_bytes, parsed_meta, whole
+from clsco.data.containers.base import NEEDS as DEFLATE
 from clsco.data.record import Record, is_wanted
 from clsco.files.atomic import refuse
 from clsco.files.decoders import codec

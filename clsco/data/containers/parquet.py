@@ -14,8 +14,21 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.data.containers.base import Layout, ShardReader, blocks, record_bytes, whole
-from clsco.data.encoding import LARGEST, decoded, described, is_png, meta_bytes, parsed_meta, png_bytes, stored_size
+from clsco.data.containers.base import (
+    LARGEST,
+    Layout,
+    ShardReader,
+    blocks,
+    decoded,
+    described,
+    is_png,
+    meta_bytes,
+    parsed_meta,
+    png_bytes,
+    record_bytes,
+    stored_size,
+    whole,
+)
 from clsco.data.record import Record, is_wanted
 from clsco.files.atomic import refuse
 from clsco.files.confined import confined

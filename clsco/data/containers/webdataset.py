@@ -15,8 +15,17 @@ from pathlib import Path
 from sys import intern
 from typing import BinaryIO
 
-from clsco.data.containers.base import ShardReader, whole
-from clsco.data.encoding import LARGEST_META, decoded, described, members, parsed_meta, split_name, stored_size
+from clsco.data.containers.base import (
+    LARGEST_META,
+    ShardReader,
+    decoded,
+    described,
+    members,
+    parsed_meta,
+    split_name,
+    stored_size,
+    whole,
+)
 from clsco.data.record import Record, is_wanted
 from clsco.files.atomic import refuse
 from clsco.resources import open_regular

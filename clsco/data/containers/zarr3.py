@@ -17,8 +17,17 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.data.containers.base import ShardReader, block_size, blocks, whole
-from clsco.data.encoding import LARGEST_META, described, meta_bytes, parsed_meta, stored_size
+from clsco.data.containers.base import (
+    LARGEST_META,
+    ShardReader,
+    block_size,
+    blocks,
+    described,
+    meta_bytes,
+    parsed_meta,
+    stored_size,
+    whole,
+)
 from clsco.data.record import Record, is_wanted
 from clsco.files.decoders import codec, require, unzstd
 from clsco.resources import open_regular, read_regular

@@ -12,7 +12,7 @@ from clsco.errors import ClscoError
 from clsco.studio.folder import IMAGES, listed
 from clsco.studio.inpainting import FILLERS, Inpainting, inpainting_of
 from clsco.studio.jobs import Jobs
-from clsco.studio.removals import REMOVALS
+from clsco.studio.presets import REMOVALS
 from clsco.studio.session import Document
 from clsco.studio.widgets.html import Dialog, button, check_box, say, text_box, tried
 

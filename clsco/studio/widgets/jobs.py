@@ -14,9 +14,21 @@ from nicegui import ui
 
 from clsco.errors import ClscoError
 from clsco.scene.text import time_words
-from clsco.studio.generate import Wanted, clip, data_set, focal_stack, free_folder, generate
+from clsco.studio.generate import (
+    Wanted,
+    clip,
+    clip_name,
+    clip_presets,
+    data_set,
+    distributions,
+    first_format,
+    focal_stack,
+    free_folder,
+    generate,
+    set_formats,
+    truth_formats,
+)
 from clsco.studio.jobs import CommandJob, Jobs
-from clsco.studio.offers import clip_name, clip_presets, distributions, first_format, set_formats, truth_formats
 from clsco.studio.session import Document
 from clsco.studio.widgets.html import Dialog, button, check_box, choice, say, text_box
 

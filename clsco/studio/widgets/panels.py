@@ -13,15 +13,14 @@ from typing import Any
 
 from nicegui import ui
 
+from clsco.scene.shapes import SHAPES
 from clsco.studio.folder import IMAGES, listed
 from clsco.studio.forms import Field, Panel, panels
 from clsco.studio.keyframes import tracks
 from clsco.studio.presets import choose_method, is_as_the_thesis
 from clsco.studio.session import Document
-from clsco.studio.tables import at
-from clsco.studio.widgets.html import button, check_box, say
-from clsco.studio.widgets.live import number
-from clsco.studio.widgets.objects import object_list
+from clsco.studio.tables import SHAPE_LABELS, at, words
+from clsco.studio.widgets.html import button, check_box, choice, number, say, tried
 
 _MOTIONS = {"velocity": "Translation", "angular_velocity": "Rotation"}
 _TYPE, _PROPERTIES, _MOTION = 1, 2, 3  # of the panels of the thesis
@@ -263,3 +262,85 @@ def _method(session: Document) -> None:
         for on, text in ((True, "As the thesis"), (False, "Defaults of clsco")):
             pressed = "true" if is_thesis is on else "false"
             button(text, partial(choose_method, session, on), aria_pressed=pressed)
+
+
+def object_list(session: Document, index: int, choose: Callable[[int], None]) -> None:
+    """Draw the objects, of which one is shown in the panels, with what can be done with them.
+
+    Parameters
+    ----------
+    session : Document
+    index : int
+        Index of the object in the panels.
+    choose : function of int
+        Shows another one.
+    """
+    objects = session.table["object"]
+    last = len(objects) - 1
+
+    def moved(to: int) -> None:
+        session.move_object(index, to)
+        choose(to)
+
+    def deleted() -> None:
+        session.delete_object(index)
+        choose(max(index - 1, 0))
+
+    with say("section", aria_label="Objects").classes("objects"):
+        with ui.element("ul"):
+            for number, item in enumerate(objects):
+                label = str(item.get("name") or SHAPE_LABELS.get(item["shape"], words(item["shape"])))
+                with ui.element("li"):
+                    button(
+                        f"{number + 1} {label}", partial(choose, number),
+                        aria_pressed="true" if number == index else "false", aria_label=f"Object {number + 1}, {label}",
+                    )  # fmt: skip
+        with say("div", role="group", aria_label="Change the list of objects").classes("row"):
+            _adding(session, choose)
+            button("Copy", lambda: choose(session.copy_object(index)), aria_label="Copy the object")
+            button("Delete", deleted, aria_label="Delete the object", disabled=None if last else True)
+            button("↑", lambda: moved(index - 1), aria_label="Earlier", disabled=True if index == 0 else None)
+            button("↓", lambda: moved(index + 1), aria_label="Later", disabled=True if index == last else None)
+
+
+def _adding(session: Document, choose: Callable[[int], None]) -> None:
+    """A list of shapes, of which one is added."""
+    handler = "(event) => { const shape = event.target.value; event.target.value = ''; emit(shape); }"
+    ready = [shape for shape in SHAPES if shape != "depth_map"]  # which needs a file first
+    with say("select", aria_label="Add an object").on(
+        "change", lambda event: tried(lambda: choose(session.add_object(str(event.args)))), js_handler=handler
+    ):
+        say("option", "Add ...", value="")
+        for shape in ready:
+            say("option", SHAPE_LABELS.get(shape, words(shape)), value=shape)
+
+
+def draw_sweep(session: Document) -> Callable[[], None]:
+    """Say that a file has several scenes, and let one be chosen; returns what ends it, when the page is closed."""
+
+    @ui.refreshable
+    def area() -> None:
+        labels = session.state.labels
+        if len(labels) == 1:
+            return
+        with say("section", aria_label="Sweep").classes("objects"):
+            say("p", f"Keys with several values make {len(labels)} scenes; Generate writes them all.", role="status")
+            named = {label: f"{number + 1} {label.replace('__', ', ')}" for number, label in enumerate(labels)}
+            choice("Scene that is shown", named, labels[session.state.shown], chosen)
+
+    def chosen(label: str) -> None:
+        tried(lambda: session.show_scene(label))
+
+    before = [_seen(session)]
+
+    def changed() -> None:
+        if _seen(session) != before[0]:
+            before[0] = _seen(session)
+            area.refresh()
+
+    area()
+    return session.subscribe(changed)
+
+
+def _seen(session: Document) -> tuple[tuple[str, ...], int]:
+    return session.state.labels, session.state.shown

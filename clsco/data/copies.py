@@ -1,0 +1,218 @@
+"""Data sets made again by what their cards say, and compared."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from clsco.data.containers import CONTAINERS, container_named
+from clsco.data.making import DistributionLike, Progress, make
+from clsco.data.manifest import part_bytes, part_key
+from clsco.data.record import Record
+from clsco.data.sets import CARD, DataSet, Status, begun, finish, open_set, status_of
+from clsco.data.storage import Storage, open_storage, remove_path
+from clsco.errors import ImageError, SceneError
+from clsco.files.atomic import file_digests
+from clsco.files.bounded import strict_json
+
+
+def remake(
+    data: str | os.PathLike[str],
+    out: str | os.PathLike[str] | None = None,
+    *,
+    distribution: DistributionLike | None = None,
+    folder: str | os.PathLike[str] | None = None,
+    devices: str | Sequence[str] = (),
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> list[str]:
+    """Make a data set again by what its card says, and compare.
+
+    Parameters
+    ----------
+    data : path
+        Folder or address of the set, which is not changed.
+    out : path, optional
+        Folder or address of the new one; by default a temporary folder that is removed.
+    distribution : path, mapping or callable, optional
+        As for `clsco.data.make`; by default the one on the card. A set of a function needs the function, as code of a
+        stranger's set is not run.
+    folder : path, optional
+        Folder in which the distribution file was, with its textures; by default the current one.
+    devices, workers, progress
+        As for `clsco.data.make`.
+
+    Returns
+    -------
+    list of str
+        A line for each difference; none where all bytes are the same.
+
+    Raises
+    ------
+    SceneError
+        A function made the set, and none is given; or as `clsco.data.make`.
+    ImageError
+        There is no set, or it is damaged.
+
+    Examples
+    --------
+    >>> import clsco.data
+    >>> clsco.data.remake("DATA")  # doctest: +SKIP
+    []
+    """
+    with ExitStack() as stack:
+        storage = open_storage(data)
+        stack.callback(storage.close)
+        there = open_set(storage)
+        identity = there.identity
+        made_by = there.about.get("distribution") if distribution is None else distribution
+        if made_by is None:
+            name = there.about.get("function", "none")
+            raise SceneError(
+                f"distribution: must be given for a set that a function made, as it is not run; got {name}"
+            )
+        target = stack.enter_context(tempfile.TemporaryDirectory()) if out is None else os.fspath(out)
+        make(
+            made_by, target, only=there.samples, seed=identity.seed, truth=[n for n in identity.arrays if n != "color"],
+            color="color" in identity.arrays, types=dict(identity.types), splits=identity.splits or None,
+            format=identity.format, shard_size=identity.shard_size, precision=identity.precision, devices=devices,
+            workers=workers, folder=folder, license=str(there.about.get("license", "")), progress=progress,
+            allow_failures=len(there.samples),
+        )  # fmt: skip
+        again = open_storage(target)
+        stack.callback(again.close)
+        return list(_differences(there, open_set(again)))
+
+
+def _differences(there: DataSet, again: DataSet) -> Iterator[str]:
+    yield from again.identity.differences(there.identity.record())
+    for shard in there.shards:
+        key = part_key(shard)
+        old, new = there.storage.read(key), again.storage.read(key)
+        if old is None:
+            yield f"{key}: shard {shard} must be there; got none"
+        elif old != new:
+            yield from _of_samples(there, again, shard) or [f"{key}: must be what is made again; got other lines"]
+
+
+def _of_samples(there: DataSet, again: DataSet, shard: int) -> list[str]:
+    """Differences of the samples of a shard."""
+    found = []
+    old, new = (_lines(each, shard) for each in (there, again))
+    for number in there.numbers(shard):
+        one, two = old.get(number, {}), new.get(number, {})
+        found += [
+            f"sample {number}: {name} must be what is made again; got another"
+            for name in sorted(one.keys() | two.keys())
+            if one.get(name) != two.get(name)
+        ]
+    return found
+
+
+def _lines(there: DataSet, shard: int) -> dict[int, dict[str, Any]]:
+    """Digests of the arrays of each sample, or its error, by number."""
+    rows, failures = there.lines(shard)
+    return {row["number"]: row["arrays"] for row in rows} | {row["number"]: {"error": row["error"]} for row in failures}
+
+
+OWN = ("identity", "samples", "counts", "arrays", "conventions", "load", "cite", "files")  # of a card, not carried over
+
+
+def convert(
+    source: Storage, target: Storage, form: str, resume: bool, begin: Callable[[int], Callable[[], object]]
+) -> tuple[DataSet, Status]:
+    """Write a whole set in another format.
+
+    Parameters
+    ----------
+    source : Storage
+    target : Storage
+        Empty, or with a conversion that was interrupted.
+    form : str
+        Name of a container.
+    resume : bool
+        Go on with what is in `target`: shards that are whole there stay.
+    begin : callable
+        Takes the number of shards that are left, and gives what is called after each.
+
+    Returns
+    -------
+    (DataSet, Status)
+        The set in `target` and its progress.
+
+    Raises
+    ------
+    SceneError
+        There is no such format, or another set is in `target`.
+    ImageError
+        The set is not whole or damaged: each array must have the SHA-256 that the manifest names.
+
+    Notes
+    -----
+    What comes out is what `clsco dataset make --format` would have made, byte by byte, so that `dataset status`,
+    `verify` and `--resume` take it.
+    """
+    container_named(form)
+    there = open_set(source)
+    container_named(there.identity.format)
+    status = status_of(there)
+    if not status.is_whole:
+        found = next(iter(status.faults), f"{len(status.done)}")
+        raise ImageError(f"{source.where}: all {status.shards} shards must be whole; got {found}")
+    made = DataSet(target, replace(there.identity, format=form), there.samples)
+    begun(made, resume)
+    card = strict_json(source.read(CARD) or b"{}")
+    made.write({name: value for name, value in card.items() if name not in OWN})
+    done = made.done(made.shards, target.is_local, [])
+    left = [shard for shard in made.shards if shard not in done]
+    advance = begin(len(left))
+    for shard in left:
+        _convert_shard(there, made, shard)
+        advance()
+    return made, finish(made)
+
+
+def _convert_shard(there: DataSet, made: DataSet, shard: int) -> None:
+    """Convert the files of a shard; its part is written when they are there."""
+    rows, failures = there.lines(shard)
+    old, new = CONTAINERS[there.identity.format], CONTAINERS[made.identity.format]
+    by_file: dict[str, list[dict[str, Any]]] = {}
+    for row in rows:
+        by_file.setdefault(row["file"], []).append(row)
+    scratch, files = made.storage.scratch(), dict[str, Path]()
+    described: dict[str, tuple[int, str]] = {}
+    for file, own in by_file.items():
+        key = f"{file.removesuffix(old.suffix)}{new.suffix}"
+        path, local = scratch / key.replace("/", "_"), there.storage.local(file)
+        remove_path(path)
+        reader = old.read(local)
+        try:
+            if len(reader) != len(own):
+                raise ImageError(f"{file}: must hold {len(own)} samples, as the manifest says; got {len(reader)}")
+            new.write(path, _checked(file, reader, own))
+        finally:
+            reader.close()
+            if not there.storage.is_local:
+                remove_path(local)
+        files[key] = path
+        described |= file_digests(key, path)
+        for row in own:
+            row["file"] = key
+    part = part_bytes(shard, made.identity.digest, made.numbers(shard), described, rows, failures)
+    made.storage.remove(part_key(shard))
+    for key, path in files.items():
+        made.storage.put(key, path)
+    made.storage.write(part_key(shard), part)
+
+
+def _checked(file: str, records: Iterator[Record] | Any, rows: Sequence[Mapping[str, Any]]) -> Iterator[Record]:
+    """Records whose arrays are those of the manifest."""
+    for record, row in zip(records, sorted(rows, key=lambda row: row["offset"]), strict=True):
+        if record.key != f"{row['number']:09d}" or record.sha256() != row["arrays"]:
+            raise ImageError(f"{file}: sample {row['number']} must have the arrays of the manifest; got others")
+        yield record
