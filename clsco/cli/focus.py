@@ -68,7 +68,7 @@ def _focused(path: Path, sweep: Sweep, focus: Focus) -> Sweep | SceneError:
     cameras = [scene.camera for scene in sweep.scenes]
     distances = {camera.focus_distance or camera.sensor_distance for camera in cameras}
     if len(distances) > 1:
-        return SceneError(f"{path}: {focus.option}: goes without several values of the focus; got {len(distances)}")
+        return SceneError(f"{path}: focus: goes without several values of the focus; got {len(distances)}")
     try:
         scenes = tuple(focused(with_resolution(scene), shared_files(), focus) for scene in sweep.scenes)
     except (ImageError, SceneError) as error:

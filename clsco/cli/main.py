@@ -297,7 +297,7 @@ def defocus(
     focus = parsed_focus(focus_at, focus_depth)
     for name in ("focus_distance", "sensor_distance"):
         if focus is not None and options[name] is not None:
-            raise click.UsageError(f"{focus.option}: goes without --{name.replace('_', '-')}; got both")
+            raise click.UsageError(f"focus: goes without --{name.replace('_', '-')}; got both")
     sweep = scenes_from_files(image, depth, options, overrides, (image_layer, depth_layer))
     check_pair(sweep.scenes[0])
     loaded = focused_files([(image, sweep)], focus)

@@ -18,7 +18,7 @@ from clsco.errors import SceneError
 from clsco.optics.exposure import middle_time
 from clsco.optics.lens import LARGEST_BLUR
 from clsco.optics.lens_path import camera_at, lenses_at
-from clsco.optics.motion import poses_at, rest_center
+from clsco.optics.motion import moved_points, poses_at, rest_center
 from clsco.optics.quadrics import place, predict_inverse_depth
 from clsco.optics.rays import places_of, slopes_at
 from clsco.plan.predict import without_lens
@@ -137,9 +137,7 @@ def _flow(scene: Scene, seen: _Seen, interval: float) -> Array:
         if item.is_background or not own.any():
             continue
         rays = np.stack([x[own], y[own], np.ones(int(own.sum()))])
-        center, before, after = rest_center(item)[:, None], now[number], then[number]
-        body = before.rotation.T @ (rays / seen.w[own] - center - before.shift[:, None])
-        point = center + after.shift[:, None] + after.rotation @ body
+        point = moved_points((rays / seen.w[own]).T, rest_center(item), now[number], then[number]).T
         ahead = point[2] > 0.0
         way = np.subtract(places_of(there, *(point[:2] / np.where(ahead, point[2], 1.0))), places_of(here, *rays[:2]))
         length[own] = np.where(ahead, np.sqrt((way * way).sum(axis=0)), 0.0)

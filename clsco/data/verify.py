@@ -25,7 +25,7 @@ from clsco.opencl.device import choose
 from clsco.optics.exposure import middle_time
 from clsco.optics.lens_path import camera_at
 from clsco.optics.line_truth import LinePoints, lines_of
-from clsco.optics.motion import Eye, poses_at, rest_center
+from clsco.optics.motion import Eye, moved_points, poses_at, rest_center
 from clsco.reference.common.geometry import pixel_ray, project
 from clsco.scene.file import FILE_KEYS
 from clsco.scene.model import Scene
@@ -149,9 +149,7 @@ def flow_error(scene: Scene, frame: Frame, depth: NDArray[np.float32], flow: NDA
         zip(scene.objects, poses_at(scene, now, eye), poses_at(scene, then, eye), strict=True)
     ):
         own = (frame.object_id == k) & np.isfinite(depth)
-        center = rest_center(item)
-        body = (points[own] - center - one.shift) @ one.rotation  # by the transpose
-        moved = center + two.shift + body @ two.rotation.T
+        moved = moved_points(points[own], rest_center(item), one, two)
         seen = moved[:, 2] > NEAREST
         at_row, at_column = project(later, moved[seen])
         expected = np.stack([at_column - column[own][seen], at_row - row[own][seen]], axis=-1)

@@ -16,7 +16,7 @@ from clsco.frame.provenance import views
 from clsco.optics.exposure import middle_time
 from clsco.optics.lens import ray_step
 from clsco.optics.lens_path import camera_at
-from clsco.optics.motion import Eye, eye_pose, poses_at, rest_center
+from clsco.optics.motion import Eye, eye_pose, moved_points, poses_at, rest_center
 from clsco.optics.rays import slopes_at
 from clsco.scene.model import Scene
 
@@ -100,9 +100,7 @@ def gets_behind(scene: Scene, frame: Frame, step: int) -> NDArray[np.bool_]:
         camera = camera_at(scene, middle_time(scene.sequence, frame.index))
         across, up = slopes_at(camera, column - middle[1], middle[0] - row)
         point = np.stack([across, up, np.ones_like(across)], axis=-1) * frame.depth[row, column, None]
-        center = rest_center(item)
-        body = (point - center - now[k].shift) @ now[k].rotation  # turned back
-        behind[row, column] = center[2] + then[k].shift[2] + body @ then[k].rotation[2] <= 0
+        behind[row, column] = moved_points(point.astype(np.float64), rest_center(item), now[k], then[k])[:, 2] <= 0
     return behind
 
 

@@ -37,11 +37,6 @@ class Focus:
 
     on: tuple[int, int] | float
 
-    @property
-    def option(self) -> str:
-        """Option of commands that gives it."""
-        return "--focus-at" if isinstance(self.on, tuple) else "--focus-depth"
-
 
 def lens_line(scene: Scene, w: Array) -> str:
     """Range of the blur radius over a depth map, how much of it is in focus, and why it may not be intended.
@@ -67,7 +62,7 @@ def lens_line(scene: Scene, w: Array) -> str:
     line = f"R {low:.3g} to {high:.3g} px; in focus: {percent} % of the picture"
     depths = f"depths {_distance(near)} to {_distance(far)}, focus at {camera.focused_distance:.6g} mm"
     if sharp == 0:
-        line += f" ({depths}; --focus-at and --focus-depth focus on what is there)"
+        line += f" ({depths}; a pixel or a share of the depths can be focused on)"
     elif sharp == seen.size:
         line += f" (nothing is blurred by more than a pixel: {depths})"
     if camera.pixel_pitch > COARSE_PITCH:
@@ -109,22 +104,22 @@ def focused(scene: Scene, files: InputFiles, focus: Focus) -> Scene:
     """
     columns, rows = scene.camera.frame_size
     if any(isinstance(item, DepthMap) and item.unit == "coc" for item in scene.objects):
-        raise SceneError(f'{focus.option}: depths must be known; got unit = "coc", whose radii say what is in focus')
+        raise SceneError('focus: depths must be known; got unit = "coc", whose radii say what is in focus')
     pinhole = scene.camera.model_copy(update={"aperture_diameter": MIN_LENGTH_MM})  # which blurs nothing too much
     maps = files.maps(scene.model_copy(update={"camera": pinhole}))
     if isinstance(focus.on, tuple):
         x, y = focus.on
         if not (0 <= x < columns and 0 <= y < rows):
-            raise SceneError(f"{focus.option}: must be a pixel of the {columns} x {rows}, counted from 0; got {x},{y}")
+            raise SceneError(f"focus: must be a pixel of the {columns} x {rows}, counted from 0; got {x},{y}")
         nearest, whose = seen(scene, maps, np.array([y]), np.array([x]))
         w = float(nearest[0, 0])
         if whose[0, 0] < 0:
-            raise SceneError(f"{focus.option}: must be on a surface; got nothing at {x},{y}")
+            raise SceneError(f"focus: must be on a surface; got nothing at {x},{y}")
     else:
         step = 1 + int(np.sqrt(rows * columns / MOST_POINTS))
         found, _ = seen(scene, maps, np.arange(0, rows, step), np.arange(0, columns, step))
         if not (found > 0).any():
-            raise SceneError(f"{focus.option}: must be on a surface; got nothing in the picture")
+            raise SceneError("focus: must be on a surface; got nothing in the picture")
         w = float(np.quantile(found[found > 0], 1.0 - focus.on, method="nearest"))
     if w * MAX_LENGTH_MM < 1.0:
         return scene.replace("camera.sensor_distance", scene.camera.focal_length)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.optics.lens import ray_step
-from clsco.optics.motion import Eye, Pose, rest_center
+from clsco.optics.motion import Eye, Pose, moved_points, rest_center
 from clsco.optics.rays import image_slopes, slopes_at
 from clsco.scene.model import Camera, Object
 
@@ -99,9 +99,7 @@ class MapPoints:
 
     def moved(self, k: int, pose: Pose) -> Array:
         """Points (rows, columns, 3) if all were of object k, in another pose of it, mm."""
-        center = rest_center(self.items[k])
-        body = (self.points - center - self.poses[k].shift) @ self.poses[k].rotation  # turned back
-        return np.asarray(center + pose.shift + body @ pose.rotation.T)
+        return moved_points(self.points, rest_center(self.items[k]), self.poses[k], pose)
 
 
 def map_flow(seen: MapPoints, camera: Camera, then: Sequence[Pose]) -> Floats:

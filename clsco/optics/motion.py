@@ -310,6 +310,35 @@ def poses_at(scene: Scene, time: float, eye: Eye = "left") -> tuple[Pose, ...]:
     return tuple(found)
 
 
+def moved_points(
+    points: NDArray[np.float64], center: NDArray[np.float64], before: Pose, after: Pose
+) -> NDArray[np.float64]:
+    """Points of a rigid object in one pose, in another pose of it.
+
+    Parameters
+    ----------
+    points : ndarray of float64, (..., 3)
+        mm, in the pose `before`.
+    center : ndarray of float64, (3,)
+        See `rest_center`.
+    before, after : Pose
+
+    Returns
+    -------
+    ndarray of float64, (..., 3)
+        mm.
+
+    Examples
+    --------
+    >>> quarter = Pose(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.array([0.0, 0.0, 5.0]))
+    >>> still = Pose(np.eye(3), np.zeros(3))
+    >>> moved_points(np.array([[2.0, 0.0, 100.0]]), np.array([1.0, 0.0, 100.0]), still, quarter).tolist()
+    [[1.0, 1.0, 105.0]]
+    """
+    body = (points - center - before.shift) @ before.rotation  # turned back
+    return np.asarray(center + after.shift + body @ after.rotation.T)
+
+
 def _carrier(scene: Scene, group: Group, time: float) -> tuple[Pose, NDArray[np.float64]]:
     """Pose of a group, and the point (3,) about which it rotates, mm."""
     members = [item for item in scene.objects if item.group == group.name]

@@ -272,15 +272,15 @@ def test_the_command_tells_of_wrong_usage_and_of_what_it_was_given(files: tuple[
         ([image, tmp_path / "none.exr", "-o", tmp_path / "a"], 1, "none.exr: must be a file that can be read; got "),
         ([image, depth, "-o", tmp_path / "a", "--f-number", 2, "--aperture-diameter", 3], 1, "not both; got 3.0"),
         ([image, depth, "-o", tmp_path / "a", "--focus-at", "3;4"], 2, "must be X,Y, a pixel's column and row counted"),
-        ([image, depth, "-o", tmp_path / "a", "--focus-at", "12,0"], 1, "image.png: --focus-at: must be a pixel of"),
+        ([image, depth, "-o", tmp_path / "a", "--focus-at", "12,0"], 1, "image.png: focus: must be a pixel of"),
         ([image, depth, "-o", tmp_path / "a", "--focus-depth", "1.5"], 2, "1.5 is not in the range 0.0<=x<=1.0"),
         ([image, depth, "-o", tmp_path / "a", "--focus-at", "3,4", "--focus-depth", "0.5"], 2, "without --focus-depth"),
         ([image, depth, "-o", tmp_path / "a", "--focus-at", "3,4", "--focus-distance", "250"], 2, "got both"),
         ([image, depth, "-o", tmp_path / "a", "--focus-at", "3,4", "--focal-length", "400"], 1, "greater than focal_l"),
         ([image, depth, "-o", tmp_path / "a", "--focus-at", "3,4", "--unit", "coc", "--scale", "0.1"], 1,
-         'image.png: --focus-at: depths must be known; got unit = "coc"'),
+         'image.png: focus: depths must be known; got unit = "coc"'),
         ([image, depth, "-o", tmp_path / "a", "--focus-at", "3,4", "--set", "camera.focus_distance=[250, 300]"], 1,
-         "image.png: --focus-at: goes without several values of the focus; got 2"),
+         "image.png: focus: goes without several values of the focus; got 2"),
     ]  # fmt: skip
     for words, status, message in cases:
         result = clsco_("defocus", *words)

@@ -14,7 +14,7 @@ from clsco.scene.model import Background, Camera, DepthMap, Plane, Scene, Sphere
 from tests.scenes import scene_of
 
 CAMERA = Camera()  # kappa = 10,000 px mm, in focus at 250.017 mm, 39.997 px at infinity
-FOCUS_AT = "; --focus-at and --focus-depth focus on what is there)"
+FOCUS_AT = "; a pixel or a share of the depths can be focused on)"
 
 
 SHARP = "(nothing is blurred by more than a pixel: depths 250 to {}, focus at 250.017 mm)".format
@@ -80,13 +80,13 @@ def test_what_is_infinitely_far_has_the_detector_at_the_focal_length() -> None:
 
 
 @pytest.mark.parametrize(("scene", "focus", "message"), [
-    (scene_of(depth_map()), Focus((64, 0)), "--focus-at: must be a pixel of the 64 x 48, counted from 0; got 64,0"),
+    (scene_of(depth_map()), Focus((64, 0)), "focus: must be a pixel of the 64 x 48, counted from 0; got 64,0"),
     (scene_of(Plane(bounds=((-1, 1), (-1, 1), (-1, 1)))), Focus((0, 0)),
-     "--focus-at: must be on a surface; got nothing at 0,0"),
+     "focus: must be on a surface; got nothing at 0,0"),
     (scene_of(Sphere(center=(900.0, 0.0, 280.0))), Focus(0.5),
-     "--focus-depth: must be on a surface; got nothing in the picture"),
+     "focus: must be on a surface; got nothing in the picture"),
     (scene_of(depth_map(depth=np.zeros((48, 64)), unit="coc")), Focus((0, 0)),
-     '--focus-at: depths must be known; got unit = "coc", whose radii say what is in focus'),
+     'focus: depths must be known; got unit = "coc", whose radii say what is in focus'),
     (scene_of(depth_map(), camera={"focal_length": 350.0, "sensor_distance": 2000.0}), Focus((0, 0)),
      "scene: camera.focus_distance: must be greater than focal_length = 350 mm; got 300.0"),
 ])  # fmt: skip

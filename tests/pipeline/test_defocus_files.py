@@ -48,7 +48,7 @@ def test_a_wall_of_depths_is_a_plane(wall: tuple[Path, Path], tmp_path: Path) ->
     image, depth = wall
     result = clsco_("defocus", image, depth, "-o", tmp_path / "out.tif", *OPTIONS)
     assert result.exit_code == 0, result.output
-    at = "(depths 400 to 400, focus at 250 mm; --focus-at and --focus-depth focus on what is there)"
+    at = "(depths 400 to 400, focus at 250 mm; a pixel or a share of the depths can be focused on)"
     assert result.stderr == f"{depth}: R 3 to 3 px; in focus: 0 % of the picture {at}\n"
     camera = {"pixel_pitch": 0.05, "focus_distance": 250.0}
     plane = {"shape": "plane", "distance": 400.0, "texture": str(image)}
