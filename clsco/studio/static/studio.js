@@ -3,7 +3,8 @@
 
 import { colored } from "./colors.js";
 import { ENCODING, RUNG, VIEWS, opened } from "./protocol.js";
-import { all, one, studio } from "./shared.js";
+import { all, on, one, problem, studio } from "./shared.js";
+import { Viewport } from "./viewport.js";
 
 import "./badge.js";
 import "./persistence.js";
@@ -20,15 +21,15 @@ const ECHO = 300; // ms in which the server answers a change
 const NUMBERS_FROM = 24; // CSS px per pixel of the image
 
 // ---- the socket -------------------------------------------------------------------------------------------------
-let socket = null, tab = "", tries = 0, link = ""; // link: a scene in the address
-const send = (content) => {
-  if (socket !== null && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(content));
-};
+/** @type {WebSocket | null} */
+let socket = null;
+let tries = 0, link = ""; // link: a scene in the address
+studio.isOpen = () => socket?.readyState === WebSocket.OPEN;
+const send = (content) => { if (studio.isOpen()) socket?.send(JSON.stringify(content)); };
 studio.send = send;
-studio.isOpen = () => socket !== null && socket.readyState === WebSocket.OPEN;
 
 const connect = () => {
-  socket = new WebSocket(new URL(`frames?tab=${tab}`, location.href.replace(/^http/, "ws")));
+  socket = new WebSocket(new URL(`frames?tab=${studio.tab}`, location.href.replace(/^http/, "ws")));
   socket.binaryType = "arraybuffer";
   socket.onopen = () => {
     tries = 0;
@@ -58,6 +59,7 @@ const received = (buffer) => {
 };
 
 // ---- pictures ---------------------------------------------------------------------------------------------------
+/** @type {Promise<void>} */
 let queue = Promise.resolve(); // pictures are painted in the order in which they come
 const show = (picture, payload) => {
   const isImage = picture.encoding === ENCODING.JPEG || picture.encoding === ENCODING.PNG;
@@ -75,7 +77,7 @@ const show = (picture, payload) => {
     if (studio.painted.length > 500) studio.painted.shift();
   }).catch((error) => {
     send({ ack: [picture.revision, picture.rung] });
-    told({ error: [`picture: ${error.message}`] });
+    told({ error: [`picture: ${problem(error)}`] });
   });
 };
 
@@ -85,7 +87,7 @@ const decoded = (picture, payload) => createImageBitmap(
   new Blob([payload], { type: picture.encoding === ENCODING.JPEG ? "image/jpeg" : "image/png" }),
   { colorSpaceConversion: "none", premultiplyAlpha: "none" });
 
-const plane = async (picture, payload) => {
+const plane = (picture, payload) => {
   const values = picture.encoding === ENCODING.FLOAT16 ? halves(payload) : new Float32Array(payload.buffer, payload.byteOffset);
   picture.values = values;
   const { data, legend } = colored(picture.view, values, picture.width, picture.height);
@@ -110,7 +112,7 @@ const paint = (picture, image) => {
   if (canvas.width !== columns || canvas.height !== rows) {
     canvas.width = columns;
     canvas.height = rows;
-    fit();
+    viewport.fit();
   }
   context.imageSmoothingEnabled = picture.view === "color" || picture.view === "sharp";
   if (image.width !== columns || image.height !== rows) context.imageSmoothingQuality = "medium";
@@ -123,7 +125,7 @@ const paint = (picture, image) => {
   studio.done();
   studio.compare();
   legend(picture.legend);
-  place();
+  placed();
   studio.drawn(picture);
 };
 
@@ -140,103 +142,58 @@ const legend = (about) => {
 };
 
 // ---- zoom and pan: the canvas has the frame's pixels, and is scaled by its style --------------------------------
-let scale = 1, left = 0, top = 0, fitted = true;
-const stage = () => one("#stage").getBoundingClientRect();
-
-const fit = () => {
-  const canvas = one("#canvas"), box = stage();
-  scale = Math.min(box.width / canvas.width, box.height / canvas.height) * 0.98;
-  if (scale > 1) scale = Math.max(1, Math.floor(scale * 4) / 4);
-  left = (box.width - scale * canvas.width) / 2;
-  top = (box.height - scale * canvas.height) / 2;
-  fitted = true;
-  place();
-};
-
-const zoom = (factor, x, y) => {
-  const to = Math.min(Math.max(scale * factor, 0.05), 128);
-  left = x - ((x - left) * to) / scale;
-  top = y - ((y - top) * to) / scale;
-  scale = to;
-  fitted = false;
-  place();
-};
-
-const place = () => {
-  const canvas = one("#canvas");
-  for (const each of [canvas, one("#pinned"), one("#stacked")]) {
+const placed = () => {
+  const { scale, left, top } = viewport;
+  for (const each of all("#canvas, #pinned, #stacked")) {
     each.style.transform = `translate(${left}px, ${top}px) scale(${scale})`;
     each.style.imageRendering = scale >= 1.5 ? "pixelated" : "auto";
   }
   one("#zoom").textContent = `${Math.round(scale * devicePixelRatio * 100)} %`;
-  numbers();
+  over();
 };
 
-const numbers = () => {
-  const over = one("#over"), box = stage(), context = over.getContext("2d");
-  over.width = box.width;
-  over.height = box.height;
-  const place = (x, y) => [left + (x + 0.5) * scale, top + (y + 0.5) * scale];
-  for (const draw of studio.overlays) draw(context, place);
-  if (scale < NUMBERS_FROM) return;
-  const canvas = one("#canvas"), first = [Math.max(0, Math.floor(-left / scale)), Math.max(0, Math.floor(-top / scale))];
-  const columns = Math.min(canvas.width - first[0], Math.ceil(box.width / scale) + 1);
-  const rows = Math.min(canvas.height - first[1], Math.ceil(box.height / scale) + 1);
+const viewport = new Viewport(() => one("#stage"), () => [one("#canvas").width, one("#canvas").height], placed);
+studio.viewport = viewport;
+
+const over = () => { // what is drawn over the picture
+  const canvas = one("#over"), { width, height } = viewport.box(), context = canvas.getContext("2d");
+  [canvas.width, canvas.height] = [width, height];
+  for (const draw of studio.overlays) draw(context, viewport.place);
+  if (viewport.scale >= NUMBERS_FROM) numbers(context, width, height);
+};
+
+const numbers = (context, width, height) => { // the codes, written in the pixels
+  const { scale, left, top } = viewport, canvas = one("#canvas");
+  const [x0, y0] = [Math.max(0, Math.floor(-left / scale)), Math.max(0, Math.floor(-top / scale))];
+  const columns = Math.min(canvas.width - x0, Math.ceil(width / scale) + 1);
+  const rows = Math.min(canvas.height - y0, Math.ceil(height / scale) + 1);
   if (columns < 1 || rows < 1) return;
-  const { data } = canvas.getContext("2d").getImageData(first[0], first[1], columns, rows);
+  const { data } = canvas.getContext("2d").getImageData(x0, y0, columns, rows);
   context.font = `${Math.min(scale / 3.4, 13)}px ui-monospace, monospace`;
   context.textAlign = "center";
   context.textBaseline = "middle";
   for (let y = 0; y < rows; y += 1) {
     for (let x = 0; x < columns; x += 1) {
-      const [r, g, b] = data.subarray(4 * (y * columns + x));
+      const [r, g, b] = data.subarray(4 * (y * columns + x)), [across, down] = viewport.place(x0 + x, y0 + y);
       context.fillStyle = 0.3 * r + 0.6 * g + 0.1 * b > 127 ? "#000" : "#fff";
       const lines = r === g && g === b ? [r] : scale >= 40 ? [r, g, b] : [g];
-      lines.forEach((value, line) => context.fillText(value, left + (first[0] + x + 0.5) * scale,
-        top + (first[1] + y + 0.5) * scale + (line - (lines.length - 1) / 2) * scale * 0.3));
+      lines.forEach((value, line) => context.fillText(value, across, down + (line - (lines.length - 1) / 2) * scale * 0.3));
     }
   }
 };
 
-studio.pixelAt = (x, y) => {
-  const box = stage(), canvas = one("#canvas");
-  const at = [Math.floor((x - box.left - left) / scale), Math.floor((y - box.top - top) / scale)];
-  return at[0] >= 0 && at[1] >= 0 && at[0] < canvas.width && at[1] < canvas.height ? at : null;
-};
-
-studio.scale = () => scale; // CSS px per pixel of the frame
-studio.place = () => place();
-
 const pointing = () => {
-  const element = one("#stage");
-  let grip = null;
-  element.addEventListener("wheel", (event) => {
-    event.preventDefault();
-    const box = stage();
-    zoom(1.0015 ** -event.deltaY, event.clientX - box.left, event.clientY - box.top);
-  }, { passive: false });
-  element.addEventListener("pointerdown", (event) => {
-    if (event.button !== 0 || studio.tool) return;
-    grip = [event.clientX - left, event.clientY - top];
-    element.setPointerCapture(event.pointerId);
-  });
-  element.addEventListener("pointermove", (event) => {
-    if (grip === null) return;
-    [left, top, fitted] = [event.clientX - grip[0], event.clientY - grip[1], false];
-    place();
-  });
-  element.addEventListener("pointerup", () => { grip = null; });
-  element.addEventListener("dblclick", fit);
-  one("#fit").addEventListener("click", fit);
-  one("#actual").addEventListener("click", () => {
-    const box = stage();
-    zoom(1 / devicePixelRatio / scale, box.width / 2, box.height / 2);
-  });
-  new ResizeObserver(() => (fitted ? fit() : place())).observe(element);
+  viewport.listen((event) => event.button === 0 && !studio.tool);
+  one("#stage").addEventListener("dblclick", () => viewport.fit());
+  one("#fit").addEventListener("click", () => viewport.fit());
+  one("#actual").addEventListener("click", () => viewport.zoom(1 / devicePixelRatio / viewport.scale));
+  new ResizeObserver(() => viewport.refit()).observe(one("#stage"));
 };
 
 // ---- controls ---------------------------------------------------------------------------------------------------
-let drag = 0, dragged = null; // number of the drag; its control's path and the value before it
+let drag = 0;
+/** @type {{ path: string, before: any, at: number } | null} of the control, and its value before it */
+let dragged = null;
 const waiting = new Map(); // values not yet sent, by path: the latest wins
 let watched = "";
 
@@ -271,7 +228,7 @@ const changing = (control) => {
   const path = control.dataset.path, value = valueOf(control);
   if (dragged === null || dragged.path !== path) {
     drag += 1;
-    dragged = { path, before: studio.values[path] };
+    dragged = { path, before: studio.values[path], at: 0 };
   }
   dragged.at = performance.now();
   for (const other of sameKey(path)) if (other !== control) give(other, value);
@@ -288,8 +245,8 @@ const give = (control, value) => {
 // Numbers are shown with as many digits as tell them apart, and no more.
 const shown = (value) => (typeof value === "number" ? String(Number(value.toPrecision(12))) : String(value));
 
-const stepped = (event) => { // arrows: with Shift ten times as far, with Alt a tenth
-  const control = event.target, sign = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1 }[event.key];
+const stepped = (event, control) => { // arrows: with Shift ten times as far, with Alt a tenth
+  const sign = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1 }[event.key];
   if (sign === undefined || control.type !== "range" || !control.dataset.path) return;
   event.preventDefault();
   const step = Number(control.dataset.step || control.step) || 1;
@@ -329,15 +286,8 @@ const mark = () => {
 
 const told = (said) => {
   if (said.error) { fail(said.error); studio.notInspected(); }
-  if (said.inspected) studio.inspected(said.inspected);
   if (said.about) one("#plan").textContent = said.about.plan;
-  if (said.values) {
-    Object.assign(studio.values, said.values);
-    for (const [path, value] of Object.entries(said.values)) {
-      if (dragged?.path === path && performance.now() - dragged.at < ECHO) continue; // older than what is in the box
-      for (const control of sameKey(path)) give(control, value);
-    }
-  }
+  if (said.values) valued(said.values);
   if (said.faults) { studio.faults = said.faults; mark(); }
   if ("undo" in said) { one("#undo").disabled = !said.undo; one("#redo").disabled = !said.redo; }
   if ("title" in said) {
@@ -347,34 +297,45 @@ const told = (said) => {
   for (const hear of studio.hearing) hear(said);
 };
 
+const valued = (values) => {
+  Object.assign(studio.values, values);
+  for (const [path, value] of Object.entries(values)) {
+    if (dragged?.path === path && performance.now() - dragged.at < ECHO) continue; // older than what is in the box
+    for (const control of sameKey(path)) give(control, value);
+  }
+};
+
+let failing = 0;
 const fail = (messages) => {
   const place = one("#message");
   place.textContent = messages.join("\n");
   place.hidden = false;
-  clearTimeout(fail.timer);
-  fail.timer = setTimeout(() => { place.hidden = true; }, 12000);
+  clearTimeout(failing);
+  failing = setTimeout(() => { place.hidden = true; }, 12000);
 };
 
 studio.fail = fail;
 
+const CLICKS = { // what a click on an element with such an attribute does
+  clear: (path) => { drag += 1; put(path, null); },
+  do: (action) => send({ do: action }),
+  show: (selector) => one(selector).showModal(),
+  close: (selector) => one(selector).close(),
+  toggle: (name) => one("#studio").classList.toggle(name),
+  view: (view) => look(view),
+};
+
 const controls = () => {
-  document.addEventListener("input", (event) => { if (event.target.dataset?.path) changing(event.target); });
-  document.addEventListener("change", (event) => { if (event.target.dataset?.path) dragged = null; });
-  document.addEventListener("focusout", (event) => { if (event.target.dataset?.path) dragged = null; });
-  document.addEventListener("keydown", stepped, true);
-  document.addEventListener("click", (event) => {
-    const reset = event.target.closest?.("[data-clear]");
-    if (reset) { drag += 1; put(reset.dataset.clear, null); }
-    const action = event.target.closest?.("[data-do]");
-    if (action) send({ do: action.dataset.do });
-    const shows = event.target.closest?.("[data-show]");
-    if (shows) one(shows.dataset.show).showModal();
-    const closes = event.target.closest?.("[data-close]");
-    if (closes) one(closes.dataset.close).close();
-    const toggles = event.target.closest?.("[data-toggle]");
-    if (toggles) one("#studio").classList.toggle(toggles.dataset.toggle);
-    const view = event.target.closest?.("[data-view]");
-    if (view) look(view.dataset.view);
+  on("input", (_, control) => { if (control.dataset?.path) changing(control); });
+  for (const end of /** @type {const} */ (["change", "focusout"])) {
+    on(end, (_, control) => { if (control.dataset?.path) dragged = null; });
+  }
+  on("keydown", stepped, { capture: true });
+  on("click", (_, target) => {
+    for (const [name, act] of Object.entries(CLICKS)) {
+      const element = target.closest(`[data-${name}]`);
+      if (element) act(element.dataset[name]);
+    }
   });
   new MutationObserver(() => requestAnimationFrame(watch)).observe(document.body, { childList: true, subtree: true });
 };
@@ -392,39 +353,48 @@ const look = (view) => {
 studio.look = look;
 
 // ---- keyboard ---------------------------------------------------------------------------------------------------
-const keys = (event) => {
-  const control = event.ctrlKey || event.metaKey, press = (selector) => { event.preventDefault(); one(selector)?.click(); };
-  if (control && event.key.toLowerCase() === "z") dragged = null;
-  if (control && event.key.toLowerCase() === "z") return press(event.shiftKey ? "#redo" : "#undo");
-  if (control && event.key.toLowerCase() === "s") return press("#save");
-  if (control && event.key === "Enter") return press("#generate");
-  if (event.key === "Escape" && dragged !== null) {
-    const { path, before } = dragged;
-    put(path, before ?? null);
-    for (const other of sameKey(path)) give(other, before);
-    dragged = null;
-    return undefined;
-  }
-  if (event.key === "Escape") studio.escape();
-  const typing = event.target.closest?.("input:not([type=range]):not([type=checkbox]):not([type=radio]), textarea, select");
-  if (control || event.altKey || typing) return undefined;
-  if (/^[1-9]$/.test(event.key)) return look(VIEWS[Number(event.key) - 1]);
-  if (event.key === ",") return studio.seek(studio.index - 1);
-  if (event.key === ".") return studio.seek(studio.index + 1);
-  if (event.key.toLowerCase() === "e" && !one("#eye").hidden) return press("#eye");
-  if (event.key === "?") return one("#keys").showModal();
-  return studio.extra?.(event);
+const taken = () => { // a drag of a control that is given up
+  if (dragged === null) return false;
+  const { path, before } = dragged;
+  put(path, before ?? null);
+  for (const other of sameKey(path)) give(other, before);
+  dragged = null;
+  return true;
+};
+
+const press = (event, selector) => { event.preventDefault(); one(selector)?.click(); };
+const COMMANDS = { // with Ctrl
+  z: (event) => { dragged = null; press(event, event.shiftKey ? "#redo" : "#undo"); },
+  s: (event) => press(event, "#save"),
+  enter: (event) => press(event, "#generate"),
+};
+const KEYS = {
+  ",": () => studio.seek(studio.index - 1),
+  ".": () => studio.seek(studio.index + 1),
+  e: (event) => { if (!one("#eye").hidden) press(event, "#eye"); },
+  "?": () => one("#keys").showModal(),
+};
+const TYPING = "input:not([type=range]):not([type=checkbox]):not([type=radio]), textarea, select";
+
+const keys = (event, target) => {
+  const key = event.key.toLowerCase();
+  if (event.ctrlKey || event.metaKey) { COMMANDS[key]?.(event); return; }
+  if (key === "escape" && !taken()) studio.escape();
+  if (event.altKey || target.closest?.(TYPING)) return;
+  if (/^[1-9]$/.test(key)) look(VIEWS[Number(key) - 1]);
+  else if (key in KEYS) KEYS[key](event);
+  else studio.extra(event);
 };
 
 studio.start = (name) => {
-  if (tab) return;
-  tab = studio.tab = name;
+  if (studio.tab) return;
+  studio.tab = name;
   link = location.hash.startsWith("#s=") ? location.hash : "";
   history.replaceState(null, "", `?s=${name}`);
   pointing();
   controls();
   studio.begin();
-  document.addEventListener("keydown", keys);
+  on("keydown", keys);
   for (const part of studio.parts) part();
   window.addEventListener("beforeunload", () => { tries = 4; send({ leaving: true }); });
   connect();

@@ -1,6 +1,6 @@
 // The time line: frames, the time samples of each, playing; and the focal stack, which is a line of focus distances.
 
-import { one, studio } from "./shared.js";
+import { all, one, studio } from "./shared.js";
 
 const KEPT = 256 * 2 ** 20; // bytes of frames that are kept for playing, and of a focal stack
 const digits = (value) => Number(value.toPrecision(6));
@@ -43,7 +43,7 @@ const line = () => {
   one("#time").textContent = `frame ${studio.index + 1} of ${frames}, ${studio.moment === null ? "" : "at "}t = ${digits(studio.time())} s`;
   one("#whole").hidden = studio.moment === null;
   studio.timed();
-  for (const tick of document.querySelectorAll("#exposed button")) {
+  for (const tick of all("#exposed button")) {
     tick.setAttribute("aria-pressed", String(Number(tick.dataset.time) === studio.moment));
   }
   if (frames < 2) play(false);
@@ -53,7 +53,7 @@ const line = () => {
 const exposure = ({ times, shutter, arrows }) => {
   if (studio.moment !== null) return; // ticks and arrows are those of the whole frame
   studio.arrows = arrows;
-  studio.place();
+  studio.viewport.changed();
   one("#exposure-row").hidden = shutter === null;
   if (shutter === null) return;
   const begin = Math.min(studio.index * interval, shutter[0]); // the interval, and what of the shutter is beyond

@@ -1,6 +1,6 @@
 // What the pointer does in the picture besides moving it, and how the picture is shown: nothing here changes its codes.
 
-import { all, one, studio } from "./shared.js";
+import { all, on, one, studio } from "./shared.js";
 
 
 // ---- tools ------------------------------------------------------------------------------------------------------
@@ -13,10 +13,16 @@ studio.take = (name) => { // a tool; the same once more, or "", puts it away
 
 // ---- objects are dragged ----------------------------------------------------------------------------------------
 const FIRST = 2e6; // numbers of drags, which those of controls do not reach
-let drag = FIRST, held = null; // held: where the pointer took hold, and whether the server knows of what
+let drag = FIRST;
+/**
+ * What is dragged: where the pointer took hold and is, and whether the server knows of what.
+ * @type {{ drag: number, from: [number, number], to: [number, number], along: boolean, known: boolean, name?: string, ended?: boolean } | null}
+ */
+let held = null;
 let frame = 0; // that the next change waits for
 let under = ""; // the name of the object under the pointer
 
+/** @type {[number, number] | null} */
 let pointer = null; // where it is in the page
 
 const hint = (text) => { // the name of what is held or would be, beside the pointer
@@ -29,12 +35,12 @@ const hint = (text) => { // the name of what is held or would be, beside the poi
   label.style.top = `${pointer[1] - box.top + 14}px`;
 };
 
-const hover = () => hint(pointer !== null && studio.tool === "move" && studio.pixelAt(...pointer) !== null ? under : "");
+const hover = () => hint(pointer !== null && studio.tool === "move" && studio.viewport.pixelAt(...pointer) !== null ? under : "");
 
 const pull = () => {
   frame = 0;
   if (held === null || !held.known) return;
-  const scale = studio.scale();
+  const { scale } = studio.viewport;
   studio.send({
     pull: [(held.to[0] - held.from[0]) / scale, (held.to[1] - held.from[1]) / scale], along: held.along, drag: held.drag,
   });
@@ -45,12 +51,11 @@ const pulled = () => { frame ||= requestAnimationFrame(pull); };
 const moving = () => {
   const stage = one("#stage");
   stage.addEventListener("pointerdown", (event) => {
-    const at = event.button === 0 && studio.tool === "move" ? studio.pixelAt(event.clientX, event.clientY) : null;
+    const at = event.button === 0 && studio.tool === "move" ? studio.viewport.pixelAt(event.clientX, event.clientY) : null;
     if (at === null) return;
     drag += 1;
-    const place = [event.clientX, event.clientY];
+    const place = /** @type {[number, number]} */ ([event.clientX, event.clientY]);
     held = { drag, from: place, to: place, along: event.shiftKey, known: false };
-    stage.setPointerCapture(event.pointerId);
     studio.send({ grab: at, drag });
   });
   stage.addEventListener("pointermove", (event) => {
@@ -73,7 +78,7 @@ const moving = () => {
   };
   stage.addEventListener("pointerup", end);
   stage.addEventListener("pointercancel", end);
-  document.addEventListener("keydown", (event) => { // before others; in a drag it takes that back alone
+  on("keydown", (event) => { // before others; in a drag it takes that back alone
     if (event.key !== "Escape" || one("dialog[open]") || (held === null && !studio.tool)) return;
     if (held === null) { studio.take(""); return; }
     event.stopImmediatePropagation();
@@ -81,7 +86,7 @@ const moving = () => {
     held.along = false;
     pull();
     held = null;
-  }, true);
+  }, { capture: true });
 };
 
 studio.hearing.push((said) => {
@@ -130,8 +135,9 @@ studio.overlays.push((context, place) => {
   if (!one("#arrows").checked) return;
   for (const [x0, y0, x1, y1] of studio.arrows) {
     const from = place(x0, y0), to = place(x1, y1), angle = Math.atan2(to[1] - from[1], to[0] - from[0]);
+    /** @returns {[number, number]} */
     const barb = (turn) => [to[0] + 10 * Math.cos(angle + turn), to[1] + 10 * Math.sin(angle + turn)];
-    for (const [width, color] of [[6, "#141517"], [2.5, "#ffd24d"]]) { // the first is its edge, on light and dark
+    for (const [width, color] of /** @type {[number, string][]} */ ([[6, "#141517"], [2.5, "#ffd24d"]])) { // the first is its edge, on light and dark
       [context.lineWidth, context.strokeStyle] = [width, color];
       context.beginPath();
       context.moveTo(...from);
@@ -153,9 +159,9 @@ studio.parts.push(() => {
     expose();
   });
   one("#eye").addEventListener("click", () => turn(!studio.right));
-  one("#arrows").addEventListener("change", () => studio.place());
-  document.addEventListener("click", (event) => {
-    const button = event.target.closest?.("button[data-tool]");
+  one("#arrows").addEventListener("change", () => studio.viewport.changed());
+  on("click", (_, target) => {
+    const button = target.closest("button[data-tool]");
     if (button) studio.take(button.dataset.tool);
   });
 });
