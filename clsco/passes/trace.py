@@ -18,6 +18,7 @@ from clsco.optics.lens import Lens
 from clsco.optics.quadrics import EVERYWHERE
 from clsco.optics.still import Window
 from clsco.optics.visibility import OcclusionGroup
+from clsco.passes.bend import Bends
 from clsco.passes.blur import PIXELS, Image, Sources, Target
 from clsco.passes.pack import exposure_struct, group_struct, lens_struct
 from clsco.passes.placed import Moment, Part, PlacedScene
@@ -26,7 +27,7 @@ from clsco.plan.plan import Plan
 from clsco.records import REAL, Struct, structs
 
 ROUNDED = 1e-5  # relative: far more than rays and depths in single precision differ from those of the host
-TRACE_FILES = ("trace/trace.cl", "trace/truth.cl", "trace/merge.cl")  # the kernels that cast rays
+TRACE_FILES = ("trace/trace.cl", "trace/bend.cl", "trace/truth.cl", "trace/merge.cl")  # the kernels that cast rays
 # What of the statistics a frame must begin with: no radius met, no slot taken (trace.cl).
 EMPTY_STATISTICS = np.zeros(STATISTICS, np.int32)
 EMPTY_STATISTICS[STATISTIC_SMALLEST] = np.iinfo(np.int32).max
@@ -131,6 +132,16 @@ class Tracer:
         """With the kernels that cast rays."""
         return ray_target(self.plan, self.scene)
 
+    @cached_property
+    def bends(self) -> Bends:
+        """Planes of the lens along the rays."""
+        return Bends(self.target, self.plan.scene)
+
+    def _bends(self, at: Moment, *names: str) -> tuple[cl.Buffer, ...]:
+        """Planes of the lens by these names, as far as there are some: kernel arguments."""
+        found = self.bends.planes(at.grid, self.lens(at), at.events)
+        return tuple(found[name] for name in names if name in found)
+
     def lens(self, at: Moment) -> Struct:
         """lens_t at a time sample."""
         return lens_struct(Lens.of(at.sample.camera, self.plan.scene.lens, self.plan.only), self.scene.real)
@@ -166,7 +177,8 @@ class Tracer:
             cl.enqueue_fill_buffer(self.target.session.queue, source, NO_SOURCE, 0, source.size)
         beside = (value, *self.scene.texture_maps, buffers["share"]) if "share" in buffers else ()
         out = (source, buffers["statistics"], *self.extents)
-        self._per_pixel("aim", at, window, *head, depth, label, *out, *beside, *self._exposure(at))
+        bends = self._bends(at, "slopes", "bends")
+        self._per_pixel("aim", at, window, *head, depth, label, *out, *beside, *bends, *self._exposure(at))
         hidden: dict[str, Any] = {}
         if plan.spec.occluders:
             hidden = {"lens": head[1], "surfaces": at.sample.surfaces, "group": head[3], "depth": depth}
@@ -176,8 +188,10 @@ class Tracer:
     def _cast(self, at: Moment, planes: HitPlanes, window: Window, exposure: tuple[Any, ...]) -> None:
         """Enqueue the rays of one occlusion group, which are the same for all lenses."""
         grid, lens, surfaces, group, psf = self._head(at)
-        divided = (lens, psf, *exposure) if exposure else ()
-        self._per_pixel("cast", at, window, grid, surfaces, group, *self._appearance(at), *planes, *divided)
+        divided, slopes = (lens, psf) if exposure else (), self._bends(at, "slopes")
+        self._per_pixel(
+            "cast", at, window, grid, surfaces, group, *self._appearance(at), *planes, *divided, *slopes, *exposure
+        )
 
     def silhouettes(self, at: Moment, sources: Sources | None) -> Sources | None:
         """The sources of an occlusion group with those of sub-pixels."""
@@ -236,7 +250,8 @@ class Tracer:
         """The image of a pinhole, with its radii."""
         value, coc, valid = (self.buffers[name] for name in ("value", "coc", "valid"))
         head = (at.grid, self.lens(at), at.sample.surfaces, everything(self.plan), *self._appearance(at))
-        self._per_pixel("pinhole", at, whole_grid(at), *head, value, coc, valid, self.buffers["statistics"])
+        out = value, coc, valid, self.buffers["statistics"], *self._bends(at, "slopes", "bends")
+        self._per_pixel("pinhole", at, whole_grid(at), *head, *out)
         return Image(value, (coc, valid))
 
     def _key(self, at: Moment) -> HitKey:

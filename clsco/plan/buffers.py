@@ -13,6 +13,9 @@ from clsco.constants import (
     BAND,
     CONVOLVED_COLUMNS,
     COUNTER_DONE,
+    CURVED_FIELD,
+    CURVED_IMAGE,
+    CURVED_SPHERE,
     DISCONTINUITY_CLASSES,
     FILL_LANES,
     ITEMS_BYTES,
@@ -37,6 +40,7 @@ from clsco.optics.sensor import SensorModel
 from clsco.optics.stencil import is_by_axes, is_summed, stencil_sizes
 from clsco.optics.visibility import lens_floats
 from clsco.plan.device import DeviceFacts
+from clsco.plan.features import curvature_of
 from clsco.plan.methods import MANY_RADII, BlurSpec
 from clsco.records import REAL_BYTES, structs
 from clsco.scene.model import Scene
@@ -353,12 +357,22 @@ def fill_sizes(scene: Scene, grid: Grid) -> Sizes:
     return fill_buffers(grid, several, several or not scene.is_analytic, scene.fill.method == "mean_median")
 
 
-def trace_buffers(spec: BlurSpec, grid: Grid, mapped: bool, objects: int) -> Sizes:
+def trace_buffers(spec: BlurSpec, grid: Grid, mapped: bool, scene: Scene) -> Sizes:
     """Hits and sources of one time sample of an occlusion group, as trace.cl writes them; predicted extents of several
-    objects, and statistics of a frame. mapped: as for `hit_buffers`."""
+    objects, what the lens does to rays, and statistics of a frame. mapped: as for `hit_buffers`."""
+    objects, bends = len(scene.objects), bend_buffers(scene, grid.sources)
     sources = source_buffers(spec, grid) if spec.method in MANY_RADII else {}
     extents = {"extents": 6 * REAL_BYTES * objects} if objects > 1 else {}
-    return hit_buffers(grid, mapped) | sources | extents | {"statistics": 4 * STATISTICS}
+    return hit_buffers(grid, mapped) | sources | extents | bends | {"statistics": 4 * STATISTICS}
+
+
+def bend_buffers(scene: Scene, pixels: int) -> Sizes:
+    """Planes of what the lens does to rays (kernels/trace/bend.cl), for so many pixels of frame and apron."""
+    curved = curvature_of(scene)
+    distorts = bool(curved & CURVED_IMAGE)
+    floats = bool(curved & CURVED_FIELD) + bool(curved & CURVED_SPHERE) + 6 * distorts
+    sizes = {"bends": 4 * floats * pixels} if floats else {}
+    return sizes | ({"slopes": 2 * REAL_BYTES * pixels} if distorts else {})
 
 
 def silhouette_buffers(spec: BlurSpec, grid: Grid, slots: int, mapped: bool) -> Sizes:
@@ -393,9 +407,10 @@ def hit_buffers(grid: Grid, mapped: bool) -> Sizes:
     return {"value": 4 * planes * pixels, "depth": REAL_BYTES * pixels, "label": pixels}
 
 
-def map_buffers(grid: Grid) -> Sizes:
-    """An image with its map of signed radii."""
-    return {"value": 4 * grid.channels * grid.sources, "coc": REAL_BYTES * grid.sources, "valid": grid.sources}
+def map_buffers(grid: Grid, scene: Scene | None = None) -> Sizes:
+    """An image with its map of signed radii; scene: one whose rays make it."""
+    bends = {} if scene is None else bend_buffers(scene, grid.sources)
+    return {"value": 4 * grid.channels * grid.sources, "coc": REAL_BYTES * grid.sources, "valid": grid.sources} | bends
 
 
 def truth_buffers(names: Collection[str], grid: Grid) -> Sizes:

@@ -461,7 +461,7 @@ def _image_passes(plan: Plan) -> Iterator[Pass]:
     if plan.static_map:
         yield Pass("static image", of_pixels(*about), map_buffers(grid), gives=(light, "counts"))
     elif not plan.forward and spec.layered:
-        yield Pass("pinhole", of_rays(*about), map_buffers(grid) | _of_scene(plan), gives=(light,))
+        yield Pass("pinhole", of_rays(*about), map_buffers(grid, plan.scene) | _of_scene(plan), gives=(light,))
     if plan.forward or plan.static_map or spec.layered:
         yield from blur_passes(spec, grid, plan.device, of_blur(spec, choices, len(plan.groups)))
     else:
@@ -484,7 +484,7 @@ def _group_passes(plan: Plan, group: OcclusionGroup, first: bool) -> Iterator[Pa
     """The passes of one occlusion group; first: of the plane, which those of the others add to."""
     spec, grid, rays = plan.spec, plan.grid, of_rays(plan.scene, plan.choices, plan.colors, plan.alpha)
     light = ("plane",) if plan.blur == "none" else ("sources",)
-    sizes = trace_buffers(spec, grid, plan.mapped > 0, len(plan.scene.objects)) | _of_scene(plan)
+    sizes = trace_buffers(spec, grid, plan.mapped > 0, plan.scene) | _of_scene(plan)
     yield Pass("trace", rays, sizes, gives=light, group=group)
     if plan.silhouettes:
         what = f"{plan.silhouettes} x {plan.silhouettes} per pixel within 2 px of a silhouette"

@@ -19,26 +19,28 @@
 
 // Record of a hit, as the lens takes it; below 0 where none of its radiance reaches the lens, which is tested from the
 // hit `seen` of inverse depth seen_w. subpixel: the source is one of SUBPIXELS^2. In and out: label, statistics.
+// bend, seen_bend: of the two rays.
 static float4 source_record(const grid_t grid, lens_t lens, __constant surface_t *surfaces, const group_t group,
-                            const psf_t psf, real3 ray, real w, real3 seen_ray, real seen_w, int subpixel, uchar *label,
-                            __global int *statistics)
+                            const psf_t psf, real3 ray, bend_t bend, real w, real3 seen_ray, bend_t seen_bend,
+                            real seen_w, int subpixel, uchar *label, __global int *statistics)
 {
     float4 record = (float4)(-1, 0, 0, as_float(WHOLE));
     if (*label == 0)
         return record;
-    const lens_t seen_lens = lens_along(grid, lens, seen_ray);
-    lens = lens_along(grid, lens, ray);
-    const real radius = blur_radius(lens, ray, w);
+    lens_t seen_lens = lens;
+    seen_lens.blur_scale *= seen_bend.stretch;
+    lens.blur_scale *= bend.stretch;
+    const real radius = bent_radius(lens, bend.focus, ray, w);
     __constant surface_t *surface = surfaces + (*label - 1) / 2;
     float2 tilt = 0;
     real spread = radius;
 #if TILT
-    const real2 gradient = blur_gradient(grid, lens, surface_slope(surface, ray, w), ray, w);
+    const real2 gradient = blur_gradient(grid, lens, bend, surface_slope(surface, ray, w), ray, w);
     tilt = subpixel ? tilt_slope(gradient, radius) : pixel_tilt(gradient, radius, &spread);
 #endif
 #if OCCLUDED
     bool edge;
-    const real size = blur_radius(seen_lens, seen_ray, seen_w);
+    const real size = bent_radius(seen_lens, seen_bend.focus, seen_ray, seen_w);
     const division_t division = division_of(size, psf.lens_extent, subpixel ? (real)1 / SUBPIXELS : 1, tilt);
     int seen = check_visibility(seen_lens, surfaces, group, seen_ray, seen_w, division, 0, &edge);
     int partly = PARTLY_OCCLUDED;
@@ -109,14 +111,14 @@ __kernel void cast(const grid_t grid, __constant surface_t *surfaces, const grou
 #if DIVIDED
                    , const lens_t own_lens, const psf_t own_psf
 #endif
-                   OF_EXPOSURE
+                   OF_SLOPES OF_EXPOSURE
 )
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)
         return;
     const int row = FRAME_ROW(grid, y), column = x - grid.guard, at = y * grid.width + x;
-    const real3 ray = pixel_ray(grid, row, column);
+    const real3 ray = KEPT_RAY(grid, at, row, column);
     uchar root;
     int object;
     const real w = nearest_surface(surfaces, group, ray, &root, &object);
@@ -155,14 +157,15 @@ __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *su
 #if TEXTURED && SUBPIXELS
                   , __global const float *value, __constant texture_map_t *maps, __global float *share
 #endif
-                  OF_EXPOSURE
+                  OF_SLOPES OF_BENDS OF_EXPOSURE
 )
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)
         return;
     const int at = y * grid.width + x;
-    const real3 ray = pixel_ray(grid, FRAME_ROW(grid, y), x - grid.guard);
+    const real3 ray = KEPT_RAY(grid, at, FRAME_ROW(grid, y), x - grid.guard);
+    const bend_t bend = KEPT_BEND(grid, lens, at, ray);
     const uchar hit = label[at] & ~EDGE;
     uchar root = hit;
 #if DIVIDED
@@ -173,8 +176,8 @@ __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *su
         return;
     }
 #endif
-    float4 record = source_record(grid, lens, surfaces, group, psf, ray, depth[at], ray, depth[at], 0, &root,
-                                  statistics);
+    float4 record = source_record(grid, lens, surfaces, group, psf, ray, bend, depth[at], ray, bend, depth[at], 0,
+                                  &root, statistics);
 #if TEXTURED && SUBPIXELS
     const float texels = value[CHANNELS * grid.height * grid.width + at];
     record = with_detail(grid, lens, maps, record, ray, depth[at], hit, texels, share + at);
@@ -346,7 +349,8 @@ __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant s
     take_radiance(grid, surfaces, ray, w, root, row, column, SUBPIXELS, cover.x / each, texture TEXTURE_MAPS LIGHT,
                   sub_value + id, capacity * each);
     // The lens is tested from the middle of the cell, as by the blur.
-    sub_source[id] = source_record(grid, lens, surfaces, group, psf, ray, w, middle, depth, 1, &root, statistics);
+    sub_source[id] = source_record(grid, lens, surfaces, group, psf, ray, bend_along(grid, lens, ray), w, middle,
+                                   bend_along(grid, lens, middle), depth, 1, &root, statistics);
 }
 
 #if TEXTURED
@@ -379,7 +383,7 @@ __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surf
     const lens_t here = lens_along(grid, lens, ray);
     const real middle = blur_radius(here, ray, w);
     const real2 slope = surface_slope(surfaces + object, ray, w);
-    const real2 gradient = blur_gradient(grid, here, slope, ray, w);
+    const real2 gradient = blur_gradient(grid, here, bend_along(grid, lens, ray), slope, ray, w);
 #if OCCLUDED
     bool edge;
     real spread;
@@ -465,19 +469,20 @@ __kernel void sharpen(const grid_t grid, __global const float *value, __global c
 // R in px, and valid uchar, (height, width); statistics.
 __kernel void pinhole(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
                       __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global float *value,
-                          __global real *coc, __global uchar *valid, __global int *statistics)
+                          __global real *coc, __global uchar *valid, __global int *statistics OF_SLOPES OF_BENDS)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)
         return;
     const int row = FRAME_ROW(grid, y), column = x - grid.guard, at = y * grid.width + x;
-    const real3 ray = pixel_ray(grid, row, column);
+    const real3 ray = KEPT_RAY(grid, at, row, column);
     uchar root;
     int object;
     const real w = nearest_surface(surfaces, group, ray, &root, &object);
     take_radiance(grid, surfaces, ray, w, root, row, column, 1, 1, texture TEXTURE_MAPS LIGHT, value + at,
                   grid.height * grid.width);
-    coc[at] = root ? blur_radius(lens_along(grid, lens, ray), ray, w) : 0;
+    const bend_t bend = KEPT_BEND(grid, lens, at, ray);
+    coc[at] = root ? bend.stretch * bent_radius(lens, bend.focus, ray, w) : 0;
     valid[at] = root != 0;
     if (root)
         note_radius(statistics, coc[at]);

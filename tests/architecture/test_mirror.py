@@ -9,8 +9,10 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-# The reference has all sources, also with a tolerance.
-KERNELS = sorted(set((ROOT / "kernels").rglob("*.cl")) - {ROOT / "kernels" / "trace" / "merge.cl"})
+# The reference has all sources, also with a tolerance, and keeps nothing of a lens.
+KERNELS = sorted(
+    set((ROOT / "kernels").rglob("*.cl")) - {ROOT / "kernels" / f"trace/{name}.cl" for name in ("merge", "bend")}
+)
 # NumPy has what angles.clh has, clsco.optics.distortion what distortion.clh has, and the reference all sources at all
 # time samples; others are vectors of processors.
 VECTORS = [
@@ -71,6 +73,7 @@ WITHOUT_TWIN = {
         "ray_through": "pixel_ray before another lens",
         "ray_change": "ray_changes of clsco.optics.rays, times px",
         "lens_along": "along_rays",
+        "bent_radius": "blur_radius, once what a ray has to do with it is known",
         "grid_radius": "blur_radius of all pixels",
         "grid_ray": "pixel_ray of the rows and columns of the padded grid",
         **dict.fromkeys(("load3", "row3", "column3", "inner_product"), "arrays of NumPy, and their products"),
@@ -155,6 +158,7 @@ ON_THE_DEVICE = {"bounds", "texture_filter", "waves"}  # in surface_t, and featu
 OTHERWISE = {
     "crossing_part": "the device is told which conditions may decide on part of a cell",
     "quarter_discriminant": "A and B are needed as well, and linear terms seldom",
+    "blur_gradient": "the device is told what the lens does to a ray",
     "table_coordinate": "psf_t has the range of the table",
     "hides_all": "conditions of an occluder_t are dropped in place",
     "keep_equation": "fields of an occluder_t are filled one after the other",

@@ -51,7 +51,7 @@ __kernel void follow(__constant surface_t *surface, const grid_t grid, const len
     }
     const real2 slope = surface_slope(surface, ray, found);
     const lens_t lens = lens_along(grid, given, ray);
-    const real2 gradient = blur_gradient(grid, lens, slope, ray, found);
+    const real2 gradient = blur_gradient(grid, lens, bend_along(grid, given, ray), slope, ray, found);
     const real3 normal = surface_normal(surface, ray, found);
     const real3 pixel = rest_pixel(surface, grid, ray, found);
     const real all[11] = {slope.x, slope.y, normal.x, normal.y, normal.z, gradient.x, gradient.y,

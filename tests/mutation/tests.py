@@ -85,6 +85,7 @@ TESTS = {
     "trace/outline.clh": "kernels/test_trace kernels/test_trace_hidden pipeline/test_outlines",
     "trace/still.clh": "pipeline/test_still_sources kernels/test_trace",
     "trace/texture.clh": "kernels/test_trace kernels/test_trace_hidden",
+    "trace/bend.cl": "pipeline/test_distortion pipeline/test_real_lens",
     "trace/merge.cl": "plan/test_approximation",
     "trace/truth.cl": "kernels/test_trace kernels/test_trace_bounds kernels/test_trace_hidden",
     "trace/trace.cl": "kernels/test_silhouettes kernels/test_trace_hidden kernels/test_trace_bounds "

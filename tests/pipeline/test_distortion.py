@@ -136,6 +136,12 @@ def test_single_precision_and_other_methods(options: dict[str, Any]) -> None:
     assert np.abs(found.color - next(iter(reference_frames(wanted))).color).max() < 1e-5
 
 
+def test_rays_of_a_lens_that_does_not_change_are_made_once() -> None:
+    frames = [clsco.render_frame(SCENES["still"], truth=()) for _ in range(3)]
+    assert not any("bend" in frame.metadata["seconds"] for frame in frames[1:])
+    np.testing.assert_array_equal(frames[0].color, frames[2].color)
+
+
 def test_without_it_nothing_of_it_is_compiled() -> None:
     thin, given = scene(BALL, WALL), scene(BALL, WALL, lens={"distortion": [0.0, 0.0, 0.0], "tangential": [0.0, 0.0]})
     one, other = clsco.render_frame(thin), clsco.render_frame(given)

@@ -1,0 +1,49 @@
+"""Host side of what a lens that is not thin does to the rays of all pixels, made once for many time samples."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+
+import pyopencl as cl
+
+from clsco.opencl.buffers import allocate
+from clsco.passes.blur import PIXELS, Events, Target
+from clsco.plan.buffers import bend_buffers
+from clsco.records import Struct
+from clsco.scene.model import Scene
+
+
+class Bends:
+    """Planes that trace/bend.cl fills: those of a lens that does not change in the session, for one frame after the
+    other; else those of the last time sample, or strip.
+
+    Parameters
+    ----------
+    target : Target
+        With the kernels that cast rays.
+    scene : Scene
+    """
+
+    def __init__(self, target: Target, scene: Scene) -> None:
+        self.target, self.scene = target, scene
+        self.own: tuple[Hashable, dict[str, cl.Buffer]] = None, {}
+
+    def planes(self, grid: Struct, lens: Struct, events: Events) -> dict[str, cl.Buffer]:
+        """Buffers "bends" and "slopes" of a grid and a lens, as far as this has them; none of a thin lens."""
+        sizes = bend_buffers(self.scene, int(grid["width"]) * int(grid["height"]))
+        if not sizes:
+            return {}
+        session, key = self.target.session, (grid.tobytes(), float(lens["sag"]), tuple(sizes.items()), self.target.real)
+
+        def filled(planes: dict[str, cl.Buffer]) -> dict[str, cl.Buffer]:
+            size = int(grid["width"]), int(grid["height"])
+            self.target.run("bend", size, PIXELS, events, grid, lens, *planes.values())
+            return planes
+
+        if not self.scene.lens_moves and grid["rows"] == grid["frame_rows"]:
+            made = lambda: filled(allocate(session, sizes))  # noqa: E731
+            return session.cache.get(("bends", key), made, lambda _: sum(sizes.values()))
+        if self.own[0] != key:
+            kept = self.own[1] if {name: each.size for name, each in self.own[1].items()} == sizes else None
+            self.own = key, filled(kept or allocate(session, sizes))
+        return self.own[1]

@@ -1,0 +1,28 @@
+// Rays through all pixels of frame and apron as a lens that is not thin sees them, for the kernels of trace.cl: once
+// for all time samples in which it does not change. Twin: clsco/optics/distortion.py and lens.py. Host:
+// clsco/passes/bend.py. Feature CURVED.
+//
+//   slopes real2 (height, width): of the rays, where the image is distorted
+//   bends  float (height, width, BENDS): see `kept_bend`
+//
+// Newton's method, root and divisions in double took 108 ns per pixel of `cast` and `aim`, and 17 without distortion;
+// what is read instead takes 8 and 5 (benchmarks/optimisation_log.md).
+
+#if CURVED
+__kernel void bend(const grid_t grid, const lens_t lens, __global float *bends
+#if CURVED & CURVED_IMAGE
+                   , __global real2 *slopes
+#endif
+)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= grid.width || y >= grid.height)
+        return;
+    const int at = y * grid.width + x;
+    const real3 ray = grid_ray(grid, at);
+    keep_bend(bends, at, bend_along(grid, lens, ray));
+#if CURVED & CURVED_IMAGE
+    slopes[at] = ray.xy;
+#endif
+}
+#endif
