@@ -34,7 +34,7 @@ SCENES: dict[str, tuple[dict[str, Any], str]] = {
     "polygon": ({"object": [PLANE], "aperture": {"shape": "polygon"}}, "auto"),
     "ball before a plane": ({"object": [BALL, PLANE]}, "auto"),
     "layered": ({"object": [BALL, PLANE], "psf": {"occlusion": "layered"}}, "auto"),
-    "distorted": ({"object": [PLANE], "lens": {"distortion": [-0.1], "focus_surface": "sphere"}}, "auto"),
+    "distorted": ({"object": [PLANE], "lens": {"distortion": [-0.1, 0.0, 0.0], "focus_surface": "sphere"}}, "auto"),
     "scatter": ({"object": [BALL, PLANE]}, "scatter"),
     "tiles": ({"object": [PLANE]}, "tiles"),
     "forward": ({"object": [PLANE | MOVING], "motion": {"warp": "forward"}}, "auto"),
