@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.constants import BAND, TAP_LANES
+from clsco.constants import BAND, MERGED_SIDE, TAP_LANES
 from clsco.frame.frame import SENSOR_NAMES
 from clsco.frame.strips import Grid, Strip, part
 from clsco.inputs.pupils import scene_point_spread
@@ -222,10 +222,10 @@ class Plan:
 
     @property
     def reach_px(self) -> int:
-        """Distance in px at which a source may matter to a pixel: the reach of the PSF, and 2 px to find silhouettes
-        in."""
+        """Distance in px at which a source may matter to a pixel: the reach of the PSF, 2 px to find silhouettes in, and
+        the rest of a block whose sources are merged."""
         each = (table_reach(self.psf, self.largest_blur, subpixel) for subpixel in (False, True))
-        return max(each) + 2
+        return max(each) + 2 + (MERGED_SIDE - 1 if self.merged else 0)
 
     @cached_property
     def strips(self) -> tuple[Strip, ...]:
