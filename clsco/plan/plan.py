@@ -222,8 +222,8 @@ class Plan:
 
     @property
     def reach_px(self) -> int:
-        """Distance in px at which a source may matter to a pixel: the reach of the PSF, 2 px to find silhouettes in, and
-        the rest of a block whose sources are merged."""
+        """Distance in px at which a source may matter to a pixel: the reach of the PSF, 2 px to find silhouettes in,
+        and the rest of a block whose sources are merged."""
         each = (table_reach(self.psf, self.largest_blur, subpixel) for subpixel in (False, True))
         return max(each) + 2 + (MERGED_SIDE - 1 if self.merged else 0)
 
