@@ -33,7 +33,8 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     psf_t:
     how a blur radius becomes a coordinate in the tables, which intervals they hold (first, count), and which of them
     radii are clamped to (low to end - 1), see `clsco.optics.psf_tables.PsfTable`; lens_extent: of the lens in
-    lens radii; rim_distance, rim_radius: see `clsco.optics.point_spread.Rim`.
+    lens radii; rim_distance, rim_radius: see `clsco.optics.point_spread.Rim`; across, down, per_column, per_row: cells
+    of `clsco.optics.field.SeidelField`, and such per px; stride, sub_stride: see `clsco.optics.psf_tables.PsfTable`.
     """
     i, two, three, nine = "i4", (2,), (3,), (9,)
     grid: list[Any] = [
@@ -58,8 +59,9 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     group = [("members", "u8"), ("occluders", "u8"), *((name, i) for name in ("count", "own", "root"))]
     psf: list[Any] = [(name, i) for name in ("first", "count", "low", "end", "reach")]
     psf += [(name, i) for name in ("sub_first", "sub_count", "sub_low", "sub_end")]
+    psf += [(name, i) for name in ("across", "down", "stride", "sub_stride")]
     psf += _reals(real, key=(), minimum_blur=(), fine_steps=(), fine_until=(), octaves_from=(), steps=(), sub_steps=())
-    psf += _reals(real, lens_extent=(), rim_distance=(MOST_RIMS,), rim_radius=(MOST_RIMS,))
+    psf += _reals(real, lens_extent=(), rim_distance=(MOST_RIMS,), rim_radius=(MOST_RIMS,), per_column=(), per_row=())
     sensor: list[Any] = [("planes", i), ("channel", i, (12,)), ("maximum", i)]
     sensor += [(name, "u4") for name in ("seed_low", "seed_high", "hot")]
     sensor += _reals("float", scale=(12,), prnu=(), dsnu=(), dark=(), leak=(), most=(), full_well=(), read_noise=())

@@ -168,10 +168,12 @@ def defocus(
     """
     asked, how = psf_of(psf).of_images(), _Asked(**options)
     aperture, camera = aperture_of(how.aperture, asked), camera_of(how.camera)
-    spread = load_point_spread(asked, aperture, camera=camera)
-    spreads = spreads_of_colors(spread, asked, camera)
     session, (picture, radii), as_given = on_host(how.device, image=image, blur_radius=blur_radius)
     picture, radii = without_mask("image", picture), without_mask("blur_radius", radii)
+    if camera is not None and picture.ndim > 1:
+        camera = camera.model_copy(update={"resolution": picture.shape[1::-1]})
+    spread = load_point_spread(asked, aperture, camera=camera)
+    spreads = spreads_of_colors(spread, asked, camera)
     codes = picture.dtype in (np.uint8, np.uint16)
     linear = decode(picture, "srgb").astype(np.float32) if codes else picture
     if aperture.exposure == "area":

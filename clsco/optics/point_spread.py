@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from clsco.constants import LENS_CELLS
 from clsco.errors import SceneError
+from clsco.optics.field import SeidelField
 from clsco.optics.pupils import FORMULAS
 from clsco.optics.pupils.diffracted import Diffracted
 from clsco.optics.pupils.fourier import FourierDiffracted
@@ -68,6 +69,8 @@ class PointSpread:
         Places of sources per px that intervals of tables begin at, for weights that have corners there; else 0.
     rims : tuple of Rim
         Circles that cut light from some directions besides: of what the weights spread.
+    varying : SeidelField, optional
+        Changes of the wavefront over the frame; the pupil is then that on the axis.
 
     Examples
     --------
@@ -84,6 +87,7 @@ class PointSpread:
     edge: Edge = "integrated"
     alignment: int = 0
     rims: tuple[Rim, ...] = field(default=(), repr=False)
+    varying: SeidelField | None = None
 
     @cached_property
     def layout(self) -> Layout:
@@ -98,6 +102,24 @@ class PointSpread:
         if self.pupil.separable:
             return "separable"
         return "general" if self.signed else "symmetric"
+
+    @cached_property
+    def places(self) -> tuple[PointSpread, ...]:
+        """Point spreads of the places that tables are for, by `SeidelField.nodes`; itself where nothing varies."""
+        return (self,) if self.varying is None else tuple(self.at(*node) for node in self.varying.nodes)
+
+    @property
+    def blended(self) -> int:
+        """Tables that a weight comes from."""
+        return 1 if self.varying is None else 4
+
+    def at(self, hx: float, hy: float) -> PointSpread:
+        """The point spread at a place (hx, hy) of the field, which is the same for all of the frame."""
+        if self.varying is None:
+            return self
+        assert isinstance(self.pupil, FourierDiffracted)
+        wavefront = self.varying.wavefront(self.pupil.wavefront, hx, hy)
+        return replace(self, pupil=replace(self.pupil, wavefront=wavefront), varying=None)
 
     @property
     def name(self) -> str:
@@ -279,7 +301,8 @@ def point_spread(
         )
     pupil = image or FORMULAS[aperture.shape](aperture)
     if psf.model == "wave":
-        pupil = _diffracted(pupil, psf, camera)
+        varying = _field(psf, camera)
+        return PointSpread(_diffracted(pupil, psf, camera, varying), psf.edge, rims=rims, varying=varying)
     return PointSpread(pupil, psf.edge, rims=rims)
 
 
@@ -301,11 +324,14 @@ def spreads_of_colors(spread: PointSpread, psf: Psf, camera: Camera | None) -> t
     pupil = spread.pupil
     if not isinstance(pupil, Diffracted):
         return spread, spread, spread
-    return tuple(replace(spread, pupil=_diffracted(pupil.opening, psf, camera, color)) for color in range(3))
+    each = (_diffracted(pupil.opening, psf, camera, spread.varying, color) for color in range(3))
+    return tuple(replace(spread, pupil=one) for one in each)
 
 
-def _diffracted(pupil: Pupil, psf: Psf, camera: Camera | None, color: int = GREEN) -> Diffracted:
-    """The pupil with diffraction of light of a color."""
+def _diffracted(
+    pupil: Pupil, psf: Psf, camera: Camera | None, varying: SeidelField | None, color: int = GREEN
+) -> Diffracted:  # fmt: skip
+    """The pupil with diffraction of light of a color, on the axis of the field."""
     if camera is None:
         raise SceneError('camera: must be given with psf.model = "wave", for its aperture and pixels; got None')
     apart = 0.5 * psf.bandwidth / sqrt(3.0)  # the two Gauss-Legendre nodes of the band
@@ -318,13 +344,15 @@ def _diffracted(pupil: Pupil, psf: Psf, camera: Camera | None, color: int = GREE
     bands, keeps = tuple((unit, 1.0 / len(units)) for unit in units), psf.rest == "renormalize"
     wavefront = _wavefront(psf, camera)
     found: Diffracted
-    if is_round(pupil) and wavefront.is_flat:
+    if is_round(pupil) and wavefront.is_flat and varying is None:
         found = HankelDiffracted(pupil, bands, psf.tail, keeps)
     else:
-        found = FourierDiffracted(pupil, bands, psf.tail, keeps, wavefront)
+        steepest = 0.0 if varying is None else varying.slope(wavefront)
+        found = FourierDiffracted(pupil, bands, psf.tail, keeps, wavefront, steepest)
     if found.margin > MOST_MARGIN:
         rule = f"must leave at most {MOST_MARGIN:g} px of light outside of the rim of the blur"
-        bent = "" if wavefront.is_flat else f", and aberrations by {2.0 * wavefront.slope:.3g} px"
+        slope = found.slope if isinstance(found, FourierDiffracted) else 0.0
+        bent = f", and aberrations by {2.0 * slope:.3g} px" if slope else ""
         raise SceneError(f"psf.tail: {rule}; got {found.margin:.4g} px, of {psf.tail:g} and {nodes[-1]:.4g} nm{bent}")
     return found
 
@@ -333,6 +361,15 @@ def _wavefront(psf: Psf, camera: Camera) -> Wavefront:
     """Errors of the wavefront in px of path: waves of green light are the same lengths for all colors."""
     unit = diffraction_unit(camera, psf.wavelengths[GREEN])
     return Wavefront(tuple((n, m, waves * unit) for n, m, waves in zernike_terms(psf.zernike)), psf.seidel.W040 * unit)
+
+
+def _field(psf: Psf, camera: Camera | None) -> SeidelField | None:
+    """Seidel's terms over the field, None where nothing varies."""
+    if camera is None or not psf.seidel.varies:
+        return None
+    unit = diffraction_unit(camera, psf.wavelengths[GREEN])
+    coma, astigmatism, curvature = (unit * waves for waves in (psf.seidel.W131, psf.seidel.W222, psf.seidel.W220))
+    return SeidelField(coma, astigmatism, curvature, psf.seidel.varying_waves, camera.frame_size)
 
 
 def diffraction_unit(camera: Camera, wavelength: float) -> float:

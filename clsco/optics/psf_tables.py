@@ -57,6 +57,7 @@ class PsfTable:
     it has. Of a sampled disc coefficients and taps have the
     one weight of each interval, and outlines the square roots of 0, 1, ... up to the last interval's number, rounded
     down.
+    stride: coefficients of each place of a field (`PointSpread.places`), which lie one after the other.
     place: what the table is kept as; one that is made for more radii takes the place of an earlier one.
     """
 
@@ -69,6 +70,7 @@ class PsfTable:
     count: int
     taps: NDArray[np.float32]
     outlines: NDArray[np.int32]
+    stride: int = 0
     place: Hashable = None
 
 
@@ -76,7 +78,8 @@ def psf_features(psf: PointSpread) -> dict[str, int]:
     """Features that programs are compiled for: the kind of a PSF; GENERAL is the number of edges of its lens mask."""
     layouts = {name.upper(): int(psf.layout == name) for name in ("disc", "separable", "general")}
     found = layouts | {"SAMPLED": int(psf.sampled), "EDGES": len(psf.pupil.edges)}
-    return found | {"RIMS": len(psf.rims), "WAVES": int(psf.diffracted), "RING": int(psf.pupil.hollow)}
+    found |= {"RIMS": len(psf.rims), "WAVES": int(psf.diffracted), "RING": int(psf.pupil.hollow)}
+    return found | {"FIELD": int(psf.varying is not None)}
 
 
 @lru_cache(maxsize=256)
@@ -95,7 +98,7 @@ def span_sizes(psf: PointSpread, span: range, subpixel: int) -> dict[str, int]:
     sizes = {"intervals": 8 * len(span), "taps": 0, "outlines": 0}
     of_taps = 4 * POWERS * WIDE_LANES * -(-len(span) // TAP_LANES)
     if psf.layout == "general":
-        coefficients = 2 * int((row * (2 * widths + 1) * max(subpixel, 1) ** 2).sum())
+        coefficients = 2 * len(psf.places) * int((row * (2 * widths + 1) * max(subpixel, 1) ** 2).sum())
         sizes |= {"intervals": 16 * len(span), "coefficients": coefficients}
         if psf.has_runs and not subpixel:
             sides = _window_sides(widths)
@@ -176,6 +179,10 @@ def table_of(
 ) -> PsfTable:  # fmt: skip
     """The table of intervals, from the first to the last of some TAP_LANES; see `psf_table`. join: of coefficients,
     which are most of a table."""
+    if psf.varying is not None:
+        each = [table_of(place, span, subpixel, blocks) for place in psf.places]
+        joined = join([table.coefficients for table in each])
+        return replace(each[0], coefficients=joined, stride=each[0].coefficients.size)
     if psf.layout == "disc" and not subpixel:
         return _disc_table(psf, span)
     size = block_intervals(psf, subpixel > 0)

@@ -208,9 +208,13 @@ def psf_struct(psf: PointSpread, table: PsfTable, subpixel: PsfTable | None, rea
     none = [0.0] * (MOST_RIMS - len(psf.rims))
     values |= {"rim_distance": [*(rim.distance for rim in psf.rims), *none]}
     values |= {"rim_radius": [*(rim.radius for rim in psf.rims), *none]}
+    if psf.varying is not None:
+        (across, down), (columns, rows) = psf.varying.cells, psf.varying.frame
+        values |= {"across": across, "down": down, "stride": table.stride}
+        values |= {"per_column": across / max(columns - 1, 1), "per_row": down / max(rows - 1, 1)}
     if subpixel:
         values |= {"sub_first": subpixel.first, "sub_count": subpixel.count}
-        values |= {"sub_low": subpixel.low, "sub_end": subpixel.end}
+        values |= {"sub_low": subpixel.low, "sub_end": subpixel.end, "sub_stride": subpixel.stride}
     return filled("psf_t", real, values)
 
 

@@ -415,7 +415,7 @@ def _predicted_taps(plan: Plan, predicted: Prediction) -> float:
     seen = np.abs(lens_at(plan.scene, middle).image_radius(w[w > 0], *slopes))
     if not seen.size:
         return 0.0
-    lit = np.pi * (seen * plan.psf.extent + plan.psf.pupil.margin + 0.7) ** 2
+    lit = plan.psf.blended * np.pi * (seen * plan.psf.extent + plan.psf.pupil.margin + 0.7) ** 2
     return float((w > 0).mean() * plan.width * plan.height * plan.repeats * lit.mean())
 
 

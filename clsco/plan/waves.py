@@ -43,10 +43,11 @@ def check_waves(psf: PointSpread, largest: float) -> None:
 def light_cut(psf: PointSpread, smallest: float, largest: float) -> float:
     """Largest share of the light of a point that is left out, for |blur radii| from smallest to largest px; 0 but of
     waves."""
-    pupil = psf.pupil
-    if not isinstance(pupil, Diffracted):
-        return 0.0
-    return max(pupil.left_out(radius) for radius in {smallest, largest, -largest})
+    pupils = [place.pupil for place in (*psf.places[:1], psf)]  # of a field in a corner, and on the axis
+    each = (
+        pupil.left_out(r) for pupil in pupils if isinstance(pupil, Diffracted) for r in {smallest, largest, -largest}
+    )
+    return max(each, default=0.0)
 
 
 def wave_words(psf: PointSpread, smallest: float, largest: float, silhouettes: int) -> Parameters:
@@ -59,7 +60,7 @@ def wave_words(psf: PointSpread, smallest: float, largest: float, silhouettes: i
         table_bytes(psf, smallest, largest, silhouettes) if silhouettes else 0
     )
     rest = "given to the rest" if pupil.keeps else "lost"
-    found = (
+    found: Parameters = (
         ("waves", f"Q = {pupil.widest:.3g} px, {pupil.waves(largest):.3g} waves of defocus at the largest R"),
         ("tail", f"{100.0 * cut:.2g} % of the light, beyond {pupil.margin:.3g} px from the rim, is {rest}"),
         ("tables", f"{size / 2**20:.2g} MiB"),
@@ -67,4 +68,8 @@ def wave_words(psf: PointSpread, smallest: float, largest: float, silhouettes: i
     )
     if not isinstance(pupil, FourierDiffracted):
         return found
-    return *found, ("pupil", f"{pupil.samples(largest):.0f} samples over the diameter, by Fourier transforms")
+    found += (("pupil", f"{pupil.samples(largest):.0f} samples over the diameter, by Fourier transforms"),)
+    if psf.varying is None:
+        return found
+    (across, down), off = psf.varying.cells, psf.varying.blending
+    return *found, ("field", f"{across} x {down} cells, between whose corners weights are blended, {off:.1g} off (L1)")

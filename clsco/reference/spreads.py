@@ -134,8 +134,8 @@ def psf_of(
     radius = np.empty((count, len(places), len(inverse)))
     for channel, lens in zip(radius, lenses * (count // len(lenses)), strict=True):
         channel[:] = lens.image_radius(inverse, rays[:, :1], rays[:, 1:])
-    cuts = any(spread.rims for spread in spreads)
-    if at is None and not cuts and (radius == radius[:, :1]).all():
+    cuts, varies = any(spread.rims for spread in spreads), any(spread.varying for spread in spreads)
+    if at is None and not (cuts or varies) and (radius == radius[:, :1]).all():
         places, rays, radius = places[:1], rays[:1], radius[:, :1]
     if (most := float(np.abs(radius).max())) > LARGEST_BLUR:
         raise SceneError(f"psf: |R| must be at most {LARGEST_BLUR:g} px; got {most:.4g} px")
@@ -143,7 +143,7 @@ def psf_of(
         depth = 1.0 / inverse
     names = ("red", "green", "blue") if count > 1 else ("all",)
     spreads *= count // len(spreads)
-    weights = _stacked(spreads, radius)
+    weights = _stacked(spreads, radius, places)
     if cuts:
         for channel, spread, lens, radii in zip(weights, spreads, lenses * (count // len(lenses)), radius, strict=True):
             channel *= rim_factors(lens, spread, rays, inverse, radii, weights.shape[-1] // 2)
@@ -209,9 +209,15 @@ def _inverse_depths(lens: Lens, largest: float) -> Array:
     return np.concatenate([np.linspace(near, power, HALF + 1), np.linspace(power, far, HALF + 1)[1:]])
 
 
-def _stacked(spreads: Sequence[PointSpread], radius: Array) -> NDArray[np.float32]:
-    """Weights (channels, ..., n, n) at blur radii (channels, ...), by the point spread of each channel."""
-    wanted = [(spread, r) for spread, radii in zip(spreads, radius, strict=True) for r in radii.ravel().tolist()]
+def _stacked(spreads: Sequence[PointSpread], radius: Array, places: Array) -> NDArray[np.float32]:
+    """Weights (channels, places, depths, n, n) at blur radii (channels, places, depths), by the point spread of each
+    channel."""
+    wanted = [
+        (spread, r, (x, y) if spread.varying else None)
+        for spread, of_places in zip(spreads, radius, strict=True)
+        for (x, y), radii in zip(places.tolist(), of_places.tolist(), strict=True)
+        for r in radii
+    ]
     known = {each: spread_weights(*each) for each in dict.fromkeys(wanted)}
     reach = max(each.shape[0] // 2 for each in known.values())
     size = 4 * radius.size * (2 * reach + 1) ** 2
@@ -226,10 +232,19 @@ def _stacked(spreads: Sequence[PointSpread], radius: Array) -> NDArray[np.float3
     return found.reshape(*radius.shape, *found.shape[1:])
 
 
-def spread_weights(spread: PointSpread, radius: float) -> NDArray[np.float32]:
-    """Weights (n, n) of a source of a signed blur radius, px, from the table that a device reads."""
-    table = psf_table(spread, abs(radius), abs(radius), blocks=_block)
-    return table_weights(table, spread, radius)
+def spread_weights(
+    spread: PointSpread, radius: float, place: tuple[float, float] | None = None
+) -> NDArray[np.float32]:  # fmt: skip
+    """Weights (n, n) of a source of a signed blur radius, px, from the tables that a device reads; place: its column
+    and row in the frame, where they vary over the field."""
+    if spread.varying is None or place is None:
+        table = psf_table(spread, abs(radius), abs(radius), blocks=_block)
+        return table_weights(table, spread, radius)
+    numbers, shares = spread.varying.blend(*place)
+    each = [
+        np.float32(share) * spread_weights(spread.places[n], radius) for n, share in zip(numbers, shares, strict=True)
+    ]
+    return np.asarray(sum(each), np.float32)
 
 
 @lru_cache(maxsize=64)

@@ -14,24 +14,38 @@ NAMES = {
     "2,-2": "Oblique astigmatism", "2,0": "Defocus", "2,2": "Astigmatism", "3,-3": "Oblique trefoil",
     "3,-1": "Vertical coma", "3,1": "Horizontal coma", "3,3": "Trefoil", "4,0": "Spherical aberration",
 }  # fmt: skip
-OF_THE_FIELD = ("W131", "W222", "W220", "W311")  # Seidel's terms that are 0 on the axis
 
 Waves = Annotated[float, Within(-20.0, 20.0, "waves")]
 
 
 class Seidel(Strict):
-    """Seidel's terms of the wavefront that do not vary over the field, in waves of green light."""
+    """Seidel's terms of the wavefront, in waves of green light at the rim of the lens, in the corner of the frame."""
 
     W040: Waves = 0.0
-    """Spherical aberration, with the fourth power of the distance from the middle of the lens, at its rim, waves."""
+    """Spherical aberration, with the fourth power of the distance from the middle of the lens, everywhere in the frame,
+    waves."""
+    W131: Waves = 0.0
+    """Coma, with the distance h from the middle of the frame: tails point away from it, waves."""
+    W222: Waves = 0.0
+    """Astigmatism, with h^2: the focus along and across that direction differ, waves."""
+    W220: Waves = 0.0
+    """Field curvature, with h^2, waves."""
+
+    @property
+    def varying_waves(self) -> float:
+        """Size of what varies over the field: waves of coma that change a point spread as much."""
+        return abs(self.W131) + 1.3 * abs(self.W222) + 1.8 * abs(self.W220)
+
+    @property
+    def varies(self) -> bool:
+        """True where the wavefront is not the same all over the field."""
+        return self.varying_waves > 0.0
 
     @model_validator(mode="before")
     @classmethod
-    def _on_the_axis(cls, value: Any) -> Any:
-        varying = [name for name in OF_THE_FIELD if isinstance(value, Mapping) and name in value]
-        rule = "varies over the field; use W040 or psf.zernike, which do not"
-        if varying:
-            raise at_keys([((name,), fault(rule), value[name]) for name in varying])
+    def _no_shift(cls, value: Any) -> Any:
+        if isinstance(value, Mapping) and "W311" in value:
+            raise at_keys([(("W311",), fault("is no key, as distortion is lens.distortion"), value["W311"])])
         return value
 
 

@@ -168,7 +168,7 @@ class Psf(Strict):
     @property
     def aberrated(self) -> bool:
         """True where the wavefront has errors."""
-        return self.seidel.W040 != 0.0 or bool(zernike_terms(self.zernike))
+        return self.seidel.W040 != 0.0 or self.seidel.varies or bool(zernike_terms(self.zernike))
 
     @property
     def asks_for_rays(self) -> bool:

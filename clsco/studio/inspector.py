@@ -146,7 +146,7 @@ def point_spread(
     gradient : ndarray of float64, (2,)
         Gradient of R, px per px, right and down, by which weights are tilted.
     slopes : tuple of float
-        X / Z and Y / Z of the source, which rims of the lens cut light by.
+        X / Z and Y / Z of the source, by which rims of the lens cut light, and aberrations vary.
     inverse : float
         Its 1 / Z, 1/mm.
 
@@ -157,10 +157,12 @@ def point_spread(
     """
     psf = scene_point_spread(scene)
     slope, spread = pixel_tilt(gradient, radius, psf.diffracted)
-    weights = spread_weights(psf, float(spread))
+    camera = reference_camera(scene)
+    (columns, rows), (right, up) = camera.frame_size, places_of(camera, *slopes)
+    weights = spread_weights(psf, float(spread), (0.5 * (columns - 1) + float(right), 0.5 * (rows - 1) - float(up)))
     far = weights.shape[0] // 2
     if psf.rims:
-        lens, place = Lens.of(reference_camera(scene), scene.lens), np.array([slopes])
+        lens, place = Lens.of(camera, scene.lens), np.array([slopes])
         weights = weights * rim_factors(lens, psf, place, np.array([inverse]), np.array([[radius]]), far)[0, 0]
     offset = np.arange(-far, far + 1, dtype=np.float64)
     x, y = within_rim(psf, offset, offset[:, None], spread)

@@ -82,7 +82,8 @@ __kernel void scatter(const grid_t grid, const psf_t psf, __global const float *
             const float4 p = sub_source[id];
             if (p.x < 0)
                 continue;
-            const spread_t spread = subpixel_spread(psf, sub_intervals, sub_coefficients, p.x, sub);
+            const spread_t spread = subpixel_spread(psf, sub_intervals, sub_coefficients, p.x,
+                                                    sub PLACE_VALUES(grid.top + row, column));
 #if OCCLUDED
             visibility_t seen;
             const visibility_t *visibility = IS_PARTLY(as_int(p.w)) ? &seen : 0;
@@ -99,7 +100,8 @@ __kernel void scatter(const grid_t grid, const psf_t psf, __global const float *
 #endif
     if (s.x < 0)
         return;
-    const spread_t spread = pixel_spread(psf, intervals, coefficients, s.x);
+    const spread_t spread =
+        pixel_spread(psf, intervals, coefficients, s.x PLACE_VALUES(grid.top + row, column));
 #if OCCLUDED
     visibility_t seen;
     const visibility_t *visibility = IS_PARTLY(as_int(s.w)) ? &seen : 0;
@@ -162,7 +164,8 @@ __kernel void renormalize(const grid_t grid, const psf_t psf, __global const flo
             if (p.x < 0)
                 continue;
             const float share = share_inside(
-                grid, subpixel_spread(psf, sub_intervals, sub_coefficients, p.x, sub), p, row, column);
+                grid, subpixel_spread(psf, sub_intervals, sub_coefficients, p.x, sub PLACE_VALUES(row, column)), p, row,
+                column);
             for (int k = 0; k < CHANNELS && share > 0; ++k)
                 sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id] /= share;
         }
@@ -171,7 +174,8 @@ __kernel void renormalize(const grid_t grid, const psf_t psf, __global const flo
 #endif
     if (s.x < 0)
         return;
-    const float share = share_inside(grid, pixel_spread(psf, intervals, coefficients, s.x), s, row, column);
+    const float share = share_inside(
+        grid, pixel_spread(psf, intervals, coefficients, s.x PLACE_VALUES(row, column)), s, row, column);
     for (int k = 0; k < CHANNELS && share > 0; ++k)
         value[k * plane + at] /= share;
 }

@@ -56,7 +56,8 @@ static void note_source(const grid_t grid, const psf_t psf, __global const float
     if (slot < 0)
 #endif
     if (s.x >= 0) {
-        const spread_t spread = pixel_spread(psf, intervals, coefficients, s.x);
+        const spread_t spread = pixel_spread(
+            psf, intervals, coefficients, s.x PLACE_VALUES(FRAME_ROW(grid, y), x - grid.guard));
         chunk->spread[i] = spread;
         far = spread.half_width;
     }
@@ -83,7 +84,7 @@ static void add_source_tap(spread_t spread, int dx, int dy, float4 source, const
 }
 
 // Adds the radiance of the i-th source of a chunk to pixel (x, y) of the grid.
-static void add_source(const psf_t psf, int x, int y, int i, __local const chunk_t *chunk,
+static void add_source(const grid_t grid, const psf_t psf, int x, int y, int i, __local const chunk_t *chunk,
                        float *sum SUBPIXEL_ARGUMENTS)
 {
     const int dx = x - chunk->x[i], dy = y - chunk->y[i];
@@ -97,7 +98,10 @@ static void add_source(const psf_t psf, int x, int y, int i, __local const chunk
                 continue;
             for (int k = 0; k < CHANNELS; ++k)
                 light[k] = sub_value[k * capacity * SUBPIXEL_COUNT + id];
-            add_source_tap(subpixel_spread(psf, sub_intervals, sub_coefficients, s.x, sub), dx, dy, s, light, sum);
+            const spread_t spread = subpixel_spread(
+                psf, sub_intervals, sub_coefficients, s.x,
+                sub PLACE_VALUES(FRAME_ROW(grid, chunk->y[i]), chunk->x[i] - grid.guard));
+            add_source_tap(spread, dx, dy, s, light, sum);
         }
         return;
     }
@@ -146,7 +150,7 @@ __kernel void tiles(const grid_t grid, const psf_t psf, __global const float *so
         for (int word = 0; word < CHUNK / WORD; ++word)
             for (uint left_over = chunk.reaching[word]; left_over; left_over &= left_over - 1) {
                 const int lowest = WORD - 1 - (int)clz(left_over & -left_over);
-                add_source(psf, x, y, word * WORD + lowest, &chunk, part SUBPIXEL_VALUES);
+                add_source(grid, psf, x, y, word * WORD + lowest, &chunk, part SUBPIXEL_VALUES);
             }
         for (int k = 0; k < CHANNELS; ++k) {  // by Kahan: around wide PSFs there are thousands of chunks
             const float more = part[k] - over[k], next = sum[k] + more;

@@ -43,7 +43,12 @@ GEOMETRY: dict[str, tuple[int, ...]] = {
     "CHANNELS": (1, 3),
     "FILTER": (0, 2, 1),
 }
-GENERAL = {"GENERAL": (0, 0, 1), "EDGES": (0, 0, 6), "WAVES": (0, 0, 1)}  # not with what is alike in all octants
+GENERAL = {
+    "GENERAL": (0, 0, 1),
+    "EDGES": (0, 0, 6),
+    "WAVES": (0, 0, 1),
+    "FIELD": (0, 0, 1),
+}  # not with what is alike in all octants
 
 BLUR = (
     *("SAMPLED", "TILT", "GATHER", "BY_ROWS", "SCATTER", "RENORMALIZE"),
@@ -140,7 +145,7 @@ def variants(features: dict[str, tuple[int, ...]]) -> list[dict[str, int]]:
     alone = dict.fromkeys((*NOT_BY_COLUMNS, "SEPARABLE", "SAMPLED", "BY_COLUMNS"), 0)
     smooth = {**dict.fromkeys(("BY_ROWS", "DISC", "SEPARABLE", "SAMPLED", "SPANS"), 0), "BY_COLUMNS": 1}
     others = [one | {k: v for k, v in smooth.items() if k in one} if one.get("WAVES") else one for one in others]
-    others = [one | {"GENERAL": 1} if one.get("EDGES") else one for one in others]
+    others = [one | {"GENERAL": 1} if one.get("EDGES") or one.get("FIELD") else one for one in others]
     others = [one | {"BY_COLUMNS": 1, "SEPARABLE": 0} if one.get("RING") else one for one in others]
     others = [one | dict.fromkeys(alone.keys() & one.keys(), 0) if one.get("GENERAL") else one for one in others]
     return [one | none if one.get("BY_COLUMNS") or one.get("DISC") == 0 else one for one in (off, on, *others)]

@@ -56,7 +56,8 @@ WITHOUT_TWIN = {
         ("pixel_spread", "subpixel_spread", "rim_of", "tap", "source_visibility"),
         "reads tables, in whose place the reference has the closed forms",
     )
-    | dict.fromkeys(("source_width", "light_of"), "of merged sources, as merge.cl"),
+    | dict.fromkeys(("source_width", "light_of"), "of merged sources, as merge.cl")
+    | {"find_cell": "SeidelField.blend, which the reference calls"},
     "vectors": dict.fromkeys(("weights", "sums_of", "any_of"), "lanes of a vector"),
     "footprint": {
         "square_of": "two products",

@@ -15,6 +15,7 @@ from clsco.cache import V
 from clsco.inputs.files import InputFiles
 from clsco.opencl import program
 from clsco.opencl.session import Session
+from clsco.optics.field import SeidelField
 from clsco.optics.motion import poses_at
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.pupils.blades import CurvedPolygon
@@ -69,12 +70,15 @@ def _other(value: Any) -> Any:
             return (*value, (0.25, 1.0))
         case str():
             return OTHER_WORDS.get(value, f"{value}0")
+        case None:
+            return SeidelField(0.5, 0.2, 0.3, 0.4, (9, 7))
     raise TypeError(f"no other value of {type(value)} is known")
 
 
 @pytest.mark.parametrize("samples", [0, 2])
 def test_tables_of_weights_depend_on_each_field_of_a_point_spread(samples: int) -> None:
     known = [PointSpread(pupil) for pupil in PUPILS]
+    known.append(replace(known[-1], varying=SeidelField(0.1, 0.2, 0.3, 0.4, (9, 7))))
     bases = Outline, Diffracted
     kinds = {kind for base in (Pupil, *bases) for kind in base.__subclasses__()}
     assert {type(psf.pupil) for psf in known} == kinds - {*bases}

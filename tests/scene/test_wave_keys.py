@@ -41,8 +41,8 @@ from tests.scene.test_bad_scenes import messages_of
             'psf.seidel: belongs to psf.model = "wave", not "pillbox"; got a table of 1 keys',
         ),
         (
-            'psf = {model = "wave", seidel = {W131 = 1.0}}',
-            "psf.seidel.W131: varies over the field; use W040 or psf.zernike, which do not; got 1.0",
+            'psf = {model = "wave", seidel = {W131 = -20.5}}',
+            "psf.seidel.W131: must be between -20 and 20 waves; got -20.5",
         ),
         ('psf = {model = "wave", seidel = {W404 = 1.0}}', "psf.seidel.W404: unknown key (did you mean W040?); got 1.0"),
         (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from math import floor, log2
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from clsco.cache import Cache
 from clsco.optics.pupils.diffracted import Diffracted, faded, panel_nodes, panels_of
+from clsco.optics.pupils.hankel import is_round
 from clsco.optics.pupils.pupil import Array, Pupil
 from clsco.optics.pupils.transform import (
     Spectrum,
@@ -24,6 +25,7 @@ from clsco.optics.pupils.wavefront import Wavefront
 
 RIM_CELLS, RIM_SIGMA = 128, 2  # cells per radius that the length of the rim is measured by, and their blur
 LONGEST_PANEL, PANEL_PER_UNIT = 1.0, 6.0  # px of R that one polynomial is for, at most, and that in Q
+OF_FIELD = 0.5  # of samples of the pupil, by which blending weights over a field is farther off
 PLACES = 2**16  # of sources in a pixel, that are told apart
 SPECTRA_BYTES, WEIGHTS_BYTES = 2**27, 2**27
 _spectra, _weights = Cache(SPECTRA_BYTES), Cache(WEIGHTS_BYTES)
@@ -36,6 +38,8 @@ class FourierDiffracted(Diffracted):
     Attributes
     ----------
     wavefront : Wavefront
+    steepest : float
+        Slope in px per radius that there is room for, of all places of a field; 0 where nothing varies over it.
 
     Examples
     --------
@@ -51,6 +55,7 @@ class FourierDiffracted(Diffracted):
     STEPS = ((1.6, 2), (0.45, 4), (0.1, 8), (0.04, 16))
 
     wavefront: Wavefront = field(default_factory=Wavefront)
+    steepest: float = 0.0
 
     @property
     def signed(self) -> bool:
@@ -67,7 +72,12 @@ class FourierDiffracted(Diffracted):
     @property
     def margin(self) -> float:
         """Distance from the rim as of a perfect lens, and what the wavefront bends rays by."""
-        return super().margin + 2.0 * self.wavefront.slope
+        return super().margin + 2.0 * self.slope
+
+    @property
+    def slope(self) -> float:
+        """Largest change of the path along the lens that there is room for, px per radius."""
+        return max(self.wavefront.slope, self.steepest)
 
     def share(self, dx: Array, dy: Array, radius: Array, tent: bool) -> Array:
         right, down, r = np.broadcast_arrays(dx, dy, radius)
@@ -110,13 +120,16 @@ class FourierDiffracted(Diffracted):
 
     def samples(self, radius: float) -> float:
         """Samples of the pupil over its diameter for a blur radius in px; raises SceneError where it needs too many."""
-        return pupil_samples((0.5 * abs(radius) * self.extent + self.wavefront.slope) / self.narrowest)
+        slope = (0.5 * abs(radius) * self.extent + self.slope) / self.narrowest
+        return pupil_samples(slope, OF_FIELD if self.steepest else 1.0)
 
     def _squares(self, number: int, place: tuple[float, float], tent: bool) -> Array:
         """Weights (nodes, y, x) at the nodes of a panel, of a source at a place in its pixel."""
         if number < 0 and self.wavefront.is_flat:  # the same as of -R, mirrored in the source
             mirrored = self._squares(-1 - number, (-place[0], -place[1]), tent)
             return np.roll(mirrored[::-1, ::-1, ::-1], 1, axis=(1, 2))
+        if self._can_mirror and any(self.wavefront.mirrored):
+            return self._mirrored_squares(number, place, tent)
 
         def make() -> Array:
             found = _spectra.get((self, number), lambda: self._spectra(number), lambda made: made.nbytes)
@@ -124,6 +137,19 @@ class FourierDiffracted(Diffracted):
             return np.stack([pixel_weights(each, width, place, tent) for each in found])
 
         return _weights.get((self, number, place, tent), make, lambda made: made.nbytes)
+
+    @property
+    def _can_mirror(self) -> bool:
+        """True if weights of the mirrored wavefront are mirrored."""
+        return is_round(self.opening) and not self.wavefront.zernike
+
+    def _mirrored_squares(self, number: int, place: tuple[float, float], tent: bool) -> Array:
+        """`_squares` by those of the upright wavefront, which several places of a field share."""
+        signs = tuple(-1.0 if turned else 1.0 for turned in self.wavefront.mirrored)
+        axes = tuple(axis for axis, sign in zip((2, 1), signs, strict=True) if sign < 0.0)
+        upright = replace(self, wavefront=self.wavefront.upright)
+        squares = upright._squares(number, (signs[0] * place[0], signs[1] * place[1]), tent)
+        return np.roll(np.flip(squares, axes), (1,) * len(axes), axes)
 
     def _spectra(self, number: int) -> Spectrum:
         """Spectra (nodes, y, x) of the light at the nodes of a panel."""

@@ -42,8 +42,9 @@ def image_parts(unit: float, extent: float) -> int:
     return fast_length(max(2.0 * extent / unit, LEAST_PARTS), 2)
 
 
-def pupil_samples(slope: float) -> float:
-    """Samples of the pupil over its diameter for a steepest slope of its phase in waves per radius.
+def pupil_samples(slope: float, part: float = 1.0) -> float:
+    """Samples of the pupil over its diameter for a steepest slope of its phase in waves per radius; part: of those that
+    weights to 1e-4 of the light need.
 
     Raises SceneError where the phase would turn by more than 1/4 wave from one of MOST samples to the next, so that
     light would go to wrong places.
@@ -51,7 +52,7 @@ def pupil_samples(slope: float) -> float:
     if LEAST_PER_SLOPE * slope > MOST:
         rule = f"must turn the phase by at most 1/4 wave from one of {MOST} samples of the pupil to the next"
         raise SceneError(f"psf: defocus and aberrations {rule}; got {2.0 * slope / MOST:.3g} waves")
-    return min(max(PER_SLOPE * slope, FEWEST), MOST)
+    return min(part * max(PER_SLOPE * slope, FEWEST), MOST)
 
 
 def spot_light(
@@ -86,10 +87,9 @@ def spot_light(
     (benchmarks/truth/wave.py).
     """
     window = fast_length(max(samples * unit, width))
-    amplitude, path, at = _pupil(opening, wavefront, window / unit)
+    amplitude, at = _pupil(opening, wavefront, window / unit, unit)
     turn = np.exp(0.5j * np.pi / unit * radius * at * at)
-    field = amplitude * np.exp(2j * np.pi / unit * path) if path.size else amplitude
-    field = field * turn * turn[:, None]
+    field = amplitude * turn * turn[:, None]
     count, half = parts * window, parts * width // 2
     for _ in range(2):  # each along rows, which are turned to columns; a shift of the pupil is a phase of the image
         whole = np.fft.fft(field, count)
@@ -99,16 +99,17 @@ def spot_light(
 
 
 @lru_cache(maxsize=4)
-def _pupil(opening: Pupil, wavefront: Wavefront, samples: float) -> tuple[Array, Array, Array]:
-    """Amplitude (y, x) of each cell of a grid with so many cells over the diameter, the path in it, px, or nothing for
-    a flat wavefront, and the places in radii along either axis."""
+def _pupil(opening: Pupil, wavefront: Wavefront, samples: float, unit: float) -> tuple[Spectrum | Array, Array]:
+    """Amplitude (y, x) in focus of each cell of a grid with so many cells over the diameter, for Q = unit px, and the
+    places in radii along either axis."""
     root = opening.amplitude
     index = np.arange(-ceil(0.5 * samples * opening.extent), ceil(0.5 * samples * opening.extent) + 1.0)
     area = 0.25 * np.pi * samples**2 * root.light
     amplitude = area * root.rows(np.array([0.5 * samples]), index, index, tent=False)[0]
     at = index * (2.0 / samples)
-    path = np.empty(0) if wavefront.is_flat else wavefront.path(at, at[:, None])
-    return amplitude, path, at
+    if wavefront.is_flat:
+        return amplitude, at
+    return amplitude * np.exp(2j * np.pi / unit * wavefront.path(at, at[:, None])), at
 
 
 def spectra(light: Array) -> Spectrum:

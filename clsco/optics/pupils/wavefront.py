@@ -6,7 +6,7 @@ R l + 2 grad W, in px. Axes of an image: x to the right, y down.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import factorial, sqrt
 
@@ -28,6 +28,10 @@ class Wavefront:
         n, m and the rms over the lens in px of each polynomial.
     spherical : float
         Seidel's W040 in px: of the fourth power of the distance from the middle of the lens, at its rim.
+    coma : tuple of float
+        Seidel's W131 in px, right and down: path (x^2 + y^2) (coma . (x, y)).
+    bend : tuple of float
+        xx, xy and yy of the path xx x^2 + 2 xy x y + yy y^2 in px: astigmatism and field curvature at a place.
 
     Examples
     --------
@@ -39,20 +43,37 @@ class Wavefront:
 
     zernike: tuple[tuple[int, int, float], ...] = ()
     spherical: float = 0.0
+    coma: tuple[float, float] = (0.0, 0.0)
+    bend: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
     def is_flat(self) -> bool:
         """True if the lens is a perfect one."""
-        return not self.zernike and self.spherical == 0.0
+        return not (self.zernike or self.spherical or any(self.coma) or any(self.bend))
 
     @property
     def is_round(self) -> bool:
         """True if it is the same in all directions."""
-        return all(m == 0 for _, m, _ in self.zernike)
+        return all(m == 0 for _, m, _ in self.zernike) and not (any(self.coma) or any(self.bend))
+
+    @property
+    def upright(self) -> Wavefront:
+        """One of those that it is without Zernike polynomials when it is mirrored, the same for all of them."""
+        (right, down), (xx, xy, yy) = self.coma, self.bend
+        across, along = self.mirrored
+        sign = -1.0 if across != along else 1.0
+        return replace(self, coma=(-right if across else right, -down if along else down), bend=(xx, sign * xy, yy))
+
+    @property
+    def mirrored(self) -> tuple[bool, bool]:
+        """True if `upright` is it from right to left, and from below to above."""
+        (right, down), (_, xy, _) = self.coma, self.bend
+        return right < 0.0 or (right == down == 0.0 and xy < 0.0), down < 0.0
 
     def path(self, x: Array, y: Array) -> Array:
         """Optical path in px at lens points, which broadcast."""
-        total = self.spherical * (x * x + y * y) ** 2
+        square, (right, down), (xx, xy, yy) = x * x + y * y, self.coma, self.bend
+        total = square * (self.spherical * square + right * x + down * y) + xx * x * x + 2.0 * xy * x * y + yy * y * y
         for n, m, size in self.zernike:
             total = total + size * zernike(n, m, x, y)
         return np.asarray(total)

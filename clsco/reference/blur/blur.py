@@ -65,6 +65,32 @@ def within_rim(psf: PointSpread, dx: ArrayLike, dy: ArrayLike, radius: ArrayLike
     return np.asarray(part * dx), np.asarray(part * dy)
 
 
+def place_weights(
+    psf: PointSpread, dx: Array, dy: Array, radius: Array, place: NDArray[np.int64],
+    subpixel: bool = False,
+) -> Array:  # fmt: skip
+    """Weights (n,) of taps of sources at places (2, n), row and column in the frame, px: `PointSpread.weights`, or
+    `subpixel_weights`, where they vary over the field between those of four places.
+
+    dx, dy: px, all the same or (n,); radius: (n,) signed, px.
+    """
+
+    def weights(spread: PointSpread, which: NDArray[np.int64] | slice) -> Array:
+        x, y = (each if each.ndim == 0 else each[which] for each in (np.asarray(dx), np.asarray(dy)))
+        return (spread.subpixel_weights if subpixel else spread.weights)(x, y, radius[which])
+
+    if psf.varying is None:
+        return weights(psf, slice(None))
+    numbers, shares = psf.varying.blend(place[1], place[0])
+    found = np.zeros(radius.shape)
+    for number in np.unique(numbers):
+        share = (shares * (numbers == number)).sum(axis=0)
+        which = np.flatnonzero(share)
+        if which.size:
+            found[which] += share[which] * weights(psf.places[number], which)
+    return found
+
+
 def _alike_offsets(offset_limit: int, alone: bool) -> Iterator[tuple[int, int, set[tuple[int, int]]]]:
     """An offset, and all that share its weight: signs changed, axes swapped; alone: none does."""
     if alone:
@@ -97,7 +123,8 @@ def _shares(
     size, waves = np.abs(sources.radius).ravel(), spec.psf.diffracted
     slope = tilt_slope(sources.gradient, sources.radius, waves).reshape(-1, 2)
     signed = sources.radius.ravel()
-    row, column = (axis.ravel() - guard for axis in np.indices(there.shape))
+    place = np.stack([axis.ravel() - guard for axis in np.indices(there.shape)])
+    row, column = place
     at = np.flatnonzero(there)
     at = at[np.argsort(size[at], kind="stable")]  # a block's sources have nearly the same taps
     blocks = [at[start : start + BLOCK] for start in range(0, at.size, BLOCK)]
@@ -109,7 +136,7 @@ def _shares(
         for block, far in zip(blocks, reaches, strict=True):
             if far >= max(abs(right), abs(down)):
                 offset = np.asarray(float(right)), np.asarray(float(down))
-                weight[block] = spec.psf.weights(*offset, signed[block])
+                weight[block] = place_weights(spec.psf, *offset, signed[block], place[:, block])
         lit = np.flatnonzero(weight)
         for dx, dy in sorted(offsets):
             y, x = row[lit] + dy, column[lit] + dx
@@ -121,10 +148,10 @@ def _shares(
             if spec.tilt:
                 share = share * tilt_factor(*within_rim(spec.psf, dx, dy, signed[source]), slope[source])
             for hidden, visibility, cells in groups:
-                place = np.minimum(np.searchsorted(source, hidden), source.size - 1)
-                found = source[place] == hidden
+                at_source = np.minimum(np.searchsorted(source, hidden), source.size - 1)
+                found = source[at_source] == hidden
                 if found.any():
-                    share[place[found]] *= tap_share(visibility, cells, dx, dy)[found]
+                    share[at_source[found]] *= tap_share(visibility, cells, dx, dy)[found]
             yield source, target, share
 
 
@@ -147,13 +174,15 @@ def _subpixel_shares(
         radius = sub.radius[sub.hit][block]
         slope = tilt_slope(sub.gradient[sub.hit][block], radius, spec.psf.diffracted)
         far = spec.psf.reach(float(np.abs(radius).max()), subpixel=True)
+        place = np.stack([sub.row[p], sub.column[p]]) - guard
         visibility = None if sub.visibility is None else sub.visibility.of(block)
         cells = np.empty(0) if visibility is None else cell_visibility(visibility)
         for dy in range(-far, far + 1):
             for dx in range(-far, far + 1):
                 row, column = sub.row[p] - guard + dy, sub.column[p] - guard + dx
                 inside = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
-                share = spec.psf.subpixel_weights(dx - x[inside], dy - y[inside], radius[inside])
+                right, below = dx - x[inside], dy - y[inside]
+                share = place_weights(spec.psf, right, below, radius[inside], place[:, inside], subpixel=True)
                 if spec.tilt:
                     share = share * tilt_factor(*within_rim(spec.psf, dx - x, dy - y, radius), slope)[inside]
                 if visibility is not None:

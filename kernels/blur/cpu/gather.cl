@@ -171,7 +171,8 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
                 const float4 p = sub_source[id];
                 if (p.x < 0)
                     continue;
-                const spread_t spread = subpixel_spread(psf, sub_intervals, sub_coefficients, p.x, sub);
+                const spread_t spread = subpixel_spread(psf, sub_intervals, sub_coefficients, p.x,
+                                                        sub PLACE_VALUES(grid.top + y, x - grid.guard));
                 const int half_width = spread.half_width;
                 const int up = MIN(half_width, y - first), down = MIN(half_width, end - 1 - y);
                 const int vectors = MAX(up + down + 1, 0) * (spread.lanes / TAP_LANES);
@@ -200,7 +201,8 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
 #endif
         if (s.x < 0)
             continue;
-        const spread_t spread = pixel_spread(psf, intervals, coefficients, s.x);
+        const spread_t spread =
+            pixel_spread(psf, intervals, coefficients, s.x PLACE_VALUES(grid.top + y, x - grid.guard));
         const int half_width = spread.half_width;
         const int up = MIN(half_width, y - first), down = MIN(half_width, end - 1 - y);
         const int vectors = MAX(up + down + 1, 0) * (spread.lanes / TAP_LANES);

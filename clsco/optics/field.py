@@ -1,0 +1,123 @@
+"""Wavefront errors that grow with the distance from the axis: Seidel's terms over the field (float64, pure).
+
+Weights are tables at places on a grid of the frame; those of a source are blended from the four around it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import ceil, hypot
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clsco.optics.pupils.wavefront import Wavefront
+
+Array = NDArray[np.float64]
+CELLS_PER_WAVE = 8.0  # along the way from the middle to the corner
+LEAST_CELLS, MOST_CELLS = 2, 16  # along that way
+BLENDED = 6e-3  # L1 of blended weights from exact ones with CELLS_PER_WAVE
+
+
+@dataclass(frozen=True)
+class SeidelField:
+    """Seidel's terms of the wavefront over the frame of a camera.
+
+    h: place in the frame, from its middle, 1 in the corner; rho: lens point, 1 at the rim; phi: angle between the two.
+
+    Attributes
+    ----------
+    coma : float
+        W131 h rho^3 cos(phi), optical path at the rim in the corner, px (`clsco.optics.pupils.wavefront`).
+    astigmatism : float
+        W222 h^2 rho^2 cos^2(phi), px.
+    curvature : float
+        W220 h^2 rho^2, px.
+    waves : float
+        Their size in waves of green light, which the cells go by.
+    frame : tuple of int
+        Columns and rows of the frame, px.
+
+    Examples
+    --------
+    >>> from clsco.optics.field import SeidelField
+    >>> from clsco.optics.pupils.wavefront import Wavefront
+    >>> field = SeidelField(0.3, 0.0, 0.0, 1.0, (65, 49))
+    >>> field.wavefront(Wavefront(), 1.0, 0.0).coma
+    (0.3, 0.0)
+    """
+
+    coma: float
+    astigmatism: float
+    curvature: float
+    waves: float
+    frame: tuple[int, int]
+
+    @cached_property
+    def corner(self) -> float:
+        """Distance from the middle of the frame to its corner, px."""
+        return 0.5 * hypot(self.frame[0] - 1, self.frame[1] - 1) or 1.0
+
+    @cached_property
+    def cells(self) -> tuple[int, int]:
+        """Cells across and down the frame, between places that have tables."""
+        across, down = (max(2 * ceil(self._of_way * 0.5 * (size - 1) / self.corner), 2) for size in self.frame)
+        return across, down
+
+    @property
+    def _of_way(self) -> float:
+        """Cells along the way to the corner."""
+        return min(max(CELLS_PER_WAVE * self.waves, LEAST_CELLS), MOST_CELLS)
+
+    @property
+    def blending(self) -> float:
+        """Largest part of the light of a source that blended weights have in wrong places, about (L1).
+
+        Notes
+        -----
+        Validated against exact weights at the middles of cells (tests/optics/test_field.py).
+        """
+        return BLENDED * (CELLS_PER_WAVE * self.waves / self._of_way) ** 2
+
+    @property
+    def nodes(self) -> list[tuple[float, float]]:
+        """Places (hx, hy) with tables, right and down from the middle of the frame, row by row."""
+        x, y = (
+            [(2 * k - count) / count * 0.5 * (size - 1) / self.corner for k in range(count + 1)]
+            for count, size in zip(self.cells, self.frame, strict=True)
+        )
+        return [(column, row) for row in y for column in x]
+
+    def at(self, column: ArrayLike, row: ArrayLike) -> tuple[Array, Array]:
+        """Places (hx, hy) of pixels of the frame; those beyond it are on its border."""
+        return tuple(
+            (np.clip(place, 0.0, size - 1.0) - 0.5 * (size - 1)) / self.corner
+            for place, size in zip((column, row), self.frame, strict=True)
+        )  # type: ignore[return-value]
+
+    def wavefront(self, axis: Wavefront, hx: float, hy: float) -> Wavefront:
+        """The wavefront at a place, from that on the axis."""
+        bend = (
+            self.astigmatism * hx * hx + self.curvature * (hx * hx + hy * hy),
+            self.astigmatism * hx * hy,
+            self.astigmatism * hy * hy + self.curvature * (hx * hx + hy * hy),
+        )
+        return replace(axis, coma=(self.coma * hx, self.coma * hy), bend=bend)
+
+    def slope(self, axis: Wavefront) -> float:
+        """Largest slope of the wavefront at any of the places, px per radius."""
+        return max(self.wavefront(axis, *node).upright.slope for node in self.nodes)
+
+    def blend(self, column: ArrayLike, row: ArrayLike) -> tuple[NDArray[np.int64], Array]:
+        """Numbers of `nodes` (4, ...) around pixels of the frame, and their parts in the weights of these."""
+        found = []
+        for place, count, size in zip((column, row), self.cells, self.frame, strict=True):
+            at = np.clip(np.asarray(place, np.float64) * (count / max(size - 1, 1)), 0.0, count)
+            cell = np.minimum(at.astype(np.int64), count - 1)
+            found.append((cell, at - cell))
+        (x, right), (y, down) = found
+        first = y * (self.cells[0] + 1) + x
+        numbers = np.stack([first, first + 1, first + self.cells[0] + 1, first + self.cells[0] + 2])
+        left, up = 1.0 - right, 1.0 - down
+        return numbers, np.stack([left * up, right * up, left * down, right * down])

@@ -1,0 +1,120 @@
+"""Frames whose aberrations vary over the field: device against reference, strips, and directions in a frame."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import clsco
+from clsco.opencl.device import choose
+from clsco.plan.memory import device_bytes
+from clsco.plan.prepare import prepare
+from tests.scenes import assert_agree, reference_frames, rendered, scene_from
+from tests.slow import mostly_slow
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+CAMERA = {"resolution": [48, 32]}
+FACING: Any = {"shape": "plane", "distance": 252.0, "texture": "checkerboard"}
+TILTED: Any = {"shape": "plane", "distance": 251.0, "slope_x": 0.4, "texture": "bricks"}  # through the focus
+NEAR: Any = {"shape": "sphere", "radius": 5.0, "center": [2.0, 0.0, 247.0], "texture": "bricks"}
+FIELD: Any = {
+    "model": "wave",
+    "wavelengths": [2500.0] * 3,  # Q = 0.5 px
+    "tail": 0.04,
+    "seidel": {"W131": 0.12, "W222": 0.08, "W220": -0.02},
+}
+scene = partial(scene_from, {"camera": CAMERA, "psf": FIELD})
+CASES: dict[str, dict[str, Any]] = {
+    "facing": {"object": [FACING]},
+    "through the focus": {"object": [TILTED]},
+    "hidden": {"object": [NEAR, FACING]},
+    "renormalized": {"object": [TILTED], "psf": {**FIELD, "border": "renormalize"}},
+    "layered": {"object": [NEAR, FACING], "psf": {**FIELD, "occlusion": "layered"}},
+    "colors": {
+        "object": [{**FACING, "texture": "#c86432"}],
+        "psf": {**FIELD, "wavelengths": [2600.0, 2500.0, 2200.0]},
+    },
+    "blades": {"object": [FACING], "aperture": {"shape": "polygon", "blades": 5}},
+    "moving": {
+        "object": [{**NEAR, "motion": {"velocity": [20.0, 0.0, 0.0]}}, FACING],
+        "sequence": {"frames": 1, "samples": 2, "shutter": 0.05},
+    },
+}
+
+
+@pytest.mark.parametrize("method", ["auto", "scatter"])
+@pytest.mark.parametrize("case", mostly_slow(list(CASES), ["through the focus", "renormalized"]))
+def test_device_and_reference_agree(case: str, method: str) -> None:
+    wanted = scene(**CASES[case])
+    assert_agree(rendered(wanted, method=method), reference_frames(wanted), least=0.0)
+
+
+@pytest.mark.parametrize("case", mostly_slow(["through the focus", "silhouettes"], ["through the focus"]))
+def test_tiles_agree(case: str) -> None:
+    apart = {"object": [NEAR, {**FACING, "distance": 252.0}], "psf": {**FIELD, "occlusion": "none"}}
+    wanted = scene(**(CASES | {"silhouettes": apart})[case])
+    assert_agree(rendered(wanted, method="tiles"), reference_frames(wanted), least=0.0)
+
+
+def test_single_precision() -> None:
+    wanted = scene(**CASES["through the focus"])
+    (single,), (double,) = rendered(wanted, precision="single"), rendered(wanted)
+    assert np.abs(single.color - double.color).max() < 2e-4
+
+
+def test_strips_have_the_bits_of_the_whole() -> None:
+    wanted = scene(object=[FACING], camera={"resolution": [48, 200]})
+    size = device_bytes(prepare(wanted, device=choose()).plan)
+    (whole,), (cut,) = rendered(wanted, truth=()), rendered(wanted, truth=(), memory=size - 1)
+    assert cut.metadata["strips"] > whole.metadata["strips"] == 1
+    assert (whole.color == cut.color).all()
+
+
+def test_corners_of_a_frame_mirror_each_other_and_tails_point_outwards() -> None:
+    dots = np.zeros((32, 48), np.float32)
+    for row in (5, 26):
+        for column in (6, 41):
+            dots[row, column] = 1.0
+    (frame,) = clsco.render(scene(object=[{**FACING, "distance": 250.0167, "texture": dots}]))
+    color = frame.color.astype(np.float64)
+    assert color == pytest.approx(color[::-1], abs=1e-6)
+    assert color == pytest.approx(color[:, ::-1], abs=1e-6)
+    part, place = color[20:, 35:], np.arange(48.0)
+    assert (part * place[35:]).sum() / part.sum() > 41.05
+    assert (part * np.arange(20.0, 32.0)[:, None]).sum() / part.sum() > 26.03
+
+
+def test_the_blur_of_a_radius_map_varies_over_its_image() -> None:
+    image, radius = np.zeros((25, 33), np.float32), np.full((25, 33), 0.5)
+    image[3, 4] = image[12, 16] = 1.0
+    camera = {"f_number": 2.0, "focal_length": 20.0, "pixel_pitch": 0.01}
+    blurred = clsco.defocus(image, radius, FIELD, camera=camera)
+    corner, middle = blurred[:7, :9], blurred[9:16, 12:21]
+    assert corner.sum() == pytest.approx(middle.sum(), abs=0.02)
+    assert middle == pytest.approx(middle[::-1], abs=1e-6)
+    assert (corner * np.arange(9)).sum() / corner.sum() < 3.95
+
+
+def test_psf_is_that_of_each_place() -> None:
+    wanted = scene(object=[FACING])
+    stack = clsco.psf(wanted, depths=[252.0])
+    assert len(stack.at) == 4
+    assert not np.allclose(stack.weights[0, 0], stack.weights[0, 3], atol=1e-3)
+    left, right = clsco.psf(wanted, at=[(4.0, 6.0), (43.0, 25.0)], depths=[252.0]).weights[0]
+    assert left == pytest.approx(right[:, ::-1, ::-1], abs=1e-6)
+
+
+def test_a_plan_names_cells() -> None:
+    words = dict(prepare(scene(object=[FACING])).plan.passes[-1].parameters)
+    assert words["field"] == "4 x 4 cells, between whose corners weights are blended, 0.006 off (L1)"
+
+
+def test_light_stays() -> None:
+    wanted = scene(object=[{**FACING, "texture": "#808080"}], psf={**FIELD, "border": "renormalize"})
+    sharp = scene(object=wanted.objects, psf={"border": "renormalize"})
+    (frame,), (plain,) = clsco.render(wanted), clsco.render(sharp)
+    assert frame.color.mean() == pytest.approx(plain.color.mean(), rel=1e-5)
