@@ -1,8 +1,12 @@
-"""Pictures and page of docs/gallery.md, one for each example: python -m benchmarks.gallery [NAME ...]"""
+"""Pictures and page of docs/gallery.md, one for each example: python -m benchmarks.gallery [NAME ...]
+
+The studio's list of presets has them smaller, and those of the thesis.
+"""
 
 from __future__ import annotations
 
 import argparse
+import json
 import tomllib
 from pathlib import Path
 
@@ -13,7 +17,9 @@ from clsco.data.distribution import load_distribution
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES, PAGE, PICTURES = ROOT / "examples", ROOT / "docs/gallery.md", ROOT / "docs/gallery"
+PRESETS = ROOT / "clsco/studio/static/presets"
 WIDTH, QUALITY = 320, 82  # px, of 100
+SMALL = 160  # px, of the presets' pictures
 SEED = 2026
 TOLERANCE = 0.004  # of white, a code of 8 bits
 
@@ -72,12 +78,19 @@ def picture_name(name: str) -> str:
 
 
 def make_picture(name: str, scene: clsco.Scene) -> None:
+    """Write the pictures of an example: of the gallery, but for those of the thesis, and of the presets."""
     views = clsco.render(scene, frames=[scene.sequence.frames // 2], truth=(), tolerance=TOLERANCE)
     picture = Image.fromarray(next(iter(views)).image())
-    size = WIDTH, round(picture.height * WIDTH / picture.width)
-    path = PICTURES / picture_name(name)
-    path.parent.mkdir(exist_ok=True)
-    picture.resize(size, Image.Resampling.LANCZOS).save(path, quality=QUALITY)
+    if not name.startswith("thesis/"):
+        write_small(picture, WIDTH, PICTURES / picture_name(name))
+    if not name.startswith("sets/"):
+        write_small(picture, SMALL, PRESETS / f"{name}.jpg")
+
+
+def write_small(picture: Image.Image, width: int, path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    size = width, round(picture.height * width / picture.width)
+    picture.convert("RGB").resize(size, Image.Resampling.LANCZOS).save(path, quality=QUALITY, optimize=True)
 
 
 def main() -> None:
@@ -85,6 +98,12 @@ def main() -> None:
     parser.add_argument("names", metavar="NAME", nargs="*", help="of pictures to make; by default all")
     wanted = parser.parse_args().names
     chapters: dict[str, list[str]] = {}
+    groups: dict[str, str] = {}
+    for path in sorted(EXAMPLES.glob("thesis/*.toml")):
+        name = path.relative_to(EXAMPLES).with_suffix("").as_posix()
+        if not wanted or name in wanted:
+            make_picture(name, first_scene(name)[0])
+            print(name)
     for path in sorted([*EXAMPLES.glob("*.toml"), *EXAMPLES.glob("sets/*.toml")]):
         name = path.relative_to(EXAMPLES).with_suffix("").as_posix()
         title, words = title_and_words(path)
@@ -94,8 +113,11 @@ def main() -> None:
             print(name)
         picture = f"![{title}](gallery/{picture_name(name)})"
         row = f"| {picture} | **{title}**<br>[{name}](../examples/{name}.toml)<br>{words} |"
-        chapters.setdefault(chapter(name, scene, several), []).append(row)
+        groups[name] = chapter(name, scene, several)
+        chapters.setdefault(groups[name], []).append(row)
     tables = ["\n".join((f"## {heading}\n", "| | |", "|---|---|", *chapters[heading])) for heading in CHAPTERS]
+    listed = {heading: [name for name, each in groups.items() if each == heading] for heading in CHAPTERS[:-1]}
+    (PRESETS / "groups.json").write_text(json.dumps(listed, indent=1) + "\n", "utf-8")
     PAGE.write_text("\n\n".join((HEAD.rstrip(), *tables)) + "\n", "utf-8")
 
 

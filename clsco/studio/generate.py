@@ -26,6 +26,7 @@ from clsco.scene.text import key_name
 from clsco.scene.toml import toml_text
 from clsco.studio.folder import listed
 from clsco.studio.jobs import CommandJob, Jobs
+from clsco.studio.pictures import SMALL
 from clsco.studio.session import Document
 from clsco.studio.store import moved
 from clsco.studio.tables import Table, sparse, with_value
@@ -249,9 +250,6 @@ def _missing(needs: tuple[str, str] | None) -> str:
     if needs is None or find_spec(needs[0]) is not None:
         return ""
     return f"needs {needs[0]}: pip install 'clsco[{needs[1]}]'"
-
-
-SMALL = 160  # px of a small picture, at most
 
 
 def sample_picture(folder: Path, part: int, parts: int) -> bytes:

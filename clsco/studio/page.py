@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 from fastapi import FastAPI
 from nicegui import Client, ui
 
 from clsco.studio.pictures import VIEWS
 from clsco.studio.server import Studio
 from clsco.studio.session import Document
-from clsco.studio.widgets.files import open_dialog, preset_dialog, save_dialog, share_dialog
+from clsco.studio.widgets.files import open_dialog, preset_dialog, recover_dialog, save_dialog, share_dialog
 from clsco.studio.widgets.html import button, say
 from clsco.studio.widgets.inpainting import inpainting_dialog
 from clsco.studio.widgets.jobs import draw_jobs, generate_dialog
@@ -46,7 +44,8 @@ COMPARISONS = (
     ("64", "difference × 64"),
 )
 MOST_UNSHOWN = 8  # pages
-STYLES = ("studio", "forms")
+SCRIPTS = ("studio", "files")
+STYLES = ("studio", "forms", "files")
 _VIEW_FILTER = """<svg width="0" height="0" aria-hidden="true">
 <filter id="view-filter" x="0" y="0" width="1" height="1">
 <feComponentTransfer class="stops" color-interpolation-filters="linearRGB">
@@ -64,7 +63,7 @@ def attach(app: FastAPI, studio: Studio) -> None:
         end_pages()
         name = await studio.tab(s)
         ui.add_head_html("".join(f'<link rel="stylesheet" href="static/{style}.css">' for style in STYLES))
-        ui.add_body_html('<script type="module" src="static/studio.js"></script>')
+        ui.add_body_html("".join(f'<script type="module" src="static/{part}.js"></script>' for part in SCRIPTS))
         draw(name, studio)
 
     ui.run_with(app, title="clsco studio", show_welcome_message=False, tailwind=False, dark=True)
@@ -113,8 +112,9 @@ def _header(session: Document, studio: Studio, name: str) -> None:
     """Title, files, and the way back."""
     say("button", "☰", id="drawer", aria_label="Panels", data_toggle="open")
     say("h1", id="title")
+    say("span", id="file", role="status")
     save, save_as = save_dialog(session)
-    button("Open", open_dialog(session))
+    button("Open", open_dialog(session, studio))
     button("Presets", preset_dialog(session))
     button("Save", save, id="save")
     button("Save as", save_as)
@@ -122,10 +122,8 @@ def _header(session: Document, studio: Studio, name: str) -> None:
     button("Inpaint", inpainting_dialog(session, studio.jobs, name, studio.device), id="inpaint")
     say("button", "Undo", id="undo", data_do="undo", disabled=True)
     say("button", "Redo", id="redo", data_do="redo", disabled=True)
-    if kept := studio.kept_scenes():
-        button(
-            "Recover", partial(session.recover, kept[0]), title="The scene of a studio that ended before it was saved"
-        )
+    if studio.kept_scenes():
+        button("Recover", recover_dialog(session, studio), title="Scenes of a studio that ended before they were saved")
     say("div").classes("spread")
     say("span", id="plan", title="Of the exact frame: passes, time, and memory on the device, as `clsco plan` reports")
     say("button", "?", aria_label="Keyboard", data_show="#keys")

@@ -45,6 +45,7 @@ FIELDS = ("revision", "rung", "view", "width", "height", "encoding", "columns", 
 
 NO_NUMBER = 2**32 - 1
 IMAGES = ("color", "sharp")  # views; all others are floats
+SMALL = 160  # px of a small picture, at most
 QUALITY = {DRAGGING: 80, LOSSY: 95}
 
 
@@ -72,6 +73,8 @@ class ViewPicture:
         Without occlusion.
     eye : str
         "left" or "right" of a stereo pair, else "".
+    small : bytes
+        Small JPEG of an exact color image, for lists of scenes.
     """
 
     rung: int
@@ -84,6 +87,7 @@ class ViewPicture:
     about: dict[str, Any] | None = None
     is_plain: bool = False
     eye: str = ""
+    small: bytes = b""
 
     def packed(self, revision: int, number: int) -> bytes:
         """The bytes for the browser; number: of the frame, or in a focal stack, NO_NUMBER for one without."""
@@ -128,7 +132,10 @@ def picture_of(frame: Frame, scene: Scene, view: str, rung: int, full: tuple[int
         with np.errstate(over="ignore"):  # infinite in 16 bits
             payload = np.ascontiguousarray(data, dtype).tobytes()
     rows, columns = data.shape[:2]
-    return ViewPicture(rung, view, (columns, rows), full, encoding, payload, seconds, eye=frame.eye)
+    small, step = b"", max(1, -(-max(rows, columns) // SMALL))
+    if view == "color" and rung == EXACT:
+        small = _jpeg(encode(np.ascontiguousarray(data[::step, ::step]), 8, scene.image.transfer), QUALITY[DRAGGING])
+    return ViewPicture(rung, view, (columns, rows), full, encoding, payload, seconds, eye=frame.eye, small=small)
 
 
 def _jpeg(codes: NDArray[Any], quality: int) -> bytes:

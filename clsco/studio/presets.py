@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -16,14 +17,14 @@ from clsco.files.atomic import writable_folder, write_whole
 from clsco.files.images import read_image
 from clsco.inputs.textures import bricks
 from clsco.resources import folder
-from clsco.scene.examples import EXAMPLES
 from clsco.scene.file import read_mapping, relocated
 from clsco.studio.folder import below, holds, keep_image
 from clsco.studio.session import Document
 from clsco.studio.tables import Table
 
 IMAGES = "images"  # folder below the root for those of presets
-OF_THE_THESIS, OTHERS = "Figures of the thesis", "Examples"
+OF_THE_THESIS = "Figures of the thesis"
+PICTURES = Path(__file__).parent / "static" / "presets"  # and groups of the examples, by python -m benchmarks.gallery
 _METHOD = ("psf", "image", "motion", "fill")  # sections that say how, and not what
 
 
@@ -48,19 +49,22 @@ class ScenePreset:
     def path(self) -> Path:
         return Path(str(folder("examples"))) / f"{self.name}.toml"
 
+    @property
+    def picture(self) -> str:
+        """Address of a small picture."""
+        return f"static/presets/{self.name}.jpg"
+
 
 @cache
 def presets() -> tuple[ScenePreset, ...]:
-    """The figures of the thesis in their order, then the examples."""
-    root = Path(str(folder("examples")))
-    paths = sorted((root / "thesis").glob("*.toml"))
-    figures = [
-        ScenePreset(f"thesis/{path.stem}", str(read_mapping(str(path), ())["title"]), OF_THE_THESIS) for path in paths
-    ]
-    examples = [ScenePreset(name, text[:1].upper() + text[1:], OTHERS) for name, text in EXAMPLES.items()]
-    titles = [figure.title for figure in figures]
-    figures = [_numbered(figure) if titles.count(figure.title) > 1 else figure for figure in figures]
-    return (*figures, *examples)
+    """The examples by what they show, then the figures of the thesis in their order."""
+    groups: dict[str, list[str]] = json.loads((PICTURES / "groups.json").read_bytes())
+    paths = sorted((Path(str(folder("examples"))) / "thesis").glob("*.toml"))
+    groups[OF_THE_THESIS] = [f"thesis/{path.stem}" for path in paths]
+    found = [ScenePreset(name, "", group) for group, names in groups.items() for name in names]
+    found = [replace(preset, title=str(read_mapping(str(preset.path), ())["title"])) for preset in found]
+    titles = [preset.title for preset in found]
+    return tuple(_numbered(preset) if titles.count(preset.title) > 1 else preset for preset in found)
 
 
 def load_preset(session: Document, name: str) -> None:

@@ -93,6 +93,7 @@ class Preview:
         self._reference: asyncio.Task[None] | None = None
         self._ready: tuple[int, ViewPicture] | None = None  # by the reference, and of which revision
         self._stack: list[tuple[int, Scene]] = []  # what is missing of it, with its numbers
+        self.small: tuple[int, bytes] = (-1, b"")  # picture of the latest exact frame, and of which revision
         self._warm: set[Any] = set()  # kinds of scenes whose kernels, and those near, are compiled
 
     def changed(self) -> None:
@@ -323,6 +324,8 @@ class Preview:
 
     async def _post(self, picture: ViewPicture, revision: int, number: int) -> None:
         self._unseen.append((revision, picture.rung))
+        if picture.small:
+            self.small = revision, picture.small
         await self._send(picture.packed(revision, number))
         if picture.about is not None:
             await self.tell(about=picture.about)

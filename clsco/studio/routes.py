@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 
 import numpy as np
@@ -14,12 +15,15 @@ from clsco.files.png import png_parts
 from clsco.files.transfer import encode
 from clsco.inputs.textures import load_texture
 from clsco.scene.file import FILE_KEYS
-from clsco.studio.generate import SMALL, sample_picture
+from clsco.studio.generate import sample_picture
 from clsco.studio.inpainting import Inpainting, inpainting_of
 from clsco.studio.jobs import Jobs
+from clsco.studio.pictures import SMALL
 from clsco.studio.session import Document
 
 Sessions = Callable[[str], Document | None]
+LARGEST_PICTURE = 2**18  # bytes
+_PICTURE = re.compile(r"(kept|file)_[A-Za-z0-9_-]{1,80}\.jpg")
 _TYPES = {".png": "image/png", ".mp4": "video/mp4", ".webm": "video/webm"}
 
 
@@ -66,6 +70,17 @@ def _add_results(app: FastAPI, jobs: Jobs) -> None:
             return Response("no such sample\n", 404, media_type="text/plain")
         kept = {"cache-control": "private, max-age=86400"}  # a set that is made anew has another address
         return Response(content, media_type="image/png", headers=kept)
+
+    @app.get("/scene-picture")
+    def scene_picture(name: str) -> Response:
+        """A small picture of a scene that was shown, by the name that it has in the folder of the state."""
+        try:
+            content = jobs.state.read(name, LARGEST_PICTURE) if _PICTURE.fullmatch(name) else b""
+        except OSError:
+            content = b""
+        if not content:
+            return Response("no such picture\n", 404, media_type="text/plain")
+        return Response(content, media_type="image/jpeg", headers={"cache-control": "no-cache"})
 
 
 def _add_scene(app: FastAPI, session_of: Sessions) -> None:

@@ -35,6 +35,7 @@ from clsco.studio.preview import Preview
 from clsco.studio.renderer import RendererProcess
 from clsco.studio.routes import add_routes
 from clsco.studio.session import Document
+from clsco.studio.store import digest_of
 from clsco.studio.tables import is_path
 
 MAX_PATCH = 2**16  # bytes
@@ -47,6 +48,8 @@ COLLECTED = 32  # pages after whose end garbage is collected, which takes some t
 MOST_WATCHED = 2000  # keys with a control
 TICK = 0.5  # s between looks at the jobs
 KEPT = "kept_"  # names of scenes begin with it, in the folder of the state
+SHOWN = "file_"  # names of pictures of scene files, by what these contain
+MOST_SHOWN = 200
 MOST_KEPT = 64
 OPENING = "open.html"
 # What the browser is opened with, as all users of the machine see its command line: a file that is the user's alone.
@@ -64,6 +67,7 @@ class Tab:
         self.preview: Preview | None = None
         self.watched: tuple[str, ...] = ()
         self.told = asyncio.Event()  # that there is something to tell
+        self.pictured = -1  # revision whose picture was kept
 
 
 class Studio:
@@ -85,7 +89,10 @@ class Studio:
         self.jobs = Jobs(self.root)
         self.tabs: dict[str, Tab] = {}
         self._ended = 0  # pages
-        self.jobs.state.remove(*(path.name for path in self.kept_scenes()[MOST_KEPT:]))
+        old = self.kept_scenes()[MOST_KEPT:]
+        pictures = sorted(self.jobs.state.path.glob(f"{SHOWN}*.jpg"), key=_changed_at)[:-MOST_SHOWN]
+        self.jobs.state.remove(*(name for path in old for name in (path.name, f"{path.stem}.jpg")))
+        self.jobs.state.remove(*(path.name for path in pictures))
 
     def new_session(self) -> Document:
         """A session with the scene of the command line."""
@@ -124,14 +131,27 @@ class Studio:
         """Scenes that were kept when a studio ended, the latest first."""
         ours = {self._kept(name) for name in self.tabs}
         found = [path for path in self.jobs.state.path.glob(f"{KEPT}*.json") if path not in ours]
-        return sorted(found, key=lambda path: path.lstat().st_mtime, reverse=True)
+        return sorted(found, key=_changed_at, reverse=True)
+
+    def picture_of(self, path: Path) -> str:
+        """Address of the small picture of a scene file, or of a scene that was kept; "" where there is none."""
+        name = f"{path.stem}.jpg" if path.parent == self.jobs.state.path else _shown_name(path)
+        return f"scene-picture?name={name}" if (self.jobs.state.path / name).is_file() else ""
 
     def keep(self) -> None:
-        """Keep all scenes that changed."""
+        """Keep all scenes that changed, and pictures of scenes as they were shown."""
         for name, tab in self.tabs.items():
-            if tab.session.can_undo and not tab.session.is_saved:
-                with suppress(ImageError):
-                    tab.session.keep(self._kept(name))
+            session, path = tab.session, self._kept(name)
+            revision, small = tab.preview.small if tab.preview is not None else (-1, b"")
+            is_kept = session.can_undo and not session.is_saved
+            with suppress(ImageError):
+                if is_kept:
+                    session.keep(path)
+                if revision != session.revision or tab.pictured == revision or not (is_kept or session.path):
+                    continue
+                tab.pictured = revision
+                target = f"{path.stem}.jpg" if is_kept or session.path is None else _shown_name(session.path)
+                self.jobs.state.write(target, small)
 
     def _kept(self, name: str) -> Path:
         return self.jobs.state.path / f"{KEPT}{name}.json"
@@ -242,6 +262,15 @@ class Studio:
                 return
 
 
+def _changed_at(path: Path) -> float:
+    return path.lstat().st_mtime
+
+
+def _shown_name(path: Path) -> str:
+    """Name of the picture of a scene file."""
+    return f"{SHOWN}{digest_of(path)[:32]}.jpg"
+
+
 def _point(pointer: Pointer, said: dict[str, Any]) -> bool:
     """Act on a message about the pointer; False for others."""
     match said:
@@ -316,6 +345,8 @@ async def _tell(tab: Tab, preview: Preview) -> None:
         session = tab.session
         state = {
             "title": session.scene.title,
+            "file": session.file,
+            "saved": session.is_saved,
             "faults": dict(session.faults),
             "undo": session.can_undo,
             "redo": session.can_redo,

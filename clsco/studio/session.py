@@ -53,6 +53,11 @@ class Document(Editor):
         self._kept = 0
 
     @property
+    def file(self) -> str:
+        """Name of the scene's file, relative to the root; "" where it has none."""
+        return self.path.relative_to(self.root).as_posix() if self.path is not None else ""
+
+    @property
     def is_saved(self) -> bool:
         """True if the scene is the one in its file, or a new one."""
         return self._saved == (self.path, self.table)
@@ -124,7 +129,7 @@ class Document(Editor):
         path = self.path
         return {
             "scene": self.share(),
-            "file": path.relative_to(self.root).as_posix() if path is not None else "",
+            "file": self.file,
             "digest": self._digests.get(path, "") if path is not None else "",
             "typed": self.refused,
         }

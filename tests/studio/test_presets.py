@@ -10,7 +10,7 @@ import pytest
 
 from clsco import Scene, load_scene
 from clsco.scene.file import FILE_KEYS
-from clsco.studio.presets import OF_THE_THESIS, choose_method, is_as_the_thesis, load_preset, presets
+from clsco.studio.presets import OF_THE_THESIS, PICTURES, choose_method, is_as_the_thesis, load_preset, presets
 from clsco.studio.session import Document
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -26,6 +26,8 @@ def bare(scene: Scene) -> dict[str, Any]:
     content = scene.model_dump()
     for item in content["objects"]:
         item |= {key: Path(item[key]).name for key in FILE_KEYS if isinstance(item.get(key), str)}
+    if scene.aperture.image is not None:
+        content["aperture"]["image"] = Path(str(scene.aperture.image)).name
     return content
 
 
@@ -36,9 +38,12 @@ def test_every_figure_that_a_scene_makes_is_a_preset(session: Document) -> None:
     assert {scene for figure in FIGURES for scene in figure.scenes} <= {name.partition("/")[2] for name in names}
     titles = [preset.title for preset in presets()]
     assert len(set(titles)) == len(titles)
+    examples = {path.stem for path in EXAMPLES.glob("*.toml")}
+    assert {preset.name for preset in presets() if preset.group != OF_THE_THESIS} == examples
     for preset in presets():
+        assert (PICTURES / f"{preset.name}.jpg").is_file()
         load_preset(session, preset.name)
-        if preset.name not in ("thesis/section_4_3_3",):
+        if preset.name not in ("thesis/section_4_3_3", "focal_stack"):  # several scenes
             assert bare(session.scene) == bare(load_scene(preset.path))
         assert session.path is None
     while session.undo():

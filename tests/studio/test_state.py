@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import stat
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 pytest.importorskip("fastapi", reason="needs the extra studio")
+
+import httpx
+from fastapi import FastAPI
 
 from clsco import ClscoError, ImageError, SceneError
 from clsco.files.images import write_png
@@ -19,7 +24,8 @@ from clsco.studio.folder import keep_image
 from clsco.studio.generate import distributions
 from clsco.studio.jobs import CommandJob
 from clsco.studio.presets import load_preset
-from clsco.studio.server import Studio
+from clsco.studio.routes import add_routes
+from clsco.studio.server import Studio, Tab
 from clsco.studio.session import Document, StateFolder
 from clsco.studio.store import digest_of
 from tests.studio.running import studio
@@ -102,6 +108,42 @@ def look_at(opened: Studio, kept: list[str]) -> None:
         opened.jobs.poll()
         assert opened.jobs.job(1).status == "interrupted"
         opened.jobs.forget(1)
+
+
+def test_scenes_that_were_shown_have_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    root = tmp_path / "root"
+    root.mkdir()
+    studio = Studio(root)
+    tab = studio.tabs["one"] = Tab(studio.new_session())
+    session = tab.session
+    session.save(Path("scene.toml"))
+    assert (session.file, session.is_saved, studio.picture_of(root / "scene.toml")) == ("scene.toml", True, "")
+    tab.preview = SimpleNamespace(small=(session.revision, b"saved"))  # type: ignore[assignment]
+    studio.keep()
+    name = studio.picture_of(root / "scene.toml").partition("=")[2]
+    assert studio.jobs.state.read(name, 100) == b"saved"
+    session.patch("camera.f_number", 5.0)
+    studio.keep()  # the picture is of values before these
+    assert not session.is_saved
+    assert not list(studio.jobs.state.path.glob("kept_*.jpg"))
+    tab.preview = SimpleNamespace(small=(session.revision, b"kept"))  # type: ignore[assignment]
+    studio.keep()
+    del studio.tabs["one"]
+    (kept,) = studio.kept_scenes()
+    assert studio.picture_of(kept) == "scene-picture?name=kept_one.jpg"
+    assert studio.jobs.state.read("kept_one.jpg", 100) == b"kept"
+    app = FastAPI()
+    add_routes(app, studio.jobs, lambda _: None)
+
+    async def answers() -> list[bytes]:
+        names = ("kept_one.jpg", "key", "lock", "kept_one.json", "../kept_one.jpg", "kept_two.jpg")
+        async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://studio") as client:
+            return [(await client.get("/scene-picture", params={"name": name})).content for name in names]
+
+    assert asyncio.run(answers()) == [b"kept", *[b"no such picture\n"] * 5]
+    studio.renderer.close()
+    studio.jobs.close()
 
 
 def test_the_state_is_the_users_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,38 +1,104 @@
-"""Dialogs to open, save and share scenes, and the menu of presets."""
+"""Dialogs to open, recover, save and share scenes, and the presets."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Mapping
 from functools import partial
+from itertools import groupby
 from pathlib import Path
+from typing import NamedTuple
 
 from nicegui import ui
 
+from clsco.errors import SceneError
 from clsco.studio.folder import SCENES, listed
 from clsco.studio.presets import load_preset, presets
+from clsco.studio.server import Studio
 from clsco.studio.session import ConflictError, Document
+from clsco.studio.store import read_kept
 from clsco.studio.widgets.html import Dialog, button, say, text_box, tried
 
 
-def open_dialog(session: Document) -> Callable[[], None]:
-    """A dialog with the scenes of the studio's folder; returns what opens it."""
-    dialog = Dialog("Open a scene")
+class Tile(NamedTuple):
+    """A scene to choose: its name, and the address of its picture, or ""."""
 
-    def chosen(name: str) -> None:
-        session.open(Path(name))
-        dialog.close()
+    name: str
+    picture: str
+
+
+def draw_tiles(groups: Mapping[str, list[Tile]], chosen: Callable[[str, int], object], search: str) -> None:
+    """Draw scenes as pictures, in groups, with a box that leaves those whose names or groups have its words.
+
+    groups: by their headings, "" for none; chosen: takes the group and the number of a scene in it.
+    """
+    with say("label").classes("box"):
+        say("span", search)
+        say("input", type="search", autocomplete="off", data_search="")
+    for heading, tiles in groups.items():
+        with say("section", data_group=heading.lower()):
+            if heading:
+                say("h3", heading)
+            with say("ul").classes("names tiles"):
+                for number, tile in enumerate(tiles):
+                    with say("li"), say("button", type="button", title=tile.name) as element:
+                        if tile.picture:
+                            say("img", src=tile.picture, alt="", loading="lazy")
+                        else:
+                            say("span", aria_hidden="true").classes("no-picture")
+                        say("span", tile.name)
+                    element.on("click", partial(tried, partial(chosen, heading, number)), args=[])
+    say("p", "Nothing has these words.", data_nothing="", hidden=True, role="status")
+
+
+def open_dialog(session: Document, studio: Studio) -> Callable[[], None]:
+    """A dialog with the scenes of the studio's folder; returns what opens it."""
+    dialog = Dialog("Open a scene", wide=True)
 
     def show() -> None:
+        names = listed(session.root, SCENES)
+
+        def chosen(_: str, number: int) -> None:
+            session.open(Path(names[number]))
+            dialog.close()
+
         with dialog.filled():
-            names = listed(session.root, SCENES)
-            say("p", f"Scenes in {session.root.name}" if names else f"There is no scene in {session.root.name}.")
-            with ui.element("ul").classes("names"):
-                for name in names:
-                    with ui.element("li"):
-                        button(name, partial(chosen, name))
+            if names:
+                tiles = [Tile(name, studio.picture_of(session.root / name)) for name in names]
+                draw_tiles({"": tiles}, chosen, f"Search the scenes in {session.root.name}")
+            else:
+                say("p", f"There is no scene in {session.root.name}.")
         dialog.open()
 
     return show
+
+
+def recover_dialog(session: Document, studio: Studio) -> Callable[[], None]:
+    """A dialog with the scenes of studios that ended before these were saved; returns what opens it."""
+    dialog = Dialog("Recover a scene that was not saved", wide=True)
+
+    def show() -> None:
+        kept = studio.kept_scenes()
+
+        def chosen(_: str, number: int) -> None:
+            session.recover(kept[number])
+            dialog.close()
+
+        with dialog.filled():
+            tiles = [Tile(_kept_name(path), studio.picture_of(path)) for path in kept]
+            draw_tiles({"": tiles}, chosen, "Search by title or time")
+        dialog.open()
+
+    return show
+
+
+def _kept_name(path: Path) -> str:
+    """Title of a scene that was kept, and when."""
+    try:
+        title = str(read_kept(path)[0].get("title") or "untitled")
+    except (SceneError, AttributeError):
+        title = "damaged"
+    return f"{title}, {time.strftime('%Y-%m-%d %H:%M', time.localtime(path.lstat().st_mtime))}"
 
 
 def save_dialog(session: Document) -> tuple[Callable[[], None], Callable[[], None]]:
@@ -112,35 +178,37 @@ def share_dialog(session: Document) -> Callable[[], None]:
 
     def show() -> None:
         link = session.share()
+        here = f"{ui.context.client.request.base_url}{link}"  # with the place of the cookie, which others need not know
         typed["link"] = ""
         with dialog.filled():
-            say("p", "The address holds the whole scene, but for images; who has the studio opens it in theirs.")
+            say("p", "The address holds the whole scene, but for images.")
+            for label, text in (("For others, who open it below in their studio", link), ("For this browser", here)):
+                with say("label").classes("box"):
+                    say("span", label)
+                    with ui.element("div").classes("row"):
+                        say("input", type="text", readonly=True, value=text, aria_label=label, data_link="")
+                        say("button", "Copy", type="button", data_copy=text)
+            text_box("From others", "", lambda text: typed.update(link=text))
             with ui.element("div").classes("row"):
-                say("input", type="text", readonly=True, value=link, aria_label="Link", data_link="")
-                say("button", "Copy", type="button", data_copy=link)
-            text_box("Link from others", "", lambda text: typed.update(link=text))
-            with ui.element("div").classes("row"):
-                button("Open the link", load)
+                button("Open the link", load).classes("primary")
         dialog.open()
 
     return show
 
 
 def preset_dialog(session: Document) -> Callable[[], None]:
-    """A dialog with the figures of the thesis and the examples; returns what opens it."""
-    dialog = Dialog("Presets")
-    with dialog.body:
-        group = ""
-        for preset in presets():
-            if preset.group != group:
-                group = preset.group
-                say("h3", group)
-                names = ui.element("ul").classes("names")
-            with names, ui.element("li"):
-                button(preset.title, partial(_load, session, preset.name, dialog))
-    return dialog.open
+    """A dialog with the examples and the figures of the thesis; returns what opens it."""
+    dialog = Dialog("Presets", wide=True)
+    groups = {heading: list(each) for heading, each in groupby(presets(), lambda preset: preset.group)}
 
+    def chosen(heading: str, number: int) -> None:
+        load_preset(session, groups[heading][number].name)
+        dialog.close()
 
-def _load(session: Document, name: str, dialog: Dialog) -> None:
-    load_preset(session, name)
-    dialog.close()
+    def show() -> None:
+        with dialog.filled():
+            tiles = {heading: [Tile(each.title, each.picture) for each in found] for heading, found in groups.items()}
+            draw_tiles(tiles, chosen, "Search examples and figures")
+        dialog.open()
+
+    return show

@@ -97,8 +97,8 @@ def choice(
 class Dialog:
     """A dialog of the browser's own, which keeps the focus inside, and closes with Esc."""
 
-    def __init__(self, title: str) -> None:
-        self.element = say("dialog", aria_label=title).classes("studio-dialog")
+    def __init__(self, title: str, wide: bool = False) -> None:
+        self.element = say("dialog", aria_label=title).classes("studio-dialog wide" if wide else "studio-dialog")
         with self.element:
             say("h2", title)
             self.body = ui.element("div")
