@@ -63,7 +63,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def shipped() -> set[str]:
     """Names that the wheel has to hold: the package, the kernels, and the example scenes."""
     suffixes = {
-        "clsco": (".py", ".js", ".css"),
+        "clsco": (".py", ".js", ".css", ".json", ".jpg"),
         "kernels": (".py", ".cl", ".clh"),
         "examples": (".py", ".toml", ".png"),
     }
