@@ -84,6 +84,7 @@ def test_the_scene_keeps_its_field_of_view_and_radii() -> None:
     assert mitsuba.in_focus(Camera(focus_distance=400.0)) == pytest.approx(400.0)
 
 
+@pytest.mark.slow
 def test_errors_of_the_settings_that_differ_in_physics(
     session: Session, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -15,7 +15,6 @@ import clsco
 from benchmarks.truth.occlusion import EXAMPLES, MODES, Judged, compare, markdown, near_edges, pinhole_view, scene_of
 from benchmarks.truth.raytracer import trace
 from benchmarks.truth.traced import decibels, rms, update
-from tests.slow import mostly_slow
 
 Array = NDArray[np.float64]
 FOLDER = Path(__file__).resolve().parents[2] / "examples"
@@ -82,7 +81,8 @@ def _brute_force(scene: Any, textures: list[Array], seed: int) -> tuple[Array, A
 OCCLUDED = [stem for stem in EXAMPLES.values() if stem != "sphere"]
 
 
-@pytest.mark.parametrize("example", mostly_slow(OCCLUDED, OCCLUDED[::3]))
+@pytest.mark.slow
+@pytest.mark.parametrize("example", OCCLUDED)
 def test_the_judge_sees_the_nearest_of_all_objects_with_its_own_texture(example: str) -> None:
     scene = clsco.load_scene(FOLDER / f"{example}.toml", SMALL)
     random = np.random.default_rng(11)

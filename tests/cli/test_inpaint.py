@@ -57,7 +57,7 @@ def run(*words: str | Path) -> Result:
     [
         ("image.png", "filled.png", np.uint8, 1),
         ("image.png", "filled.tif", np.uint16, 3),
-        ("image.tif", "filled.png", np.uint8, 3),
+        pytest.param("image.tif", "filled.png", np.uint8, 3, marks=pytest.mark.slow),
         ("image.tif", "filled.tif", np.float32, 3),
         ("image.exr", "filled.exr", np.float32, 3),
         ("image.npy", "filled.exr", np.float32, 1),

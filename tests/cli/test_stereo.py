@@ -61,6 +61,7 @@ def marks(folder: Path) -> dict[str, int]:
     return {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
 
 
+@pytest.mark.slow
 def test_both_views_are_written_as_they_are_rendered(scene: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     result = clsco_("render", scene, "-o", out, "--format", "npz,exr", "--frames", "1:")

@@ -36,6 +36,7 @@ def rows(page: str) -> list[str]:
     return [line for line in page.splitlines() if line.startswith("| ")]
 
 
+@pytest.mark.slow
 def test_some_figures_have_the_rows_of_the_document(tmp_path: Path) -> None:
     whole = tmp_path / "thesis.md"
     whole.write_text("all figures", "utf-8")

@@ -19,7 +19,7 @@ from clsco.files.images import write_exr
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
-QUICK = ("start", "errors")
+QUICK = ("errors",)
 BLOCK = re.compile(r"(?:<!-- ([^\n]*) -->\n)?```(sh|python)\n(.*?)```", re.DOTALL)
 ENDLESS = "runs until Ctrl-C"
 ENVIRONMENT = os.environ | {"PATH": os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))}

@@ -108,6 +108,7 @@ def test_a_lens_casts_no_rays_again(live: Live, monkeypatch: pytest.MonkeyPatch)
     assert cast(scene.replace("object[0].texture", "slanted_edge")) > 0
 
 
+@pytest.mark.slow
 def test_too_little_room_for_subpixel_sources_is_found_before_the_blur(
     live: Live, monkeypatch: pytest.MonkeyPatch
 ) -> None:

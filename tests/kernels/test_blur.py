@@ -57,7 +57,7 @@ def test_every_psf(session: Session, psf: Psf, tilt: bool, method: Blur) -> None
     [
         pytest.param(Psf(), 3, marks=pytest.mark.slow),
         (Psf(edge="sampled", tilt=False), 1),
-        (Psf(), 1),
+        pytest.param(Psf(), 1, marks=pytest.mark.slow),
         pytest.param(Psf(edge="area"), 1, marks=pytest.mark.slow),
     ],
     ids=["colors", "sampled", "gray", "area"],

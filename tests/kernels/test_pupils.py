@@ -49,7 +49,7 @@ APERTURES = {
 }
 SOURCES = mostly_slow([("integrated", "lose"), ("area", "renormalize")], [("integrated", "lose")])
 SIGNED = ("pentagon", "heart", "curved", "ellipse")
-EACH_ONCE = [("pentagon", "gather"), ("ring", "scatter"), ("heart", "tiles"), ("concave", "gather")]
+EACH_ONCE = [("pentagon", "gather"), ("ring", "scatter"), ("heart", "tiles"), ("curved", "gather")]
 
 
 @pytest.mark.parametrize(("edge", "border"), SOURCES)
@@ -72,8 +72,8 @@ def by_reference(image: NDArray[Any], coc: NDArray[Any], spec: BlurSpec) -> NDAr
 
 @pytest.mark.parametrize(("name", "method"), combined(APERTURES, METHODS, kept=EACH_ONCE))
 def test_an_image_of_radii_of_both_signs(name: str, method: str) -> None:
-    image, coc = picture(30, 44)
-    coc = coc - 2.5
+    image, coc = picture(20, 44)
+    coc = 0.9 * coc - 2.2
     psf, aperture = Psf(occlusion="none"), APERTURES[name]
     found = defocus(image, coc, psf, aperture=aperture, method=method, outside="black")
     assert coc.min() < -2
@@ -94,10 +94,10 @@ def test_a_point_of_light_shows_the_pupil(name: str, radius: float) -> None:
     assert found.sum() == pytest.approx(1.0, abs=1e-5)
 
 
-@pytest.mark.parametrize("name", APERTURES)
+@pytest.mark.parametrize("name", mostly_slow(APERTURES, ["pentagon", "ring", "heart", "concave"]))
 def test_layers_of_depth(name: str) -> None:
-    image, coc = picture(30, 44)
-    coc[8:20, 10:25] = -6.0
+    image, coc = picture(15, 22)
+    coc[4:10, 5:12] = -3.0
     spec = spec_of(Psf(), float(np.abs(coc).max()), aperture=APERTURES[name])
     expected, _ = layered(spec, image.astype(np.float64)[..., None], coc, np.ones(coc.shape, bool), coc.shape, 0)
     found = defocus(image, coc, {"occlusion": "layered"}, aperture=APERTURES[name], outside="black")
@@ -122,8 +122,8 @@ PENTAGON = CAMERA | {"aperture": {"shape": "polygon", "blades": 5, "rotation": 8
 SCENES = combined(
     APERTURES, ("visibility", "layered"), METHODS[:2],
     kept=[
-        ("ring", "visibility", "gather"), ("heart", "visibility", "scatter"), ("pentagon", "layered", "gather"),
-        ("curved", "visibility", "gather"), ("narrow heart", "visibility", "gather"),
+        ("ring", "visibility", "gather"), ("pentagon", "layered", "gather"),
+        ("narrow heart", "visibility", "gather"),
     ],
 )  # fmt: skip
 
@@ -160,7 +160,7 @@ def test_convolution_takes_a_ring_and_refuses_what_turns_over() -> None:
     assert np.abs(found - by_reference(image, radii, spec)).max() < FIGURE
 
 
-@pytest.mark.parametrize("name", ["curved", "heart"])
+@pytest.mark.parametrize("name", mostly_slow(["curved", "heart"], ["heart"]))
 def test_a_smaller_opening_is_darker_where_exposure_goes_by_area(name: str) -> None:
     aperture = APERTURES[name]
     area = aperture.model_copy(update={"exposure": "area"})

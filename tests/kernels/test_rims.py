@@ -19,7 +19,7 @@ from clsco.optics.rims import rim_throughput
 from clsco.scene.model import Scene
 from tests.pipeline.test_strips import memory_for
 from tests.scenes import scene_from
-from tests.slow import combined
+from tests.slow import combined, mostly_slow
 
 FIGURE = 1e-5  # of white
 WIDE: dict[str, Any] = {
@@ -82,7 +82,7 @@ CUTS = {
 }
 
 
-@pytest.mark.parametrize("name", CUTS)
+@pytest.mark.parametrize("name", mostly_slow(CUTS, ["both"]))
 def test_light_and_moments_are_those_of_the_overlap(name: str) -> None:
     """Sources of a disc of 14 px radius: 1 % of the light, 0.1 px, 1 % of the variances; both clip opposite sides."""
     scene, whole = emitter(CUTS[name]), light(emitter([]))
@@ -114,6 +114,7 @@ def test_light_of_narrow_blur_is_that_of_the_overlap(depth: float) -> None:
     assert light(scene)[0] / light(emitter([], depth))[0] == pytest.approx(share, rel=0.02)
 
 
+@pytest.mark.slow
 def test_light_that_is_lost_is_not_given_back() -> None:
     lost = [light(emitter(CUTS["front"], border=border))[0] for border in ("lose", "renormalize")]
     assert lost[0] == pytest.approx(lost[1], rel=1e-5)  # all of the blur is inside of the frame
@@ -147,7 +148,7 @@ SCENES: dict[str, Scene] = {
     "wide, in color": scene_from(
         {
             "aperture": {"rim": [{"distance": 40.0, "diameter": 15.0}, {"distance": -5.0, "diameter": 16.0}]},
-            "camera": NEAR["camera"] | {"pixel_pitch": 0.07, "resolution": [90, 40]},
+            "camera": NEAR["camera"] | {"pixel_pitch": 0.07, "resolution": [60, 24]},
         },
         SLOPED | {"texture": np.random.default_rng(4).random((32, 32, 3), np.float32), "slope_y": -0.3},
     ),
@@ -206,6 +207,7 @@ def test_throughput_is_that_of_the_overlap() -> None:
         assert found[3] == 0.0
 
 
+@pytest.mark.slow
 def test_light_of_an_even_surface_is_the_throughput() -> None:
     """Wherever the surface is, with natural vignetting as well; device and reference."""
     sheet = {"shape": "plane", "texture": np.ones((40, 60), np.float32)}

@@ -218,7 +218,11 @@ def test_an_image_on_a_gpu(occlusion: Any, on_a_gpu: list[str]) -> None:
 @pytest.mark.processor
 @pytest.mark.parametrize(
     ("psf", "method", "constant"),
-    [({}, "convolve", True), ({"model": "gaussian"}, "convolve", True), ({"occlusion": "layered"}, "scatter", False)],
+    [
+        ({}, "convolve", True),
+        pytest.param({"model": "gaussian"}, "convolve", True, marks=pytest.mark.slow),
+        pytest.param({"occlusion": "layered"}, "scatter", False, marks=pytest.mark.slow),
+    ],
     ids=["convolve", "gaussian", "layered"],
 )
 def test_plain_opencl_has_the_bits_of_processors(

@@ -133,6 +133,7 @@ def test_a_frame_of_a_minute_ends_with_ctrl_c_and_the_next_one_has_its_bits(afte
     assert (clsco.render_frame(SMALL).color == expected).all()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("warm")
 def test_other_long_calls_end_with_ctrl_c() -> None:
     image, radii = np.ones((2000, 3000, 3), np.float32), np.full((2000, 3000), 60.0, np.float32)

@@ -30,7 +30,7 @@ SCENES: dict[str, Scene] = {
 }
 
 
-@pytest.mark.parametrize("name", mostly_slow(SCENES, ("cart", "forward")))
+@pytest.mark.parametrize("name", mostly_slow(SCENES, ("cart",)))
 def test_device_against_reference(name: str) -> None:
     frames = rendered(SCENES[name])
     assert_agree(frames, reference_frames(SCENES[name]))

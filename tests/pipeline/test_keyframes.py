@@ -119,7 +119,7 @@ def orbiting(frames: int, **motion: Any) -> Scene:
     return scene_from({"camera": CAMERA, "psf": {"tilt": False}, "sequence": sequence}, ball, wall)
 
 
-@pytest.mark.parametrize("way", ["cubic", "step"])
+@pytest.mark.parametrize("way", mostly_slow(["cubic", "step"], ["step"]))
 def test_an_orbit_between_the_times_that_are_predicted(way: str) -> None:
     """Its group of occluders and its radii are found on the device, whatever the times that the plan looked at."""
     keys = orbit(90.0)
@@ -134,6 +134,7 @@ def test_an_orbit_between_the_times_that_are_predicted(way: str) -> None:
     np.testing.assert_allclose(frame.color, reference_frames(short)[0].color, rtol=0, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_shake_between_the_times_that_are_predicted() -> None:
     """Few predicted times of many frames miss how far it goes; the frame is right, whatever the plan was."""
     shake = {"rotation_rms": 2.0, "translation_rms": 12.0, "band": [1.0, 6.0], "seed": 3}

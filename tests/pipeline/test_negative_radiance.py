@@ -81,7 +81,7 @@ FORWARD: Any = {
 @pytest.mark.parametrize("scene", [
     pytest.param(walls(), marks=pytest.mark.slow), walls(psf={"occlusion": "layered"}),
     scene_from(FORWARD | {"fill": {"method": "ait"}}),
-    scene_from(FORWARD | {"fill": {"method": "mean_median"}}),
+    pytest.param(scene_from(FORWARD | {"fill": {"method": "mean_median"}}), marks=pytest.mark.slow),
 ], ids=["visibility", "layered", "ait", "mean and median"])  # fmt: skip
 def test_scenes_agree_with_the_reference(scene: clsco.Scene) -> None:
     frames = rendered(scene)

@@ -77,6 +77,7 @@ def test_device_against_reference(name: str, occlusion: str) -> None:
         assert [found for found in compare(frame, exact) if found.count] == []
 
 
+@pytest.mark.slow
 def test_blur_of_many_vectors_behind_a_ball() -> None:
     """Rows of taps longer than what is decided about at once: gather, which does so, and scatter give the same."""
     camera = CAMERA | {"resolution": [12, 9], "aperture_diameter": 200.0}

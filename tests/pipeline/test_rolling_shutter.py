@@ -20,7 +20,6 @@ from clsco.plan.request import Request
 from clsco.scene.model import Scene
 from tests.pipeline.test_scenes import BALL, GOING, PLAIN
 from tests.scenes import scene_from
-from tests.slow import mostly_slow
 
 ROWS, COLUMNS = 200, 56
 CAMERA = {"resolution": [COLUMNS, ROWS], "pixel_pitch": 0.08, "aperture_diameter": 20.0}
@@ -37,8 +36,15 @@ def scene(*items: dict[str, Any], sections: dict[str, Any] | None = None, **sequ
     return scene_from(given, *(items or (MOVING, CARD)))
 
 
-@pytest.mark.parametrize("scan", mostly_slow(SCANS, ["bottom_to_top", "left_to_right"]))
-@pytest.mark.parametrize(("sections", "curve"), [(None, "box"), (LAYERED, "triangle"), (FLAT, [1.0, 0.0, 0.5])])
+@pytest.mark.parametrize(
+    ("scan", "sections", "curve"),
+    [
+        pytest.param(scan, *each, marks=[pytest.mark.slow] * (scan != first))
+        for each, first in {0: ((None, "box"), "left_to_right"), 1: ((LAYERED, "triangle"), "bottom_to_top"),
+                            2: ((FLAT, [1.0, 0.0, 0.5]), "left_to_right")}.values()
+        for scan in SCANS
+    ],
+)  # fmt: skip
 def test_the_device_renders_what_the_reference_does(scan: str, sections: dict[str, Any] | None, curve: Any) -> None:
     wanted = scene(sections=sections, scan=scan, shutter_curve=curve)
     (frame,), (exact,) = clsco.render(wanted, truth=()), reference.render(wanted)
@@ -171,6 +177,7 @@ def test_fewer_samples_by_a_tolerance_are_within_it(scan: str) -> None:
     assert np.sqrt(np.mean((fewer.color - exact.color) ** 2)) < 0.02
 
 
+@pytest.mark.slow
 def test_lenses_that_share_their_rays_have_the_bits_of_each_alone() -> None:
     base = scene()
     lenses = [base.replace("camera.aperture_diameter", size) for size in (10.0, 20.0)]
@@ -179,6 +186,7 @@ def test_lenses_that_share_their_rays_have_the_bits_of_each_alone() -> None:
         np.testing.assert_allclose(shared.color, alone.color, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_both_eyes_roll() -> None:
     pair = scene(sections={"stereo": {"baseline": 20.0}})
     for frame, exact in zip(clsco.render(pair, truth=()), reference.render(pair), strict=True):

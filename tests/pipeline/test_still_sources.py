@@ -142,6 +142,7 @@ def test_single_precision(plainly: Make) -> None:
     assert_alike(rendered(wanted, truth=(), precision="single"), plainly(wanted, precision="single"), 5e-6)
 
 
+@pytest.mark.slow
 def test_each_frame_of_a_sequence(plainly: Make) -> None:
     wanted = scene("ball before a card, a tube and a photo", sequence={"frames": 2, "interval": 0.9, "shutter": 0.5})
     first, second = rendered(wanted, truth=())

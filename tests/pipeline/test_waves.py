@@ -21,7 +21,7 @@ from clsco.plan.waves import MOST_WAVES, disc_psnr
 from clsco.scene.model import Camera, Scene
 from clsco.scene.sweep import load_sweep
 from tests.scenes import assert_agree, reference_frames, rendered, scene_from
-from tests.slow import mostly_slow
+from tests.slow import combined, mostly_slow
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 CAMERA = {"resolution": [48, 32]}
@@ -67,17 +67,19 @@ CASES: dict[str, dict[str, Any]] = {
     },
 }
 LENSES = ("microscope_objective", "phone_camera", "slide_upside_down", "star_field", "tilted_mirror")
-FEW = ("facing", "hidden, far light", "colors", "layered", "coma", "blades")
+FEW = ("facing", "hidden, far light", "coma", "blades")
 
 
-@pytest.mark.parametrize("method", ["auto", "scatter"])
-@pytest.mark.parametrize("case", mostly_slow(list(CASES), list(FEW)))
+@pytest.mark.parametrize(
+    ("case", "method"),
+    combined(CASES, ("auto", "scatter"), kept=[("colors", "scatter"), *((case, "auto") for case in FEW)]),
+)
 def test_device_and_reference_agree(case: str, method: str) -> None:
     wanted = scene(**CASES[case])
     assert_agree(rendered(wanted, method=method), reference_frames(wanted), least=0.0)
 
 
-@pytest.mark.parametrize("name", mostly_slow(LENSES, ["star_field", "tilted_mirror"]))
+@pytest.mark.parametrize("name", mostly_slow(LENSES, ["star_field"]))
 def test_examples(name: str) -> None:
     (wanted,) = load_sweep(EXAMPLES / f"{name}.toml", ("camera.resolution=[56, 40]", "psf.tail=0.1")).scenes
     (frame,), (exact,) = rendered(wanted), reference_frames(wanted)
@@ -85,13 +87,13 @@ def test_examples(name: str) -> None:
     assert np.abs(frame.color - exact.color).max() < 1e-5
 
 
-@pytest.mark.parametrize("case", ["through the focus", "coma"])
+@pytest.mark.parametrize("case", mostly_slow(["through the focus", "coma"], ["coma"]))
 def test_tiles_agree(case: str) -> None:
     wanted = scene(**CASES[case])
     assert_agree(rendered(wanted, method="tiles"), reference_frames(wanted), least=0.0)
 
 
-@pytest.mark.parametrize("case", ["facing", "coma, hidden, wide"])
+@pytest.mark.parametrize("case", mostly_slow(["facing", "coma, hidden, wide"], ["facing"]))
 def test_single_precision(case: str) -> None:
     wanted = scene(**CASES[case])
     (single,) = rendered(wanted, precision="single")
@@ -154,6 +156,7 @@ def test_a_disc_differs_as_the_plan_says(f_number: float, pitch: float) -> None:
     assert min(found) == pytest.approx(disc_psnr(unit), abs=1.5)
 
 
+@pytest.mark.slow
 def test_an_image_by_its_radii() -> None:
     image, radii = np.zeros((32, 40), np.float32), np.full((32, 40), 1.5)
     image[16, 20] = 1.0

@@ -75,6 +75,7 @@ def still(wanted: Scene, time: float) -> Scene:
     return wanted.model_copy(update={"lens": None, "camera": camera})
 
 
+@pytest.mark.slow
 def test_textures_on_surfaces_look_as_through_a_camera_of_that_focal_length() -> None:
     """They do not depend on the reference pose, so that each time sample is a frame of a scene without a zoom."""
     on = {"texture_mapping": "surface"}

@@ -42,15 +42,20 @@ def corner_share(
     extent: of the blur of R = 1 px; beyond it there is nothing but rounding. A negative radius mirrors the pupil in its
     center.
     """
-    turn, size = np.where(radius < 0.0, -1.0, 1.0), np.abs(radius)
+    shape = np.broadcast_shapes(np.shape(dx), np.shape(dy), np.shape(radius))
+    dx, dy, radius = (v.ravel() for v in np.broadcast_arrays(dx, dy, radius))
+    far = np.abs(radius) * extent + 1.0
+    near = np.flatnonzero(np.maximum(np.abs(dx), np.abs(dy)) < far)
+    turn, size = np.where(radius < 0.0, -1.0, 1.0)[near], np.abs(radius[near])
+    x, y = turn * dx[near], turn * dy[near]
     steps = ((-1.0, 1.0), (0.0, -2.0), (1.0, 1.0)) if tent else ((-0.5, -1.0), (0.5, 1.0))
-    found = np.zeros(dx.shape)
-    for y, factor_y in steps:
-        for x, factor_x in steps:
-            found += factor_x * factor_y * running_integral(size, turn * dx + x, turn * dy + y)
-    far = size * extent + 1.0
-    beyond = np.maximum(np.abs(dx), np.abs(dy)) >= far
-    return np.where(beyond | (found < ROUNDING * far * far), 0.0, found)
+    found = np.zeros(near.shape)
+    for down, factor_y in steps:
+        for right, factor_x in steps:
+            found += factor_x * factor_y * running_integral(size, x + right, y + down)
+    share = np.zeros(dx.shape)
+    share[near] = np.where(found < ROUNDING * far[near] * far[near], 0.0, found)
+    return share.reshape(shape)
 
 
 def grid_share(

@@ -61,13 +61,12 @@ class Arc:
         angle = self.angles[0] + t * (self.angles[1] - self.angles[0])
         return self.center[0] + self.radius * np.cos(angle), self.center[1] + self.radius * np.sin(angle)
 
-    def slope(self, t: Array) -> tuple[Array, Array]:
-        """Changes of x and y by t."""
+    def slope(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Changes of x and y by t, at places of it."""
         if not self.radius:
-            return np.full_like(t, self.end[0] - self.start[0]), np.full_like(t, self.end[1] - self.start[1])
-        first, last = self.angles
-        angle, size = first + t * (last - first), self.radius * (last - first)
-        return -size * np.sin(angle), size * np.cos(angle)
+            return np.full_like(x, self.end[0] - self.start[0]), np.full_like(y, self.end[1] - self.start[1])
+        turned = self.angles[1] - self.angles[0]
+        return -turned * (y - self.center[1]), turned * (x - self.center[0])
 
     def until(self, axis: int, limit: Array) -> tuple[Array, Array]:
         """Bounds of t between which the place along an axis (0: x) is below a limit."""
@@ -181,7 +180,8 @@ class Outline(Pupil):
     def _walked(self) -> Iterable[tuple[Array, Array, Array, Array]]:
         """Places x, y at the nodes of each arc, and their changes."""
         for each in self.arcs:
-            yield *each.at(_nodes()[0]), *each.slope(_nodes()[0])
+            x, y = each.at(_nodes()[0])
+            yield x, y, *each.slope(x, y)
 
     def transmission(self, x: Array, y: Array) -> Array:
         """By how often outlines are to the left."""
@@ -216,7 +216,8 @@ class Outline(Pupil):
             found = np.zeros_like(total)
             for node, weight in zip(*_nodes(), strict=True):
                 t = first + node * length
-                (u, v), (_, change) = each.at(t), each.slope(t)
+                u, v = each.at(t)
+                _, change = each.slope(u, v)
                 left = x - u
                 found += (weight * change) * (0.5 * left * left * (y - v) if tent else left)
             total -= found * length

@@ -18,6 +18,7 @@ from clsco.optics.pupils.hankel import DIRECT, HankelDiffracted
 from clsco.optics.pupils.pupil import Pupil
 from clsco.optics.pupils.ring import Ring
 from clsco.scene.model import Aperture, Camera, Psf
+from tests.slow import mostly_slow
 
 Array = NDArray[np.float64]
 MARGIN_RULE = "must leave at most 256 px of light outside of the rim of the blur"
@@ -57,7 +58,11 @@ def test_on_axis_it_is_a_squared_sinc(inner: float) -> None:
 
 @pytest.mark.parametrize("tent", [True, False])
 @pytest.mark.parametrize(
-    ("unit", "radius"), [(0.11, 0.0), (0.11, 1.0), (0.25, 3.3), (0.5, 0.0), (0.5, 4.5), (1.0, 1.0)]
+    ("unit", "radius"),
+    mostly_slow(
+        [(0.11, 0.0), (0.11, 1.0), (0.25, 3.3), (0.5, 0.0), (0.5, 4.5), (1.0, 1.0)],
+        [(0.11, 1.0), (0.5, 4.5), (1.0, 1.0)],
+    ),
 )
 def test_weights_are_those_of_hopkins_transfer_function(unit: float, radius: float, tent: bool) -> None:
     """By frequencies, where this goes by distances: nothing is shared but the definition."""
@@ -111,7 +116,7 @@ def test_many_radii_are_interpolated() -> None:
         assert np.abs(many - few).max() < 1e-7
 
 
-@pytest.mark.parametrize("unit", [0.02, 0.05, 0.11, 0.5, 2.0])
+@pytest.mark.parametrize("unit", mostly_slow([0.02, 0.05, 0.11, 0.5, 2.0], [0.11, 2.0]))
 def test_tables_are_as_good_as_those_of_discs(unit: float) -> None:
     psf = PointSpread(waves(unit, tail=0.1))
     table = psf_table(psf, 0.0, 4.0)
