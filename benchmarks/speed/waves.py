@@ -1,8 +1,9 @@
 """Processor time of blurs by waves beside the disc: python -m benchmarks.speed.waves [SIZE]
 
 An image with radii that vary by 1 px around R is blurred by turns by a disc and by waves, Q = 0.11 px, in gray, of a
-circle, of a ring, and of a circle with coma, whose tables have no symmetry, as those of blades and images have none:
-medians of the processor time of all threads, in ns per pixel. Tables and programs are made before.
+circle, of a ring, and of a circle with coma, whose tables have no symmetry, as those of blades and images have none,
+and with coma that grows over the field, where a weight comes from four tables: medians of the processor time of all
+threads, in ns per pixel. Tables and programs are made before.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ RING = {"shape": "ring", "obstruction": 0.35}
 LENSES: dict[str, tuple[dict[str, Any], dict[str, Any] | None]] = {
     "disc": ({}, None), "ring": ({}, RING), "waves": (WAVES, None), "ring, waves": (WAVES, RING),
     "coma, waves": (WAVES | {"zernike": {"3,1": 0.1}}, None),
+    "field, waves": (WAVES | {"seidel": {"W131": 0.2}}, None),
 }  # fmt: skip
 CAMERA = clsco.Camera(f_number=2.0, focal_length=20.0, pixel_pitch=0.01)
 

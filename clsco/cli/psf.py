@@ -19,10 +19,18 @@ SUFFIXES = (".npz", ".png")
 
 
 def _depths(text: str) -> tuple[float, ...]:
+    return _numbers(text, "Z,Z,..., distances in mm")
+
+
+def _wavelengths(text: str) -> tuple[float, ...]:
+    return _numbers(text, "NM,NM,..., wavelengths in nm")
+
+
+def _numbers(text: str, rule: str) -> tuple[float, ...]:
     try:
         return tuple(float(part) for part in text.split(","))
     except ValueError:
-        raise click.BadParameter(f"must be Z,Z,..., distances in mm; got {text}") from None
+        raise click.BadParameter(f"must be {rule}; got {text}") from None
 
 
 @click.command()
@@ -39,6 +47,10 @@ def _depths(text: str) -> tuple[float, ...]:
     "--depths", metavar="Z,Z,...", type=_depths,
     help="Depths of the source, mm; inf is one. Default: nine through the focus, to the largest |R| of the scene.",
 )  # fmt: skip
+@click.option(
+    "--wavelengths", metavar="NM,NM,...", type=_wavelengths,
+    help="Wavelengths in place of colors, nm; only with psf.model = \"wave\".",
+)  # fmt: skip
 @click.option("--frame", "index", metavar="N", type=int, default=0, help="Frame whose lens is taken. Default: 0.")
 @set_option
 def psf(
@@ -47,6 +59,7 @@ def psf(
     at: tuple[tuple[float, float], ...],
     depths: tuple[float, ...] | None,
     index: int,
+    wavelengths: tuple[float, ...] | None,
     overrides: tuple[str, ...],
 ) -> None:
     """Write the point spread functions of a scene's lens: the weights that its frames are made with.
@@ -58,7 +71,7 @@ def psf(
     from clsco.plan.request import Request
     from clsco.reference.spreads import psf_of
 
-    stack = psf_of(first_scene(scene, overrides, Request()), at or None, depths, index)
+    stack = psf_of(first_scene(scene, overrides, Request()), at or None, depths, index, wavelengths)
     if out.suffix.lower() == ".npz":
         from clsco.files.images import write_npz
 

@@ -386,6 +386,23 @@ def diffraction_unit(camera: Camera, wavelength: float) -> float:
     return 1e-6 * wavelength * f_number / camera.pixel_pitch
 
 
+def spread_of_wavelength(spread: PointSpread, camera: Camera, wavelength: float) -> PointSpread:
+    """The point spread in light of one wavelength, nm, through the same lens.
+
+    Raises
+    ------
+    SceneError
+        It is not by waves, or diffraction is far finer than pixels, or far coarser.
+    """
+    if not isinstance(spread.pupil, Diffracted):
+        raise SceneError(f'psf: wavelengths need psf.model = "wave"; got {spread.pupil.name}')
+    unit = diffraction_unit(camera, wavelength)
+    if not LEAST_UNIT <= unit <= MOST_UNIT:
+        rule = f"must make wavelength s0 / (D pixel_pitch) {LEAST_UNIT:g} to {MOST_UNIT:g} px"
+        raise SceneError(f"psf: wavelengths {rule}; got {unit:.3g} px, of {wavelength:.4g} nm")
+    return replace(spread, pupil=replace(spread.pupil, bands=((unit, 1.0),)))
+
+
 def exposure_factor(aperture: Aperture, psf: PointSpread) -> float:
     """Light of a frame through an aperture, as a part of that through the open circle: 1, or by its area.
 

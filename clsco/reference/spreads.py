@@ -13,7 +13,7 @@ from clsco.errors import SceneError
 from clsco.optics.exposure import middle_time
 from clsco.optics.lens import LARGEST_BLUR, Lens
 from clsco.optics.lens_path import camera_at, lens_at, lenses_at
-from clsco.optics.point_spread import PointSpread
+from clsco.optics.point_spread import PointSpread, spread_of_wavelength
 from clsco.optics.psf_blocks import WeightBlock, weight_block
 from clsco.optics.psf_tables import psf_table, table_weights
 from clsco.optics.rays import ray_slopes
@@ -46,7 +46,7 @@ class PsfStack:
     at : ndarray of float64, (places, 2)
         Column and row of the source in the frame, px.
     channels : tuple of str
-        "red", "green" and "blue"; "all", where all colors are blurred alike.
+        "red", "green" and "blue"; "all", where all colors are blurred alike; or wavelengths, as "550 nm".
     name : str
         Name of the pupil, and how it is evaluated on pixels.
     """
@@ -74,7 +74,7 @@ class PsfStack:
 
 def psf(
     scene: SceneLike, at: Sequence[tuple[float, float]] | None = None, depths: Sequence[float] | None = None,
-    index: int = 0,
+    index: int = 0, wavelengths: Sequence[float] | None = None,
 ) -> PsfStack:  # fmt: skip
     """Point spread functions of a scene's lens: the weights that its frames are made with.
 
@@ -90,6 +90,9 @@ def psf(
         the focal surface on the axis, as far as the blur radii go that are expected in the scene.
     index : int
         Number of the frame, whose lens is that of its middle time.
+    wavelengths : sequence of float, optional
+        Wavelengths of light, nm, in place of colors; only with psf.model = "wave", and lenses that are the same for all
+        colors.
 
     Returns
     -------
@@ -114,12 +117,12 @@ def psf(
     >>> stack.weights.shape, stack.radius.round(2).tolist()
     ((1, 1, 2, 7, 7), [[[-2.0, 1.33]]])
     """
-    return psf_of(prepare(scene_of(scene)), at, depths, index)
+    return psf_of(prepare(scene_of(scene)), at, depths, index, wavelengths)
 
 
 def psf_of(
     prepared: Prepared, at: Sequence[tuple[float, float]] | None = None, depths: Sequence[float] | None = None,
-    index: int = 0,
+    index: int = 0, wavelengths: Sequence[float] | None = None,
 ) -> PsfStack:  # fmt: skip
     """`psf` of a scene that is prepared."""
     scene, plan = prepared.scene, prepared.plan
@@ -127,6 +130,12 @@ def psf_of(
         raise SceneError(f"psf: frame must be between 0 and {scene.sequence.frames - 1}; got {index}")
     time = middle_time(scene.sequence, index)
     camera, lenses, spreads = camera_at(scene, time), lenses_at(scene, time), plan.spreads or (plan.psf,)
+    if wavelengths is not None:
+        if scene.separates_colors:
+            raise SceneError("psf: wavelengths need lens.axial and lens.lateral that are the same for all colors")
+        if not wavelengths:
+            raise SceneError("psf: wavelengths must be one or more, in nm; got none")
+        spreads = tuple(spread_of_wavelength(spreads[0], scene.camera, each) for each in wavelengths)
     count = max(len(lenses), len(spreads))  # of colors that are blurred apart, or 1
     inverse = _inverse_depths(lens_at(scene, time), plan.largest_blur) if depths is None else _given(depths)
     places = _field(camera) if at is None else _places(camera, at)
@@ -141,7 +150,9 @@ def psf_of(
         raise SceneError(f"psf: |R| must be at most {LARGEST_BLUR:g} px; got {most:.4g} px")
     with np.errstate(divide="ignore"):
         depth = 1.0 / inverse
-    names = ("red", "green", "blue") if count > 1 else ("all",)
+    names: tuple[str, ...] = ("red", "green", "blue") if count > 1 else ("all",)
+    if wavelengths is not None:
+        names = tuple(f"{each:g} nm" for each in wavelengths)
     spreads *= count // len(spreads)
     weights = _stacked(spreads, radius, places)
     if cuts:

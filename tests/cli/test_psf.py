@@ -99,3 +99,16 @@ def test_it_needs_no_opencl(scene: Path, tmp_path: Path) -> None:
     words = ["psf", str(scene), "-o", str(tmp_path / "psf.png")]
     subprocess.run([sys.executable, "-W", "error", "-c", code, *words], check=True, timeout=60, cwd=Path.cwd())
     assert (tmp_path / "psf.png").is_file()
+
+
+def test_wavelengths_are_channels(scene: Path, tmp_path: Path) -> None:
+    out = tmp_path / "psf.npz"
+    waves = ("--set", "camera.f_number=8", "--set", "psf.model=wave", "--depths", "250", "--wavelengths")
+    code, text = run(scene, "-o", out, *waves, "2000,4000")
+    assert (code, text.count("2 channels")) == (0, 1)
+    with np.load(out) as found:
+        assert found["channel"].tolist() == ["2000 nm", "4000 nm"]
+        short, long = found["weights"].max(axis=(1, 2, 3, 4))
+    assert short > 1.2 * long
+    code, text = run(scene, "-o", out, *waves, "2000,blue")
+    assert "must be NM,NM,..., wavelengths in nm; got 2000,blue" in text

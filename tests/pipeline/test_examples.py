@@ -85,7 +85,7 @@ LONG |= {"disc"}  # see tests/pipeline/test_rotated.py
 LONG |= {"lens_fast_prime", "lens_coded_aperture", "lens_heart"}  # see tests/pipeline/test_apertures.py
 LONG |= {"lit"}  # see tests/pipeline/test_surface_textures.py and test_light.py
 LONG |= {"card", "ellipsoid"}  # see tests/pipeline/test_occlusion.py
-LONG |= {"microscope_objective", "phone_camera", "star_field"}  # see tests/pipeline/test_waves.py
+LONG |= {"microscope_objective", "newtonian", "phone_camera", "star_field"}  # see tests/pipeline/test_waves.py
 LONG |= {"slide_upside_down", "tilted_mirror"}  # see there
 LONG |= {"plane_moving", "plane_turning"}  # as plane_approaching moves
 # Figures of the thesis that vary others by their numbers alone.

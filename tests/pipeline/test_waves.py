@@ -66,7 +66,7 @@ CASES: dict[str, dict[str, Any]] = {
         "sequence": {"frames": 1, "samples": 3, "shutter": 0.05},
     },
 }
-LENSES = ("microscope_objective", "phone_camera", "slide_upside_down", "star_field", "tilted_mirror")
+LENSES = ("microscope_objective", "newtonian", "phone_camera", "slide_upside_down", "star_field", "tilted_mirror")
 FEW = ("facing", "hidden, far light", "coma", "blades")
 
 

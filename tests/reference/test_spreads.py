@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -184,3 +185,44 @@ def test_a_stack_that_is_too_large_is_refused(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(spreads, "LARGEST_STACK", 2**20)
     with pytest.raises(SceneError, match="psf: must take at most 1 MiB; got 2 MiB: ask for fewer depths"):
         clsco.psf(scene_of(camera={"pixel_pitch": 0.01}), depths=np.linspace(150.0, 200.0, 200).tolist())
+
+
+WAVES: Any = {"model": "wave", "wavelengths": [2400.0, 2000.0, 1600.0]}
+
+
+def test_wavelengths_of_colors_give_the_weights_of_colors() -> None:
+    scene = scene_of_waves(WAVES)
+    colors = clsco.psf(scene, depths=[250.0, 252.0])
+    each = clsco.psf(scene, depths=[250.0, 252.0], wavelengths=WAVES["wavelengths"])
+    assert each.channels == ("2400 nm", "2000 nm", "1600 nm")
+    assert colors.channels == ("red", "green", "blue")
+    assert np.array_equal(each.weights, colors.weights)
+    assert np.array_equal(each.radius, colors.radius)
+
+
+def test_an_error_of_the_wavefront_is_a_length_for_all_wavelengths() -> None:
+    """The longer waves are, the fewer of them it is, and the rounder the spot."""
+    scene = scene_of_waves({**WAVES, "zernike": {"3,1": 0.2}})
+    stack = clsco.psf(scene, depths=[250.0], wavelengths=[1500.0, 4000.0])
+    short, long = (np.abs(each - each[:, ::-1]).sum() for each in stack.weights[:, 0, 0])
+    assert short > 1.3 * long
+
+
+@pytest.mark.parametrize(
+    ("psf", "lens", "wavelengths", "message"),
+    [
+        ({}, {}, [500.0], 'wavelengths need psf.model = "wave"; got circle'),
+        (WAVES, {"lateral": [1.0, 1.0, 1.01]}, [500.0], "wavelengths need lens.axial and lens.lateral"),
+        (WAVES, {}, [], "wavelengths must be one or more, in nm; got none"),
+        (WAVES, {}, [1.0], "wavelengths must make wavelength s0"),
+    ],
+)
+def test_wavelengths_that_cannot_be(psf: Any, lens: Any, wavelengths: list[float], message: str) -> None:
+    with pytest.raises(SceneError, match=re.escape(message)):
+        clsco.psf(scene_of_waves(psf, lens), wavelengths=wavelengths)
+
+
+def scene_of_waves(psf: Any, lens: Any = None) -> clsco.Scene:
+    camera = {"resolution": [16, 12], "f_number": 2.0, "focal_length": 20.0, "focus_distance": 250.0}
+    found = {"camera": camera, "psf": psf, "object": [{"shape": "plane", "distance": 251.0, "texture": "#c86432"}]}
+    return clsco.parse_scene(found | ({"lens": lens} if lens else {}))
