@@ -6,7 +6,8 @@ The first five panels have the words, the order and the symbols of the thesis (a
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, get_args
@@ -27,16 +28,23 @@ from clsco.studio.tables import (
     LABELS_AT,
     OWN_ORDER,
     POINT,
+    SCALES,
     SHAPE_LABELS,
     SLIDERS,
     SYMBOLS,
     THESIS_TITLES,
+    WIDE,
     at,
     keyframe_label,
     pose_label,
     without,
     words,
 )
+
+PLACES: Mapping[str, Callable[[float], float]] = {
+    "": float, "inverse": lambda value: -1.0 / value, "log": math.log10, "stops": lambda value: 6.0 * math.log2(value),
+}  # fmt: skip
+"""Places on the scales of sliders: by dioptres, by thirds of a stop. static/scales.js has these and the way back."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +74,8 @@ class Field:
     fewest : int
         Number of components that must be given.
     is_integer : bool
+    only : str
+        Values of another key without which this one does nothing, "psf.model=gaussian", or "moves"; "" for none.
     """
 
     path: str
@@ -83,6 +93,18 @@ class Field:
     components: tuple[str, ...] = ()
     fewest: int = 0
     is_integer: bool = False
+    only: str = ""
+
+    @property
+    def scale(self) -> str:
+        """Scale of the slider: "inverse", "stops" or "log", "" for an even one."""
+        if self.slider is None or self.slider[0] <= 0.0 or self.is_integer:
+            return ""
+        return SCALES.get(self.key, "log" if self.slider[1] >= WIDE * self.slider[0] else "")
+
+    def place(self, value: float) -> float:
+        """Place of a value on the scale of the slider."""
+        return PLACES[self.scale](value)
 
     @property
     def key(self) -> str:
@@ -214,6 +236,10 @@ def field_at(session: Document, path: str) -> Field | None:
     return next((field for field in listed if path == field.path or path.startswith(f"{field.path}.")), None)
 
 
+_QUOTED = r'"(\w+)"'
+_ONLY = re.compile(rf"only with (?P<key>[\w.]+) = (?P<values>{_QUOTED}(?: or {_QUOTED})?)".replace(r"(\w+)", r"\w+"))
+
+
 @cache
 def _schema() -> dict[str, Any]:
     return scene_schema()
@@ -296,6 +322,7 @@ def _field(
     instead = [(form["const"], words(form["const"])) for form in kinds[1:] if "const" in form]
     is_integer = any(part.get("type") == "integer" for part in (shape, *shape.get("prefixItems", ())))
     slider = _slider(session, key, limits) if kind in ("number", "vector") else None
+    help_text = " ".join(str(entry.get("description", "")).split())
     return Field(
         path=path,
         label=LABELS_AT.get(path) or pose_label(path) or keyframe_label(path) or LABELS.get(key) or words(key),
@@ -307,12 +334,24 @@ def _field(
         most=limits.high if limits is not None else None,
         step=_step(slider, is_integer),
         choices=choices or tuple(instead),
-        help=" ".join(str(entry.get("description", "")).split()),
+        help=help_text,
         slider=slider,
         components=components,
         fewest=len(components) if shape.get("minItems") != 1 else 1,
         is_integer=is_integer,
+        only=_only(path, help_text),
     )
+
+
+def _only(path: str, help_text: str) -> str:
+    """Condition without which a key does nothing, as the schema's description says it."""
+    section = path.rpartition(".")[0]
+    if section == "sequence" and path not in ("sequence.frames", "sequence.interval"):
+        return "moves"
+    if (found := _ONLY.search(help_text)) is None or section.startswith(("object.", "group.")):
+        return ""
+    key = found["key"] if "." in found["key"] else f"{section}.{found['key']}"
+    return f"{key}={'|'.join(re.findall(_QUOTED, found['values']))}"
 
 
 def _kind(path: str, key: str, shape: Mapping[str, Any]) -> tuple[str, tuple[tuple[Any, str], ...], tuple[str, ...]]:

@@ -13,7 +13,7 @@ from clsco.files.transfer import encode
 from clsco.frame.frame import GREEN, Frame
 from clsco.inputs.pupils import scene_point_spread
 from clsco.optics.exposure import middle_time, pixel_time
-from clsco.optics.lens import SHARP, Lens
+from clsco.optics.lens import Lens
 from clsco.optics.lens_path import camera_at, reference_camera
 from clsco.optics.motion import poses_at, rest_center
 from clsco.optics.rays import places_of, slopes_at
@@ -21,6 +21,7 @@ from clsco.reference.blur.blur import tilt_factor, within_rim
 from clsco.reference.common.geometry import blur_gradient, pixel_tilt
 from clsco.reference.spreads import rim_factors, spread_weights
 from clsco.scene.model import Scene
+from clsco.studio.lens import lens_figures
 from clsco.studio.pictures import eye_of
 
 PLOTTED = 32  # px from the center of the plot to its border
@@ -205,34 +206,6 @@ def figures_of(spread: NDArray[np.floating], column: int, row: int) -> dict[str,
     found["centroid"] = [round(part, 9) + 0.0 for part in center]
     found["rms"] = [math.sqrt(max(part, 0.0)) for part in square]
     return found
-
-
-def lens_figures(scene: Scene, depth: float | None, slopes: tuple[float, float] = (0.0, 0.0)) -> dict[str, Any]:
-    """Distances in mm that the diagram of the lens shows, on its axis; slopes: of the ray to the point.
-
-    Returns: `focus`, `near` and `far`: in focus, and where |R| is SHARP; `focal_length`, `sensor`, `aperture`; `depth`
-    and `image` of the point, and its `radius`, px. None: infinite.
-    """
-    camera = reference_camera(scene)
-    lens = Lens.of(camera, scene.lens)
-    power, margin = lens.focus_power, SHARP / lens.blur_scale
-    found = {
-        "focus": camera.focused_distance,
-        "near": 1 / (power + margin),
-        "far": 1 / (power - margin) if power > margin else math.inf,
-        "focal_length": camera.focal_length,
-        "sensor": camera.sensor_distance,
-        "aperture": camera.aperture_diameter,
-        "depth": math.inf if depth is None else depth,
-        "image": math.inf if depth is None else _image_distance(camera.focal_length, depth),
-        "radius": float(lens.image_radius(0.0 if depth is None else 1 / depth, *slopes)),
-    }
-    return {name: value if math.isfinite(value) else None for name, value in found.items()}
-
-
-def _image_distance(focal_length: float, depth: float) -> float:
-    power = 1 / focal_length - 1 / depth
-    return 1 / power if power > 0 else math.inf
 
 
 def _plain(value: NDArray[Any] | np.generic) -> Any:

@@ -5,11 +5,12 @@ from __future__ import annotations
 from fastapi import FastAPI
 from nicegui import Client, ui
 
+from clsco.studio.forms import field_at
 from clsco.studio.pictures import VIEWS
 from clsco.studio.server import Studio
 from clsco.studio.session import Document
 from clsco.studio.widgets.files import open_dialog, preset_dialog, recover_dialog, save_dialog, share_dialog
-from clsco.studio.widgets.html import button, say
+from clsco.studio.widgets.html import button, number_box, say, slider
 from clsco.studio.widgets.inpainting import inpainting_dialog
 from clsco.studio.widgets.jobs import draw_jobs, generate_dialog
 from clsco.studio.widgets.panels import draw_panels, draw_sweep
@@ -43,6 +44,7 @@ COMPARISONS = (
     ("8", "difference × 8"),
     ("64", "difference × 64"),
 )
+DIALS = (("camera.focus_distance", "Focus"), ("camera.f_number", "f/"), ("camera.focal_length", "f"))
 MOST_UNSHOWN = 8  # pages
 SCRIPTS = ("studio", "files")
 STYLES = ("studio", "forms", "files")
@@ -92,6 +94,7 @@ def draw(name: str, studio: Studio) -> None:
                 button("Generate", generate_dialog(session, studio.jobs, studio.device or ""), id="generate").classes(
                     "primary"
                 )
+        _lens_strip(session)
         with say("section", id="middle", aria_label="Picture and time line"):
             _middle()
         with say("aside", id="side", aria_label="Inspector and jobs"):
@@ -130,6 +133,32 @@ def _header(session: Document, studio: Studio, name: str) -> None:
     say("button", "Inspector", id="inspector", data_toggle="sided")
 
 
+def _lens_strip(session: Document) -> None:
+    """The lens, always in sight: what is in focus, and how deep."""
+    with say("div", id="lens-strip", role="group", aria_label="Lens"):
+        say(
+            "canvas",
+            id="lens-small",
+            width=110,
+            height=30,
+            role="img",
+            aria_label="Lens, and what is in focus before it",
+        )
+        for path, label in DIALS:
+            dial = field_at(session, path)
+            assert dial is not None
+            with say("div").classes("dial"):
+                say("label", label, for_=f"dial-{path}")
+                slider(dial)
+                number_box(dial, session.shown(path), f"dial-{path}")
+                say("span", dial.unit).classes("unit")
+        say(
+            "button", "Focus by click", id="focus", aria_pressed="false", data_tool="focus",
+            title="Then click what is to be in focus (F)",
+        )  # fmt: skip
+        say("output", id="in-focus", title="Where |R| is below half a pixel")
+
+
 def _middle() -> None:
     """Tabs of the views, the canvas and the time line."""
     with say("div", id="views", role="tablist", aria_label="Views"):
@@ -149,6 +178,9 @@ def _middle() -> None:
         say("div", id="pin-badge", hidden=True)
         say("div", id="progress", role="status", hidden=True)
         say("div", id="message", role="alert", hidden=True)
+        with say("div", id="scale-bar", hidden=True):
+            say("div", id="scale-line")
+            say("span", id="scale-about")
         with say("div", id="legend", hidden=True):
             with say("div", id="legend-row"):
                 say("span", id="legend-least")
@@ -156,10 +188,6 @@ def _middle() -> None:
                 say("span", id="legend-most")
             say("div", id="legend-about")
     with say("div", id="tools"):
-        say(
-            "button", "Focus", id="focus", aria_pressed="false", data_tool="focus",
-            title="Then click what is to be in focus (F)",
-        )  # fmt: skip
         say(
             "button", "Move", id="move", aria_pressed="false", data_tool="move",
             title="Then drag an object, with Shift along z (M)",
@@ -233,6 +261,11 @@ def _view_controls() -> None:
                 say("input", id="arrows", type="checkbox")
                 say("span", "Arrows of motion")
             say("button", "As it is", id="neutral")
+            with say("label", title="Pixels that differ from those around them, as cameras mark them"):
+                say("input", id="peaking", type="checkbox")
+                say("span", "Focus peaking")
+            say("button", "Save this picture", id="save-picture")
+            say("button", "Copy this picture", id="copy-picture")
 
 
 def _stack() -> None:
@@ -265,6 +298,9 @@ def _inspector() -> None:
             say("h2", "Inspector")
             say("span", "point at the picture", id="pixel")
         say("table", id="values")
+        with say("div", id="histogram-part", hidden=True):
+            say("canvas", id="histogram", width=276, height=56, role="img", aria_label="Histogram of the codes")
+            say("p", id="clipped").classes("quiet")
         with say("div", id="psf-part", hidden=True):
             say("h3", "Point spread function")
             with say("div").classes("row"):

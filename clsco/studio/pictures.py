@@ -37,7 +37,7 @@ VIEWS = {
 """Attributes of a frame, by what the studio calls them, in the order of the tabs."""
 
 UNBLURRED = ("depth", "normal", "id")  # views that are the same without blur, which takes the time
-DRAGGING, LOSSY, EXACT, PINNED, STACKED, REFERENCE = range(6)
+DRAGGING, LOSSY, EXACT, PINNED, STACKED, REFERENCE, OUTLINED = range(7)
 MESSAGE, JPEG, PNG, FLOAT16, FLOAT32 = range(5)
 HEADER = struct.Struct("<IBBHHBHHBI")
 FIELDS = ("revision", "rung", "view", "width", "height", "encoding", "columns", "rows", "flags", "number")
@@ -57,7 +57,7 @@ class ViewPicture:
     ----------
     rung : int
         DRAGGING, LOSSY or EXACT; to compare with these PINNED, an exact picture of another scene, and REFERENCE, one by
-        `clsco.reference`; STACKED: one of a focal stack.
+        `clsco.reference`; STACKED: one of a focal stack; OUTLINED: numbers of objects, to outline one of them.
     view : str
         One of VIEWS.
     size, full : (int, int)

@@ -16,6 +16,7 @@ from clsco.studio.pictures import (
     DRAGGING,
     EXACT,
     NO_NUMBER,
+    OUTLINED,
     PINNED,
     REFERENCE,
     STACKED,
@@ -94,6 +95,7 @@ class Preview:
         self._ready: tuple[int, ViewPicture] | None = None  # by the reference, and of which revision
         self._stack: list[tuple[int, Scene]] = []  # what is missing of it, with its numbers
         self.small: tuple[int, bytes] = (-1, b"")  # picture of the latest exact frame, and of which revision
+        self._outlines, self._outlined = False, 0  # are they wanted; of which state they were sent
         self._warm: set[Any] = set()  # kinds of scenes whose kernels, and those near, are compiled
 
     def changed(self) -> None:
@@ -195,6 +197,11 @@ class Preview:
         self._stack = list(enumerate(scenes))
         self._news.set()
 
+    def outline(self, is_wanted: bool) -> None:
+        """Send the numbers of the objects after each exact frame, or no longer."""
+        self._outlines, self._outlined = is_wanted, 0
+        self._news.set()
+
     async def tell(self, **content: Any) -> None:
         """Send a message that is no picture."""
         await self._send(packed_message(self._session.revision, content))
@@ -223,6 +230,9 @@ class Preview:
                 await self._send(picture.packed(revision, NO_NUMBER))
             elif self._stack:
                 await self._show(STACKED)
+            elif self._outlines and self._outlined < self._state:
+                self._outlined = self._state
+                await self._show(OUTLINED)
             elif (kind := _kind(self._session.scene)) not in self._warm:
                 self._warm.add(kind)
                 with suppress(ClscoError):  # what is wrong is reported by the pictures
@@ -279,6 +289,8 @@ class Preview:
         except CanceledError:
             if self._stops == stops:
                 self._other = self._other or other
+                if rung == OUTLINED:
+                    self._outlined = 0
                 if step is not None and self._state == state:  # the tab was hidden meanwhile
                     self._stack.insert(0, step)
         except RendererEndedError as error:
@@ -300,7 +312,7 @@ class Preview:
             number, scene = step
         if self._time is not None and scene.moves:
             scene, number = moment_of(scene, index, self._time), number if step is not None else NO_NUMBER
-        return PictureJob(scene, index, self._view, rung, self._eye), number
+        return PictureJob(scene, index, "id" if rung == OUTLINED else self._view, rung, self._eye), number
 
     async def _post_all(self, job: PictureJob, revision: int, number: int) -> bool:
         """Send the pictures of a job; False where there is a later state before the last of them."""

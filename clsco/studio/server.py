@@ -29,6 +29,7 @@ from clsco.studio.generate import stack_scenes
 from clsco.studio.guard import MAX_MESSAGE, Guard, door
 from clsco.studio.jobs import Jobs
 from clsco.studio.keyframes import add_keyframe, remove_keyframe, tracks
+from clsco.studio.lens import lens_line
 from clsco.studio.moving import Pointer
 from clsco.studio.presets import choose_method
 from clsco.studio.preview import Preview
@@ -296,6 +297,8 @@ async def _look(session: Document, preview: Preview, said: dict[str, Any]) -> bo
             preview.acknowledge(revision, rung)
         case {"hidden": bool(is_hidden)}:
             preview.hide(is_hidden)
+        case {"outline": bool(is_wanted)}:
+            preview.outline(is_wanted)
         case {"do": "pin thesis"}:
             preview.pin(as_the_thesis(session))
         case {"do": "pin reference"}:
@@ -353,6 +356,8 @@ async def _tell(tab: Tab, preview: Preview) -> None:
             "frames": session.scene.sequence.frames,
             "interval": session.scene.sequence.interval,
             "pair": session.scene.stereo is not None,
+            "moves": session.scene.moves,
+            "lens": lens_line(session.scene),
         }
         now = {path: session.shown(path) for path in tab.watched}
         changed = {path: value for path, value in now.items() if path not in values or values[path] != value}

@@ -87,7 +87,9 @@ SLIDERS = {  # where useful values are; what is typed may be beyond
 }  # fmt: skip
 POINT = {"x": (-100.0, 100.0), "y": (-100.0, 100.0), "z": (50.0, 1000.0)}
 BY_UNIT = {"mm": (-100.0, 500.0), "deg": (-180.0, 180.0), "deg/s": (-90.0, 90.0), "mm/s": (-50.0, 50.0)}
-BY_FOCAL_LENGTH = {"sensor_distance": (1.01, 1.5), "focus_distance": (2.0, 50.0)}  # times it
+BY_FOCAL_LENGTH = {"sensor_distance": (1.01, 1.5), "focus_distance": (2.0, 200.0)}  # times it
+SCALES = {"focus_distance": "inverse", "f_number": "stops"}
+WIDE = 20.0  # ends of a slider that are so far apart, as a ratio, have a logarithmic scale
 OWN_ORDER = ("axis", "nappe", "unit", "scale", "baseline", "offset")  # after what the thesis names
 
 

@@ -19,7 +19,7 @@ DRAG = """async ([path, first, last, steps, rate]) => {
   for (let step = 1; step <= steps; step += 1) {
     const wait = start + (1000 * step) / rate - performance.now();
     if (wait > 0) await new Promise((done) => setTimeout(done, wait));
-    slider.value = first + ((last - first) * step) / steps;
+    slider.value = studio.placeOf(slider, first + ((last - first) * step) / steps);
     times.push(performance.now());
     slider.dispatchEvent(new Event("input", { bubbles: true }));
   }
@@ -85,12 +85,12 @@ SMALL = '[camera]\nresolution = [64, 48]\npixel_pitch = 0.1\n[[object]]\nshape =
 
 def box(page: Any, path: str) -> Any:
     """The box of a key."""
-    return page.locator(f'[data-path="{path}"]:not([type=range])')
+    return page.locator(f'#panels [data-path="{path}"]:not([type=range])')
 
 
 def number(page: Any, path: str) -> float:
-    """The number in the box of a key."""
-    return float(box(page, path).input_value())
+    """The number of the box of a key, with all digits."""
+    return float(box(page, path).evaluate("(box) => box.dataset.full"))
 
 
 def type_in(page: Any, path: str, value: str) -> None:

@@ -59,7 +59,7 @@ const VIEWS = {
       const color = DIVERGING[Math.round(half * (1 + values[at] / size))];
       return values[at] < 0 && (x + y) % 6 === 0 ? mixed(color, [0, 0, 0], 0.35) : color;
     });
-    const about = "blur radius R; hatched: in front of the focal surface, gray: nothing there; outlined: |R| < 0.5 px";
+    const about = "blur radius R; striped: in front of the focal surface; hatched dark: nothing there; outlined: |R| < 0.5 px";
     return { data, legend: { least: `−${short(size)} px`, most: `${short(size)} px`, about, color: diverging } };
   },
   flow: (values, width, height) => {

@@ -30,6 +30,7 @@ const choose = (name) => {
   mode = pinned === null ? "off" : name;
   one("#compare").value = mode;
   compare();
+  studio.viewport.changed();
 };
 
 const compare = () => {
@@ -105,6 +106,27 @@ const tick = () => {
   one("#reference-about").textContent = `The reference renders revision ${run.revision}: ${Math.round((performance.now() - started) / 1000)} s${about}`;
 };
 
+studio.overlays.push((context, place) => { // the line of the wipe, and what is on both sides of it
+  if (mode !== "wipe" || flipped || one("#pinned").hidden) return;
+  const [x] = place((one("#wipe").value / 100) * one("#canvas").width - 0.5, 0), { height } = context.canvas;
+  for (const [width, color] of /** @type {[number, string][]} */ ([[4, "#141517"], [1.5, "#ffd24d"]])) {
+    [context.lineWidth, context.strokeStyle] = [width, color];
+    context.beginPath();
+    context.moveTo(x, 0);
+    context.lineTo(x, height);
+    context.stroke();
+  }
+  context.font = "12px system-ui, sans-serif";
+  for (const [text, align, at] of /** @type {[string, CanvasTextAlign, number][]} */ ([["now", "right", x - 8], [pinned?.what ?? "", "left", x + 8]])) {
+    context.textAlign = align;
+    context.lineWidth = 4;
+    context.strokeStyle = "#141517";
+    context.strokeText(text, at, height - 14);
+    context.fillStyle = "#ffd24d";
+    context.fillText(text, at, height - 14);
+  }
+});
+
 studio.isReferring = () => run !== null;
 studio.compare = compare;
 studio.compares = (event) => { // a key
@@ -124,6 +146,6 @@ studio.parts.push(() => {
     target.value = "";
   });
   one("#compare").addEventListener("change", (event) => choose(event.target.value));
-  one("#wipe").addEventListener("input", compare);
+  one("#wipe").addEventListener("input", () => { compare(); studio.viewport.changed(); });
   one("#reference-cancel").addEventListener("click", () => studio.referring(null));
 });

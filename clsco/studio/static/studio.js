@@ -3,10 +3,13 @@
 
 import { colored } from "./colors.js";
 import { ENCODING, RUNG, VIEWS, opened } from "./protocol.js";
+import { brief, full, placeOf, valueAt } from "./scales.js";
 import { all, on, one, problem, studio } from "./shared.js";
 import { Viewport } from "./viewport.js";
 
 import "./badge.js";
+import "./lens.js";
+import "./instruments.js";
 import "./persistence.js";
 import "./tools.js";
 import "./timeline.js";
@@ -66,7 +69,8 @@ const show = (picture, payload) => {
   const drawable = isImage ? decoded(picture, payload) : plane(picture, payload);
   queue = queue.then(async () => {
     const image = await drawable;
-    if (picture.rung === RUNG.STACKED) studio.stacked(picture, image);
+    if (picture.rung === RUNG.OUTLINED) studio.outlined(picture);
+    else if (picture.rung === RUNG.STACKED) studio.stacked(picture, image);
     else if (picture.rung >= RUNG.PINNED) studio.pinned(image, picture);
     else if (asked(picture) && picture.revision >= studio.revision) paint(picture, image);
     await new Promise(requestAnimationFrame);
@@ -125,6 +129,7 @@ const paint = (picture, image) => {
   studio.done();
   studio.compare();
   legend(picture.legend);
+  studio.measure();
   placed();
   studio.drawn(picture);
 };
@@ -211,11 +216,14 @@ const put = (path, value) => {
   waiting.set(path, [value, drag]);
 };
 studio.put = put;
+studio.placeOf = placeOf;
 studio.set = (path, value) => { drag += 1; put(path, value); }; // as a step of undo of its own
 
-const valueOf = (control) => {
+const fine = (control) => (control.dataset.scale ? valueAt(control) : Number(control.value));
+const valueOf = (control, isFine) => {
   if (control.type === "checkbox") return control.checked;
-  if (control.type === "range" || control.type === "number" || control.dataset.kind === "number") {
+  if (control.type === "range") return isFine || !control.dataset.step ? fine(control) : valueAt(control);
+  if (control.type === "number" || control.dataset.kind === "number") {
     const text = control.value.trim();
     return text === "" ? null : Number.isFinite(Number(text)) ? Number(text) : text;
   }
@@ -224,8 +232,9 @@ const valueOf = (control) => {
 
 const sameKey = (path) => all(`[data-path="${CSS.escape(path)}"]`);
 
-const changing = (control) => {
-  const path = control.dataset.path, value = valueOf(control);
+const changing = (control, isFine = false) => {
+  const path = control.dataset.path, value = valueOf(control, isFine);
+  control.removeAttribute("data-empty");
   if (dragged === null || dragged.path !== path) {
     drag += 1;
     dragged = { path, before: studio.values[path], at: 0 };
@@ -238,12 +247,33 @@ const changing = (control) => {
 const give = (control, value) => {
   if (control.type === "checkbox") control.checked = Boolean(value);
   else if (control.type === "radio") control.checked = control.value === value;
-  else if (control.type === "range") control.value = value ?? control.dataset.default ?? control.min;
-  else control.value = value === null || value === undefined ? "" : shown(value);
+  else if (control.type === "range") slide(control, value);
+  else if (control.dataset.kind === "number") write(control, value);
+  else control.value = full(value);
 };
 
-// Numbers are shown with as many digits as tell them apart, and no more.
-const shown = (value) => (typeof value === "number" ? String(Number(value.toPrecision(12))) : String(value));
+const slide = (control, value) => { // a slider of an empty box has no place
+  control.toggleAttribute("data-empty", typeof value !== "number");
+  control.value = placeOf(control, value ?? control.dataset.default ?? valueAt(control, Number(control.min)));
+};
+
+const write = (control, value) => { // all digits where somebody types
+  control.dataset.full = full(value);
+  control.value = control === document.activeElement ? control.dataset.full : brief(value);
+};
+
+const opens = (_, control) => {
+  if (control.dataset?.full !== undefined && control.value === brief(studio.values[control.dataset.path])) {
+    control.value = control.dataset.full;
+  }
+};
+
+const leaves = (_, control) => {
+  const value = studio.values[control.dataset?.path];
+  if (control.dataset?.full === undefined || typeof value !== "number" || Number(control.value) !== value) return;
+  control.dataset.full = full(value);
+  control.value = brief(value);
+};
 
 const stepped = (event, control) => { // arrows: with Shift ten times as far, with Alt a tenth
   const sign = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1 }[event.key];
@@ -253,7 +283,7 @@ const stepped = (event, control) => { // arrows: with Shift ten times as far, wi
   const size = step * (event.shiftKey ? 10 : event.altKey ? 0.1 : 1);
   const to = Number(control.value) + sign * size;
   control.value = Number(Math.min(Math.max(to, control.min), control.max).toPrecision(12));
-  changing(control);
+  changing(control, event.altKey);
 };
 
 const filled = new WeakSet(); // controls; those that are drawn anew may have values that are older than what was told
@@ -263,7 +293,7 @@ const watch = () => { // tell the server which keys are on the page, so that it 
     filled.add(control);
     if (control.dataset.path in studio.values) give(control, studio.values[control.dataset.path]);
   }
-  if (fresh.length) mark();
+  if (fresh.length) { mark(); idle(); }
   const paths = [...new Set(all("[data-path]").map((control) => control.dataset.path))];
   if (paths.join("\n") === watched) return;
   watched = paths.join("\n");
@@ -284,11 +314,26 @@ const mark = () => {
   }
 };
 
+// A control that does nothing is disabled and says why, but for one whose value is at fault.
+const idle = () => {
+  for (const control of all("[data-only]")) {
+    const [path, values] = control.dataset.only.split("="), now = studio.values[path];
+    const works = now === undefined || (values === undefined ? now : values.split("|").includes(now)) || control.dataset.path in studio.faults;
+    control.disabled = !works;
+    const reason = path === "moves" ? "nothing moves" : `only with ${path} = ${values?.replace("|", " or ")}`;
+    const place = control.closest(".live, .field, .vector");
+    if (works) place?.removeAttribute("data-idle");
+    else place?.setAttribute("data-idle", reason);
+  }
+};
+
 const told = (said) => {
   if (said.error) { fail(said.error); studio.notInspected(); }
   if (said.about) one("#plan").textContent = said.about.plan;
   if (said.values) valued(said.values);
+  if ("moves" in said) studio.values.moves = said.moves;
   if (said.faults) { studio.faults = said.faults; mark(); }
+  if (said.values || "moves" in said) idle();
   if ("undo" in said) { one("#undo").disabled = !said.undo; one("#redo").disabled = !said.redo; }
   if ("title" in said) {
     document.title = said.title ? `${said.title} · clsco studio` : "clsco studio";
@@ -331,6 +376,8 @@ const controls = () => {
     on(end, (_, control) => { if (control.dataset?.path) dragged = null; });
   }
   on("keydown", stepped, { capture: true });
+  on("focusin", opens);
+  on("focusout", leaves);
   on("click", (_, target) => {
     for (const [name, act] of Object.entries(CLICKS)) {
       const element = target.closest(`[data-${name}]`);

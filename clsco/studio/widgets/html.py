@@ -136,16 +136,29 @@ def number(field: Field, value: Any) -> None:
     with say("div").classes("live"):
         box = f"box-{field.path}"
         say("label", field.name, for_=box)
-        shown = "" if value is None else f"{value:.12g}" if isinstance(value, float) else str(value)
-        if field.slider is not None:
-            least, most = field.slider
-            say(
-                "input", type="range", min=str(least), max=str(most), step="any", data_step=str(field.step),
-                data_path=field.path, value=shown or str(least), aria_label=f"{field.name}, slider", title=field.help,
-            )  # fmt: skip
-        say(
-            "input", id=box, type="text", inputmode="decimal", data_kind="number", data_path=field.path, value=shown,
-            aria_label=field.name, title=field.help, autocomplete="off",
-        )  # fmt: skip
+        slider(field)
+        number_box(field, value, box)
         say("span", field.unit).classes("unit")
         say("div", data_fault=field.path, role="alert", hidden=True)
+
+
+def slider(field: Field) -> None:
+    """Draw the slider of a number, if it has one; the page's script puts it where the value is."""
+    if field.slider is None:
+        return
+    least, most = (field.place(end) for end in field.slider)
+    step = {"": field.step, "stops": 1.0}.get(field.scale, (most - least) / 200.0)
+    say(
+        "input", type="range", min=str(least), max=str(most), step="any", data_step=str(step), value=str(least),
+        data_scale=field.scale or None, data_only=field.only or None, data_path=field.path,
+        aria_label=f"{field.name}, slider", title=field.help,
+    )  # fmt: skip
+
+
+def number_box(field: Field, value: Any, name: str) -> None:
+    """Draw the box of a number; name: its id."""
+    shown = "" if value is None else f"{value:.12g}" if isinstance(value, float) else str(value)
+    say(
+        "input", id=name, type="text", inputmode="decimal", data_kind="number", data_path=field.path, value=shown,
+        data_only=field.only or None, aria_label=field.name, title=field.help, autocomplete="off",
+    )  # fmt: skip

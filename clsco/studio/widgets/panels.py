@@ -143,7 +143,10 @@ def draw_field(session: Document, shown: Field) -> None:
     elif shown.kind == "flag":
         with say("div").classes("field"):
             with say("label").classes("check"):
-                say("input", type="checkbox", checked=bool(value) or None, title=shown.help, data_path=shown.path)
+                say(
+                    "input", type="checkbox", checked=bool(value) or None, title=shown.help, data_path=shown.path,
+                    data_only=shown.only or None,
+                )  # fmt: skip
                 say("span", shown.label)
             _back(shown)
             _fault(shown)
@@ -170,7 +173,8 @@ def _components(session: Document, shown: Field) -> None:
 
 
 def _select(shown: Field, value: Any, box: str) -> None:
-    with say("select", id=box, data_path=shown.path, aria_label=shown.name, title=shown.help):
+    only = shown.only or None
+    with say("select", id=box, data_path=shown.path, aria_label=shown.name, title=shown.help, data_only=only):
         if shown.default is None:
             say("option", "by default", value="", selected=value is None or None)
         for option, label in shown.choices:
@@ -184,7 +188,7 @@ def _text(session: Document, shown: Field, value: Any, box: str) -> None:
     with say("div").classes("row"):
         say(
             "input", id=box, type="text", data_path=shown.path, value="" if value is None else str(value), list=names,
-            aria_label=shown.name, title=shown.help, autocomplete="off",
+            data_only=shown.only or None, aria_label=shown.name, title=shown.help, autocomplete="off",
         )  # fmt: skip
         if shown.kind == "image":
             say("input", type="file", accept=",".join(IMAGES), hidden=True, data_upload=shown.path, tabindex="-1")

@@ -1,0 +1,61 @@
+"""Figures of the lens in front of the picture: what is in focus, and how large that is."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from clsco.optics.lens import SHARP, Lens
+from clsco.optics.lens_path import reference_camera
+from clsco.scene.model import Scene
+from clsco.studio.tables import BY_FOCAL_LENGTH
+
+
+def lens_line(scene: Scene) -> dict[str, Any]:
+    """Figures of the strip above the picture.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    dict
+        As `lens_figures` of an infinite distance, and `pitch` of the pixels, mm; `scale`: distance behind the lens at
+        which the image has its size, mm; `ends`: of the slider of the focus distance, mm.
+    """
+    camera = reference_camera(scene)
+    ends = [factor * camera.focal_length for factor in BY_FOCAL_LENGTH["focus_distance"]]
+    return lens_figures(scene, None) | {
+        "pitch": camera.pixel_pitch,
+        "scale": camera.normalization_distance,
+        "ends": ends,
+    }
+
+
+def lens_figures(scene: Scene, depth: float | None, slopes: tuple[float, float] = (0.0, 0.0)) -> dict[str, Any]:
+    """Distances in mm that the diagram of the lens shows, on its axis; slopes: of the ray to the point.
+
+    Returns: `focus`, `near` and `far`: in focus, and where |R| is SHARP; `focal_length`, `sensor`, `aperture`; `depth`
+    and `image` of the point, and its `radius`, px. None: infinite.
+    """
+    camera = reference_camera(scene)
+    lens = Lens.of(camera, scene.lens)
+    power, margin = lens.focus_power, SHARP / lens.blur_scale
+    found = {
+        "focus": camera.focused_distance,
+        "near": 1 / (power + margin),
+        "far": 1 / (power - margin) if power > margin else math.inf,
+        "focal_length": camera.focal_length,
+        "sensor": camera.sensor_distance,
+        "aperture": camera.aperture_diameter,
+        "depth": math.inf if depth is None else depth,
+        "image": math.inf if depth is None else _image_distance(camera.focal_length, depth),
+        "radius": float(lens.image_radius(0.0 if depth is None else 1 / depth, *slopes)),
+    }
+    return {name: value if math.isfinite(value) else None for name, value in found.items()}
+
+
+def _image_distance(focal_length: float, depth: float) -> float:
+    power = 1 / focal_length - 1 / depth
+    return 1 / power if power > 0 else math.inf

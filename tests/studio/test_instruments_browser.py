@@ -1,0 +1,121 @@
+"""Instruments over and beside the picture in Chromium."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import clsco
+from clsco.files.images import read_image
+from clsco.studio.lens import lens_line
+from tests.studio.browser import axe_faults, rest
+from tests.studio.running import Running, studio
+from tests.studio.test_canvas_browser import STILL, at, codes, shown
+
+pytestmark = pytest.mark.browser
+COLORED = """([red, green, blue]) => { const over = document.querySelector('#over');
+  const { data } = over.getContext('2d').getImageData(0, 0, over.width, over.height), found = [];
+  for (let k = 0; k < data.length; k += 4) {
+    if (data[k] === red && data[k + 1] === green && data[k + 2] === blue && data[k + 3] > 200) found.push(k / 4);
+  }
+  return found.map((at) => [at % over.width, Math.floor(at / over.width)]); }"""
+YELLOW, RED = [255, 210, 77], [255, 50, 50]
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    folder: Path = tmp_path_factory.mktemp("instruments")
+    (folder / "scene.toml").write_text(STILL)
+    with studio(folder, str(folder / "scene.toml"), "--device", "pocl") as started:
+        yield started
+
+
+def until_drawn(page: Any, color: list[int], least: int) -> list[list[int]]:
+    for _ in range(100):
+        found: list[list[int]] = page.evaluate(COLORED, color)
+        if len(found) >= least:
+            return found
+        page.wait_for_timeout(100)
+    raise AssertionError(f"{len(found)} pixels of {color}")
+
+
+@pytest.mark.everyday
+def test_a_click_chooses_an_object_and_outlines_it(page: Any) -> None:
+    page.mouse.click(*at(page, 64, 110))
+    page.locator('.objects button[aria-pressed="true"]', has_text="2 wall").wait_for()
+    page.mouse.click(*at(page, 64, 64))
+    page.locator('.objects button[aria-pressed="true"]', has_text="1 ball").wait_for()
+    for _ in range(50):
+        found = until_drawn(page, YELLOW, 100)
+        stage, canvas = page.locator("#stage").bounding_box(), page.locator("#canvas").bounding_box()
+        scale = canvas["width"] / 128
+        across = [(x + stage["x"] - canvas["x"]) / scale - 64 for x, _ in found]
+        down = [(y + stage["y"] - canvas["y"]) / scale - 64 for _, y in found]
+        far = [math.hypot(x, y) for x, y in zip(across, down, strict=True)]
+        if max(far) < 27:
+            break
+        page.wait_for_timeout(100)  # that of the wall is still there
+    rim = 12.0 / math.sqrt(250.0**2 - 12.0**2) * 20.0 / 0.04
+    assert min(far) > rim - 3
+    assert max(far) < rim + 3
+    page.keyboard.press("Escape")
+    page.wait_for_function(f"({COLORED})({YELLOW}).length === 0")
+
+
+def test_the_histogram_counts_what_is_clipped(page: Any) -> None:
+    data = codes(clsco.parse_scene(STILL))
+    dark, bright = (100 * float(np.mean(data.max(-1) == code)) for code in (0, 255))
+    page.wait_for_function("document.querySelector('#clipped').textContent !== ''")
+    said = page.locator("#clipped").inner_text()
+    figures = [float(word) for word in said.replace(",", "").split() if word[0].isdigit()]
+    assert figures == pytest.approx([dark, bright], rel=0.01, abs=1e-9)
+    page.keyboard.press("3")  # depth has none
+    page.wait_for_function("document.querySelector('#histogram-part').hidden")
+
+
+def test_the_scale_is_that_of_what_is_in_focus(page: Any) -> None:
+    lens = lens_line(clsco.parse_scene(STILL))
+    said = page.locator("#scale-about").inner_text()
+    length = float(said.split()[0])
+    wide = page.locator("#scale-line").bounding_box()["width"]
+    per_pixel = lens["pitch"] * lens["focus"] / 20.0
+    scale = page.evaluate("studio.viewport.scale")
+    assert wide == pytest.approx(length / per_pixel * scale, abs=3.5)
+    angle = 2 * math.degrees(math.atan(128 * lens["pitch"] / 2 / 20.0))
+    assert f"{angle:.3g}° × {angle:.3g}°" in said
+
+
+def test_focus_peaking_marks_edges_that_are_sharp(page: Any) -> None:
+    assert page.evaluate(COLORED, RED) == []
+    page.locator("#shown summary").click()
+    page.locator("#peaking").check()
+    until_drawn(page, RED, 20)
+    assert axe_faults(page) == []
+    page.locator("#peaking").uncheck()
+    assert page.evaluate(COLORED, RED) == []
+
+
+def test_this_picture_is_saved_as_it_is(page: Any, tmp_path: Path) -> None:
+    rest(page)
+    page.locator("#shown summary").click()
+    with page.expect_download() as waits:
+        page.locator("#save-picture").click()
+    assert waits.value.suggested_filename == "untitled-color-exact_of_these_values.png"
+    waits.value.save_as(tmp_path / "picture.png")
+    assert np.array_equal(read_image(tmp_path / "picture.png").data[..., :3], shown(page))
+
+
+def test_the_wipe_has_a_line_and_says_what_is_on_both_sides(page: Any) -> None:
+    page.select_option("#pin", "this")
+    page.locator("#wipe").fill("50")
+    found = until_drawn(page, YELLOW, 100)
+    stage, canvas = page.locator("#stage").bounding_box(), page.locator("#canvas").bounding_box()
+    middle = canvas["x"] + canvas["width"] / 2 - stage["x"]
+    columns = [x for x, _ in found]
+    assert min(abs(x - middle) for x in columns) <= 1.5
+    assert columns.count(max(set(columns), key=columns.count)) >= stage["height"] * 0.9

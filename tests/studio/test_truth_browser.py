@@ -1,0 +1,89 @@
+"""The badge in Chromium: whenever it says exact, the canvas is what `clsco.render` gives of the values in the boxes."""
+
+from __future__ import annotations
+
+import base64
+import json
+import random
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import clsco
+from clsco.errors import SceneError
+from clsco.files.transfer import encode
+from tests.studio.browser import SMALL
+from tests.studio.running import Running, studio
+
+pytestmark = pytest.mark.browser
+VALUES: dict[str, tuple[Any, ...]] = {
+    "camera.focus_distance": (150, 200, 230, 260, 300, 5, "near"),  # the last two cannot be
+    "camera.f_number": (1.4, 2, 4, 8, -1),
+    "object.0.distance": (180, 220, 250, 0),
+    "object.0.texture": ("checkerboard", "bricks"),
+}
+WALK = """async ([path, value, wait, paths]) => {
+  const box = (name) => document.querySelector(`#panels [data-path="${name}"]:not([type=range])`);
+  if (path === "undo" || path === "redo") document.querySelector(`#${path}`).click();
+  else {
+    const control = box(path);
+    control.value = value;
+    for (const kind of ["input", "change"]) control.dispatchEvent(new Event(kind, { bubbles: true }));
+  }
+  const found = new Map(), start = performance.now(), canvas = document.querySelector("#canvas");
+  do {
+    const badge = document.querySelector("#badge").textContent;
+    if (badge === "exact of these values") {
+      const boxes = JSON.stringify(paths.map((name) => box(name).value));
+      const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+      const key = boxes + data.reduce((sum, code) => (31 * sum + code) % 1000003, 0);
+      if (!found.has(key)) found.set(key, [boxes, btoa(String.fromCharCode(...data))]);
+    }
+    await new Promise(requestAnimationFrame);
+  } while (performance.now() - start < wait);
+  return [...found.values()];
+}"""
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    folder: Path = tmp_path_factory.mktemp("truth")
+    (folder / "scene.toml").write_text(SMALL)
+    with studio(folder, str(folder / "scene.toml"), "--device", "pocl") as started:
+        yield started
+
+
+@pytest.mark.parametrize(
+    ("steps", "seed"),
+    [pytest.param(12, 1, marks=pytest.mark.everyday), pytest.param(500, 2, marks=pytest.mark.slow)],
+)
+def test_the_badge_is_right_in_a_walk_of_changes(page: Any, steps: int, seed: int) -> None:
+    chooses, paths = random.Random(seed), list(VALUES)
+    known: dict[tuple[str, ...], NDArray[np.int64]] = {}
+    exact = 0
+    for _ in range(steps):
+        path = chooses.choice([*paths, "undo", "redo"])
+        value = chooses.choice(VALUES.get(path, ("",)))
+        for boxes, data in page.evaluate(WALK, [path, str(value), chooses.choice((50, 300, 900)), paths]):
+            pixels = np.frombuffer(base64.b64decode(data), np.uint8).reshape(48, 64, 4)[..., :3].astype(int)
+            texts = tuple(json.loads(boxes))
+            if texts not in known:
+                known[texts] = codes(texts)
+            assert np.array_equal(pixels, known[texts]), (path, value, texts)
+            exact += 1
+    assert exact >= steps // 4
+
+
+def codes(texts: tuple[str, ...]) -> NDArray[np.int64]:
+    """Codes of the scene with these values."""
+    scene = clsco.parse_scene(SMALL)
+    for path, text in zip(VALUES, texts, strict=True):
+        try:
+            scene = scene.replace(path, text if path.endswith("texture") else float(text))
+        except (ValueError, SceneError) as error:
+            raise AssertionError(f"exact of what cannot be: {path} = {text}") from error
+    return encode(clsco.render_frame(scene, truth=(), device="pocl").color, 8, "srgb").astype(int)
