@@ -109,12 +109,9 @@ const tick = () => {
 studio.overlays.push((context, place) => { // the line of the wipe, and what is on both sides of it
   if (mode !== "wipe" || flipped || one("#pinned").hidden) return;
   const [x] = place((one("#wipe").value / 100) * one("#canvas").width - 0.5, 0), { height } = context.canvas;
-  for (const [width, color] of /** @type {[number, string][]} */ ([[4, "#141517"], [1.5, "#ffd24d"]])) {
-    [context.lineWidth, context.strokeStyle] = [width, color];
-    context.beginPath();
-    context.moveTo(x, 0);
-    context.lineTo(x, height);
-    context.stroke();
+  for (const [width, color] of /** @type {[number, string][]} */ ([[4, "#141517"], [2, "#ffd24d"]])) { // the first is its edge
+    context.fillStyle = color;
+    context.fillRect(Math.round(x) - width / 2, 0, width, height);
   }
   context.font = "12px system-ui, sans-serif";
   for (const [text, align, at] of /** @type {[string, CanvasTextAlign, number][]} */ ([["now", "right", x - 8], [pinned?.what ?? "", "left", x + 8]])) {

@@ -265,6 +265,7 @@ const write = (control, value) => { // all digits where somebody types
 const opens = (_, control) => {
   if (control.dataset?.full !== undefined && control.value === brief(studio.values[control.dataset.path])) {
     control.value = control.dataset.full;
+    control.select();
   }
 };
 
