@@ -20,6 +20,7 @@ KEYS = (
     ("1 … 9", "views"),
     (", .", "frame before, next frame"),
     ("F, then a click", "focus on what is there"),
+    ("a click", "choose the object that is there, and outline it; Esc ends that"),
     ("M, then a drag", "move the object that is there at its depth; with Shift along z, which planes always do"),
     ("B", "inpainting; there [ and ] make the brush smaller and larger, E erases, 0 fits, Ctrl Z takes a stroke back"),
     ("E", "the right eye's view of a stereo pair, and back"),
@@ -97,7 +98,7 @@ def draw(name: str, studio: Studio) -> None:
         _lens_strip(session)
         with say("section", id="middle", aria_label="Picture and time line"):
             _middle()
-        with say("aside", id="side", aria_label="Inspector and jobs"):
+        with say("aside", id="side", aria_label="Inspector and jobs", tabindex=0):
             _inspector()
             ends.append(draw_jobs(session, studio.jobs))
     with say("dialog", id="keys", aria_label="Keyboard"):

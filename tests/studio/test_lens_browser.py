@@ -41,7 +41,7 @@ def test_the_lens_is_at_hand_above_the_picture(page: Any) -> None:
     page.locator(FOCUS).fill("233.4567")
     page.wait_for_function("studio.values['camera.focus_distance'] === 233.4567")
     page.locator(STOP).focus()  # the box is left: it shows what means something
-    page.wait_for_function(f"document.querySelector('{FOCUS}').value === '233.5'")
+    page.wait_for_function(f"document.querySelector('{FOCUS}').value === '233.46'")
     page.locator(FOCUS).focus()
     assert page.locator(FOCUS).input_value() == "233.4567"
     assert number(page, "camera.focus_distance") == 233.4567  # that of the panel is the same

@@ -21,11 +21,12 @@ from tests.studio.running import Running, studio
 
 pytestmark = pytest.mark.browser
 VALUES: dict[str, tuple[Any, ...]] = {
-    "camera.focus_distance": (150, 200, 230, 260, 300, 5, "near"),  # the last two cannot be
-    "camera.f_number": (1.4, 2, 4, 8, -1),
-    "object.0.distance": (180, 220, 250, 0),
+    "camera.focus_distance": (150, 200, 230, 260, 300),
+    "camera.f_number": (1.4, 2, 4, 8),
+    "object.0.distance": (180, 220, 250),
     "object.0.texture": ("checkerboard", "bricks"),
 }
+WRONG = {"camera.focus_distance": (5, "near"), "camera.f_number": (-1,), "object.0.distance": (0,)}
 WALK = """async ([path, value, wait, paths]) => {
   const box = (name) => document.querySelector(`#panels [data-path="${name}"]:not([type=range])`);
   if (path === "undo" || path === "redo") document.querySelector(`#${path}`).click();
@@ -34,17 +35,20 @@ WALK = """async ([path, value, wait, paths]) => {
     control.value = value;
     for (const kind of ["input", "change"]) control.dispatchEvent(new Event(kind, { bubbles: true }));
   }
+  let isExact = false;
   const found = new Map(), start = performance.now(), canvas = document.querySelector("#canvas");
   do {
     await new Promise(requestAnimationFrame); // what is seen
     const badge = document.querySelector("#badge").textContent;
-    if (badge === "exact of these values") {
+    isExact = badge === "exact of these values";
+    if (isExact) {
       const boxes = JSON.stringify(paths.map((name) => box(name).value));
       const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
       const key = boxes + data.reduce((sum, code) => (31 * sum + code) % 1000003, 0);
       if (!found.has(key)) found.set(key, [boxes, btoa(String.fromCharCode(...data))]);
     }
-  } while (performance.now() - start < wait);
+  } while (performance.now() - start < wait // the longest goes on until the frame is there
+    || (wait > 500 && !isExact && !Object.keys(studio.faults).length && performance.now() - start < 20000));
   return [...found.values()];
 }"""
 
@@ -65,17 +69,19 @@ def test_the_badge_is_right_in_a_walk_of_changes(page: Any, steps: int, seed: in
     chooses, paths = random.Random(seed), list(VALUES)
     known: dict[tuple[str, ...], NDArray[np.int64]] = {}
     exact = 0
+    wrong = ""
     for _ in range(steps):
-        path = chooses.choice([*paths, "undo", "redo"])
-        value = chooses.choice(VALUES.get(path, ("",)))
-        for boxes, data in page.evaluate(WALK, [path, str(value), chooses.choice((50, 300, 900)), paths]):
+        path = wrong or chooses.choice([*paths, "undo", "redo"])  # what is wrong is mended in the next step
+        wrong = path if path in WRONG and not wrong and chooses.random() < 0.2 else ""
+        value = chooses.choice((WRONG if wrong else VALUES).get(path, ("",)))
+        for boxes, data in page.evaluate(WALK, [path, str(value), chooses.choice((50, 300, 600)), paths]):
             pixels = np.frombuffer(base64.b64decode(data), np.uint8).reshape(48, 64, 4)[..., :3].astype(int)
             texts = tuple(json.loads(boxes))
             if texts not in known:
                 known[texts] = codes(texts)
             assert np.array_equal(pixels, known[texts]), (path, value, texts)
             exact += 1
-    assert exact >= steps // 4
+    assert exact >= steps // 6
 
 
 def codes(texts: tuple[str, ...]) -> NDArray[np.int64]:

@@ -1,7 +1,7 @@
 // Scales of sliders: places on them, as clsco/studio/forms.py has them, and the values there; and numbers in words.
 
 const THIRDS = [1, 1.1, 1.2, 1.4, 1.6, 1.8, 2, 2.2, 2.5, 2.8, 3.2, 3.5, 4, 4.5, 5, 5.6, 6.3, 7.1, 8, 9, 10, 11, 13, 14, 16, 18, 20, 22];
-const DIGITS = 4; // of what is dragged, and of what is shown in a box that nobody types in
+const DRAGGED = 4, SHOWN = 5; // digits of what is dragged, and of what is shown in a box that nobody types in
 
 const stop = (place) => THIRDS[Math.round(place)] ?? 2 ** (Math.round(place) / 6); // as they are engraved
 
@@ -17,7 +17,7 @@ export const placeOf = (slider, value) => SCALES[slider.dataset.scale]?.place(Nu
 /** Value of a slider at a place, rounded to what can be told apart by dragging it. */
 export const valueAt = (slider, place = Number(slider.value)) => {
   const scale = SCALES[slider.dataset.scale], step = Number(slider.dataset.step);
-  if (scale) return Number(scale.value(place).toPrecision(DIGITS));
+  if (scale) return Number(scale.value(place).toPrecision(DRAGGED));
   return step ? Number((Math.round(place / step) * step).toPrecision(12)) : place;
 };
 
@@ -27,5 +27,5 @@ export const full = (value) => (typeof value === "number" ? String(Number(value.
 /** A number with the digits that mean something: whole ones have all. */
 export const brief = (value) => {
   if (typeof value !== "number" || Number.isInteger(value)) return full(value);
-  return String(Number(value.toPrecision(Math.max(DIGITS, Math.ceil(Math.log10(Math.abs(value)))))));
+  return String(Number(value.toPrecision(Math.max(SHOWN, Math.ceil(Math.log10(Math.abs(value)))))));
 };

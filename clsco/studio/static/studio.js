@@ -284,7 +284,7 @@ const stepped = (event, control) => { // arrows: with Shift ten times as far, wi
   const size = step * (event.shiftKey ? 10 : event.altKey ? 0.1 : 1);
   const to = Number(control.value) + sign * size;
   control.value = Number(Math.min(Math.max(to, control.min), control.max).toPrecision(12));
-  changing(control, event.altKey);
+  changing(control, true);
 };
 
 const filled = new WeakSet(); // controls; those that are drawn anew may have values that are older than what was told
