@@ -90,7 +90,7 @@ def box(page: Any, path: str) -> Any:
 
 def number(page: Any, path: str) -> float:
     """The number of the box of a key, with all digits."""
-    return float(box(page, path).evaluate("(box) => box.dataset.full"))
+    return float(box(page, path).evaluate("(box) => box.dataset.full ?? box.value"))
 
 
 def type_in(page: Any, path: str, value: str) -> None:

@@ -54,7 +54,7 @@ def point_at(page: Any, place: tuple[float, float]) -> tuple[int, int]:
         box[start] + part * box[side] for start, side, part in (("x", "width", place[0]), ("y", "height", place[1]))
     )
     page.mouse.move(x, y)
-    column, row = page.evaluate("([x, y]) => studio.pixelAt(x, y)", [x, y])
+    column, row = page.evaluate("([x, y]) => studio.viewport.pixelAt(x, y)", [x, y])
     page.wait_for_function(
         f"window.latest_inspected?.values.x === {column} && latest_inspected.values.y === {row}", timeout=20000
     )

@@ -235,6 +235,7 @@ const sameKey = (path) => all(`[data-path="${CSS.escape(path)}"]`);
 const changing = (control, isFine = false) => {
   const path = control.dataset.path, value = valueOf(control, isFine);
   control.removeAttribute("data-empty");
+  if (control.dataset.full !== undefined) control.dataset.full = control.value;
   if (dragged === null || dragged.path !== path) {
     drag += 1;
     dragged = { path, before: studio.values[path], at: 0 };
