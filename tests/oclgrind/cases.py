@@ -412,6 +412,21 @@ def through_a_lens(scene: Scene) -> list[Array]:
     return [frame.color, frame.blur_radius]
 
 
+def tolerant_cases() -> Iterator[Case]:
+    """Hidden sources that a tolerance merges, from a radius on that keeps this short."""
+    camera = Camera(resolution=(4, 5), pixel_pitch=0.05, aperture_diameter=3.0)
+    card = Rectangle(size=(0.6, 9.0), center=(0.0, 0.0, 250.0))
+    scene = Scene(camera=camera, objects=(card, Plane(distance=2500.0)), psf=Psf(silhouette_samples=1))
+
+    def merged() -> list[Array]:
+        with patch("clsco.plan.approximation.MERGED_RADII", (1.8,)):
+            ((_, frame),) = render_sweep((scene,), device="oclgrind", truth=(), tolerance=1.0)
+        assert frame.metadata["approximation"]["merged"]
+        return [frame.color]
+
+    yield Case("merged", {}, merged)
+
+
 def fault_cases() -> Iterator[Case]:
     """Cases that faults are planted in: few work-items, of which some have nothing to do."""
     rng = np.random.default_rng(7)
@@ -434,5 +449,6 @@ def all_cases() -> Iterator[Case]:
     yield from fault_cases()
     yield from sensor_cases()
     yield from lens_cases()
+    yield from tolerant_cases()
     for cases in (image_cases, inpainting_cases, scene_cases):
         yield from islice(cases(), 0, None, EVERY)

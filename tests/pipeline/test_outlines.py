@@ -62,3 +62,20 @@ def test_light_beside_the_outline_of_a_cylinder(upright: bool, engine: Engine) -
         post = {"shape": "cylinder", "center": [*center, DISTANCE], "radius": radius, "axis": axis}
         found = light(post, 4, engine).sum(axis=1 if upright else 0)[MIDDLE]
         np.testing.assert_allclose(found, expected, atol=0.01)
+
+
+@pytest.mark.parametrize("engine", ["device", "reference"])
+def test_wires_hide_as_much_as_they_are_wide(engine: Engine) -> None:
+    """Also where the soft edges are wider than the wire."""
+    angle = 30.0
+    camera = {"resolution": [80, 12], "pixel_pitch": 0.4, "focal_length": 50.0, "f_number": 2.0, "focus_distance": 600.0}
+    wall = {"shape": "plane", "distance": 6000.0, "texture": "#ffffff"}
+    for radius in (0.2, 0.8):
+        axis = [math.sin(math.radians(angle)), math.cos(math.radians(angle)), 0.0]
+        wire = {"shape": "cylinder", "center": [0.3, 0.0, 245.0], "radius": radius, "axis": axis, "texture": "#000000"}
+        made = scene_from({"camera": camera}, wire, wall)
+        frame = (
+            next(iter(clsco.reference.render(made))) if engine == "reference" else clsco.render_frame(made, truth=())
+        )
+        width = 2.0 * radius / 245.0 / math.cos(math.radians(angle)) * 50.0 / 0.4
+        assert 80.0 * (1.0 - frame.color.mean(dtype=float)) == pytest.approx(width, rel=0.05)

@@ -206,18 +206,29 @@ def outline_slope(m: Slopes) -> Array:
     return np.sqrt(np.maximum(m.D_x * m.D_x + m.D_y * m.D_y - 4 * m.D * curve, 0.0))
 
 
+def strip_share(ratio: Array) -> Array:
+    """Addition to h, over twice the width of the edge, with which a strip hides as much as it is wide.
+
+    ratio (N,): curvature of h across the outline less that along it, times the width of the edge over the slope.
+    """
+    thin = np.minimum(ratio, 15.0)
+    return np.asarray(np.minimum(0.05 * thin, np.maximum(0.073 - 0.02 * thin, 0.03 - 0.0105 * thin)))
+
+
 def outline_of(e: Equation, m: Slopes, soft: Array, most: Array) -> Outline:
     """Outline of a surface with two crossings, or none: h over the width `soft` (N,) of the edge; most (N,): cells to
     the farthest tap."""
     under = np.sqrt(e.C * e.F)
-    h = np.where(e.B < 0.0, m.D / (under - e.B), -e.B - under)
     change = e.F * (np.hypot(m.C_x, m.C_y) + (np.abs(m.C_xx) + np.abs(m.C_xy) + np.abs(m.C_yy)) * most) * most
     reach = np.minimum(np.where(under > 0, change / under, np.inf), np.sqrt(change))
     reach = reach + np.hypot(m.B_x, m.B_y) * most
     # Slope of h = D / (sqrt(C F) - B) at the outline; where there is none, a thousandth of what the range allows, as on
     # devices, which could not hold more.
-    slope = outline_slope(m) / (2 * np.maximum(under, TINY))
-    scale = 1 / (2 * soft * np.maximum(slope, np.maximum(1e-3 * reach / most, TINY)))
+    slope = np.maximum(outline_slope(m) / (2 * np.maximum(under, TINY)), np.maximum(1e-3 * reach / most, TINY))
+    scale = 1 / (2 * soft * slope)
+    x, y = m.C_x / (2 * e.C), m.C_y / (2 * e.C)  # and, over C, second derivatives of the root
+    bent = under * np.hypot((m.C_xx - m.C_yy) / e.C - (x * x - y * y), m.C_xy / e.C - 2 * x * y)
+    h = np.where(e.B < 0.0, m.D / (under - e.B), -e.B - under) + strip_share(bent * soft / slope) / scale
     area = scale * scale * e.F
     return Outline(
         h=np.stack([h * scale, -m.B_x * scale, -m.B_y * scale], axis=-1),
