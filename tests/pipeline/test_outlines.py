@@ -68,7 +68,8 @@ def test_light_beside_the_outline_of_a_cylinder(upright: bool, engine: Engine) -
 def test_wires_hide_as_much_as_they_are_wide(engine: Engine) -> None:
     """Also where the soft edges are wider than the wire."""
     angle = 30.0
-    camera = {"resolution": [80, 12], "pixel_pitch": 0.4, "focal_length": 50.0, "f_number": 2.0, "focus_distance": 600.0}
+    camera = {"resolution": [80, 12], "pixel_pitch": 0.4, "f_number": 2.0, "focal_length": 50.0}
+    camera |= {"focus_distance": 600.0}
     wall = {"shape": "plane", "distance": 6000.0, "texture": "#ffffff"}
     for radius in (0.2, 0.8):
         axis = [math.sin(math.radians(angle)), math.cos(math.radians(angle)), 0.0]
