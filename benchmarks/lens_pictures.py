@@ -58,7 +58,7 @@ EFFECTS = (
     Effect("wave", {"psf": WAVES}),
     Effect("coma", {"psf": WAVES | {"zernike": {"3,1": 1.0}}}, (FAR, FOCUS, NEAR)),
     Effect("astigmatism", {"psf": WAVES | {"zernike": {"2,2": 1.5}}}, (FAR, FOCUS, NEAR)),
-    Effect("field", {"psf": WAVES | {"seidel": {"W131": 1.0}}}, (FOCUS,)),
+    Effect("field", {"camera": {"f_number": 5.6}, "psf": WAVES | {"seidel": {"W131": 1.0}}}, (FOCUS,)),
     Effect("spherical", {"psf": WAVES | {"seidel": {"W040": 5.0}}}, (FAR, FOCUS, NEAR)),
 )
 
