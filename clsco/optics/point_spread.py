@@ -71,6 +71,8 @@ class PointSpread:
         Circles that cut light from some directions besides: of what the weights spread.
     varying : SeidelField, optional
         Changes of the wavefront over the frame; the pupil is then that on the axis.
+    stretched : float
+        Part of R by which the rims of ellipses reach beyond those of discs, in a distorted image; 0 for discs alone.
 
     Examples
     --------
@@ -88,6 +90,7 @@ class PointSpread:
     alignment: int = 0
     rims: tuple[Rim, ...] = field(default=(), repr=False)
     varying: SeidelField | None = None
+    stretched: float = 0.0
 
     @cached_property
     def layout(self) -> Layout:
@@ -178,7 +181,7 @@ class PointSpread:
 
     def reaches(self, radii: Array, subpixel: bool = False) -> NDArray[np.int64]:
         """`reach` of each of several radii."""
-        extent = radii * self.extent + self.pupil.margin
+        extent = radii * (1.0 + self.stretched) * self.extent + self.pupil.margin
         if self.sampled and not subpixel:
             found = np.where(radii >= MINIMUM_BLUR, np.floor(extent), 0.0)
         else:

@@ -79,7 +79,7 @@ def psf_features(psf: PointSpread) -> dict[str, int]:
     layouts = {name.upper(): int(psf.layout == name) for name in ("disc", "separable", "general")}
     found = layouts | {"SAMPLED": int(psf.sampled), "EDGES": len(psf.pupil.edges)}
     found |= {"RIMS": len(psf.rims), "WAVES": int(psf.diffracted), "RING": int(psf.pupil.hollow)}
-    return found | {"FIELD": int(psf.varying is not None)}
+    return found | {"FIELD": int(psf.varying is not None), "ELLIPSES": int(psf.stretched > 0.0)}
 
 
 @lru_cache(maxsize=256)

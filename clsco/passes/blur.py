@@ -192,6 +192,8 @@ class Sources:
         |R| of all sources in px, for "convolve" only.
     label : Buffer, optional
         Labels of the hits, where rays were cast.
+    bends : Buffer, optional
+        Plane of `clsco.passes.bend.Bends`, where ellipses are made.
     """
 
     source: cl.Buffer | None
@@ -206,6 +208,7 @@ class Sources:
     sub_depth: cl.Buffer | None = None
     radius: float = 0.0
     label: cl.Buffer | None = None
+    bends: cl.Buffer | None = None
 
 
 def prepare_sources(
@@ -357,13 +360,14 @@ class TableBlur(BlurredPlane):
         tail: tuple[object, ...] = ()
         if self.spec.subpixels:
             tail = (sources.sub_source, sources.sub_value, np.int32(sources.capacity), *self.tables[1])
+        bends = (sources.bends,) if self.spec.psf.stretched else ()
         if self.spec.border == "renormalize":
             size = int(self.grid["columns"]), int(self.grid["height"])
-            self.target.run("renormalize", size, PIXELS, events, *head, *tail)
+            self.target.run("renormalize", size, PIXELS, events, *head, *tail, *bends)
         if sources.group is not None:
             tail += (sources.lens, sources.surfaces, sources.group, self.lens_cells, sources.depth)
             tail += (sources.sub_depth,) if self.spec.subpixels else ()
-        self.spread(head, tail, events)
+        self.spread(head, (*tail, *bends), events)
 
     @abstractmethod
     def spread(self, head: tuple[object, ...], tail: tuple[object, ...], events: Events) -> None:

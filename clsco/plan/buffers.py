@@ -86,14 +86,21 @@ def bands_at_a_time(rows: int, cores: int) -> int:
 
 
 def band_scratch(psf: PointSpread, fp64: bool) -> Scratch:
-    """Kind of scratch that `gather` keeps for each band of a frame: whole rows of sampled discs, columns of others."""
+    """Kind of scratch that `gather` keeps for each band of a frame: whole rows of sampled discs, none for ellipses,
+    columns of others."""
+    if psf.stretched:
+        return "none"
     found: dict[str, Scratch] = {"disc": "rows", "general": "columns" if psf.has_runs else "none"}
     return found.get(psf.layout, "columns") if fp64 or psf.layout not in found else "none"
 
 
 def has_spans(spec: BlurSpec, fp64: bool) -> bool:
     """True if `gather` keeps ends of runs of wide sources that are hidden in part (kernels/blur/cpu/spans.clh)."""
-    return spec.method == "gather" and bool(spec.occluders) and spec.psf.uniform and fp64 and _in_parts(spec.reach)
+    return spec.method == "gather" and bool(spec.occluders) and _is_uniform(spec) and fp64 and _in_parts(spec.reach)
+
+
+def _is_uniform(spec: BlurSpec) -> bool:
+    return spec.psf.uniform and not spec.psf.stretched
 
 
 def _in_parts(reach: int) -> bool:

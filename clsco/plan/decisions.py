@@ -145,7 +145,8 @@ def choose(
     alike = constant and silhouettes.left_out and can_convolve(psf, scene.psf.border)
     if psf.rims and (occlusion.value == "layered" or not rays.value):
         raise SceneError(f"aperture.rim: {NEEDS_SURFACES}; got {occlusion.value if rays.value else 'depth maps'}")
-    occluded, few_taps = occlusion.value == "visibility" or bool(psf.rims), has_few_taps(device, seen.largest, channels)
+    occluded = occlusion.value == "visibility" or bool(psf.rims) or psf.stretched > 0.0
+    few_taps = has_few_taps(device, seen.largest, channels)
     blur = choose_blur(request.method, sharp, alike, device.kind == "gpu", occluded, few_taps)
     if blur.left_out:
         aperture = OPENING_KEYS if seen.largest <= 0.5 else ()  # where any keeps all light in its pixel

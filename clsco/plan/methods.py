@@ -136,7 +136,7 @@ def choose_blur(
     gpu : bool
         The device is a GPU.
     occluded : bool
-        Something may stand in the way of a source.
+        Something may stand in the way of a source, or its blur is an ellipse.
     few_taps : bool
         `has_few_taps`.
 
@@ -156,14 +156,14 @@ def choose_blur(
         raise SceneError('method: convolve needs one blur radius for all pixels and border = "lose"; got many radii')
     if method == "tiles" and occluded:
         rule = "needs sources with nothing in their way"
-        raise SceneError(f"method: tiles {rule}; got objects that hide each other, or rims of the lens")
+        raise SceneError(f"method: tiles {rule}; got objects that hide each other, rims of the lens, or ellipses")
     found: Blur = "convolve" if constant else "tiles" if gpu else "gather"
     if method in MANY_RADII:
         found = method
     elif sharp:
         found = "none"
     elif found == "tiles" and occluded:
-        return Choice("scatter", f"{HOW['scatter']}, as tiles do not test what is in the way")
+        return Choice("scatter", f"{HOW['scatter']}, as tiles test no occluders and make no ellipses")
     elif found == "tiles" and few_taps:
         return Choice("scatter", f"{HOW['scatter']}, as taps are few")
     return Choice(found, HOW[found])

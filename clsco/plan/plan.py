@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from clsco.constants import BAND, MERGED_SIDE, TAP_LANES
 from clsco.frame.frame import SENSOR_NAMES
 from clsco.frame.strips import Grid, Strip, part
-from clsco.inputs.pupils import scene_point_spread
 from clsco.optics.exposure import frame_exposure, subframes_of
 from clsco.optics.lens_path import lens_at
 from clsco.optics.motion import Eye
@@ -45,6 +44,7 @@ from clsco.plan.buffers import (
 from clsco.plan.colors import color_passes
 from clsco.plan.decisions import Choices, choose
 from clsco.plan.device import DeviceFacts, ThisMachine
+from clsco.plan.ellipses import elliptic_spread
 from clsco.plan.features import curvature_of, shape_features
 from clsco.plan.image import blur_passes, light_of, named, strips_of
 from clsco.plan.methods import MANY_RADII, Blur, BlurSpec, check_shape, occluder_room
@@ -260,7 +260,7 @@ class Plan:
         return BlurSpec(
             self.psf, self.blur, self.smallest_blur, self.largest_blur, self.silhouettes, self.tilt,
             occluders=room, limited=room > 0 and self._shapes["NAPPE"] > 0, border=self.scene.psf.border,
-            layered=self.occlusion == "layered", curved=curvature_of(self.scene) if room else 0,
+            layered=self.occlusion == "layered", curved=curvature_of(self.scene) if room or self.psf.stretched else 0,
             merged=self.merged,
         )  # fmt: skip
 
@@ -336,7 +336,7 @@ class Plan:
             "SUBPIXELS": self.silhouettes,
             "CURVED": curvature_of(scene),
             "MERGED": int(spec.merged > 0.0),
-            **{name: psf[name] for name in ("SAMPLED", "GENERAL", "EDGES", "RIMS", "WAVES")},
+            **{name: psf[name] for name in ("SAMPLED", "GENERAL", "EDGES", "RIMS", "WAVES", "ELLIPSES")},
         }
 
     @cached_property
@@ -383,7 +383,7 @@ def make_plan(
         The scene has no resolution, the blur radius passes LARGEST_BLUR, or the method cannot do the scene.
     """
     columns, rows = scene.camera.frame_size
-    wanted, device, psf = request or Request(), device or ThisMachine(), psf or scene_point_spread(scene)
+    wanted, device, psf = request or Request(), device or ThisMachine(), elliptic_spread(scene, psf, eye)
     maps = maps or (None,) * len(scene.objects)
     spreads = spreads_of_colors(psf, scene.psf, scene.camera) if _is_apart(scene, psf, channels) else ()
     psf = max(spreads, key=lambda each: each.pupil.margin, default=psf)

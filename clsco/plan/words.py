@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from clsco.optics.distortion import distortion_of
-from clsco.optics.lens_path import reference_camera
-from clsco.optics.rays import ray_slopes
 from clsco.plan.decisions import Choices
+from clsco.plan.ellipses import ellipticity_of
 from clsco.plan.methods import BlurSpec
 from clsco.plan.passes import Parameters
 from clsco.plan.waves import wave_words
 from clsco.scene.model import Scene
-
-PLACES = 33  # along each axis of the frame, at which distortion is looked at
 
 
 def shapes_of(scene: Scene) -> str:
@@ -38,14 +32,10 @@ def of_pixels(scene: Scene, choices: Choices, colors: int, alpha: bool) -> Param
 
 
 def of_distortion(scene: Scene) -> Parameters:
-    """Words of a distorted image, none without one: how far discs are from the ellipses that they stand for."""
-    camera = reference_camera(scene)
-    if (distortion := distortion_of(camera)) is None:
-        return ()
-    columns, rows = camera.frame_size
-    x, y = ray_slopes(camera, np.linspace(0.0, rows - 1.0, PLACES)[:, None], np.linspace(0.0, columns - 1.0, PLACES))
-    off = 100.0 * float(distortion.ellipticity(x, y).max())
-    return (("distortion", f"discs of the area of ellipses, whose rims are up to {off:.2g} % of R elsewhere"),)
+    """Words of a distorted image, none without one: how far ellipses are from discs."""
+    off = 100.0 * ellipticity_of(scene)
+    words = f"blur of ellipses, whose rims are up to {off:.2g} % of R off those of discs of the same area"
+    return (("distortion", words),) if scene.lens is not None and scene.lens.distorts else ()
 
 
 def of_frame(choices: Choices, colors: int, alpha: bool) -> Parameters:
@@ -64,6 +54,8 @@ def of_blur(spec: BlurSpec, choices: Choices, groups: int) -> Parameters:
         ("method", f"{spec.method}: {choices.blur.reason}"),
     ]
     found += wave_words(spec.psf, spec.smallest, spec.largest, spec.subpixels)
+    if spec.psf.stretched:
+        found.append(("ellipses", "discs of the same area where something is in the way, and beside silhouettes"))
     if spec.tilt:
         found.append(("tilt", "weights by the gradient of the blur radius"))
     if choices.renormalize.value:

@@ -66,7 +66,7 @@ static void scatter_source(const grid_t grid, spread_t spread, float4 source, fl
 __kernel void scatter(const grid_t grid, const psf_t psf, __global const float *source,
                       __global const float *value, __global const int2 *intervals,
                       __global const float *coefficients, const float scale, __global fixed_t *sums
-                      SUBPIXEL_ARGUMENTS OCCLUSION_ARGUMENTS)
+                      SUBPIXEL_ARGUMENTS OCCLUSION_ARGUMENTS OF_ELLIPSES)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)
@@ -100,8 +100,8 @@ __kernel void scatter(const grid_t grid, const psf_t psf, __global const float *
 #endif
     if (s.x < 0)
         return;
-    const spread_t spread =
-        pixel_spread(psf, intervals, coefficients, s.x PLACE_VALUES(grid.top + row, column));
+    const spread_t spread = SHAPED(
+        pixel_spread(psf, intervals, coefficients, s.x PLACE_VALUES(grid.top + row, column)), psf, s, at);
 #if OCCLUDED
     visibility_t seen;
     const visibility_t *visibility = IS_PARTLY(as_int(s.w)) ? &seen : 0;
@@ -148,7 +148,7 @@ __kernel void renormalize(const grid_t grid, const psf_t psf, __global const flo
                           , __global const float4 *sub_source, __global float *sub_value, const int capacity,
                           __global const int2 *sub_intervals, __global const float *sub_coefficients
 #endif
-)
+                          OF_ELLIPSES)
 {
     const int column = get_global_id(0), y = get_global_id(1), row = FRAME_ROW(grid, y);
     if (column >= grid.columns || y >= grid.height)
@@ -174,8 +174,9 @@ __kernel void renormalize(const grid_t grid, const psf_t psf, __global const flo
 #endif
     if (s.x < 0)
         return;
-    const float share = share_inside(
-        grid, pixel_spread(psf, intervals, coefficients, s.x PLACE_VALUES(row, column)), s, row, column);
+    const spread_t spread =
+        SHAPED(pixel_spread(psf, intervals, coefficients, s.x PLACE_VALUES(row, column)), psf, s, at);
+    const float share = share_inside(grid, spread, s, row, column);
     for (int k = 0; k < CHANNELS && share > 0; ++k)
         value[k * plane + at] /= share;
 }

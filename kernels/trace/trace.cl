@@ -56,6 +56,12 @@ static float4 source_record(const grid_t grid, lens_t lens, __constant surface_t
     note_radius(statistics, spread);
     record.x = table_coordinate(psf, spread, subpixel);
     record.yz = tilt;
+#if ELLIPSES && TILT
+    if (!subpixel && as_int(record.w) == WHOLE) {
+        const float share = (float)MIN(MAX(ABS(spread) - 1, (real)0), (real)1);
+        record.yz += share * (float2)((float)(grid.step * bend.widening.x), (float)(-grid.step * bend.widening.y));
+    }
+#endif
     return record;
 }
 

@@ -56,6 +56,10 @@ WITHOUT_TWIN = {
         ("pixel_spread", "subpixel_spread", "rim_of", "tap", "source_visibility"),
         "reads tables, in whose place the reference has the closed forms",
     )
+    | dict.fromkeys(
+        ("elliptic_spread", "below", "ellipse_margin", "rim_weight", "ellipse_weight", "with_ellipse"),
+        "clsco.optics.ellipses",
+    )
     | dict.fromkeys(("source_width", "light_of"), "of merged sources, as merge.cl")
     | {"find_cell": "SeidelField.blend, which the reference calls"},
     "vectors": dict.fromkeys(("weights", "sums_of", "any_of"), "lanes of a vector"),

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clsco.optics.ellipses import DISC, ellipse_share, ellipse_weights
 from clsco.optics.point_spread import PointSpread, subpixel_offsets
 from clsco.plan.methods import BlurSpec
 from clsco.reference.common.geometry import Array, tilt_slope
@@ -130,13 +131,18 @@ def _shares(
     blocks = [at[start : start + BLOCK] for start in range(0, at.size, BLOCK)]
     reaches = [spec.psf.reach(float(size[block[-1]])) for block in blocks]
     groups = [] if sources.visibility is None else _alike(sources.visibility)
-    alone = spec.psf.signed
+    shape_at = None if sources.shape is None else sources.shape.reshape(-1, 3)
+    alone = spec.psf.signed or shape_at is not None
+    if shape_at is not None and sources.widening is not None:
+        slope = slope + (_ellipse_part(size, shape_at) * sources.widening.reshape(-1, 2).T).T
     for right, down, offsets in _alike_offsets(max(reaches, default=-1), alone):
         weight = np.zeros(there.size)
         for block, far in zip(blocks, reaches, strict=True):
             if far >= max(abs(right), abs(down)):
                 offset = np.asarray(float(right)), np.asarray(float(down))
                 weight[block] = place_weights(spec.psf, *offset, signed[block], place[:, block])
+                if shape_at is not None:
+                    weight[block] = _of_ellipses(*offset, size[block], shape_at[block], weight[block])
         lit = np.flatnonzero(weight)
         for dx, dy in sorted(offsets):
             y, x = row[lit] + dy, column[lit] + dx
@@ -153,6 +159,17 @@ def _shares(
                 if found.any():
                     share[at_source[found]] *= tap_share(visibility, cells, dx, dy)[found]
             yield source, target, share
+
+
+def _of_ellipses(dx: Array, dy: Array, size: Array, shape: Array, weight: Array) -> Array:
+    """Weights of sources with these ellipses, as far as these are ones, from their weights as discs."""
+    ellipse = ellipse_weights(dx, dy, np.maximum(size, 1.0), shape)
+    return np.asarray(weight + _ellipse_part(size, shape) * (ellipse - weight))
+
+
+def _ellipse_part(size: Array, shape: Array) -> Array:
+    """`ellipse_share`, 0 of sources whose blur stays a disc."""
+    return np.where((shape == DISC).all(axis=-1), 0.0, ellipse_share(size))
 
 
 def _subpixel_shares(

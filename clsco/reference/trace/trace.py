@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.inputs.pupils import scene_point_spread
-from clsco.optics.lens import Lens
+from clsco.optics.ellipses import DISC, shape_of
+from clsco.optics.lens import Lens, ray_step
 from clsco.optics.lens_path import camera_at, colored, lens_at, lenses_at, reference_camera
 from clsco.optics.light import PlacedLight, place_light
 from clsco.optics.motion import Eye, poses_at
@@ -54,7 +55,8 @@ class Sources:
     which object, and where two surfaces meet; radius (H, W) signed blur radius in px; gradient (H, W, 2) of the
     radius, px per px, right and down; lit (H, W): some of its radiance reaches the lens; visibility:
     its occluders, None for none at all; parts (H, W): per axis into which its texture cuts its pixel, 0 none; share
-    (H, W): of the difference to its neighbors that its texture takes, see `sharpen`.
+    (H, W): of the difference to its neighbors that its texture takes, see `sharpen`; shape (H, W, 3): of the ellipses
+    that the blur is, None for discs; widening (H, W, 2): relative change of their size per px, right and down.
     """
 
     radiance: Array
@@ -66,6 +68,8 @@ class Sources:
     visibility: Visibility | None = None
     parts: NDArray[np.intp] | None = None
     share: Array | None = None
+    shape: Array | None = None
+    widening: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,7 +273,24 @@ def trace(view: View, group: OcclusionGroup, guard: int) -> Sources:
         visibility,
         np.where(lit, hit.parts, 0),
         np.where(lit, hit.share, 0.0),
+        *_ellipses(view, row, column, None if visibility is None else visibility.row),
     )
+
+
+def _ellipses(
+    view: View, row: NDArray[np.int64], column: NDArray[np.int64], partly: NDArray[np.int64] | None
+) -> tuple[Array | None, Array | None]:
+    """Shape (H, W, 3) and widening (H, W, 2) of blur on the rays through pixels, where ellipses are made; partly: 0 or
+    more of what is hidden in part, which has discs."""
+    distortion = view.lens.distortion
+    if not view.psf.stretched or distortion is None:
+        return None, None
+    rays = pixel_ray(view.scene.camera, row, column)
+    x, y = rays[..., 0], rays[..., 1]
+    shape, (right, up) = shape_of(distortion, x, y), distortion.solved(x, y, *distortion.stretch_slope(x, y))
+    if partly is not None:
+        shape[partly.reshape(x.shape) >= 0] = DISC
+    return shape, ray_step(view.scene.camera) * np.stack([right, -up], axis=-1)
 
 
 def spread_sources(sources: Sources) -> Sources:

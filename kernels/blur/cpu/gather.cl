@@ -46,6 +46,46 @@ INLINE void add_rows(spread_t s, int up, int down, float v, float4 source, __glo
     }
 }
 
+#if ELLIPSES
+// The same of an ellipse, with all channels, `planes` apart in `out`. light: of them.
+INLINE void add_ellipse_rows(spread_t s, int up, int down, const float *light, float4 source, __global float *out,
+                             int planes, int pitch)
+{
+    const float8 lane = (float8)(0, 1, 2, 3, 4, 5, 6, 7);
+    const float margin = ellipse_margin(s), around = s.size + margin, inside = MAX(s.size - margin, 0.0f);
+    const float over = 1 / s.shape.x;
+    const bool apart = s.part >= 1;  // from the disc
+    for (int dy = -up; dy <= down; ++dy) {
+        int from = 0, to = s.lanes, first = s.lanes, last = 0;  // taps that may have a weight, and those of equal weight
+        if (apart) {
+            const float middle = s.half_width - s.shape.y * dy * over, square = (float)(dy * dy);
+            const float outer = s.shape.x * around * around - square, inner = s.shape.x * inside * inside - square;
+            const float reach = sqrt(MAX(outer, 0.0f)) * over, run = sqrt(MAX(inner, 0.0f)) * over;
+            from = MAX((int)(middle - reach), 0);
+            to = outer > 0 ? MIN((int)(middle + reach) + 1, 2 * s.half_width + 1) : 0;
+            first = inner > 0 ? (int)(middle - run) + 1 : first;
+            last = inner > 0 ? (int)(middle + run) : last;
+        }
+        for (int b = from; b < to; b += TAP_LANES) {
+            const float8 x = lane + (b - s.half_width), y = (float)dy;
+            float8 w;
+            if (!apart)
+                w = with_ellipse(s, weights(s, dy, b), x, dy);
+            else if (b >= first && b + TAP_LANES - 1 <= last)
+                w = 1 / (M_PI_F * s.size * s.size);
+            else
+                w = rim_weight(s, x, y);
+#if TILT
+            const float8 factor = tilts(s, source, x, dy);
+            w *= factor > 0 ? factor : (float8)0;
+#endif
+            for (int k = 0; k < CHANNELS; ++k)
+                ADD_TAPS(out + k * planes + dy * pitch + b, w * light[k]);
+        }
+    }
+}
+#endif
+
 #if OCCLUDED
 // Share of the lens that is free as seen from TAP_LANES taps of a row, the first one `first` px right of the source.
 INLINE float8 free_taps(const visibility_t *visibility, spread_t s, int first, int dy)
@@ -133,7 +173,8 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
 #if SPANS
                                __global double *ends,
 #endif
-                               int pitch, int pad, __global float *total SUBPIXEL_ARGUMENTS OCCLUSION_ARGUMENTS)
+                               int pitch, int pad, __global float *total SUBPIXEL_ARGUMENTS OCCLUSION_ARGUMENTS
+                               OF_ELLIPSES)
 {
     const bool cut = budget.x > 0;
     const int plane = grid.width * grid.height, total_plane = grid.rows * pitch;
@@ -201,8 +242,8 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
 #endif
         if (s.x < 0)
             continue;
-        const spread_t spread =
-            pixel_spread(psf, intervals, coefficients, s.x PLACE_VALUES(grid.top + y, x - grid.guard));
+        const spread_t spread = SHAPED(
+            pixel_spread(psf, intervals, coefficients, s.x PLACE_VALUES(grid.top + y, x - grid.guard)), psf, s, at);
         const int half_width = spread.half_width;
         const int up = MIN(half_width, y - first), down = MIN(half_width, end - 1 - y);
         const int vectors = MAX(up + down + 1, 0) * (spread.lanes / TAP_LANES);
@@ -220,8 +261,15 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
             continue;
         }
 #endif
+#if ELLIPSES
+        float own[CHANNELS];
+        for (int k = 0; k < CHANNELS; ++k)
+            own[k] = value[k * plane + at];
+        add_ellipse_rows(spread, up, down, own, s, out - half_width, apart, pitch);
+#else
         for (int k = 0; k < CHANNELS; ++k)
             add_rows(spread, up, down, value[k * plane + at], s, out + k * apart - half_width, pitch);
+#endif
     }
     }
     if (part_rows && added && ((y + 1 - from) % part_rows == 0 || y + 1 == to)) {
@@ -255,7 +303,7 @@ __kernel void gather(const grid_t grid, const psf_t psf, __global const float *s
                      __global double *ends,
 #endif
                      const int pitch, const int pad,
-                     __global float *total SUBPIXEL_ARGUMENTS OCCLUSION_ARGUMENTS)
+                     __global float *total SUBPIXEL_ARGUMENTS OCCLUSION_ARGUMENTS OF_ELLIPSES)
 {
     const int own = get_global_id(0), first = (start + own) * BAND;
     if (first >= grid.rows)
@@ -288,7 +336,7 @@ __kernel void gather(const grid_t grid, const psf_t psf, __global const float *s
 #if SPANS
                                   ends + (long)own * BAND * (grid.columns + 1) * END_PLANES,
 #endif
-                                  pitch, pad, total SUBPIXEL_VALUES OCCLUSION_VALUES);
+                                  pitch, pad, total SUBPIXEL_VALUES OCCLUSION_VALUES ELLIPSE_VALUES);
     if (cut)
         position[own] = walked == DONE ? DONE : steps + walked;
 }

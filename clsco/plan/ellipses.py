@@ -1,0 +1,42 @@
+"""Choice of ellipses or discs for the blur of a distorted image."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from clsco.inputs.pupils import scene_point_spread
+from clsco.optics.distortion import distortion_of
+from clsco.optics.lens_path import reference_camera
+from clsco.optics.motion import Eye
+from clsco.optics.point_spread import PointSpread
+from clsco.optics.pupils.circle import Circle
+from clsco.optics.rays import ray_slopes
+from clsco.plan.predict import is_forward
+from clsco.scene.model import Scene
+
+PLACES = 33  # along each axis of the frame
+ROUND = 0.01  # of R: rims of discs that are nearer to those of ellipses stay
+BEYOND = 1.1  # times as much is planned for, for what is between places and in the guard band
+
+
+def elliptic_spread(scene: Scene, psf: PointSpread | None, eye: Eye) -> PointSpread:
+    """The point spread of a scene, by default its own: where the image is distorted with room for ellipses, as far as
+    they can be made. eye: that the scene is seen from."""
+    psf = psf or scene_point_spread(scene)
+    off = ellipticity_of(scene)
+    plain = type(psf.pupil) is Circle and psf.edge == "integrated" and not psf.rims
+    by_rays = scene.is_analytic and scene.psf.occlusion != "layered" and not is_forward(scene, eye)
+    return replace(psf, stretched=BEYOND * off) if plain and by_rays and off > ROUND else psf
+
+
+def ellipticity_of(scene: Scene) -> float:
+    """Largest distance over the frame between the rims of ellipses and of the discs of their areas, over R; 0 without
+    distortion."""
+    camera = reference_camera(scene)
+    if (distortion := distortion_of(camera)) is None:
+        return 0.0
+    columns, rows = camera.frame_size
+    x, y = ray_slopes(camera, np.linspace(0.0, rows - 1.0, PLACES)[:, None], np.linspace(0.0, columns - 1.0, PLACES))
+    return float(distortion.ellipticity(x, y).max())

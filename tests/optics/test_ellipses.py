@@ -1,0 +1,54 @@
+"""Weights of ellipses against their integral."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from clsco.optics.ellipses import DISC, ellipse_weights
+from clsco.optics.pupils.circle import Circle
+
+X = np.arange(-30.0, 31.0)
+
+
+def turned(ratio: float, angle: float) -> NDArray[np.float64]:
+    """Shape of an ellipse of the area of a unit disc, whose axes are `ratio` to 1."""
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    form = turn @ np.diag([1.0 / ratio, ratio]) @ turn.T
+    return np.array([form[0, 0], form[0, 1], form[1, 1]])
+
+
+@pytest.mark.parametrize(("radius", "limit"), [(2.0, 1e-3), (4.0, 4e-4), (10.0, 8e-5), (20.0, 4e-5)])
+def test_a_disc_has_the_weights_of_the_circle(radius: float, limit: float) -> None:
+    size: Any = np.asarray(radius)
+    found = ellipse_weights(X, X[:, None], size, np.array(DISC))
+    assert np.abs(found - Circle().share(X, X[:, None], size, tent=True)).sum() < limit
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.3, 0.8, 2.0])
+@pytest.mark.parametrize(("radius", "limit"), [(2.0, 1e-2), (4.0, 3e-3), (10.0, 2e-4), (20.0, 2e-5)])
+def test_second_moments(radius: float, limit: float, angle: float) -> None:
+    """Of the ellipse, and 1/6 of both pixels."""
+    shape = turned(1.3, angle)
+    found = ellipse_weights(X, X[:, None], np.asarray(radius), shape)
+    across = np.linalg.inv([[shape[0], shape[1]], [shape[1], shape[2]]]) * radius * radius / 4.0
+    moments = [(found * one).sum() for one in (X * X, X * X[:, None], (X * X)[:, None])]
+    assert found.sum() == pytest.approx(1.0, abs=0.2 * limit)
+    np.testing.assert_allclose(
+        moments, [across[0, 0] + 1 / 6, across[0, 1], across[1, 1] + 1 / 6], rtol=0, atol=limit * radius**2
+    )
+
+
+def test_against_the_integral() -> None:
+    """Points of the ellipse, each with the tent of both pixels."""
+    shape, radius = turned(1.25, 0.4), 6.0
+    at = (np.arange(2000) + 0.5) / 100.0 - 10.0
+    inside = shape[0] * at * at + 2.0 * shape[1] * at * at[:, None] + shape[2] * (at * at)[:, None] <= radius * radius
+    offset = np.arange(-9.0, 10.0)
+    tent = np.maximum(0.0, 1.0 - np.abs(at - offset[:, None]))
+    exact = tent @ inside @ tent.T / inside.sum()
+    found = ellipse_weights(offset, offset[:, None], np.asarray(radius), shape)
+    assert np.abs(found - exact).sum() < 5e-4
