@@ -9,7 +9,7 @@ from clsco.optics.distortion import Distortion
 
 Array = NDArray[np.float64]
 NODES = tuple(zip((0.5 - 0.15**0.5, 0.5, 0.5 + 0.15**0.5), (5.0 / 18.0, 8.0 / 18.0, 5.0 / 18.0), strict=True))
-"""Of Gauss and Legendre on 0 to 1, with their weights."""
+"""Gauss-Legendre nodes on 0 to 1, with their weights."""
 DISC = (1.0, 0.0, 1.0)
 """Shape of a disc, see `shape_of`."""
 ROUND, WHOLE = 1.0, 2.0  # px, R up to which blur is a disc, and from which on an ellipse

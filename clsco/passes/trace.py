@@ -182,8 +182,7 @@ class Tracer:
         hidden: dict[str, Any] = {}
         if plan.spec.occluders:
             hidden = {"lens": head[1], "surfaces": at.sample.surfaces, "group": head[3], "depth": depth}
-        ellipses = {"bends": bends[-1]} if plan.psf.stretched else {}
-        found = Sources(source, value, label=label, **hidden, **ellipses)
+        found = Sources(source, value, label=label, bends=bends[-1] if plan.psf.stretched else None, **hidden)
         return found if plan.silhouettes else self._merged(at, found)
 
     def _cast(self, at: Moment, planes: HitPlanes, window: Window, exposure: tuple[Any, ...]) -> None:

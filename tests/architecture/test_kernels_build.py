@@ -82,7 +82,7 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     ("blur/tiles.cl",): dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(("SAMPLED", "TILT", "DISC", "SEPARABLE"), ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 3)}
-    | dict.fromkeys(("RIMS", "RING", "ELLIPSES"), (0,))
+    | dict.fromkeys(("RIMS", "RING", "ELLIPSES", "GATHER"), (0,))
     | GENERAL,
     ("blur/accumulate.cl",): GEOMETRY | {"SCAN_COLUMNS": ON_OR_OFF},
     ("blur/vignetting.cl",): GEOMETRY,

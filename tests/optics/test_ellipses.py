@@ -31,7 +31,7 @@ def test_a_disc_has_the_weights_of_the_circle(radius: float, limit: float) -> No
 @pytest.mark.parametrize("angle", [0.0, 0.3, 0.8, 2.0])
 @pytest.mark.parametrize(("radius", "limit"), [(2.0, 1e-2), (4.0, 3e-3), (10.0, 2e-4), (20.0, 2e-5)])
 def test_second_moments(radius: float, limit: float, angle: float) -> None:
-    """Of the ellipse, and 1/6 of both pixels."""
+    """R^2/4 times the inverse of the shape, and 1/6 of both pixels."""
     shape = turned(1.3, angle)
     found = ellipse_weights(X, X[:, None], np.asarray(radius), shape)
     across = np.linalg.inv([[shape[0], shape[1]], [shape[1], shape[2]]]) * radius * radius / 4.0

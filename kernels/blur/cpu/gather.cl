@@ -56,7 +56,7 @@ INLINE void add_ellipse_rows(spread_t s, int up, int down, const float *light, f
     const float over = 1 / s.shape.x;
     const bool apart = s.part >= 1;  // from the disc
     for (int dy = -up; dy <= down; ++dy) {
-        int from = 0, to = s.lanes, first = s.lanes, last = 0;  // taps that may have a weight, and those of equal weight
+        int from = 0, to = s.lanes, first = s.lanes, last = 0;  // taps that may have weights, and those of one weight
         if (apart) {
             const float middle = s.half_width - s.shape.y * dy * over, square = (float)(dy * dy);
             const float outer = s.shape.x * around * around - square, inner = s.shape.x * inside * inside - square;
