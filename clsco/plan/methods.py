@@ -163,7 +163,7 @@ def choose_blur(
     elif sharp:
         found = "none"
     elif found == "tiles" and occluded:
-        return Choice("scatter", f"{HOW['scatter']}, as tiles test no occluders and make no ellipses")
+        return Choice("scatter", f"{HOW['scatter']}, as tiles do not test what is in the way")
     elif found == "tiles" and few_taps:
         return Choice("scatter", f"{HOW['scatter']}, as taps are few")
     return Choice(found, HOW[found])

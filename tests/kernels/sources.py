@@ -215,6 +215,7 @@ def renormalized(session: Session, given: Light, method: Blur) -> spread.Sources
     names = ("intervals", "coefficients", "sub_intervals", "sub_coefficients")
     tables = dict(zip(names, (*owner.tables[0], *owner.tables[1]), strict=True))
     planes = {"grid": given.grid(), "psf": owner.struct, **vars(sources), **tables}
+    del planes["bends"]  # of ellipses alone
     run(session, owner.target.program, "renormalize", given.shape[::-1], PIXELS, **planes)
     return sources
 
