@@ -47,9 +47,7 @@ REPETITIONS, LONG = 5, 1.0  # s
 FRAMES = 30  # of a drag
 # Sections of scenes, beside the lenses of `benchmarks.speed.lenses`.
 SEEN: dict[str, dict[str, Any]] = {
-    "waves": {"psf": {"model": "wave"}},
     "longitudinal color": {"lens": {"axial": [0.01, 0.0, -0.01]}},
-    "curved field": {"lens": {"field_curvature": -0.001, "focus_surface": "sphere"}},
     "sensor": {"sensor": {"white_electrons": 20000.0, "read_noise": 3.0, "bits": 12}},
 }
 EXAMPLES = ("lens_fast_prime", "lens_heart", "star_field", "night", "chromatic_ruler", "rolling_train", "dolly_zoom")

@@ -38,6 +38,8 @@ from clsco.plan.request import Request
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 COLOR = {"object.0.texture": "#c86432"}
 ONCE = {"sequence.samples": 1}
+RIMS = {"aperture.rim": [{"distance": 30.0, "diameter": 12.0}, {"distance": -6.0, "diameter": 12.0}]}
+WAVES = {"psf.model": "wave"}
 FACTOR, SMALL = 2.0, 0.01  # s, of which a prediction may be off in any case
 LONG = 2.0  # s, of frames that are measured once after the first, which may compile
 STEPS, ROUNDS, TINY = 3000, 12, 1e-300  # of the fit
@@ -60,7 +62,11 @@ OF_EXAMPLES: tuple[tuple[str, Keys], ...] = (
     ("plane_tilted", {"camera.f_number": 0.15}),
     ("plane_tilted", {"psf.model": "gaussian", "camera.f_number": 1}),
     ("plane_tilted", {"psf.edge": "sampled", "camera.f_number": 0.25}),
-    ("plane_tilted", {"aperture.shape": "polygon", "camera.f_number": 1}), ("road", {}),
+    ("plane_tilted", {"aperture.shape": "polygon", "camera.f_number": 1}),
+    ("plane_tilted", RIMS | {"camera.f_number": 1}), ("occlusion_three", RIMS),
+    ("plane_tilted", RIMS | {"aperture.shape": "polygon", "camera.f_number": 1}),
+    ("plane_tilted", WAVES | {"camera.f_number": 1}), ("occlusion_three", WAVES),
+    ("plane_tilted", WAVES | {"aperture.shape": "polygon", "camera.f_number": 1}), ("road", {}),
     ("sphere", COLOR | {"camera.f_number": 0.5}), ("sphere", {"sensor": {}}),
     ("sphere_turning", {"sequence.samples": 3}), ("stereo", {}),
     ("thesis_pipeline", {}), ("thesis_pipeline", {"sequence.samples": 25}), ("tube", {}),
@@ -96,7 +102,8 @@ def scenes(width: int) -> Iterable[tuple[str, Scene]]:
         scene = load_sweep(EXAMPLES / f"{name}.toml").scenes[0]
         for key, value in keys.items():
             scene = scene.replace(key, value)
-        yield " ".join([name, *(f"{key}={value}" for key, value in keys.items())]), scene
+        told = (f"{key}={value}" if isinstance(value, str | float | int) else key for key, value in keys.items())
+        yield " ".join([name, *told]), scene
     for name, motion in product(photographic.SCENES, ("still", "moving")):
         yield f"photographic {name} {motion}", scene_of(photographic.wanted(name, motion, "visibility", width))
 
