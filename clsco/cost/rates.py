@@ -34,6 +34,8 @@ RATES: dict[str, float] = {
     "shape taps": 1.7e-10,
     "sub-pixel source": 1.6e-08,
     "sub-pixel taps": 2.5e-09,
+    "rim row": 1.2e-08,
+    "rim taps": 6e-10,
     "hidden source": 7.5e-07,
     "edge row": 8e-09,
     "cut edge row": 8.5e-08,
@@ -49,8 +51,7 @@ RATES: dict[str, float] = {
     "reference pose": 8.2e-08,
 }
 """Operation -> seconds: rays and what they meet, sub-pixel rays, the forward warp, taps in vectors of 8 and rows of
-them by layout of weights (`PointSpread.layout`; "shape" of general ones without waves), what tests what hides a source,
-and what is done per pixel."""
+them by layout of weights (`PointSpread.layout`; "shape" of general ones without waves), what rims alone cut, what tests what hides a source, and what is done per pixel."""
 
 CORE_SECONDS = 0.000143
 """Seconds of `clsco.cost.predict.core_seconds` on the core that the rates are of."""

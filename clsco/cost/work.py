@@ -42,6 +42,7 @@ from clsco.reference.common.visibility import (
     Points,
     division_of,
     meet_occluder,
+    meet_rims,
     out_of_the_way,
 )
 from clsco.reference.trace.footprint import parts_of
@@ -142,7 +143,8 @@ class Hits:
 
     number: object, -1 for none; label: with the sides of other surfaces, as `trace` has it; radius: signed, px; state:
     CLEAR, PARTLY or HIDDEN; tests, cuts: occluders that are looked at, and those of them that are curved and bounded;
-    edges: occluders that are tested for taps, and `cut_edges` those of them that are curved and bounded.
+    edges: occluders that are tested for taps, and `cut_edges` those of them that are curved and bounded; rims: those of
+    the lens that cut the light.
     """
 
     rays: Array
@@ -155,6 +157,7 @@ class Hits:
     cuts: Array
     edges: Array
     cut_edges: Array
+    rims: Array
 
 
 def _hits(plan: Plan, view: View, group: OcclusionGroup, lattice: Lattice) -> Hits:
@@ -189,7 +192,16 @@ def _hits(plan: Plan, view: View, group: OcclusionGroup, lattice: Lattice) -> Hi
         cuts[near] += cut
         edges[near] += found == PARTLY
         cut_edges[near] += cut & (found == PARTLY)
-    return Hits(rays, w, number, label, radius, state, tests, cuts, edges, cut_edges)
+    rims = np.zeros(w.shape)
+    if plan.psf.rims and hit.any():
+        size = radius[hit]
+        points = Points(rays[hit], w[hit], size, 0 * size, 0 * size, 1.0, gradient[hit])
+        found, circles = meet_rims(
+            view.lens, plan.psf, points, division_of(size, plan.psf.extent, points.width, points.gradient)
+        )
+        state[hit] = np.maximum(state[hit], found)
+        rims[hit] = sum(circle.cuts for circle in circles) * (found == PARTLY)
+    return Hits(rays, w, number, label, radius, state, tests, cuts, edges, cut_edges, rims)
 
 
 def _of_group(plan: Plan, group: OcclusionGroup, lattice: Lattice) -> dict[str, Work]:
@@ -365,16 +377,19 @@ def _of_blur(
         "sub-pixel taps": channels * total(sub * fine_taps),
     }
     if hits is not None and partly.any():
-        one, fine = (lit & partly) * (1.0 - finer), (lit & partly) * finer * subs
-        narrow = size * psf.extent < WIDE_LENS
+        narrow, edges = size * psf.extent < WIDE_LENS, hits.edges + hits.rims
+        columns = partly & ~narrow & (hits.edges == 0) & (psf.layout == "symmetric") & plan.device.has_fp64
+        one, fine = (lit & partly & ~columns) * (1.0 - finer), (lit & partly) * finer * subs
         met, across = one * visits + fine * fine_visits, ~narrow * (one * rows + fine * fine_rows)
         tested = 0.0 * size if has_spans(plan.spec, plan.device.has_fp64) else ~narrow * (one * taps + fine * fine_taps)
         found |= {
-            "hidden source": total(met * hits.edges),
-            "edge row": total(across * (hits.edges - hits.cut_edges)),
+            "rim row": total(lit * columns * (1.0 - finer) * visits * rows),
+            "rim taps": channels * total(lit * columns * (1.0 - finer) * taps),
+            "hidden source": total(met * edges),
+            "edge row": total(across * (edges - hits.cut_edges)),
             "cut edge row": total(across * hits.cut_edges),
             "edge taps": channels * total(tested),
-            "narrow edge": total(met * narrow * (hits.edges - hits.cut_edges)),
+            "narrow edge": total(met * narrow * (edges - hits.cut_edges)),
             "narrow cut edge": total(met * narrow * hits.cut_edges),
         }
     return found

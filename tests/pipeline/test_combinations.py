@@ -9,11 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-import clsco
-from clsco import reference
 from clsco.cli.check import compare
 from clsco.constants import BAND
-from clsco.errors import SceneError
 from clsco.scene.model import Scene
 from tests.kernels.test_pupils import heart
 from tests.pipeline.test_strips import memory_for
@@ -44,6 +41,7 @@ def drawn(number: int) -> Scene:
         _changes(rng, between, tables)
     if warped:
         tables["motion"] = {"warp": "forward"}
+        tables["aperture"].pop("rim", None)
     tables["camera"] = {
         "resolution": [40, 30], "pixel_pitch": between(0.15, 0.25), "f_number": between(0.3, 0.8),
         "focus_distance": between(180.0, 260.0),
@@ -55,7 +53,7 @@ def _psf(rng: np.random.Generator, between: Draw, warped: bool) -> Tables:
     found: Tables = {
         "model": str(rng.choice(["pillbox", "pillbox", "gaussian", "wave"])), "tilt": bool(rng.random() < 0.7),
         "border": "renormalize" if rng.random() < 0.15 else "lose", "silhouette_samples": int(rng.integers(1, 4)),
-        "occlusion": str(rng.choice(["layered", "none"] if warped else ["visibility", "visibility", "layered", "none"])),
+        "occlusion": str(rng.choice([*["visibility"] * (0 if warped else 2), "layered", "none"])),
     }  # fmt: skip
     if found["model"] != "wave":
         return found | {"edge": str(rng.choice(["integrated", "area", "sampled"], p=[0.5, 0.3, 0.2]))}
@@ -104,9 +102,9 @@ def _lens(rng: np.random.Generator, between: Draw) -> Tables:
 def _changes(rng: np.random.Generator, between: Draw, tables: Tables) -> None:
     """Add a zoom, a pull of the focus or an opening, of waves a pull only."""
     if rng.random() < 0.4:
-        names = ["focus_distance"] if tables["psf"]["model"] == "wave" else ["focal_length", "focus_distance", "f_number"]
+        others = [] if tables["psf"]["model"] == "wave" else ["focal_length", "f_number"]
         ends = {"focal_length": (20.0, 23.0), "focus_distance": (190.0, 240.0), "f_number": (0.4, 0.6)}
-        name = str(rng.choice(names))
+        name = str(rng.choice(["focus_distance", *others]))
         tables["lens"]["keyframe"] = [{"time": 0.1 * k, name: ends[name][k]} for k in range(2)]
 
 
@@ -127,7 +125,7 @@ def _objects(rng: np.random.Generator, between: Draw, moving: bool) -> list[Tabl
 
 def method_of(number: int, wanted: Scene) -> str:
     """Methods by turns; tiles see nothing in the way of light."""
-    hides = wanted.aperture.rim or wanted.psf.occlusion == "visibility" and len(wanted.objects) > 1
+    hides = wanted.aperture.rim or (wanted.psf.occlusion == "visibility" and len(wanted.objects) > 1)
     return METHODS[number % (2 if hides else 3)]
 
 
