@@ -51,7 +51,8 @@ RATES: dict[str, float] = {
     "reference pose": 8.2e-08,
 }
 """Operation -> seconds: rays and what they meet, sub-pixel rays, the forward warp, taps in vectors of 8 and rows of
-them by layout of weights (`PointSpread.layout`; "shape" of general ones without waves), what rims alone cut, what tests what hides a source, and what is done per pixel."""
+them by layout of weights (`PointSpread.layout`; "shape" of general ones without waves), what rims alone cut, what tests
+what hides a source, and what is done per pixel."""
 
 CORE_SECONDS = 0.000143
 """Seconds of `clsco.cost.predict.core_seconds` on the core that the rates are of."""
