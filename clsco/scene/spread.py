@@ -27,6 +27,9 @@ APERTURE_KEYS: dict[str, tuple[ApertureShape, ...]] = {
 """Keys of [aperture] that belong to some shapes."""
 
 
+MOST_CONCAVE_TRIANGLE = -math.tan(math.radians(15.0)) / math.tan(math.radians(30.0))
+
+
 class Rim(Strict):
     """Circle before or behind the opening of a lens that light passes through, as the end of its barrel is."""
 
@@ -83,6 +86,15 @@ class Aperture(HasInputs, Strict):
         if info.data.get("shape", shapes[0]) not in shapes:
             wanted = " or ".join(f'"{shape}"' for shape in shapes)
             raise fault(f'belongs to aperture.shape = {wanted}, not "{info.data["shape"]}"')
+        return value
+
+    @field_validator("blade_curvature")
+    @classmethod
+    def _blades_meet_at_corners(cls, value: float, info: ValidationInfo) -> float:
+        """Refuse three blades so concave that they cross one another: at a corner an arc turns by 2 atan(c tan 30 deg)
+        off its chord, which is 30 deg off the middle."""
+        if info.data.get("blades") == 3 and value < MOST_CONCAVE_TRIANGLE:
+            raise fault(f"must be at least {MOST_CONCAVE_TRIANGLE:.3f} with 3 blades, which would cross one another")
         return value
 
     @model_validator(mode="after")

@@ -86,6 +86,7 @@ def test_every_pass_has_a_rate_and_every_rate_is_of_a_pass() -> None:
     scenes += [example("sphere").replace("psf.edge", edge) for edge in ("area", "sampled")]
     scenes += [example("occlusion_three").replace(*pair) for pair in (
         ("psf.model", "gaussian"), ("psf.occlusion", "layered"), ("aperture.shape", "polygon"),
+            ("aperture.rim", [{"distance": 30.0, "diameter": 12.0}]),
     )]  # fmt: skip
     scenes += [example("sphere").replace("sensor", {})]
     scenes += [example("siemens_star").replace("psf.edge", "sampled").replace("camera.f_number", 64.0)]

@@ -31,7 +31,7 @@ def drawn(seed: int) -> tuple[Scene, str]:
     shape = str(rng.choice(["circle", "polygon", "ring", "image"]))
     aperture: dict[str, Any] = {"shape": shape, "exposure": str(rng.choice(["normalized", "area"]))}
     if shape == "polygon":
-        bent = between(-1.0, 1.0) if rng.random() < 0.6 else 0.0
+        bent = between(-0.4, 1.0) if rng.random() < 0.6 else 0.0
         aperture |= {"blades": int(rng.integers(3, 9)), "blade_curvature": bent, "rotation": between(0.0, 90.0)}
     elif shape == "ring":
         aperture["obstruction"] = between(0.1, 0.8)

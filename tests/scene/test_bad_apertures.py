@@ -23,6 +23,10 @@ APERTURES: list[tuple[str, str]] = [
         "aperture = {shape = 'polygon', blade_curvature = 1.5}",
         "aperture.blade_curvature: must be between -1 and 1; got 1.5",
     ),
+    (
+        "aperture = {shape = 'polygon', blades = 3, blade_curvature = -0.5}",
+        "aperture.blade_curvature: must be at least -0.464 with 3 blades, which would cross one another; got -0.5",
+    ),
     ("aperture.squeeze = 0.2", "aperture.squeeze: must be between 0.25 and 4; got 0.2"),
     ("aperture.exposure = 'darker'", 'aperture.exposure: must be normalized or area; got "darker"'),
     (
