@@ -38,12 +38,9 @@ def running(root: Path) -> Iterator[Running]:
 @pytest.fixture
 def page(running: Running) -> Iterator[Any]:
     with opened(running) as shown:
-        shown.evaluate("""() => {
-          for (const name of ["inspected", "measured"]) {
-            const shows = studio[name];
-            studio[name] = (found) => { window[`latest_${name}`] = found; shows(found); };
-          }
-        }""")
+        shown.evaluate("""() => studio.hearing.push((said) => {
+          for (const name of ["inspected", "measured"]) if (said[name]) window[`latest_${name}`] = said[name];
+        })""")
         yield shown
 
 
