@@ -49,6 +49,8 @@ def inspected(frame: Frame, scene: Scene, x: int, y: int, is_tilted: bool = Fals
     """
     values: dict[str, Any] = {"x": x, "y": y}
     values["codes"] = _plain(encode(frame.color[y, x], min(frame.metadata["bits"], 16), scene.image.transfer))
+    size = {"resolution": frame.color.shape[1::-1]}  # which is the texture's where none is given
+    scene = scene.model_copy(update={"camera": scene.camera.model_copy(update=size)})
     for name in (
         "color", "sharp", "depth", "blur_radius", "normal", "flow", "object_id", "mask", "filled", "missing", "hidden",
         "flow_occluded", "uv", "raw", "electrons", "noise_sigma", "saturated",

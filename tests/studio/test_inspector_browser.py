@@ -48,7 +48,8 @@ def point_at(page: Any, place: tuple[float, float]) -> tuple[int, int]:
     """Move to a place of the picture, in parts of its sides; gives the pixel."""
     box = page.locator("#canvas").bounding_box()
     x, y = (
-        box[start] + part * box[side] for start, side, part in (("x", "width", place[0]), ("y", "height", place[1]))
+        round(box[start] + part * box[side])
+        for start, side, part in (("x", "width", place[0]), ("y", "height", place[1]))
     )
     page.mouse.move(x, y)
     column, row = page.evaluate("([x, y]) => studio.viewport.pixelAt(x, y)", [x, y])
