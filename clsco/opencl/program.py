@@ -284,8 +284,11 @@ def _compiled(session: Session, where: str, text: str, options: list[str]) -> Pr
     with without_output():
         try:
             began = time.perf_counter()
-            built = cl.Program(session.context, text).build(options)
+            kernels = cl.Program(session.context, text).build(options).all_kernels()
+            if not kernels:  # PoCL 3.0 cannot read some of the programs that it has kept, and says nothing
+                anew = [*options, f"-DBUILT_ANEW={time.time_ns()}"]
+                kernels = cl.Program(session.context, text).build(anew).all_kernels()
             _LOG.info("%s: built in %.2f s", where, time.perf_counter() - began)
-            return {kernel.function_name: kernel for kernel in built.all_kernels()}
+            return {kernel.function_name: kernel for kernel in kernels}
         except cl.Error as error:
             raise KernelError(f"{where}: must build on {session.device}; got\n{error}") from error

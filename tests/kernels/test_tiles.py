@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from importlib import import_module
 from typing import Any
@@ -230,10 +229,6 @@ def test_plain_opencl_has_the_bits_of_processors(
     session: Session, monkeypatch: pytest.MonkeyPatch, psf: dict[str, Any], method: str, constant: bool
 ) -> None:
     """The builtins of GPUs and those of processors, kernels/common/builtins.clh and its form in cpu/."""
-    # PoCL 3.0 finds no kernel in what it has kept of the convolution for GPUs: each run builds one of its own.
-    programs = import_module("clsco.opencl.program")
-    numbers = (*programs._constants(), f"-DRUN={time.time_ns()}")
-    monkeypatch.setattr(programs, "_constants", lambda: numbers)
     image = np.random.default_rng(11).random((41, 75), np.float32)
     radii = np.full(image.shape, 6.3) if constant else np.where(np.arange(75) < 30, -3.0, 7.0) + np.zeros(image.shape)
     kinds = []

@@ -305,3 +305,22 @@ def test_a_buffer_that_is_too_large(session: Session) -> None:
     size = session.device.max_alloc + 1
     with pytest.raises(DeviceError, match=rf"at most {session.device.max_alloc} bytes; got {size}$"):
         empty(session, size)
+
+
+def test_a_kept_program_that_pocl_cannot_read_is_built_anew(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    """PoCL 3.0 gives a program without kernels then, and says nothing."""
+    builds: list[list[str]] = []
+
+    class Unreadable(cl.Program):  # type: ignore[misc]
+        def build(self, options: list[str]) -> cl.Program:
+            builds.append(options)
+            return super().build(options)
+
+        def all_kernels(self) -> list[cl.Kernel]:
+            return super().all_kernels() if len(builds) > 1 else []
+
+    monkeypatch.setattr(program_module.cl, "Program", Unreadable)
+    found = program_module._compiled(session, "one.cl", "kernel void one(global int* a) { a[0] = 1; }", [])
+    assert list(found) == ["one"]
+    assert builds[0] == []
+    assert builds[1][-1].startswith("-DBUILT_ANEW=")
