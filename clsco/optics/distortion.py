@@ -14,6 +14,7 @@ from clsco.scene.lens import Lens
 from clsco.scene.model import Camera
 
 Array = NDArray[np.float64]
+FOLDED = 1e-9  # in place of the Jacobian's determinant where the image folds back
 LEAST_STRETCH = 0.05  # of the image along any direction: beyond where it falls below, it is about to fold back
 MOST_STEPS = 30  # of Newton's method
 CLOSE = 1e-14  # slope: by which the last step may change a place
@@ -171,7 +172,7 @@ class Distortion:
     def ellipticity(self, x: ArrayLike, y: ArrayLike) -> Array:
         """Largest difference between the axes of the image of a small disc and the disc of the same area, relative."""
         xx, xy, yy = self.jacobian(x, y)
-        size, half = np.sqrt(xx * yy - xy * xy), np.hypot(0.5 * (xx - yy), xy)
+        size, half = np.sqrt(np.maximum(xx * yy - xy * xy, FOLDED)), np.hypot(0.5 * (xx - yy), xy)
         return np.asarray((0.5 * (xx + yy) + half) / size - 1.0)
 
     def stretch_slope(self, x: Array, y: Array) -> tuple[Array, Array]:
