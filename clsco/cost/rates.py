@@ -32,6 +32,8 @@ RATES: dict[str, float] = {
     "general taps": 2.2e-09,
     "shape row": 1.3e-09,
     "shape taps": 1.7e-10,
+    "ellipse row": 1.1e-07,
+    "ellipse taps": 6e-10,
     "sub-pixel source": 1.6e-08,
     "sub-pixel taps": 2.5e-09,
     "rim row": 1.2e-08,
@@ -51,7 +53,8 @@ RATES: dict[str, float] = {
     "reference pose": 8.2e-08,
 }
 """Operation -> seconds: rays and what they meet, sub-pixel rays, the forward warp, taps in vectors of 8 and rows of
-them by layout of weights (`PointSpread.layout`; "shape" of general ones without waves), what rims alone cut, what tests
+them by layout of weights (`PointSpread.layout`; "shape" of general ones without waves, "ellipse" of distorted
+discs), what rims alone cut, what tests
 what hides a source, and what is done per pixel."""
 
 CORE_SECONDS = 0.000143

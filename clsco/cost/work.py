@@ -366,13 +366,16 @@ def _of_blur(
         return {"convolved row": plan.rows * plan.columns * channels * wide}
     (visits, rows, taps), (fine_visits, fine_rows, fine_taps) = (_taps(plan, size, fine) for fine in (False, True))
     kind, subs = "shape" if psf.has_runs else psf.layout, plan.silhouettes**2
+    planes = channels
+    if psf.stretched:  # of which weights take the time, whatever they are multiplied by
+        kind, planes = "ellipse", 1
     partly = np.zeros(lit.shape, np.bool_) if hits is None else hits.state == PARTLY
     whole, sub = lit & ~partly, (lit & ~partly) * finer * subs
     bands = -(-plan.rows // BAND)
     found = {
         "walked": float(bands * min(BAND + 2 * plan.spec.reach, plan.height) * plan.width),
-        f"{kind} row": channels * total(whole * (1.0 - finer) * visits * rows),
-        f"{kind} taps": channels * total(whole * (1.0 - finer) * taps),
+        f"{kind} row": planes * total(whole * (1.0 - finer) * visits * rows),
+        f"{kind} taps": planes * total(whole * (1.0 - finer) * taps),
         "sub-pixel source": total(sub * fine_visits),
         "sub-pixel taps": channels * total(sub * fine_taps),
     }

@@ -330,6 +330,8 @@ def moved_points(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from clsco.optics.motion import Pose, moved_points
     >>> quarter = Pose(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.array([0.0, 0.0, 5.0]))
     >>> still = Pose(np.eye(3), np.zeros(3))
     >>> moved_points(np.array([[2.0, 0.0, 100.0]]), np.array([1.0, 0.0, 100.0]), still, quarter).tolist()

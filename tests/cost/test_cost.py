@@ -90,6 +90,7 @@ def test_every_pass_has_a_rate_and_every_rate_is_of_a_pass() -> None:
     )]  # fmt: skip
     scenes += [example("sphere").replace("sensor", {})]
     scenes += [example("siemens_star").replace("psf.edge", "sampled").replace("camera.f_number", 64.0)]
+    scenes += [example("wide_angle")]
     used = {name for scene in scenes for _, work in works(scene, ("depth",)) for name in work}
     used |= host_work(prepare(scenes[0]).plan).keys()
     assert used == RATES.keys()
