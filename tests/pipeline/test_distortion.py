@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import clsco
+from clsco.opencl.device import choose
 from clsco.optics.distortion import Distortion
 from clsco.plan.memory import device_bytes
-from clsco.opencl.device import choose
 from clsco.plan.prepare import prepare
 from clsco.scene.model import Scene
 from tests.scenes import assert_agree, reference_frames, rendered, scene_from
