@@ -365,10 +365,10 @@ def _of_blur(
         wide = 1.0 + 2.0 * float(psf.reaches(size).max())
         return {"convolved row": plan.rows * plan.columns * channels * wide}
     (visits, rows, taps), (fine_visits, fine_rows, fine_taps) = (_taps(plan, size, fine) for fine in (False, True))
-    kind, subs = "shape" if psf.has_runs else psf.layout, plan.silhouettes**2
-    planes = channels
+    kind, planes = ("shape" if psf.has_runs else str(psf.layout)), channels
     if psf.stretched:  # of which weights take the time, whatever they are multiplied by
         kind, planes = "ellipse", 1
+    subs = plan.silhouettes**2
     partly = np.zeros(lit.shape, np.bool_) if hits is None else hits.state == PARTLY
     whole, sub = lit & ~partly, (lit & ~partly) * finer * subs
     bands = -(-plan.rows // BAND)
