@@ -71,6 +71,18 @@ def test_the_strip_is_in_sight_on_a_small_screen(running: Running) -> None:
         assert axe_faults(page) == []
 
 
+def test_all_of_the_header_is_in_reach_on_a_small_screen(running: Running) -> None:
+    """Also with the panels or the side open, which its buttons close again."""
+    with opened(running, 390, 800) as page:
+        for name in ("drawer", "inspector"):
+            page.locator(f"#{name}").click()
+            for button in page.locator("#studio > header button:visible").all():
+                place = button.bounding_box()
+                assert place["x"] >= 0
+                assert place["x"] + place["width"] <= 390
+            page.locator(f"#{name}").click(timeout=2000)
+
+
 def test_what_does_nothing_is_disabled_and_says_why(page: Any) -> None:
     page.locator("summary", has_text="PSF and method").click()
     assert box(page, "psf.sigma_ratio").is_disabled()
