@@ -156,7 +156,7 @@ class Editor:
 
     @property
     def can_undo(self) -> bool:
-        return bool(self._history.past)
+        return bool(self._history.past or self.refused)
 
     @property
     def can_redo(self) -> bool:
@@ -206,8 +206,12 @@ class Editor:
         return False
 
     def undo(self) -> bool:
-        """Go one step back, and drop values that are not valid."""
-        return self._go(self._history.past, self._history.future)
+        """Go one step back: values that are not valid are the last one."""
+        if not self.refused:
+            return self._go(self._history.past, self._history.future)
+        self.refused, self.faults = {}, {}
+        self._tell()
+        return True
 
     def redo(self) -> bool:
         """Go forth what `undo` went back."""

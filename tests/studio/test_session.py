@@ -64,8 +64,12 @@ def test_what_is_not_valid_is_said_at_its_field(session: Document, path: str, va
     assert session.refused == {path: value}
     assert session.scene is before
     assert session.revision == 0
-    assert not session.undo()
+    assert session.can_undo
+    assert session.undo()
+    assert not session.refused
     assert not session.faults
+    assert session.scene is before
+    assert not session.undo()
 
 
 def test_messages_are_those_of_the_command(session: Document) -> None:
@@ -307,6 +311,9 @@ def test_a_random_walk_leads_back(session: Document) -> None:
         assert bool(session.refused) == bool(session.faults)
         if draw.random() < 0.3:
             table, scene = session.table, session.scene
+            if session.refused:
+                assert session.undo()
+                assert session.table == table
             back = sum(session.undo() for _ in range(draw.randrange(1, 6)))
             for _ in range(back):
                 assert session.redo()
