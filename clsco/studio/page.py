@@ -69,7 +69,7 @@ def attach(app: FastAPI, studio: Studio) -> None:
         ui.add_body_html("".join(f'<script type="module" src="static/{part}.js"></script>' for part in SCRIPTS))
         draw(name, studio)
 
-    ui.run_with(app, title="clsco studio", show_welcome_message=False, tailwind=False, dark=True)
+    ui.run_with(app, title="clsco studio", show_welcome_message=False, tailwind=False, dark=None)
 
 
 def end_pages() -> None:

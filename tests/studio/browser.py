@@ -40,11 +40,15 @@ PIXELS = """() => {
 
 
 @contextmanager
-def opened(running: Running, width: int = 1280, height: int = 720) -> Iterator[Any]:
-    """A page of the studio, which shows an exact frame; it fails where the page reports an error."""
+def opened(running: Running, width: int = 1280, height: int = 720, scheme: str = "dark") -> Iterator[Any]:
+    """A page of the studio, which shows an exact frame; it fails where the page reports an error.
+
+    scheme: of colors, as the system has it.
+    """
     errors: list[str] = []
     with chromium() as browser:
-        page = browser.new_context(viewport={"width": width, "height": height}).new_page()
+        context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme)
+        page = context.new_page()
         page.on("pageerror", lambda error: errors.append(str(error)))
         page.on("console", lambda said: errors.append(said.text) if said.type == "error" else None)
         page.goto(running.address)

@@ -117,3 +117,16 @@ def test_scales_of_the_page_are_those_of_the_forms(page: Any) -> None:
             slider = f'{{ dataset: {{ scale: "{scale}" }} }}'
             assert page.evaluate(f"studio.placeOf({slider}, {value})") == pytest.approx(place(value), rel=1e-12)
     assert SHARP == 0.5
+
+
+def test_colors_are_light_where_those_of_the_system_are(running: Running) -> None:
+    """But around the picture, in which colors are judged."""
+    grounds = "[document.body, document.querySelector('#stage')].map((e) => getComputedStyle(e).backgroundColor)"
+    with opened(running, scheme="light") as page:
+        body, stage = page.evaluate(grounds)
+        assert (body, stage) == ("rgb(211, 212, 214)", "rgb(17, 18, 20)")
+        assert axe_faults(page) == []
+        page.locator("button", has_text="Presets").click()
+        assert axe_faults(page) == []
+    with opened(running) as page:
+        assert page.evaluate(grounds) == ["rgb(27, 28, 30)", stage]
