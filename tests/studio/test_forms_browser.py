@@ -78,6 +78,8 @@ def test_painted_pixels_are_filled_by_all_methods(page: Any, root: Path) -> None
     page.get_by_label(f"Image in {root.name}").fill("damaged.png")
     page.get_by_role("button", name="Open the image").click()
     page.wait_for_function("document.querySelector('[data-brush=canvas]').width === 300")
+    fill, dialog = (page.locator(name).bounding_box() for name in ("dialog[open] .primary >> nth=0", "dialog[open]"))
+    assert fill["y"] + fill["height"] < dialog["y"] + dialog["height"]  # in sight, without scrolling
     page.get_by_label("Mask (PNG)").fill("damaged_mask.png")
     page.get_by_role("button", name="Load the mask").click()
     page.locator("[data-brush=told]", has_text="of 90000 pixels are missing").wait_for()

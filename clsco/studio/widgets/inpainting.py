@@ -142,12 +142,6 @@ def inpainting_dialog(session: Document, jobs: Jobs, tab: str, device: str | Non
         with say("div").classes("row"):
             say("span", "Open an image, and paint over what is to go.", data_brush="told", role="status")
             say("span", _BLANK).classes("quiet")
-        with say("div").classes("row"):
-            text_box("Mask (PNG)", typed["mask"], lambda name: typed.update(mask=name), list=names)
-            button("Load the mask", actions.load_mask)
-            say("button", "Save the mask", type="button").on(
-                "click", lambda _: tried(actions.save_mask), js_handler=_ALL_SENT
-            )
         with say("div", role="group", aria_label="Methods").classes("row"):
             for method in FILLERS:
                 check_box(_LABELS[method], True, partial(actions.wanted.__setitem__, method))
@@ -156,6 +150,12 @@ def inpainting_dialog(session: Document, jobs: Jobs, tab: str, device: str | Non
             )
         actions.progress()
         actions.results()
+        with say("div").classes("row"):
+            text_box("Mask (PNG)", typed["mask"], lambda name: typed.update(mask=name), list=names)
+            button("Load the mask", actions.load_mask)
+            say("button", "Save the mask", type="button").on(
+                "click", lambda _: tried(actions.save_mask), js_handler=_ALL_SENT
+            )
         with say("div").classes("row"):
             text_box("Folder for the results", typed["folder"], lambda name: typed.update(folder=name))
             button("Write the results", actions.save)
