@@ -15,6 +15,7 @@ from clsco.scene.model import Camera
 
 Array = NDArray[np.float64]
 FOLDED = 1e-9  # in place of the Jacobian's determinant where the image folds back
+NOTHING = 1e-30  # of the largest term of a polynomial: less of another one has roots at slopes that no ray has
 LEAST_STRETCH = 0.05  # of the image along any direction: beyond where it falls below, it is about to fold back
 MOST_STEPS = 30  # of Newton's method
 CLOSE = 1e-14  # slope: by which the last step may change a place
@@ -69,7 +70,8 @@ class Distortion:
         (k1, k2, k3), turn = self.radial, -6.0 * float(np.hypot(*self.tangential))
         ends = []
         for a, b, c in ((k1, k2, k3), (3.0 * k1, 5.0 * k2, 7.0 * k3)):
-            roots = np.roots([c, 0.0, b, 0.0, a, turn, 1.0 - LEAST_STRETCH])
+            terms = np.array([c, 0.0, b, 0.0, a, turn, 1.0 - LEAST_STRETCH])
+            roots = np.roots(np.where(np.abs(terms) < NOTHING * np.abs(terms).max(), 0.0, terms))
             ends += roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0.0)].tolist()
         return min(ends, default=np.inf)
 

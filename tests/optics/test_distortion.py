@@ -89,6 +89,11 @@ def test_reach_and_what_lies_beyond() -> None:
     assert np.hypot(*tilted.image(x, y)).min() >= tilted.image_reach
 
 
+def test_terms_that_are_next_to_nothing_have_no_root() -> None:
+    """The last one divides the others."""
+    assert Distortion((-0.2, 0.0, 1e-320)).reach == Distortion((-0.2, 0.0, 0.0)).reach
+
+
 def test_a_lens_without_it_has_none() -> None:
     camera = clsco.Camera(resolution=SIZE)
     assert with_distortion(camera, clsco.Lens(lateral=(1.01, 1.0, 1.0))) is camera
