@@ -80,8 +80,7 @@ def test_commands_can_be_pasted(page: str, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_first_data_set_is_read_and_trained_on(tmp_path: Path) -> None:
     """Error of a network falls; without PyTorch the part that reads runs alone."""
-    for _, text in list(blocks("first_data_set", "sh"))[:1]:
-        paste(text, tmp_path)
+    paste(next(text for remark, text in blocks("first_data_set", "sh") if not remark), tmp_path)
     small = (
         "clsco dataset make defocus_pairs.toml -o PAIRS --count 12 --seed 2026 --truth depth --split train=0.8,test=0.2"
     )
