@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.cache import Cache
 from clsco.constants import TAP_LANES
 from clsco.errors import SceneError
 from clsco.optics.distortion import distortion_of
@@ -31,6 +31,7 @@ LEAST_DISTANCE = 0.1  # of a curved image from the lens, in sensor distances
 GRID = 65  # rays per axis that predict the range of the blur radius
 # Keys of the camera that change what a lens makes of a hit, and not what a ray hits.
 LENS_KEYS = ("f_number", "aperture_diameter", "focus_distance", "sensor_distance")
+_DEPTHS = Cache(32 << 20)  # bytes
 
 
 def guard_band(psf: PointSpread, border: str, largest: float) -> int:
@@ -109,14 +110,16 @@ def _inverse_depths(scene: Scene, samples: Sequence[Sample], maps: Maps, guard: 
     return found
 
 
-@lru_cache(maxsize=8)
-def _static_depths(scene: Scene, eye: Eye, guard: int) -> Array:
-    """`_inverse_depths` of a scene without a lens whose objects are all analytic, and stay where they are."""
-    found = _inverse_depths(
-        scene, [(reference_camera(scene), poses_at(scene, 0.0, eye))], (None,) * len(scene.objects), guard
-    )
-    found.flags.writeable = False
-    return found
+def _kept_depths(scene: Scene, eye: Eye, guard: int) -> Array:
+    """`_inverse_depths` of a scene without a lens whose objects are all analytic, and whose rays stay."""
+
+    def cast() -> Array:
+        samples = [(reference_camera(scene), poses_at(scene, t, eye)) for t in sequence_times(scene)]
+        found = _inverse_depths(scene, samples, (None,) * len(scene.objects), guard)
+        found.flags.writeable = False
+        return found
+
+    return _DEPTHS.get((scene, eye, guard), cast, lambda found: found.nbytes)
 
 
 def without_lens(scene: Scene) -> Scene:
@@ -264,10 +267,11 @@ def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
     times = sequence_times(scene)
     poses, cameras, guard = [poses_at(scene, t, eye) for t in times], [_widest(scene, t) for t in times], 0
     samples, lenses = [*zip(cameras, poses, strict=True)], [lenses_at(scene, t) for t in times]
-    seen = None if scene.moves or not scene.is_analytic else without_lens(scene)
+    keeps = scene.is_analytic and not (scene.moves and (scene.lens_moves or scene.shifts_colors))
+    seen = without_lens(scene) if keeps else None
     for _ in range(2):  # the second time with the guard band that the first asked for
         _check_fold(scene, cameras, guard)
-        w = _inverse_depths(scene, samples, maps, guard) if seen is None else _static_depths(seen, eye, guard)
+        w = _inverse_depths(scene, samples, maps, guard) if seen is None else _kept_depths(seen, eye, guard)
         rays = _slopes(cameras, guard)
         radii = np.abs(_radii(scene, lenses, w, rays))
         largest, smallest = (float(radii.max()), float(radii.min())) if radii.size else (0.0, 0.0)
