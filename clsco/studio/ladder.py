@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Collection
+
+import numpy as np
+
 from clsco.constants import BAND
 from clsco.optics.exposure import subframes_of
 from clsco.plan.memory import device_bytes
@@ -12,9 +17,12 @@ BUDGET = 0.030  # s
 EIGHTHS = 8  # of the full width and height
 MOST_SAMPLES = 3
 ROLLING_SHARES = 16  # of the readout, of which a row is open for one at least
-LEAST = 5  # eighths; where fewer come in time, occlusion is left out
-FIXED = 30_000.0  # pixels whose time a picture takes besides that of its own
-_WEIGHT = 0.4  # of the latest measurement
+LEAST = 5  # eighths; where fewer come in time, more is left out
+WORTH = 1.5  # times what the smallest picture takes, which a larger one is worth
+OCCLUSION, MOTION = "occlusion", "motion"
+WAYS: tuple[tuple[str, ...], ...] = ((), (OCCLUSION,), (OCCLUSION, MOTION))  # what is left out, in this order
+LEAST_SPREAD = 0.03  # of numbers of pixels, that a line is laid through
+_WEIGHTS = 0.7 ** np.arange(5, -1, -1.0)  # of the latest measurements
 _STALL = 4.0  # times the prediction: a compilation, say
 _STALLS = 2  # in a row that are left out
 
@@ -22,28 +30,31 @@ _STALLS = 2  # in a row that are left out
 class Ladder:
     """Chooses the largest picture whose predicted time is within the budget.
 
-    The time is that of a pixel and time sample, as an exponential mean of what was measured, times their number and
-    FIXED more.
+    The time has a part that every picture takes, and one for each pixel and time sample: the line through what was
+    measured last. Where all of that was of one size, a longer time is due to the pixels.
 
     Attributes
     ----------
+    fixed : float
+        Time of a picture without pixels, s.
     ns : float
-        Predicted time per pixel and time sample.
+        Time per pixel and time sample.
     """
 
     def __init__(self) -> None:
-        self.ns = 150.0
+        self.fixed, self.ns = 0.005, 150.0
         self._stalls = 0
-        self._is_measured = False
+        self._latest: deque[tuple[float, float]] = deque(maxlen=len(_WEIGHTS))  # pixels, s
 
     def eighths(self, work: float) -> int:
         """Side of the picture in eighths of the full one, whose number of pixels times time samples is `work`."""
-        fitting = (size for size in range(EIGHTHS, 1, -1) if self.predicted(work, size) <= BUDGET)
+        most = max(BUDGET, WORTH * self.predicted(work, 1))
+        fitting = (size for size in range(EIGHTHS, 1, -1) if self.predicted(work, size) <= most)
         return next(fitting, 1)
 
     def predicted(self, work: float, eighths: int) -> float:
         """Time of a picture of this size, s."""
-        return self.ns * 1e-9 * _pixels(work, eighths)
+        return self.fixed + 1e-9 * self.ns * _pixels(work, eighths)
 
     def measured(self, work: float, eighths: int, seconds: float) -> None:
         """Learn how long a picture took; a time that is far too long is believed the third time."""
@@ -51,40 +62,65 @@ class Ladder:
             self._stalls += 1
             return
         self._stalls = 0
-        ns = 1e9 * seconds / _pixels(work, eighths)
-        self.ns = self.ns + _WEIGHT * (ns - self.ns) if self._is_measured else ns
-        self._is_measured = True
+        self._latest.append((_pixels(work, eighths), seconds))
+        weights = _WEIGHTS[-len(self._latest) :]
+        pixels, times = np.array(self._latest).T
+        middle, mean = np.average(pixels, weights=weights), np.average(times, weights=weights)
+        spread = np.average((pixels - middle) ** 2, weights=weights)
+        if spread > (LEAST_SPREAD * middle) ** 2:
+            slope = np.average((pixels - middle) * (times - mean), weights=weights) / spread
+            slope = min(max(slope, 0.0), mean / middle)
+        else:
+            least = min(self.fixed, mean * self.fixed / self.predicted(middle, EIGHTHS))
+            slope = (mean - least) / middle
+        self.fixed, self.ns = float(mean - slope * middle), float(1e9 * slope)
 
     def bounded(self, work: float, seconds: float) -> None:
         """Learn from an exact frame, which takes longer than a preview of full size."""
-        self.ns = min(self.ns, 1e9 * seconds / _pixels(work, EIGHTHS))
+        if not self._latest or self.predicted(work, EIGHTHS) > seconds:
+            self._latest.clear()
+            self.fixed = min(self.fixed, 0.5 * seconds)
+            self.ns = 1e9 * (seconds - self.fixed) / _pixels(work, EIGHTHS)
 
 
 def _pixels(work: float, eighths: int) -> float:
-    return work * (eighths / EIGHTHS) ** 2 + FIXED
+    return work * (eighths / EIGHTHS) ** 2
 
 
 class Ladders:
-    """Previews of a kind of scenes, with occlusion and without, which is the most that several objects take.
+    """Previews of a kind of scenes: those of each of WAYS.
 
     Attributes
     ----------
-    whole, plain : Ladder
+    of : dict of tuple of str to Ladder
+        By what is left out.
     """
 
     def __init__(self) -> None:
-        self.whole, self.plain = Ladder(), Ladder()
+        self.of = {way: Ladder() for way in WAYS}
 
-    def choose(self, scene: Scene, work: float) -> tuple[Ladder, int]:
-        """The ladder to take, `plain` only where the budget needs it, and the eighths of its picture."""
-        is_plain = scene.psf.occlusion != "none" and self.whole.eighths(work) < LEAST
-        ladder = self.plain if is_plain else self.whole
-        return ladder, ladder.eighths(work) if scene.is_analytic else EIGHTHS
+    def choose(self, scene: Scene, size: tuple[int, int]) -> tuple[tuple[str, ...], int]:
+        """The way to take, with what is left out only where the budget needs it, and the eighths of its picture."""
+        eighths = EIGHTHS
+        for way in ways_of(scene):
+            if scene.is_analytic:
+                eighths = self.of[way].eighths(work_of(scene, size, way))
+            if eighths >= LEAST:
+                break
+        return way, eighths
 
 
-def work_of(scene: Scene, size: tuple[int, int]) -> float:
+def ways_of(scene: Scene) -> list[tuple[str, ...]]:
+    """Those of WAYS that differ for a scene."""
+    known = scene.psf.occlusion != "none", scene.moves and not scene.rolls and _samples(scene.sequence) > 1
+    kept = {OCCLUSION: known[0], MOTION: known[1]}
+    found = {tuple(part for part in way if kept[part]): way for way in reversed(WAYS)}
+    return sorted(found.values(), key=len)
+
+
+def work_of(scene: Scene, size: tuple[int, int], way: Collection[str] = ()) -> float:
     """Pixels times time samples of a preview of full size, each in the rows that are exposed then."""
-    known = _preview_sequence(scene)
+    known = _preview_sequence(scene, way)
     if not scene.rolls:
         return size[0] * size[1] * (int(known.samples) if scene.moves else 1)
     camera = scene.camera.model_copy(update={"resolution": size})
@@ -93,7 +129,7 @@ def work_of(scene: Scene, size: tuple[int, int]) -> float:
     return subframes * size[0] * (size[1] if known.by_columns else min(rows, size[1]))
 
 
-def coarser(scene: Scene, size: tuple[int, int], eighths: int, is_plain: bool = False) -> Scene:
+def coarser(scene: Scene, size: tuple[int, int], eighths: int, way: Collection[str] = ()) -> Scene:
     """The scene with the same field of view in fewer pixels, and with what takes the most time left out.
 
     Parameters
@@ -103,8 +139,8 @@ def coarser(scene: Scene, size: tuple[int, int], eighths: int, is_plain: bool = 
         Its columns and rows.
     eighths : int
         Columns and rows that are left, in eighths. A scene with depth maps keeps all, as they have one value per pixel.
-    is_plain : bool
-        Without occlusion.
+    way : collection of str
+        One of WAYS: what is left out besides.
 
     Returns
     -------
@@ -112,10 +148,10 @@ def coarser(scene: Scene, size: tuple[int, int], eighths: int, is_plain: bool = 
         With one source per pixel at silhouettes, and few time samples: with a rolling shutter one while a row is open,
         each for a part of the readout at least.
     """
-    left_out = {"silhouette_samples": 1} | ({"occlusion": "none"} if is_plain else {})
+    left_out = {"silhouette_samples": 1} | ({"occlusion": "none"} if OCCLUSION in way else {})
     changes: dict[str, object] = {"psf": scene.psf.model_copy(update=left_out)}
     if scene.moves:
-        changes["sequence"] = _preview_sequence(scene)
+        changes["sequence"] = _preview_sequence(scene, way)
     if scene.is_analytic and eighths < EIGHTHS:
         columns, rows = (max(side * eighths // EIGHTHS, 1) for side in size)
         pitch = scene.camera.pixel_pitch * size[0] / columns
@@ -134,12 +170,16 @@ def unblurred(scene: Scene) -> Scene:
     return scene.model_copy(update={"psf": psf, "camera": camera, "sequence": sequence})
 
 
-def _preview_sequence(scene: Scene) -> Sequence:
-    """The sequence with few time samples."""
+def _samples(known: Sequence) -> int:
+    return min(known.samples, MOST_SAMPLES) if isinstance(known.samples, int) else MOST_SAMPLES
+
+
+def _preview_sequence(scene: Scene, way: Collection[str] = ()) -> Sequence:
+    """The sequence with few time samples: without motion, one in the middle."""
     known = scene.sequence
-    few = min(known.samples, MOST_SAMPLES) if isinstance(known.samples, int) else MOST_SAMPLES
     rolling = {"samples": 1, "shutter": max(known.shutter, known.readout / ROLLING_SHARES)}
-    return known.model_copy(update=rolling if scene.rolls else {"samples": few})
+    few = {"samples": 1, "sampling": "midpoint"} if MOTION in way else {"samples": _samples(known)}
+    return known.model_copy(update=rolling if scene.rolls else few)
 
 
 def plan_line(prepared: Prepared, seconds: float) -> str:

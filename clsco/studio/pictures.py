@@ -20,6 +20,7 @@ from clsco.optics.lens_path import reference_camera
 from clsco.optics.motion import Eye, poses_at, rest_center
 from clsco.reference.common.geometry import project
 from clsco.scene.model import Scene
+from clsco.studio.ladder import MOTION, OCCLUSION
 
 VIEWS = {
     "color": "color",
@@ -69,8 +70,8 @@ class ViewPicture:
         Time that it took to render.
     about : dict, optional
         Further figures of an exact frame, as JSON can hold them.
-    is_plain : bool
-        Without occlusion.
+    left_out : tuple of str
+        Parts of the scene that a coarse picture is without, of `ladder.WAYS`.
     eye : str
         "left" or "right" of a stereo pair, else "".
     small : bytes
@@ -85,14 +86,15 @@ class ViewPicture:
     payload: bytes
     seconds: float
     about: dict[str, Any] | None = None
-    is_plain: bool = False
+    left_out: tuple[str, ...] = ()
     eye: str = ""
     small: bytes = b""
 
     def packed(self, revision: int, number: int) -> bytes:
         """The bytes for the browser; number: of the frame, or in a focal stack, NO_NUMBER for one without."""
         view = list(VIEWS).index(self.view)
-        sizes, flags = (*self.size, self.encoding, *self.full), self.is_plain | (self.eye == "right") << 1
+        sizes, without = (*self.size, self.encoding, *self.full), self.left_out
+        flags = (OCCLUSION in without) | (self.eye == "right") << 1 | (MOTION in without) << 2
         return HEADER.pack(revision, self.rung, view, *sizes, flags, number) + self.payload
 
 

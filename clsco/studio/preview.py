@@ -7,7 +7,7 @@ import time
 from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine, Sequence
 from contextlib import aclosing, suppress
 from dataclasses import asdict
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from clsco.errors import CanceledError, ClscoError
 from clsco.optics.motion import Eye
@@ -27,6 +27,7 @@ from clsco.studio.pictures import (
 )
 from clsco.studio.reference import reference_picture
 from clsco.studio.renderer import PictureJob, Question, RendererEndedError, RenderProgress, Watch
+from clsco.studio.renderers import kind_of
 
 REST = 0.120  # s without a change
 LATEST = 1e9  # s, of a time sample
@@ -34,7 +35,7 @@ MEASURE = "measure"  # purpose of a question
 MOST_UNSEEN = 2  # pictures that the browser has not painted yet
 _MOST_CRASHES = 2  # of the renderer with the same scene
 
-
+T = TypeVar("T")
 Report = Callable[[dict[str, Any]], Awaitable[None]]
 Refer = Callable[[PictureJob, Callable[[float], Coroutine[Any, Any, None]]], Awaitable[ViewPicture]]
 
@@ -87,6 +88,7 @@ class Preview:
         self._news = asyncio.Event()
         self._unseen: list[tuple[int, int]] = []
         self._is_exact_underway = self._is_hidden = False
+        self._work: asyncio.Future[Any] | None = None  # what is waited for of the renderer, that may take long
         self._stops, self._is_stopped = 0, False  # by the user; the latter until the next change
         self._crashes = 0
         self._asked: dict[str, tuple[int, int, Report]] = {}
@@ -105,8 +107,28 @@ class Preview:
         self._changed_at, self._crashes = time.monotonic(), 0
         self._stack = []
         self._news.set()
+        self._give_up()
+
+    def _give_up(self) -> None:
+        """Nobody waits any more for what takes long, not even until it hears so."""
         if self._is_exact_underway:
             self._renderer.cancel()
+            if self._work is not None:
+                self._work.cancel()
+
+    async def _answer(self, work: Awaitable[T]) -> T:
+        """What the renderer answers; raises CanceledError where nobody waits for it any more."""
+        self._work = asyncio.ensure_future(work)
+        try:
+            await asyncio.wait({self._work})
+            if self._work.cancelled():
+                raise CanceledError("render: must go on to be done; got a later state")
+            found: T = self._work.result()
+            return found
+        finally:
+            if self._work.cancel():  # not done: this task ends
+                await asyncio.wait({self._work})
+            self._work = None
 
     def stop(self) -> None:
         """Cancel long work: the reference, else the rendering. The picture stays until the next change."""
@@ -122,8 +144,7 @@ class Preview:
         if not is_done:
             self._state += 1
             self._done, self._is_stopped = (self._state, EXACT), True
-        if self._is_exact_underway:
-            self._renderer.cancel()
+        self._give_up()
 
     def look(
         self, view: str | None = None, index: int | None = None, time: float | None = None, eye: Eye | None = None
@@ -149,8 +170,8 @@ class Preview:
         """Nobody sees the pictures, or somebody does again: the renderer is left to the tabs in front."""
         self._is_hidden = is_hidden
         self._news.set()
-        if is_hidden and self._is_exact_underway:
-            self._renderer.cancel()
+        if is_hidden:
+            self._give_up()
 
     def inspect(self, x: int, y: int, report: Report, purpose: str = "") -> None:
         """Have `report` called with the figures of a pixel, once the exact frame is there.
@@ -233,7 +254,7 @@ class Preview:
             elif self._outlines and self._outlined < self._state:
                 self._outlined = self._state
                 await self._show(OUTLINED)
-            elif (kind := _kind(self._session.scene)) not in self._warm:
+            elif (kind := kind_of(self._session.scene)) not in self._warm:
                 self._warm.add(kind)
                 with suppress(ClscoError):  # what is wrong is reported by the pictures
                     await self._renderer.warm(self._session.scene)
@@ -319,7 +340,7 @@ class Preview:
         state, late = self._state, list[ViewPicture]()
         self._is_exact_underway = job.rung != DRAGGING
         async with aclosing(self._renderer.pictures(job, self._watch)) as pictures:
-            async for picture in pictures:
+            while (picture := await self._answer(anext(pictures, None))) is not None:
                 if job.rung != DRAGGING and self._state != state:
                     return False
                 if late or self._is_full:
@@ -350,7 +371,7 @@ class Preview:
         scene, index = self._at_rest()
         try:
             question = Question(scene, index, x, y, self._eye, purpose == MEASURE)
-            await report(await self._renderer.inspect(question, self._watch))
+            await report(await self._answer(self._renderer.inspect(question, self._watch)))
         except CanceledError:
             if self._stops == stops:
                 self._asked.setdefault(purpose, asked)
@@ -358,8 +379,3 @@ class Preview:
             await self.tell(error=[str(error)])
         finally:
             self._is_exact_underway = False
-
-
-def _kind(scene: Scene) -> Any:
-    """Key that scenes with the same kernels share."""
-    return tuple(item.shape for item in scene.objects), scene.psf.model, scene.aperture.shape, scene.motion.warp

@@ -9,6 +9,7 @@ import traceback
 from collections.abc import AsyncGenerator, Callable, Coroutine
 from contextlib import aclosing, suppress
 from dataclasses import dataclass, replace
+from itertools import chain
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -17,10 +18,12 @@ from clsco.errors import CanceledError, ClscoError, DeviceError, SceneError
 from clsco.frame.frame import Frame
 from clsco.optics.motion import Eye
 from clsco.scene.model import Scene
-from clsco.studio.ladder import Ladders, coarser, unblurred, work_of
+from clsco.studio.ladder import Ladders, coarser, unblurred, ways_of, work_of
 from clsco.studio.pictures import DRAGGING, EXACT, IMAGES, LOSSY, UNBLURRED, ViewPicture
 
 TICK = 0.5  # s between words of what takes long
+REHEARSED = (2, 2, 4, 4)  # eighths of the pictures that are tried ahead; the first are compiled for
+PATIENCE = 1.0  # s that one of these may take
 SILENCE = 30.0  # s without one, after which the process is given up: it is stopped, or its driver hangs
 
 
@@ -43,6 +46,8 @@ class PictureJob:
         DRAGGING: one picture, as large as the time for it allows. EXACT: the frame, lossy first where that is quicker.
     eye : {"left", "right"}
         View of a stereo pair.
+    took : float
+        Time of an exact frame of the kind, s, which a preview takes at most; 0 where nobody knows.
     """
 
     scene: Scene
@@ -50,6 +55,7 @@ class PictureJob:
     view: str
     rung: int
     eye: Eye = "left"
+    took: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -158,6 +164,11 @@ class RendererProcess:
     async def warm(self, scene: Scene) -> None:
         """Have compiled, in the background, what the scene and those near it need."""
         async for _ in self._ask("warm", scene):
+            pass
+
+    async def rehearse(self, job: PictureJob) -> None:
+        """Have compiled and timed what previews like a job's need. Errors are as for `pictures`."""
+        async for _ in self._ask("rehearse", job):
             pass
 
     async def _wait_for_turn(self, watch: Watch | None) -> None:
@@ -308,6 +319,8 @@ class _RenderWorker:
                 self._live = Live(self._device)
             if what == "warm":
                 self._live.warm(content)
+            elif what == "rehearse":
+                self._rehearse(content)
             elif what == "inspect":
                 self._send(number, self._inspect(number, content))
             elif content.rung == DRAGGING:
@@ -362,21 +375,38 @@ class _RenderWorker:
                 self._send(current[0], replace(found, still=now - since))
 
     def _coarse(self, number: int, job: PictureJob) -> None:
-        from clsco.inputs.textures import texture_size
+        size, ladders = self._size_of(job), self._ladders_of(job)
+        way, eighths = ladders.choose(_needed(job), size)
+        self._send(number, self._coarse_picture(job, size, way, eighths))
+
+    def _coarse_picture(
+        self, job: PictureJob, size: tuple[int, int], way: tuple[str, ...], eighths: int
+    ) -> ViewPicture:
+        """Render a preview, and learn how long it takes."""
         from clsco.studio.pictures import picture_of, truth_of
 
-        wanted = _needed(job)
-        size = wanted.camera.resolution or texture_size(job.scene.objects[0].inputs()["texture"])
-        work = work_of(wanted, size)
-        ladders = self._ladders_of(job)
-        ladder, eighths = ladders.choose(wanted, work)
-        is_plain = ladder is ladders.plain
-        start = time.perf_counter()
-        scene = coarser(wanted, size, eighths, is_plain)
+        wanted, start = _needed(job), time.perf_counter()
+        scene = coarser(wanted, size, eighths, way)
         frame = self._frame(scene, job, truth_of(job.view))
         picture = picture_of(frame, scene, job.view, DRAGGING, size, time.perf_counter() - start)
-        ladder.measured(work, eighths, time.perf_counter() - start)
-        self._send(number, replace(picture, is_plain=is_plain))
+        self._ladders_of(job).of[way].measured(work_of(wanted, size, way), eighths, time.perf_counter() - start)
+        return replace(picture, left_out=tuple(set(way) & set(chain(*ways_of(wanted)))))
+
+    def _rehearse(self, job: PictureJob) -> None:
+        """Compile what previews of a scene need, and learn how long they take."""
+        size, ladders, wanted = self._size_of(job), self._ladders_of(job), _needed(job)
+        for way in ways_of(wanted):
+            ladder, work = ladders.of[way], work_of(wanted, size, way)
+            if job.took:
+                ladder.bounded(work, job.took)
+            for eighths in REHEARSED:
+                if ladder.predicted(work, eighths) <= PATIENCE:
+                    self._coarse_picture(job, size, way, eighths)
+
+    def _size_of(self, job: PictureJob) -> tuple[int, int]:
+        from clsco.inputs.textures import texture_size
+
+        return job.scene.camera.resolution or texture_size(job.scene.objects[0].inputs()["texture"])
 
     def _exact(self, number: int, job: PictureJob) -> None:
         from clsco.studio.pictures import picture_of, truth_of
@@ -386,7 +416,7 @@ class _RenderWorker:
         scene = _needed(job)
         frame = self._frame(scene, job, truth_of(job.view))
         seconds, (rows, columns) = time.perf_counter() - start, frame.color.shape[:2]
-        self._ladders_of(job).whole.bounded(work_of(scene, (columns, rows)), seconds)
+        self._ladders_of(job).of[()].bounded(work_of(scene, (columns, rows)), seconds)
         rungs = (LOSSY, EXACT) if job.view in IMAGES and job.rung == EXACT else (job.rung,)
         for rung in rungs:
             self._check(number)

@@ -33,7 +33,7 @@ from clsco.studio.lens import lens_line
 from clsco.studio.moving import Pointer
 from clsco.studio.presets import choose_method
 from clsco.studio.preview import Preview
-from clsco.studio.renderer import RendererProcess
+from clsco.studio.renderers import Renderers
 from clsco.studio.routes import add_routes
 from clsco.studio.session import Document
 from clsco.studio.store import digest_of
@@ -86,7 +86,7 @@ class Studio:
 
     def __init__(self, root: Path, scene: Path | None = None, device: str | None = None) -> None:
         self.root, self.scene, self.device = root.resolve(), scene, device
-        self.renderer = RendererProcess(device)
+        self.renderer = Renderers(device)
         self.jobs = Jobs(self.root)
         self.tabs: dict[str, Tab] = {}
         self._ended = 0  # pages

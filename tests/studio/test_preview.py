@@ -13,7 +13,7 @@ import pytest
 
 from clsco import Scene, parse_scene
 from clsco.errors import CanceledError, ClscoError, SceneError
-from clsco.studio.ladder import BUDGET, LEAST, Ladder, Ladders, coarser, work_of
+from clsco.studio.ladder import BUDGET, OCCLUSION, WAYS, Ladder, Ladders, coarser, ways_of, work_of
 from clsco.studio.pictures import DRAGGING, EXACT, HEADER, LOSSY, MESSAGE, PINNED, REFERENCE, STACKED, ViewPicture
 from clsco.studio.preview import MEASURE, MOST_UNSEEN, REST, Preview
 from clsco.studio.renderer import PictureJob, Question, RendererEndedError, RenderProgress, Watch
@@ -396,12 +396,14 @@ def test_a_renderer_that_ends_is_asked_again_once() -> None:
     assert len(renders.jobs) == 2
 
 
-def test_the_ladder_keeps_to_its_budget() -> None:
+@pytest.mark.parametrize("fixed", [0.001, 0.012])
+def test_the_ladder_keeps_to_its_budget(fixed: float) -> None:
     ladder, work = Ladder(), 512.0 * 512.0
-    for seconds_full in (0.030, 0.090, 0.500):
+    for seconds_full in (0.010, 0.070, 0.250):
         for _ in range(30):
             size = ladder.eighths(work)
-            ladder.measured(work, size, seconds_full * (size / 8) ** 2)
+            ladder.measured(work, size, fixed + seconds_full * (size / 8) ** 2)
+        assert ladder.predicted(work, size) == pytest.approx(fixed + seconds_full * (size / 8) ** 2, rel=0.05)
         assert ladder.predicted(work, size) <= BUDGET
         assert size == 8 or ladder.predicted(work, size + 1) > BUDGET
     assert size == 2
@@ -417,27 +419,42 @@ def test_the_ladder_believes_a_stall_the_third_time() -> None:
     assert ladder.eighths(work) < 8
 
 
-def test_occlusion_is_left_out_where_the_budget_needs_it() -> None:
-    ladders, work, known = Ladders(), 512.0 * 512.0, scene()
-    ladders.whole.measured(work, 8, 0.75 * BUDGET)
-    assert ladders.choose(known, work) == (ladders.whole, 8)
-    for _ in range(9):
-        ladders.whole.measured(work, 8, 2.75 * BUDGET)
-    ladders.plain.measured(work, 8, 0.95 * BUDGET)
-    assert ladders.whole.eighths(work) < LEAST
-    assert ladders.choose(known, work) == (ladders.plain, 8)
-    assert ladders.choose(known.replace("psf.occlusion", "none"), work)[0] is ladders.whole
-    assert coarser(known, (64, 48), 8, is_plain=True).psf.occlusion == "none"
+def test_more_is_left_out_where_the_budget_needs_it() -> None:
+    ladders, size, known = Ladders(), (512, 512), scene().replace("object.0.motion.velocity", [5.0, 0.0, 0.0])
+    work, still = work_of(known, size), work_of(known, size, WAYS[2])
+    assert (work, still) == (3 * 512 * 512, 512 * 512)
+    for way in WAYS:
+        ladders.of[way].measured(work_of(known, size, way), 8, 0.5 * BUDGET)
+    assert ladders.choose(known, size) == ((), 8)
+    for way in WAYS[:2]:
+        for _ in range(30):
+            ladders.of[way].measured(work, 8, 3.75 * BUDGET)
+        assert ladders.choose(known, size)[0] == WAYS[WAYS.index(way) + 1]
+    assert ladders.choose(known, size) == (WAYS[2], 8)
+    coarse = coarser(known, (64, 48), 8, WAYS[2])
+    assert (coarse.psf.occlusion, coarse.sequence.samples) == ("none", 1)
     assert coarser(known, (64, 48), 8).psf.occlusion == known.psf.occlusion
-    ladders.whole.bounded(work, 0.9 * BUDGET)  # an exact frame came in time
-    assert ladders.choose(known, work) == (ladders.whole, 8)
+    ladders.of[()].bounded(work, 0.9 * BUDGET)  # an exact frame came in time
+    assert ladders.choose(known, size)[0] == ()
 
 
-def test_small_pictures_cost_more_than_their_pixels() -> None:
-    """So that one who learns from a small one does not stay there."""
+def test_nothing_is_left_out_that_is_not_there() -> None:
+    known = scene()
+    assert ways_of(known) == [(), (OCCLUSION,)]
+    assert ways_of(known.replace("psf.occlusion", "none")) == [()]
+    moving = known.replace("object.0.motion.velocity", [5.0, 0.0, 0.0])
+    assert ways_of(moving) == list(WAYS)
+    assert ways_of(moving.replace("psf.occlusion", "none")) == [(), WAYS[2]]
+    assert ways_of(moving.replace("sequence.samples", 1)) == [(), (OCCLUSION,)]
+
+
+def test_a_small_picture_that_gains_nothing_is_not_taken() -> None:
+    """Where the time of every picture is beyond the budget, larger ones cost hardly more."""
     ladder, work = Ladder(), 512.0 * 512.0
-    ladder.measured(work, 1, 0.012)
-    assert ladder.eighths(work) >= 3
+    for _ in range(30):
+        size = ladder.eighths(work)
+        ladder.measured(work, size, 2.0 * BUDGET + 0.040 * (size / 8) ** 2)
+    assert size >= 5
 
 
 @pytest.mark.parametrize("eighths", [1, 3, 8])

@@ -13,10 +13,10 @@ const show = (text, rung) => {
   badge.dataset.rung = rung;
 };
 
-const rendered = ({ rung, width, full, plain }) => {
+const rendered = ({ rung, width, full, without }) => {
   if (rung === RUNG.EXACT) return "exact of these values";
   if (rung === RUNG.LOSSY) return "full size";
-  return `preview ${Math.round((8 * width) / full[0])}/8${plain ? ", no occlusion" : ""}`;
+  return `preview ${Math.round((8 * width) / full[0])}/8${without.map((part) => `, no ${part}`).join("")}`;
 };
 
 const earlier = ({ view, right, number, revision }) => { // in words, "" for what is of this state

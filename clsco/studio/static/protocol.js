@@ -27,7 +27,8 @@ const header = (buffer) => {
 export const opened = (buffer) => {
   const { view, columns, rows, flags, ...rest } = header(buffer);
   const picture = {
-    ...rest, view: VIEWS[view], full: [columns, rows], plain: Boolean(flags & 1), right: Boolean(flags & 2),
+    ...rest, view: VIEWS[view], full: [columns, rows], right: Boolean(flags & 2),
+    without: ["occlusion", "", "motion"].filter((name, bit) => name && flags & (1 << bit)),
   };
   return { picture, payload: new Uint8Array(buffer, HEAD) };
 };

@@ -1,0 +1,92 @@
+"""Two renderers: one for what a drag waits for, and one for all else."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncGenerator
+from contextlib import aclosing, suppress
+from dataclasses import replace
+from typing import Any
+
+from clsco.errors import ClscoError
+from clsco.scene.model import Scene
+from clsco.studio.pictures import DRAGGING, EXACT, ViewPicture
+from clsco.studio.renderer import PictureJob, Question, RendererEndedError, RendererProcess, Watch
+
+
+class Renderers:
+    """Two processes, so that previews come whatever else is rendered or compiled, for this tab or another.
+
+    The one for previews is begun once there is an exact frame, and takes over what it has rehearsed.
+
+    Parameters
+    ----------
+    device : str, optional
+        As for `clsco.render`.
+    """
+
+    def __init__(self, device: str | None = None) -> None:
+        self._main, self._quick = RendererProcess(device), RendererProcess(device)
+        self._rehearsed: set[Any] = set()  # kinds of scenes
+        self._rehearsal: asyncio.Task[None] | None = None
+        self._took: dict[Any, float] = {}  # s, of exact frames
+
+    @property
+    def pid(self) -> int | None:
+        """Id of the process that renders exact frames, if there is one."""
+        return self._main.pid
+
+    def start(self) -> None:
+        """Start the process for exact frames, if there is none."""
+        self._main.start()
+
+    async def pictures(self, job: PictureJob, watch: Watch | None = None) -> AsyncGenerator[ViewPicture, None]:
+        """Pictures of a job, as they come. As for `RendererProcess`."""
+        kind = kind_of(job.scene)
+        renderer, key = self._main, (kind, job.view)
+        if job.rung == DRAGGING:
+            is_free = self._rehearsal is None or self._rehearsal.done()
+            renderer = self._quick if is_free and kind in self._rehearsed else self._main
+            job = replace(job, took=self._took.get(key, 0.0))
+        try:
+            async with aclosing(renderer.pictures(job, watch)) as pictures:
+                async for picture in pictures:
+                    if picture.rung == EXACT:
+                        self._took[key] = picture.seconds
+                    yield picture
+        except RendererEndedError:
+            if renderer is self._quick:
+                self._rehearsed.clear()
+            raise
+
+    async def inspect(self, question: Question, watch: Watch | None = None) -> dict[str, Any]:
+        """Ask for the figures of a pixel. As for `RendererProcess`."""
+        return await self._main.inspect(question, watch)
+
+    async def warm(self, scene: Scene) -> None:
+        """Have compiled, in the background, what the scene and those near it need, and its previews rehearsed."""
+        await self._main.warm(scene)
+        if self._rehearsal is None or self._rehearsal.done():
+            self._rehearsal = asyncio.create_task(self._rehearse(scene))
+
+    async def _rehearse(self, scene: Scene) -> None:
+        kind, took = kind_of(scene), self._took.get((kind_of(scene), "color"), 0.0)
+        with suppress(ClscoError):  # what is wrong is reported by the pictures
+            await self._quick.rehearse(PictureJob(scene, 0, "color", DRAGGING, took=took))
+            self._rehearsed.add(kind)
+
+    def cancel(self) -> None:
+        """End what is rendered besides previews before its next pass."""
+        self._main.cancel()
+
+    def close(self) -> None:
+        """End the processes."""
+        if self._rehearsal is not None:
+            self._rehearsal.cancel()
+        for renderer in (self._main, self._quick):
+            renderer.close()
+
+
+def kind_of(scene: Scene) -> Any:
+    """Key that scenes with the same kernels share."""
+    return tuple(item.shape for item in scene.objects), scene.psf.model, scene.aperture.shape, scene.motion.warp

@@ -1,0 +1,42 @@
+"""Two renderers: previews come while the other one is busy."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+
+import pytest
+
+from clsco.studio.pictures import DRAGGING, EXACT
+from clsco.studio.renderer import PictureJob, RendererEndedError
+from clsco.studio.renderers import Renderers
+from tests.studio.test_renderer import all_of, several, small
+
+
+def test_previews_come_while_a_frame_is_rendered() -> None:
+    async def run() -> None:
+        renderers = Renderers("pocl")
+        try:
+            await all_of(renderers.pictures(PictureJob(several(), 0, "color", EXACT)))
+            await renderers.warm(several())
+            assert renderers._rehearsal is not None
+            await renderers._rehearsal
+            long = several().replace("sequence.samples", 4000).replace("camera.resolution", [512, 512])
+            exact = asyncio.ensure_future(all_of(renderers.pictures(PictureJob(long, 0, "color", EXACT))))
+            await asyncio.sleep(0.2)
+            (coarse,) = await all_of(renderers.pictures(PictureJob(several(), 0, "color", DRAGGING)))
+            assert (coarse.rung, coarse.full) == (DRAGGING, (48, 40))
+            assert not exact.done()
+            exact.cancel()
+            (other,) = await all_of(renderers.pictures(PictureJob(small(), 0, "color", DRAGGING)))  # by the first
+            assert other.full == (48, 40)
+            assert renderers._quick.pid is not None
+            os.kill(renderers._quick.pid, signal.SIGKILL)
+            with pytest.raises(RendererEndedError, match="signal 9"):
+                await all_of(renderers.pictures(PictureJob(several(), 0, "color", DRAGGING)))
+            await all_of(renderers.pictures(PictureJob(several(), 0, "color", DRAGGING)))
+        finally:
+            renderers.close()
+
+    asyncio.run(run())
