@@ -111,7 +111,7 @@ class Ladders:
 
 
 def ways_of(scene: Scene) -> list[tuple[str, ...]]:
-    """Those of WAYS that differ for a scene."""
+    """Members of WAYS that differ for a scene."""
     known = scene.psf.occlusion != "none", scene.moves and not scene.rolls and _samples(scene.sequence) > 1
     kept = {OCCLUSION: known[0], MOTION: known[1]}
     found = {tuple(part for part in way if kept[part]): way for way in reversed(WAYS)}

@@ -117,7 +117,7 @@ class Preview:
                 self._work.cancel()
 
     async def _answer(self, work: Awaitable[T]) -> T:
-        """What the renderer answers; raises CanceledError where nobody waits for it any more."""
+        """The renderer's answer; raises CanceledError where nobody waits for it any more."""
         self._work = asyncio.ensure_future(work)
         try:
             await asyncio.wait({self._work})

@@ -449,7 +449,7 @@ def test_nothing_is_left_out_that_is_not_there() -> None:
 
 
 def test_a_small_picture_that_gains_nothing_is_not_taken() -> None:
-    """Where the time of every picture is beyond the budget, larger ones cost hardly more."""
+    """If the time of every picture is beyond the budget, larger ones cost hardly more."""
     ladder, work = Ladder(), 512.0 * 512.0
     for _ in range(30):
         size = ladder.eighths(work)
