@@ -55,7 +55,7 @@ def run(*words: str | Path) -> Result:
 @pytest.mark.parametrize(
     ("name", "out", "dtype", "channels"),
     [
-        ("image.png", "filled.png", np.uint8, 1),
+        pytest.param("image.png", "filled.png", np.uint8, 1, marks=pytest.mark.slow),
         ("image.png", "filled.tif", np.uint16, 3),
         pytest.param("image.tif", "filled.png", np.uint8, 3, marks=pytest.mark.slow),
         ("image.tif", "filled.tif", np.float32, 3),

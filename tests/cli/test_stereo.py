@@ -21,7 +21,6 @@ from clsco.frame.frame import FILE_NAMES
 from clsco.opencl.session import Session
 from clsco.plan.prepare import Prepared
 from tests.scenes import outputs_of, scene_file
-from tests.slow import mostly_slow
 
 PAIR = """
 title = "Pair"
@@ -176,7 +175,8 @@ def test_every_view_is_checked(scene: Path) -> None:
     assert [words.count(name) for name in ("disparity", "occluded", "flow_backward", "flow_occluded")] == [2] * 4
 
 
-@pytest.mark.parametrize("warp", mostly_slow(["inverse", "forward"], ["inverse"]))
+@pytest.mark.slow
+@pytest.mark.parametrize("warp", ["inverse", "forward"])
 def test_views_turned_inwards_agree_with_the_reference(scene: Path, warp: str) -> None:
     words = ["stereo.toe_in=1.5", "sequence.frames=1", f"motion.warp={warp}"]
     views = list(compare_frames(clsco.load_scene(scene, words), None, "double"))

@@ -23,7 +23,6 @@ from clsco.passes.gather import Gather
 from clsco.plan.prepare import prepare
 from clsco.scene.model import Scene
 from tests.scenes import scene_from
-from tests.slow import mostly_slow
 
 COMPLETE = cl.command_execution_status.COMPLETE
 TABLES: dict[str, Any] = {
@@ -71,7 +70,8 @@ def alone(scene: Scene, **options: Any) -> Frame:
         return clsco.render_frame(scene, device=session.queue, **options)
 
 
-@pytest.mark.parametrize("name", mostly_slow(list(SCENES), ["gaussian"]))
+@pytest.mark.slow
+@pytest.mark.parametrize("name", list(SCENES))
 def test_frames_have_the_bits_of_frames_alone(live: Live, name: str) -> None:
     scene = SCENES[name]
     for key, value in CHANGES:

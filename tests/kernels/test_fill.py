@@ -388,7 +388,7 @@ def test_smoothing_writes_all_that_is_listed(session: Session) -> None:
     close(planes.values()[filled], smooth_median(values, filled, np.ones_like(filled), bounds)[filled])
 
 
-@pytest.mark.parametrize("method", ["ait", "mean_median", "none"])
+@pytest.mark.parametrize("method", mostly_slow(["ait", "mean_median", "none"], ["mean_median", "none"]))
 @pytest.mark.parametrize(
     ("channels", "guard", "far"),
     mostly_slow([(1, 0, False), (3, 2, False), (1, 0, True), (3, 2, True)], [(3, 2, True)]),

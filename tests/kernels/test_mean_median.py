@@ -360,7 +360,7 @@ def test_scores_of_images_are_exact(session: Session, dtype: Any, monkeypatch: p
         assert score_image(opened, program(opened, 2, codes), image, missing, scale, lambda share: None) == expected
 
 
-@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+@pytest.mark.parametrize("dtype", mostly_slow([np.uint8, np.float32], [np.uint8]))
 def test_what_gpus_build_gives_the_same_bits(session: Session, dtype: Any) -> None:
     """Vectors in plain OpenCL C, atomics and groups of many work-items."""
     rng = np.random.default_rng(29)

@@ -117,7 +117,7 @@ SCENES: dict[str, tuple[Object, ...]] = {
 }
 PILLBOX = Psf()
 STILL = Pose(np.eye(3), np.zeros(3))
-QUICK = ["ball", "ball, narrow lens", "card", "disc", "bounded cone"]
+QUICK = ["ball", "ball, narrow lens", "card", "disc"]
 ROWS = (-6, -2, 0, 3, 7)  # of taps, two vectors of 8 in each
 
 

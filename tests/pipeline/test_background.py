@@ -31,7 +31,7 @@ CASES: dict[str, Any] = {
 }
 
 
-SOME = [CASES[name] for name in ("first", "moving", "forward", "layered")]
+SOME = [CASES[name] for name in ("first", "moving", "layered")]
 
 
 @pytest.mark.parametrize(("items", "sections"), mostly_slow(CASES.values(), SOME), ids=CASES)

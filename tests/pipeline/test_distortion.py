@@ -64,7 +64,7 @@ def test_device_against_reference(name: str) -> None:
     assert_agree(rendered(SCENES[name]), reference_frames(SCENES[name]))
 
 
-@pytest.mark.parametrize("how", ["static", "moving", "ray"])
+@pytest.mark.parametrize("how", mostly_slow(["static", "moving", "ray"], ["static", "ray"]))
 def test_depth_maps_against_the_reference(tmp_path: Path, how: str) -> None:
     np.save(tmp_path / "depth.npy", 270.0 + np.add.outer(np.arange(32), np.arange(40.0)) / 2)
     given = {"shape": "depth_map", "depth": str(tmp_path / "depth.npy"), "texture": "bricks", "unit": "mm"}
@@ -73,7 +73,7 @@ def test_depth_maps_against_the_reference(tmp_path: Path, how: str) -> None:
     assert_agree(rendered(found), reference_frames(found))
 
 
-@pytest.mark.parametrize("real", ["double", "single"])
+@pytest.mark.parametrize("real", mostly_slow(["double", "single"], ["double"]))
 def test_spots_are_where_opencv_has_them(real: Any) -> None:
     center, z = np.array([[60.0, 45.0], [-75.0, 20.0], [10.0, -50.0]]), 250.017
     spots = [{"shape": "disc", "center": [x, y, z], "radius": 5.0, "texture": "#ffffff"} for x, y in center.tolist()]
@@ -158,7 +158,11 @@ def test_strips_have_the_same_bits(psf: dict[str, Any]) -> None:
     assert (whole.blur_radius == cut.blur_radius).all()  # type: ignore[union-attr]
 
 
-@pytest.mark.parametrize("options", [{"precision": "single"}, {"method": "scatter"}, {"method": "tiles"}], ids=str)
+@pytest.mark.parametrize(
+    "options",
+    mostly_slow([{"precision": "single"}, {"method": "scatter"}, {"method": "tiles"}], [{"method": "tiles"}]),
+    ids=str,
+)
 def test_single_precision_and_other_methods(options: dict[str, Any]) -> None:
     wanted = scene(WALL, lens=D, psf={"model": "gaussian"}) if options.get("method") == "tiles" else SCENES["still"]
     found = clsco.render_frame(wanted, **options)

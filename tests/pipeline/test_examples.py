@@ -76,6 +76,7 @@ LONG |= {
 }
 LONG |= {"fig_3_15_right", "fig_4_17", "fig_4_19"}
 LONG |= {"rolling_fan", "rolling_train"}  # see tests/pipeline/test_rolling_shutter.py and test_line_truth.py
+LONG |= {"vignetted"}  # see tests/pipeline/test_real_lens.py
 LONG |= {"background"}  # see tests/pipeline/test_background.py
 LONG |= {"night"}  # see tests/pipeline/test_sensor.py
 LONG |= {"focus_pull", "hand_held"}  # see tests/pipeline/test_lens_path.py and test_keyframes.py
@@ -94,7 +95,7 @@ LONG |= {
 }
 LONG |= {f"fig_{number}" for number in ("3_03", "4_08", "4_09", "4_10", "4_11", "4_12", "4_18")} | {"section_4_3_3"}
 LONG |= {f"fig_{number}" for number in ("3_09_a", "3_09_b", "3_09_c", "3_13_a", "3_13_b", "4_13", "4_15", "3_17_left")}
-SINGLE = ("quadric", "thesis_pipeline")
+SINGLE = ("quadric",)
 SEVERAL = ("cone_turning", "cylinder_turning", "plane_gaussian", "quadric", "road", "fig_3_12_right")
 
 

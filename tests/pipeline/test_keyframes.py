@@ -49,7 +49,7 @@ SCENES: dict[str, Scene] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", mostly_slow(SCENES, ("object", "camera", "accelerated", "shake")))
+@pytest.mark.parametrize("name", mostly_slow(SCENES, ("camera", "accelerated", "shake")))
 def test_device_against_reference(name: str) -> None:
     frames = rendered(SCENES[name])
     assert_agree(frames, reference_frames(SCENES[name]))
@@ -119,7 +119,8 @@ def orbiting(frames: int, **motion: Any) -> Scene:
     return scene_from({"camera": CAMERA, "psf": {"tilt": False}, "sequence": sequence}, ball, wall)
 
 
-@pytest.mark.parametrize("way", mostly_slow(["cubic", "step"], ["step"]))
+@pytest.mark.slow
+@pytest.mark.parametrize("way", ["cubic", "step"])
 def test_an_orbit_between_the_times_that_are_predicted(way: str) -> None:
     """Its group of occluders and its radii are found on the device, whatever the times that the plan looked at."""
     keys = orbit(90.0)

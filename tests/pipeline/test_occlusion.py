@@ -88,7 +88,7 @@ def test_blur_of_many_vectors_behind_a_ball() -> None:
     np.testing.assert_allclose(gathered, scattered, rtol=0, atol=1.5e-6)
 
 
-WIDE = CAMERA | {"resolution": [80, 70], "aperture_diameter": 130.0}
+WIDE = CAMERA | {"resolution": [56, 70], "aperture_diameter": 130.0}
 SMALL = BALL | {"center": [-3.0, 4.0, 300.0], "radius": 5.0}
 POST = {"shape": "cylinder", "center": [9.0, 0.0, 290.0], "radius": 3.0, "axis": [0.2, 1.0, 0.0]}
 CAN = POST | {"bounds": [[-30.0, 30.0], [-6.0, 9.0], [-30.0, 30.0]], "texture": "bricks"}

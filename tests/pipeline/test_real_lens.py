@@ -67,7 +67,7 @@ SCENES: dict[str, Scene] = {
     ),
     "mapped": scene(BALL | {"texture": "checkerboard", "texture_mapping": "surface"}, lens=ALL),
 }
-FAST = ("dark", "lateral", "in focus", "one radius", "layered")
+FAST = ("dark", "lateral", "in focus", "one radius")
 
 
 @pytest.mark.parametrize("name", mostly_slow(SCENES, FAST))

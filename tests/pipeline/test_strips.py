@@ -51,7 +51,7 @@ SCENES: dict[str, tuple[str, dict[str, Any]]] = {
 # Buffers that the views of a pair share, and the plan counts for each.
 SHARED = ("texture", *(f"blur {sub}{table}" for sub in ("", "subpixel ") for table in ("intervals", "coefficients")))
 SHARED += ("blur taps", "blur outlines")
-SLOW = ("pair", "fixed point", "fixed point, card", "tiles", "light given back")
+SLOW = ("moving ball", "pair", "fixed point", "fixed point, card", "tiles", "light given back")
 
 
 CAMERA = {"resolution": [COLUMNS, ROWS], "pixel_pitch": 0.04, "aperture_diameter": 45.0}

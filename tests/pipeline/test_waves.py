@@ -67,7 +67,7 @@ CASES: dict[str, dict[str, Any]] = {
     },
 }
 LENSES = ("microscope_objective", "newtonian", "phone_camera", "slide_upside_down", "star_field", "tilted_mirror")
-FEW = ("facing", "hidden, far light", "coma", "blades")
+FEW = ("facing", "hidden, far light", "blades")
 
 
 @pytest.mark.parametrize(

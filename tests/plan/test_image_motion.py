@@ -253,7 +253,7 @@ LENSES: dict[str, Any] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("behind", [[], [LIGHT_BEHIND]], ids=["a light edge", "what it hides"])
+@pytest.mark.parametrize("behind", mostly_slow([[], [LIGHT_BEHIND]], [[]]), ids=["a light edge", "what it hides"])
 @pytest.mark.parametrize("name", mostly_slow(list(LENSES), ["disc"]))
 def test_the_error_at_an_edge_is_within_the_bound_and_not_far_from_it(name: str, behind: Any) -> None:
     (card,) = EDGE["object"]

@@ -79,7 +79,12 @@ def test_spherical_aberration_is_that_of_hankel_transforms(opening: Pupil) -> No
 @pytest.mark.parametrize("tent", mostly_slow([True, False], [True]))
 @pytest.mark.parametrize(
     "lens",
-    [waves(0.3, Polygon(5)), waves(0.3, Circle(), COMA), waves(0.8, Ellipse(0.5)), waves(0.5, Ellipse(2.0), COMA)],
+    [
+        waves(0.3, Polygon(5)),
+        waves(0.3, Circle(), COMA),
+        pytest.param(waves(0.8, Ellipse(0.5)), marks=pytest.mark.slow),
+        waves(0.5, Ellipse(2.0), COMA),
+    ],
     ids=lambda lens: lens.name,
 )
 def test_light_is_kept_or_lost_by_the_tail(lens: FourierDiffracted, tent: bool) -> None:

@@ -133,7 +133,7 @@ def test_an_image_is_turned_counter_clockwise() -> None:
 
 @pytest.mark.parametrize(
     ("name", "samples"),
-    combined(["bulging", "flat ellipse", "heart, narrow"], [0, 2], kept=[("bulging", 0), ("flat ellipse", 2)]),
+    combined(["bulging", "flat ellipse", "heart, narrow"], [0, 2], kept=[("bulging", 0)]),
 )
 def test_tables_hold_the_weights(name: str, samples: int) -> None:
     """At most 2e-4 of the light is elsewhere, at any radius of either sign."""
