@@ -44,7 +44,7 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
         ("newton", i),
         *_reals(real, step=(), rest_step=(), radial=three, tangential=two, reach=(), start=(START,)),
     ]
-    lens = _reals(real, blur_scale=(), focus_power=(), radius=(), detector_power=(), sag=())
+    lens = _reals(real, blur_scale=(), focus_power=(), radius=(), detector_power=(), sag=(), sphere=())
     surface = _reals(real, turn=nine, body_turn=nine, own_turn=nine, offset=three, body_offset=three, own_offset=three)
     surface += _reals(real, rest=three, q=three, l=three)
     surface += _reals(real, bounds_low=three, bounds_high=three, k=(), at_lens=(), radius=())

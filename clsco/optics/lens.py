@@ -34,8 +34,9 @@ class Lens:
     sag : float
         By how much the image of a plane lies before the detector, in sensor distances, per squared slope t^2 of the
         ray: -c s0^2 / (2 s) with the curvature c of that image.
-    spherical : float
-        1 where a sphere around the lens is in focus, and no plane.
+    sphere : float
+        Inverse distance of the sphere around the lens that light of the camera's focal length is focused on, K of it in
+        1/mm; 0 where a plane is in focus.
     distortion : Distortion, optional
         Bends the image, and blur with it.
 
@@ -53,7 +54,7 @@ class Lens:
     radius: float
     detector_power: float
     sag: float = 0.0
-    spherical: float = 0.0
+    sphere: float = 0.0
     distortion: Distortion | None = None
 
     @classmethod
@@ -81,14 +82,20 @@ class Lens:
             0.5 * camera.aperture_diameter,
             1.0 / s,
             -0.5 * curvature * scale * scale / s,
-            float(real is not None and real.focus_surface == "sphere"),
+            0.0 if real is None or real.focus_surface == "plane" else 1.0 / f - 1.0 / s,
             distortion_of(camera),
         )
 
     @property
     def is_curved(self) -> bool:
         """True if what is in focus is no plane."""
-        return self.sag != 0.0 or self.spherical > 0.0
+        return self.sag != 0.0 or self.sphere != 0.0
+
+    def focus_rise(self, squared_slope: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Change of the inverse depth in focus per slope of the ray, over this slope, in 1/mm, at squared slopes."""
+        bend = 1.0 + self.sag * squared_slope
+        by_field = 2.0 * self.detector_power * self.sag / (bend * bend)
+        return np.asarray(by_field + self.sphere / np.sqrt(1.0 + squared_slope))
 
     def along(self, x: NDArray[np.float64] | float, y: NDArray[np.float64] | float) -> Self:
         """The lens for rays of slopes x and y alone, which a distorted image has larger or smaller; numbers become
@@ -126,17 +133,18 @@ class Lens:
         Notes
         -----
         With field curvature the image of a plane lies before the detector by d = -c s0^2 t^2 / 2, so that
-        K(t) = 1/f - 1/(s + d) = K + d / (s (s + d)). Where a sphere is in focus, w / sqrt(1 + t^2) stands for w. Both
-        are added to K - w as what they change, which keeps its digits where R is almost 0.
-        Validated against these formulas as they stand (tests/optics/test_lens.py).
+        K(t) = 1/f - 1/(s + d) = K + d / (s (s + d)). Where a sphere is in focus, the depth in focus along a ray is its
+        radius times cos(theta) = 1 / sqrt(1 + t^2), so that K / cos(theta) stands for K. Both are added to
+        K - w as what they change, which keeps its digits where R is almost 0.
+        Validated against these formulas as they stand, and rays through the lens (tests/optics/test_lens.py).
         """
         w = np.asarray(inverse_depth, dtype=np.float64)
         power = self.focus_power - w
         if self.is_curved:
             squared = np.asarray(squared_slope, dtype=np.float64)
-            bend, distance = self.sag * squared, np.sqrt(1.0 + squared)
+            bend = self.sag * squared
             power = power + self.detector_power * bend / (1.0 + bend)
-            power = power + self.spherical * w * (squared / (distance * (1.0 + distance)))
+            power = power + self.sphere * (squared / (1.0 + np.sqrt(1.0 + squared)))
         return np.asarray(self.blur_scale * power)
 
 

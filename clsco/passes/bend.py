@@ -9,6 +9,7 @@ import pyopencl as cl
 from clsco.opencl.buffers import allocate
 from clsco.passes.blur import PIXELS, Events, Target
 from clsco.plan.buffers import bend_buffers
+from clsco.plan.features import curvature_of
 from clsco.records import Struct
 from clsco.scene.model import Scene
 
@@ -26,6 +27,7 @@ class Bends:
 
     def __init__(self, target: Target, scene: Scene) -> None:
         self.target, self.scene = target, scene
+        self.curved = curvature_of(scene)
         self.own: tuple[Hashable, dict[str, cl.Buffer]] = None, {}
 
     def planes(self, grid: Struct, lens: Struct, events: Events) -> dict[str, cl.Buffer]:
@@ -33,7 +35,8 @@ class Bends:
         sizes = bend_buffers(self.scene, int(grid["width"]) * int(grid["height"]))
         if not sizes:
             return {}
-        session, key = self.target.session, (grid.tobytes(), float(lens["sag"]), tuple(sizes.items()), self.target.real)
+        focus = (self.curved, *(float(lens[name]) for name in ("sag", "detector_power", "sphere")))
+        session, key = self.target.session, (grid.tobytes(), focus, tuple(sizes.items()), self.target.real)
 
         def filled(planes: dict[str, cl.Buffer]) -> dict[str, cl.Buffer]:
             size = int(grid["width"]), int(grid["height"])

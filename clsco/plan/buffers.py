@@ -377,7 +377,7 @@ def bend_buffers(scene: Scene, pixels: int) -> Sizes:
     """Planes of what the lens does to rays (kernels/trace/bend.cl), for so many pixels of frame and apron."""
     curved = curvature_of(scene)
     distorts = bool(curved & CURVED_IMAGE)
-    floats = bool(curved & CURVED_FIELD) + bool(curved & CURVED_SPHERE) + 6 * distorts
+    floats = 2 * bool(curved & (CURVED_FIELD | CURVED_SPHERE)) + 6 * distorts
     sizes = {"bends": 4 * floats * pixels} if floats else {}
     return sizes | ({"slopes": 2 * REAL_BYTES * pixels} if distorts else {})
 

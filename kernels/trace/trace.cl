@@ -30,7 +30,7 @@ static float4 source_record(const grid_t grid, lens_t lens, __constant surface_t
     lens_t seen_lens = lens;
     seen_lens.blur_scale *= seen_bend.stretch;
     lens.blur_scale *= bend.stretch;
-    const real radius = bent_radius(lens, bend.focus, ray, w);
+    const real radius = bent_radius(lens, bend.focus, w);
     __constant surface_t *surface = surfaces + (*label - 1) / 2;
     float2 tilt = 0;
     real spread = radius;
@@ -40,7 +40,7 @@ static float4 source_record(const grid_t grid, lens_t lens, __constant surface_t
 #endif
 #if OCCLUDED
     bool edge;
-    const real size = bent_radius(seen_lens, seen_bend.focus, seen_ray, seen_w);
+    const real size = bent_radius(seen_lens, seen_bend.focus, seen_w);
     const division_t division = division_of(size, psf.lens_extent, subpixel ? (real)1 / SUBPIXELS : 1, tilt);
     int seen = check_visibility(seen_lens, surfaces, group, seen_ray, seen_w, division, 0, &edge);
     int partly = PARTLY_OCCLUDED;
@@ -488,7 +488,7 @@ __kernel void pinhole(const grid_t grid, const lens_t lens, __constant surface_t
     take_radiance(grid, surfaces, ray, w, root, row, column, 1, 1, texture TEXTURE_MAPS LIGHT, value + at,
                   grid.height * grid.width);
     const bend_t bend = KEPT_BEND(grid, lens, at, ray);
-    coc[at] = root ? bend.stretch * bent_radius(lens, bend.focus, ray, w) : 0;
+    coc[at] = root ? bend.stretch * bent_radius(lens, bend.focus, w) : 0;
     valid[at] = root != 0;
     if (root)
         note_radius(statistics, coc[at]);

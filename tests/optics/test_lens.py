@@ -137,7 +137,22 @@ def test_a_sphere_in_focus_has_one_distance() -> None:
     depth = 250.0 / np.sqrt(1.0 + tangent**2)
     assert np.abs(lens.blur_radius(1.0 / depth, tangent**2)).max() < 1e-10
     plane = lens.blur_radius(1.0 / 250.0, tangent**2)
-    np.testing.assert_allclose(plane, 1e4 * (1 / 250.0 - np.cos(np.arctan(tangent)) / 250.0), atol=1e-10)
+    np.testing.assert_allclose(plane, 1e4 * (1 / np.cos(np.arctan(tangent)) - 1.0) / 250.0, atol=1e-10)
+
+
+def test_radii_are_those_of_rays_through_a_lens_with_a_sphere_in_focus() -> None:
+    """Rays from the rim of the lens through the point of the sphere on the ray through its middle, up to a plane: the
+    places that they meet, seen from the middle, are on a circle."""
+    camera, depth = Camera(focus_distance=250.0, aperture_diameter=10.0), 320.0
+    lens = Lens.of(camera, clsco.Lens(focus_surface="sphere"))
+    turn = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
+    rim = 5.0 * np.stack([np.cos(turn), np.sin(turn), np.zeros(16)], axis=1)
+    for slope in (0.0, 0.1, 0.5, 1.0):
+        middle = np.array([0.6 * slope, 0.8 * slope, 1.0])
+        focus = 250.0 * middle / np.sqrt(middle @ middle)
+        met = rim + (focus - rim) * (depth / focus[2])
+        away = (met / depth - middle)[:, :2] * camera.normalization_distance / camera.pixel_pitch
+        np.testing.assert_allclose(np.hypot(*away.T), lens.blur_radius(1.0 / depth, slope * slope), rtol=1e-10)
 
 
 def test_digits_where_the_radius_is_almost_zero() -> None:
@@ -148,10 +163,10 @@ def test_digits_where_the_radius_is_almost_zero() -> None:
         context.prec = 60
         f, s, s0, t = Decimal(20), Decimal(camera.sensor_distance), Decimal(20), Decimal("0.2")
         bent = s - s0 * s0 * t * t * Decimal(-1.0 / 30.0) / 2
-        power, cosine = 1 / f - 1 / bent, 1 / (1 + t * t).sqrt()
+        in_focus = 1 / f - 1 / bent + (1 / f - 1 / s) * ((1 + t * t).sqrt() - 1)
         for change in (0.0, 1e-12, -1e-9, 1e-6):
-            w = float(power / cosine) * (1.0 + change)
-            exact = float(Decimal(lens.blur_scale) * (power - Decimal(w) * cosine))
+            w = float(in_focus) * (1.0 + change)
+            exact = float(Decimal(lens.blur_scale) * (in_focus - Decimal(w)))
             assert abs(float(lens.blur_radius(w, 0.2**2)) - exact) < 16 * EPS * lens.blur_scale / 20.0
 
 

@@ -245,16 +245,11 @@ def blur_gradient(camera: Camera, lens: Lens, slope: Array, rays: Array, w: Arra
     """Gradient (..., 2) of the signed blur radius in px per px, right and down.
 
     slope: (..., 2) from `surface_slope`, of w (...) on rays (..., 3). R = kappa (K - w) (2.33), so that it changes
-    against w; with a curved focus the slopes of K, and of the cosine that w is taken times, are added. In a distorted
-    image R is times its `stretch`, and what changes per px of it changes per inverse Jacobian of the slopes.
+    against w; with a curved focus the slope of K is added. In a distorted image R is times its `stretch`, and what
+    changes per px of it changes per inverse Jacobian of the slopes.
     """
     if lens.is_curved:
-        squared = (rays[..., :2] ** 2).sum(axis=-1)
-        cosine = 1.0 / np.sqrt(1.0 + lens.spherical * squared)
-        outwards = (
-            2.0 * lens.detector_power * lens.sag / (1.0 + lens.sag * squared) ** 2 + lens.spherical * w * cosine**3
-        )
-        slope = cosine[..., None] * slope - outwards[..., None] * rays[..., :2]
+        slope = slope - lens.focus_rise((rays[..., :2] ** 2).sum(axis=-1))[..., None] * rays[..., :2]
     if lens.distortion is not None:
         here = along_rays(lens, rays)
         radius = here.blur_radius(w, (rays[..., :2] ** 2).sum(axis=-1))
