@@ -96,22 +96,27 @@ def render(
 
 def require_uncolored(files: tuple[TruthFile, ...], no_color: bool) -> None:
     """Fail where --no-color is given and files need the image, or there are none."""
-    if no_color and not files:
+    if not no_color:
+        return
+    if not files:
         raise click.UsageError("--no-color: needs --truth, as nothing else is written")
     from clsco.frame.truth_files import OF_THE_IMAGE
 
-    for file in files if no_color else ():
+    for file in files:
         if named := [name for name in file.names if name in OF_THE_IMAGE]:
             raise click.UsageError(f"--no-color: makes no image, so --truth must be without {named[0]}; got {file}")
 
 
 def request_for(files: tuple[TruthFile, ...], computation: Computation | None = None, **options: Any) -> Request:
     """Request for these files of ground truth: the outputs in them, or without such files none."""
-    from clsco.frame.files import needed_truth
     from clsco.plan.request import Request
 
     if computation is not None:
         options |= {name: getattr(computation, name) for name in ("precision", "memory", "tolerance")}
+    if not files:
+        return Request(**options)
+    from clsco.frame.files import needed_truth
+
     return Request(needed_truth(files), **options)
 
 

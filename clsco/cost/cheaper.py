@@ -10,6 +10,7 @@ from clsco.cost.short import LONG_FRAME
 from clsco.errors import SceneError
 from clsco.plan.prepare import Prepared, prepare
 
+SHORT = 0.1  # s: a shorter frame is cheap as it is, and what takes less is not looked for
 WORTH = 0.7  # of the time, that a setting may take at most to be named
 
 
@@ -60,8 +61,10 @@ def cheaper_settings(prepared: Prepared, cost: Cost) -> list[tuple[Setting, floa
     -------
     list of (Setting, float)
         Settings of `SETTINGS` that the scene has not, can have, and that take at most WORTH of the time, and of another
-        value of the same key that is nearer to the lens.
+        value of the same key that is nearer to the lens; none of a frame that is shorter than SHORT.
     """
+    if cost.seconds < SHORT:
+        return []
     found, most = list[tuple[Setting, float]](), dict[str, float]()
     for setting in SETTINGS:
         if setting.key == "sequence.samples" and prepared.plan.samples <= setting.value:

@@ -25,7 +25,6 @@ from clsco.frame.frame import FILE_NAMES, IMAGE_NAMES, Frame
 from clsco.frame.provenance import file_digests, record
 from clsco.frame.truth_files import ATTRIBUTES, TruthFile
 from clsco.opencl.session import Session, session_for
-from clsco.plan.approximation import same_tolerance
 from clsco.plan.prepare import Prepared, PreparedFile
 from clsco.resources import remove_left
 from clsco.scene.model import Scene
@@ -124,6 +123,8 @@ def prepare(
         whole = frame_files(index, scene.stereo is not None, files, subframes, held) <= set(content["files"])
         whole = whole and holds_truth(content, files)
         views = content["views"].values() if scene.stereo is not None else [content]
+        from clsco.plan.approximation import same_tolerance
+
         alike = all(same_tolerance(view.get("approximation"), tolerance) for view in views)
         return whole and alike and all(request.precision in (None, view.get("precision")) for view in views)
 

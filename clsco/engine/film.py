@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +17,10 @@ from clsco.optics.depth_layers import LayerBounds
 from clsco.optics.exposure import frame_exposure
 from clsco.passes.blur import Events, Plane
 from clsco.passes.placed import Part
-from clsco.passes.sensor import Codes
 from clsco.plan.plan import Plan
+
+if TYPE_CHECKING:
+    from clsco.passes.sensor import Codes
 
 NOTHING_MISSING = {"missing_pixels": 0, "filled_pixels": 0, "unfilled_pixels": 0, "sweeps": 0}
 

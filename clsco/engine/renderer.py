@@ -17,7 +17,6 @@ from clsco.constants import STATISTIC_MOST_SLOTS
 from clsco.engine.film import Film
 from clsco.engine.workspace import Light, Pixels, Workspace, scene_workspace
 from clsco.errors import DeviceError
-from clsco.frame.development import check_development, developed, sensor_truth
 from clsco.frame.frame import Frame
 from clsco.frame.strips import Strip
 from clsco.inputs.channels import of_channels
@@ -39,7 +38,6 @@ from clsco.plan.larger import Met, larger_plan
 from clsco.plan.memory import Limit, device_bytes
 from clsco.plan.plan import Plan
 from clsco.plan.prepare import Prepared
-from clsco.plan.waves import light_cut
 from clsco.records import Real, Struct
 
 
@@ -72,6 +70,8 @@ class Renderer:
         wants_double = precision == "double" or (precision is None and device.has_fp64)
         real: Real = "double" if wants_double else "float"
         if plan.sensor_model is not None:
+            from clsco.frame.development import check_development
+
             check_development(plan.sensor_model, plan.rows, plan.columns)
         self.session, self.plan, self.limit, self.prepared, self.hits = session, plan, limit, prepared, hits
         self.scene = PlacedScene(session, plan.scene, plan.psf, prepared.textures, real, plan.eye, plan.alpha)
@@ -158,6 +158,8 @@ class Renderer:
             image = {"color": _without_alpha(film.color), "alpha": np.ascontiguousarray(film.color[..., -1])}
             truth |= {name: _without_alpha(truth[name]) for name in {"sharp", "subframes"} & truth.keys()}
         if plan.sensor_model is not None:
+            from clsco.frame.development import developed, sensor_truth
+
             light = image["color"] if plan.needs_light else None
             truth |= sensor_truth(plan.truth, film.code, film.saturated, light, plan.sensor_model)
             image["color"] = developed(film.code, plan.sensor_model)
@@ -224,7 +226,11 @@ class Renderer:
     def _light_cut(self) -> dict[str, Any]:
         """Share of the light of a point that a point spread by waves leaves out, as `clsco plan` says it."""
         spec = self.plan.spec
-        return {"light_cut": light_cut(spec.psf, spec.smallest, spec.largest)} if spec.psf.diffracted else {}
+        if not spec.psf.diffracted:
+            return {}
+        from clsco.plan.waves import light_cut
+
+        return {"light_cut": light_cut(spec.psf, spec.smallest, spec.largest)}
 
     def _line_times(self, index: int) -> dict[str, Any]:
         """Times of the ground truth of the first and the last line, where lines are exposed in turn."""

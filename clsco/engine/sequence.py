@@ -16,7 +16,6 @@ from clsco.frame.frame import ALL_TRUTH, IMAGE_NAMES, SENSOR_NAMES, Frame, truth
 from clsco.opencl.session import DeviceLike, Session, session_for
 from clsco.passes.tables import forget_others
 from clsco.passes.trace import KeptHits, LatestHits
-from clsco.plan.approximation import checked_tolerance
 from clsco.plan.memory import Limit, device_bytes, fitted, lens_bytes, limit_of, parse_size
 from clsco.plan.methods import MANY_RADII, check_method
 from clsco.plan.plan import Plan
@@ -205,6 +204,8 @@ def checked_request(
         raise SceneError(f"precision: must be single or double; got {precision}")
     check_method(method)
     if tolerance is not None:
+        from clsco.plan.approximation import checked_tolerance
+
         checked_tolerance(tolerance)
     if memory is not None:
         parse_size(memory)

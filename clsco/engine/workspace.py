@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import takewhile
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pyopencl as cl
 
@@ -18,18 +18,13 @@ from clsco.optics.lens_path import colored
 from clsco.optics.quadrics import axial_blur_radius
 from clsco.passes.accumulate import FrameSum
 from clsco.passes.blur import Area, Image, Maps, Plane, Sources, blur_target, padded_plane, prepare_sources
-from clsco.passes.clusters import Clusters, Layers, layered_program
-from clsco.passes.colors import JoinedColors
 from clsco.passes.fill import FillPlanes
 from clsco.passes.frame_blur import make_blur
-from clsco.passes.layered import DepthLayers
 from clsco.passes.pack import psf_struct, towards
 from clsco.passes.placed import Moment, PlacedScene
-from clsco.passes.sensor import FrameSensor
 from clsco.passes.static_image import StaticMap
 from clsco.passes.tables import tables_of
 from clsco.passes.trace import Hits, Tracer
-from clsco.passes.vignetting import Vignetting
 from clsco.passes.warp import ForwardWarp
 from clsco.plan.buffers import SHARED, hit_buffers, sensor_buffers, sum_buffers
 from clsco.plan.image import ImagePlan
@@ -37,6 +32,12 @@ from clsco.plan.methods import BlurSpec
 from clsco.plan.passes import Kind, Pass, run_passes
 from clsco.plan.plan import Plan
 from clsco.records import Real, Struct
+
+if TYPE_CHECKING:  # imported where a plan has them
+    from clsco.passes.clusters import Clusters, Layers
+    from clsco.passes.colors import JoinedColors
+    from clsco.passes.sensor import FrameSensor
+    from clsco.passes.vignetting import Vignetting
 
 Run = Callable[..., tuple[Any, ...]]
 """Runs a pass: gets the part of the frame, and what the pass takes; returns what it gives."""
@@ -131,12 +132,18 @@ def scene_workspace(plan: Plan, lights: Sequence[Light], hits: Hits | None, grid
     each = [_light_workspace(*pair, buffers, hits, grid) for pair in zip(plan.apart or (plan,), lights, strict=True)]
     runs = dict(each[0].runs)
     if plan.apart:
+        from clsco.passes.colors import JoinedColors
+
         runs = _joining_runs(JoinedColors(session, plan.channels, plan.colors))
     if plan.color and plan.scene.lens is not None and plan.scene.darkens:
+        from clsco.passes.vignetting import Vignetting
+
         runs |= _vignetting_runs(Vignetting(session, plan.scene.lens.vignetting, plan.colors))
     if plan.color and plan.averages:
         runs |= _exposure_runs(FrameSum(session, sum_buffers(plan.grid), plan.scene.sequence.by_columns))
     if plan.sensor_model is not None:
+        from clsco.passes.sensor import FrameSensor
+
         runs |= _sensor_runs(FrameSensor(session, plan.sensor_model, sensor_buffers(plan.sensor_model, plan.grid)))
     return Workspace(session, runs, buffers, each[0].clusters, tuple(each) if plan.apart else (), _aims(plan))
 
@@ -283,6 +290,9 @@ def blur_runs(
 
     if not spec.layered:
         return {"sources": sources, "blur": spread}, ()
+    from clsco.passes.clusters import Clusters, layered_program
+    from clsco.passes.layered import DepthLayers
+
     kernels = layered_program(session, spec, tallest.channels, real)
     clusters, composite = Clusters(kernels, spec, tallest), DepthLayers(blur, kernels, tallest)
 

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import ImageError, SceneError
-from clsco.files.images import save_image, write_exr, write_npz
 from clsco.frame.channels import exr_channels
 from clsco.frame.shown import codes_to_show, html_to_show, png_to_show
 
@@ -206,6 +205,8 @@ class Frame:
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     clsco.render_frame(scene).save(f"{folder}/plane.png")
         """
+        from clsco.files.images import save_image, write_exr, write_npz
+
         ending = Path(path).suffix.lower()
         if ending == ".npz":
             write_npz(path, self.arrays())

@@ -10,8 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import ImageError
-from clsco.files.images import check_sizes
-from clsco.inputs.depth_files import read_depth
 from clsco.inputs.textures import load_texture
 from clsco.optics.lens import LARGEST_BLUR, Lens, blur_radius
 from clsco.optics.lens_path import reference_camera
@@ -191,6 +189,8 @@ def depth_numbers(source: Input) -> Array:
     """Numbers (rows, columns) of a depth file, or of an array, which nobody may change. Raises as `read_depth`."""
     if isinstance(source, ArrayInput):
         return source.array
+    from clsco.inputs.depth_files import read_depth
+
     return read_depth(source, source.layer if isinstance(source, LayerInput) else None)
 
 
@@ -205,6 +205,8 @@ def map_values(
     fill.method is none.
     Raises ImageError where the size is not that of the frame, and as `inverse_depth`.
     """
+    from clsco.files.images import check_sizes
+
     name = str(item.depth)
     check_sizes("the frame", scene.camera.frame_size, name, (raw.shape[1], raw.shape[0]))
     numbers = item.unit, item.scale, reference_camera(scene), item.baseline, name, item.offset, item.depth_kind

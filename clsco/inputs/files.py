@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import cache, cached_property
 from pathlib import Path
 from stat import S_ISREG
-from typing import NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,6 @@ from clsco.files import transfer as transfer_curves
 from clsco.files.array_cache import ArrayCache, user_cache
 from clsco.files.atomic import sha256
 from clsco.files.color import Color
-from clsco.files.images import Picture
 from clsco.inputs import textures
 from clsco.inputs.depth_maps import DepthValues, depth_numbers, load_scene_depths, map_values
 from clsco.inputs.pupils import dimmed, scene_point_spread
@@ -38,6 +37,9 @@ from clsco.resources import code_digest
 from clsco.scene.arrays import ArrayInput, Input, LayerInput
 from clsco.scene.model import DepthMap, Scene
 from clsco.scene.texture_keys import is_drawn
+
+if TYPE_CHECKING:
+    from clsco.files.images import Picture
 
 CACHE_BYTES = 2**29  # a depth map of 8192 x 8192
 MOST_BYTES = 2**31  # of a file whose content is looked at before its header is

@@ -5,20 +5,23 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import PurePath
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clsco.errors import ImageError
-from clsco.files.images import Picture
 from clsco.files.transfer import decode
 from clsco.inputs.resampling import resample
 from clsco.inputs.textures import Texture, picture_of
 from clsco.optics.point_spread import PointSpread, point_spread
-from clsco.optics.pupils.image import MOST_CELLS, Image, image_pupil
 from clsco.scene.arrays import Input
 from clsco.scene.model import Aperture, Camera, Psf, Scene
 
-Load = Callable[[Input], Picture]
+if TYPE_CHECKING:
+    from clsco.files.images import Picture
+    from clsco.optics.pupils.image import Image
+
+Load = Callable[[Input], "Picture"]
 
 
 def load_point_spread(
@@ -76,6 +79,8 @@ def dimmed(textures: Sequence[Texture], factor: float) -> tuple[Texture, ...]:
 
 def _pupil(picture: Picture, transfer: str, aperture: Aperture) -> Image:
     """Pupil of a picture, of at most MOST_CELLS a side."""
+    from clsco.optics.pupils.image import MOST_CELLS, image_pupil
+
     rows, columns = picture.data.shape[:2]
     if rows != columns:
         raise ImageError(f"must be a square; got {columns} x {rows} px")

@@ -11,19 +11,22 @@ from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import ImageError
 from clsco.files.color import Color
-from clsco.files.images import Picture, image_size, read_image
 from clsco.files.transfer import decode, encode
 from clsco.inputs.mipmaps import mipmap
 from clsco.inputs.resampling import resample, rows_for
 from clsco.scene.arrays import ArrayInput, LayerInput
 from clsco.scene.model import Scene
 from clsco.scene.texture_keys import is_drawn, missing_texture
+
+if TYPE_CHECKING:  # decoders are imported where an image is read
+    from clsco.files.images import Picture
 
 DEFAULT_SIDE = 512
 ROWS_AT_A_TIME = 128
@@ -94,6 +97,8 @@ def load_texture(
 
 def picture_of(source: TextureSource) -> Picture:
     """The picture of a file, or that of an array. Raises ImageError as `load_texture`."""
+    from clsco.files.images import Picture, read_image
+
     if isinstance(source, ArrayInput):
         return Picture(source.array)
     require_suffix(os.fspath(source))
@@ -196,6 +201,8 @@ def texture_size(source: TextureSource) -> tuple[int, int]:
         return DEFAULT_SIDE, DEFAULT_SIDE
     if isinstance(source, ArrayInput):
         return source.array.shape[1], source.array.shape[0]
+    from clsco.files.images import image_size
+
     require_suffix(os.fspath(source))
     return image_size(source)
 

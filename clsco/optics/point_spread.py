@@ -9,23 +9,22 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import floor, sqrt
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsco.constants import LENS_CELLS
 from clsco.errors import SceneError
-from clsco.optics.field import SeidelField
 from clsco.optics.pupils import FORMULAS
-from clsco.optics.pupils.diffracted import Diffracted
-from clsco.optics.pupils.fourier import FourierDiffracted
-from clsco.optics.pupils.gaussian import Gaussian
-from clsco.optics.pupils.hankel import HankelDiffracted, is_round
 from clsco.optics.pupils.pupil import Array, Pupil
-from clsco.optics.pupils.wavefront import Wavefront
 from clsco.scene.aberrations import zernike_terms
 from clsco.scene.model import Aperture, Camera, Psf
+
+if TYPE_CHECKING:  # imported where a scene has them
+    from clsco.optics.field import SeidelField
+    from clsco.optics.pupils.diffracted import Diffracted
+    from clsco.optics.pupils.wavefront import Wavefront
 
 MINIMUM_BLUR = 0.5  # px; sampled PSFs leave smaller radii alone (thesis, 2.2)
 GREEN = 1  # color of gray images
@@ -120,6 +119,8 @@ class PointSpread:
         """The point spread at a place (hx, hy) of the field, which is the same for all of the frame."""
         if self.varying is None:
             return self
+        from clsco.optics.pupils.fourier import FourierDiffracted
+
         assert isinstance(self.pupil, FourierDiffracted)
         wavefront = self.varying.wavefront(self.pupil.wavefront, hx, hy)
         return replace(self, pupil=replace(self.pupil, wavefront=wavefront), varying=None)
@@ -218,6 +219,8 @@ class PointSpread:
 
     def axis_weights(self, offset: Array, radius: Array) -> Array:
         """Weights along one axis, whose products are those of `weights`; only of "separable"."""
+        from clsco.optics.pupils.gaussian import Gaussian
+
         assert isinstance(self.pupil, Gaussian)
         point = np.asarray(radius) < POINT
         share = self.pupil.axis_share(offset, np.where(point, 1.0, radius), self.edge == "integrated")
@@ -248,6 +251,8 @@ class PointSpread:
         limit = floor(sqrt(float(key.max(initial=0.0))))
         span = np.arange(-limit, limit + 1)
         lattice = np.sort((span[:, None] ** 2 + span[None, :] ** 2).ravel())
+        from clsco.optics.pupils.gaussian import Gaussian
+
         if not isinstance(self.pupil, Gaussian):
             return value / np.searchsorted(lattice, key, side="right")
         sigma = self.pupil.sigma * np.maximum(r, MINIMUM_BLUR)
@@ -298,6 +303,8 @@ def point_spread(
     aperture = aperture or Aperture()
     rims = tuple(Rim(each.distance, 0.5 * each.diameter) for each in aperture.rim)
     if psf.model == "gaussian":
+        from clsco.optics.pupils.gaussian import Gaussian
+
         round_cut = psf.edge == "sampled"
         return PointSpread(
             Gaussian(psf.sigma_ratio, psf.truncation, round_cut), psf.edge, 2 * psf.silhouette_samples, rims
@@ -324,9 +331,12 @@ def spreads_of_colors(spread: PointSpread, psf: Psf, camera: Camera | None) -> t
     tuple of three PointSpread
         The same three times but by waves.
     """
-    pupil = spread.pupil
-    if not isinstance(pupil, Diffracted):
+    if not spread.diffracted:
         return spread, spread, spread
+    from clsco.optics.pupils.diffracted import Diffracted
+
+    pupil = spread.pupil
+    assert isinstance(pupil, Diffracted)
     each = (_diffracted(pupil.opening, psf, camera, spread.varying, color) for color in range(3))
     return tuple(replace(spread, pupil=one) for one in each)
 
@@ -335,6 +345,9 @@ def _diffracted(
     pupil: Pupil, psf: Psf, camera: Camera | None, varying: SeidelField | None, color: int = GREEN
 ) -> Diffracted:  # fmt: skip
     """The pupil with diffraction of light of a color, on the axis of the field."""
+    from clsco.optics.pupils.fourier import FourierDiffracted
+    from clsco.optics.pupils.hankel import HankelDiffracted, is_round
+
     if camera is None:
         raise SceneError('camera: must be given with psf.model = "wave", for its aperture and pixels; got None')
     apart = 0.5 * psf.bandwidth / sqrt(3.0)  # the two Gauss-Legendre nodes of the band
@@ -362,6 +375,8 @@ def _diffracted(
 
 def _wavefront(psf: Psf, camera: Camera) -> Wavefront:
     """Errors of the wavefront in px of path: waves of green light are the same lengths for all colors."""
+    from clsco.optics.pupils.wavefront import Wavefront
+
     unit = diffraction_unit(camera, psf.wavelengths[GREEN])
     return Wavefront(tuple((n, m, waves * unit) for n, m, waves in zernike_terms(psf.zernike)), psf.seidel.W040 * unit)
 
@@ -370,6 +385,8 @@ def _field(psf: Psf, camera: Camera | None) -> SeidelField | None:
     """Seidel's terms over the field, None where nothing varies."""
     if camera is None or not psf.seidel.varies:
         return None
+    from clsco.optics.field import SeidelField
+
     unit = diffraction_unit(camera, psf.wavelengths[GREEN])
     coma, astigmatism, curvature = (unit * waves for waves in (psf.seidel.W131, psf.seidel.W222, psf.seidel.W220))
     return SeidelField(coma, astigmatism, curvature, psf.seidel.varying_waves, camera.frame_size)
@@ -397,6 +414,8 @@ def spread_of_wavelength(spread: PointSpread, camera: Camera, wavelength: float)
     SceneError
         It is not by waves, or diffraction is far finer than pixels, or far coarser.
     """
+    from clsco.optics.pupils.diffracted import Diffracted
+
     if not isinstance(spread.pupil, Diffracted):
         raise SceneError(f'psf: wavelengths need psf.model = "wave"; got {spread.pupil.name}')
     unit = diffraction_unit(camera, wavelength)

@@ -20,12 +20,10 @@ from clsco.optics.lens_path import widest_camera
 from clsco.optics.motion import Eye
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import Extent, place
-from clsco.optics.still import exposed
 from clsco.optics.texture_mapping import needs_detail
 from clsco.optics.visibility import OcclusionGroup, extent, is_hollow, occlusion_groups
 from clsco.plan.choice import Choice
 from clsco.plan.device import DeviceFacts
-from clsco.plan.image_motion import MOST_SUBFRAMES, lens_samples, motion_needs, motion_samples
 from clsco.plan.methods import MANY_RADII, Blur, Occlusion, can_convolve, choose_blur, has_few_taps
 from clsco.plan.predict import (
     Maps,
@@ -186,6 +184,8 @@ def choose_samples(scene: Scene, psf: PointSpread, rays: bool, maps: Maps, guard
     that lights it."""
     if not scene.moves:
         return Choice(0, "nothing moves: one sample, in the reference pose", MOTION_KEYS)
+    from clsco.plan.image_motion import MOST_SUBFRAMES, lens_samples, motion_needs, motion_samples
+
     if scene.sequence.samples == "auto":
         # Without visibility tests what is behind is hidden by outlines as sharp as that is; and radii are of one lens.
         soft = scene.psf.occlusion != "none" or len(scene.objects) == 1
@@ -319,6 +319,8 @@ def choose_still_sources(
         return Choice(False, "the lens changes")
     if "subframes" in asked:
         return Choice(False, "each sub-frame needs all sources")
+    from clsco.optics.still import exposed
+
     placed = [[place(item, pose) for item, pose in zip(scene.objects, poses, strict=True)] for poses in seen.poses]
     found = exposed(scene.objects, placed)
     return Choice(True) if any(map(found.spares, groups)) else Choice(False, "no source is sure to be still")

@@ -53,11 +53,9 @@ from clsco.plan.predict import Maps, Prediction, displaced, is_static_map, predi
 from clsco.plan.request import Request
 from clsco.plan.sensor import sensor_pass
 from clsco.plan.vignetting import vignetting_pass
-from clsco.plan.waves import check_waves
 from clsco.plan.words import of_blur, of_frame, of_pixels, of_rays, shapes_of
 from clsco.scene.model import Scene
 
-Array = NDArray[np.float64]
 Occlusion = Literal["visibility", "layered", "none"]
 FILTERS = {"nearest": 0, "bilinear": 1, "bicubic": 2}
 SILHOUETTE_SLOTS = 12  # pixels near silhouettes per row and column of the frame, to begin with
@@ -238,7 +236,7 @@ class Plan:
         by_rows = self.scene.rolls and not self.scene.sequence.by_columns
         return by_rows and not self.spec.layered and "subframes" not in self.truth
 
-    def part(self, strip: Strip, weights: Array) -> Strip | None:
+    def part(self, strip: Strip, weights: NDArray[np.float64]) -> Strip | None:
         """Part of a strip that a time sample with weights (rows,) is rendered in, None where it has none there."""
         if not self.narrows:
             return strip
@@ -389,11 +387,13 @@ def make_plan(
     psf = max(spreads, key=lambda each: each.pupil.margin, default=psf)
     check_shape(psf, wanted.method)
     seen = predict(scene, psf, eye, maps)
-    check_waves(psf, seen.largest)
+    if psf.diffracted:
+        from clsco.plan.waves import check_waves
+
+        check_waves(psf, seen.largest)
     choices, groups, extents = choose(scene, psf, wanted, eye, maps, channels, device, seen)
-    blur, guard, alpha = choices.blur.value, seen.guard, "alpha" in wanted.truth
-    if blur == "convolve":
-        guard += 2 * TAP_LANES
+    blur, alpha = choices.blur.value, "alpha" in wanted.truth
+    guard = seen.guard + (2 * TAP_LANES if blur == "convolve" else 0)
     if blur in MANY_RADII:
         check_tables(psf, seen.smallest, seen.largest, choices.silhouettes.value)
     plan = Plan(

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,6 @@ from clsco.frame.provenance import views
 from clsco.inputs.channels import in_color
 from clsco.inputs.files import InputFiles, Maps, shared_files
 from clsco.inputs.textures import Texture, image_files, is_gray, mapped_size, texture_size, with_coverage
-from clsco.plan.approximation import ApproximationReport, Samples, fewer_samples
 from clsco.plan.device import DeviceFacts
 from clsco.plan.memory import fitted, limit_of
 from clsco.plan.plan import Plan, make_plan
@@ -29,6 +29,9 @@ from clsco.scene.faults import at_most
 from clsco.scene.model import DepthMap, Scene
 from clsco.scene.sweep import Sweep
 from clsco.scene.texture_keys import is_drawn
+
+if TYPE_CHECKING:
+    from clsco.plan.approximation import ApproximationReport, Samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,6 +212,8 @@ def _planned(
 
     plans, report = plans_of(sized), None
     if request.tolerance is not None and request.color:
+        from clsco.plan.approximation import fewer_samples
+
         fewer, report = fewer_samples(plans[0], request.tolerance, lambda: files.textures(sized), maps, least)
         plans = plans if fewer is sized else plans_of(fewer)
         plans = [replace(plan, merged=report.merged) for plan in plans] if report.merged else plans

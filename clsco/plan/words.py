@@ -6,7 +6,6 @@ from clsco.plan.decisions import Choices
 from clsco.plan.ellipses import ellipticity_of
 from clsco.plan.methods import BlurSpec
 from clsco.plan.passes import Parameters
-from clsco.plan.waves import wave_words
 from clsco.scene.model import Scene
 
 
@@ -53,7 +52,10 @@ def of_blur(spec: BlurSpec, choices: Choices, groups: int) -> Parameters:
         ("PSF", f"{spec.psf.name}, R up to {spec.largest:.3g} px"),
         ("method", f"{spec.method}: {choices.blur.reason}"),
     ]
-    found += wave_words(spec.psf, spec.smallest, spec.largest, spec.subpixels)
+    if spec.psf.diffracted:
+        from clsco.plan.waves import wave_words
+
+        found += wave_words(spec.psf, spec.smallest, spec.largest, spec.subpixels)
     if spec.psf.stretched:
         found.append(("ellipses", "discs of the same area where something is in the way, and beside silhouettes"))
     if spec.tilt:

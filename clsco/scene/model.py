@@ -24,6 +24,7 @@ from clsco.scene.objects import MAX_OBJECTS, Object, Objects
 from clsco.scene.quantities import (
     MAX_LENGTH_MM,
     MIN_LENGTH_MM,
+    Deferred,
     Direction,
     FNumber,
     Length,
@@ -128,7 +129,7 @@ class Camera(Strict):
     """Columns and rows, px. Default: size of the first object's texture."""
     motion: CameraMotion = CameraMotion.model_construct()
     """Velocities of the camera itself; static if none are given."""
-    shake: CameraShake | None = None
+    shake: Annotated[CameraShake | None, Deferred()] = None
     """Shake of the camera; none if not given."""
 
     @property
@@ -250,8 +251,7 @@ class ImageOptions(Strict):
     """Reading and writing of images."""
 
     transfer: Literal["srgb", "linear"] = "srgb"
-    """Transfer of 8- and 16-bit files: sRGB, or what the color profile of a file says in its place, or linear; float
-    files are linear."""
+    """Transfer of 8- and 16-bit files: linear, or sRGB or what a file's color profile says; float files are linear."""
 
 
 class Scene(Strict):
@@ -262,7 +262,7 @@ class Scene(Strict):
     title: Text = ""
     """Title; recorded in the metadata, used nowhere else."""
     camera: Camera = Camera.model_construct()
-    lens: Lens | None = None
+    lens: Annotated[Lens | None, Deferred()] = None
     """Changes of the camera's lens over time, and where it differs from a thin lens; a thin one if not given."""
     aperture: Aperture = Aperture.model_construct()
     psf: Psf = Psf.model_construct()
@@ -270,11 +270,11 @@ class Scene(Strict):
     motion: Motion = Motion.model_construct()
     fill: Fill = Fill.model_construct()
     image: ImageOptions = ImageOptions.model_construct()
-    light: Light | None = None
+    light: Annotated[Light | None, Deferred()] = None
     """Shades all surfaces; without one they emit the radiance of their texture in all directions."""
-    stereo: Stereo | None = None
+    stereo: Annotated[Stereo | None, Deferred()] = None
     """A second view; none if not given."""
-    sensor: Sensor | None = None
+    sensor: Annotated[Sensor | None, Deferred()] = None
     """Counts electrons; none if not given, and frames are light."""
     groups: Groups = Field(
         default=(),

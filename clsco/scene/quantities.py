@@ -7,7 +7,7 @@ import threading
 import unicodedata
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
 from pydantic import (
@@ -18,6 +18,7 @@ from pydantic import (
     Field,
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
+    TypeAdapter,
     ValidationError,
 )
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
@@ -208,6 +209,26 @@ Samples = Annotated[Annotated[int, Within(1, 4096)] | Literal["auto"], BeforeVal
 
 
 _BUILDING = threading.RLock()
+
+
+class Deferred:
+    """Constraint on an optional section: what its model demands. A process builds the models of those that it meets."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        model, _ = get_args(source)
+
+        def check(value: Any) -> Any:
+            if value is None:
+                return None
+            model.model_rebuild()  # as a whole, before another thread gets what is checked by a part of it
+            return model.model_validate(value)
+
+        return core_schema.no_info_plain_validator_function(check, metadata={"source": source})
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        while schema["type"] != "function-plain":  # within a validator of the field
+            schema = schema["schema"]
+        return handler(TypeAdapter(schema["metadata"]["source"]).core_schema)
 
 
 class Strict(BaseModel):

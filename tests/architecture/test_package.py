@@ -119,6 +119,17 @@ def test_import_clsco_imports_nothing_large(tmp_path: Path) -> None:
     assert loaded & {"numpy", "pyopencl", "pydantic", "imageio", "click", "rich"} == set()
 
 
+def test_a_scene_imports_what_it_has(tmp_path: Path) -> None:
+    words = ["validate", str(ROOT / "examples/sphere.toml")]
+    code = f"import sys; from clsco.cli.main import main; main({words}, standalone_mode=False); print(*sys.modules)"
+    said = python(code, tmp_path, ROOT).split()
+    assert "clsco.optics.pupils.circle" in said
+    spreads = {f"clsco.optics.{name}" for name in ("field", "pupils.diffracted", "pupils.gaussian", "pupils.outline")}
+    others = {"clsco.files.images", "clsco.optics.still", "clsco.plan.image_motion"}
+    unneeded = {"numpy.polynomial", "rich", "statistics"}
+    assert {*said} & (spreads | others | unneeded) == set()
+
+
 def test_the_front_door_offers_what_type_checkers_see() -> None:
     tree = ast.parse((ROOT / "clsco" / "__init__.py").read_text("utf-8"))
     (block,) = (node for node in tree.body if isinstance(node, ast.If))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from clsco.cost.cheaper import SETTINGS, WORTH, cheaper_settings, warning_of
+from clsco.cost.cheaper import SETTINGS, SHORT, WORTH, cheaper_settings, warning_of
 from clsco.cost.predict import Cost, cost_of, duration, host_work
 from clsco.cost.rates import RATES
 from clsco.cost.short import LONG_FRAME, most_seconds
@@ -175,6 +175,13 @@ def test_what_a_scene_has_is_not_offered() -> None:
     scene = example("sphere_moving").replace("sequence.samples", 5).replace("psf.silhouette_samples", 1)
     prepared = prepare(scene)
     assert cheaper_settings(prepared, cost(scene)) == []
+
+
+def test_nothing_is_offered_for_a_short_frame() -> None:
+    prepared = prepare(example("sphere"))
+    found = cost(prepared.scene)
+    assert found.seconds < SHORT
+    assert cheaper_settings(prepared, found) == []
 
 
 def column(page: str, heading: str, name: str, rows: str) -> list[float]:

@@ -154,8 +154,8 @@ def test_a_scene_without_a_sensor_has_nothing_of_it(monkeypatch: pytest.MonkeyPa
         raise AssertionError
 
     scene = named("still").replace("sensor", None)
-    monkeypatch.setattr("clsco.engine.workspace.FrameSensor", never)
-    monkeypatch.setattr("clsco.engine.renderer.developed", never)
+    monkeypatch.setattr("clsco.passes.sensor.FrameSensor", never)
+    monkeypatch.setattr("clsco.frame.development.developed", never)
     frame = clsco.render_frame(scene)
     assert "sense" not in frame.metadata["seconds"]
     plan = prepare(scene, Request(ALL_TRUTH)).plan

@@ -1,35 +1,45 @@
 """Pupils: what the opening of a lens lets through, as functions on [-1, 1]^2 (float64, pure).
 
 Each file holds one kind: its transmission, what is known of its blur in closed form, and an example. A pupil that has
-no closed form is an `image`. `clsco.optics.point_spread.PointSpread` makes weights of any of them.
+no closed form is an `image`. `clsco.optics.point_spread.PointSpread` makes weights of any of them. A kind is imported
+when a lens has it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-from clsco.optics.pupils.blades import CurvedPolygon
 from clsco.optics.pupils.circle import Circle
-from clsco.optics.pupils.ellipse import Ellipse
-from clsco.optics.pupils.polygon import Polygon
 from clsco.optics.pupils.pupil import Pupil
-from clsco.optics.pupils.ring import Ring
 from clsco.scene.spread import Aperture
 
 
 def _circle(aperture: Aperture) -> Pupil:
-    return Circle() if aperture.squeeze == 1.0 else Ellipse(aperture.squeeze)
+    if aperture.squeeze == 1.0:
+        return Circle()
+    from clsco.optics.pupils.ellipse import Ellipse
+
+    return Ellipse(aperture.squeeze)
 
 
 def _polygon(aperture: Aperture) -> Pupil:
     if aperture.blade_curvature:
+        from clsco.optics.pupils.blades import CurvedPolygon
+
         return CurvedPolygon(aperture.blades, aperture.rotation, aperture.blade_curvature, aperture.squeeze)
+    from clsco.optics.pupils.polygon import Polygon
+
     return Polygon(aperture.blades, aperture.rotation, aperture.squeeze)
 
 
 def _ring(aperture: Aperture) -> Pupil:
-    covered = aperture.obstruction
-    return Ring(covered) if aperture.squeeze == 1.0 else Ellipse(aperture.squeeze, covered)
+    if aperture.squeeze == 1.0:
+        from clsco.optics.pupils.ring import Ring
+
+        return Ring(aperture.obstruction)
+    from clsco.optics.pupils.ellipse import Ellipse
+
+    return Ellipse(aperture.squeeze, aperture.obstruction)
 
 
 FORMULAS: dict[str, Callable[[Aperture], Pupil]] = {"circle": _circle, "polygon": _polygon, "ring": _ring}
