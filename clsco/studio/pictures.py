@@ -150,6 +150,7 @@ def _jpeg(codes: NDArray[Any], quality: int) -> bytes:
 
 LEAST_SHARE = 1e-6  # of the interval, after the shutter opens
 SHORTEST_PX = 0.5  # of an arrow
+LEAST_APPROACH = 2e-3  # of the depth, in which an arrow along z has a mark
 NEAREST = 1e-3  # mm; what is nearer to the lens, or behind it, has no place in the frame
 
 
@@ -203,7 +204,7 @@ def exposure_of(frame: Frame, scene: Scene, samples: int) -> dict[str, Any]:
     -------
     dict
         `times` of its samples and `shutter`, when it opens and closes, in s since the reference pose; `arrows`: column
-        and row of the origin of each object that moves, at both of these.
+        and row of the origin of each object that moves, at both of these, and how many mm it has come nearer.
     """
     if not scene.moves:
         return {"times": [], "shutter": None, "arrows": []}
@@ -222,6 +223,8 @@ def _arrows(scene: Scene, shutter: list[float], frame: Frame) -> list[list[float
             continue
         row, column = project(camera, points)
         arrow = [float(column[0]), float(row[0]), float(column[1]), float(row[1])]
-        if np.hypot(arrow[2] - arrow[0], arrow[3] - arrow[1]) >= SHORTEST_PX:
-            found.append(arrow)
+        before, after = points[:, 2]
+        nearer = float(before - after) if abs(before - after) >= LEAST_APPROACH * before else 0.0
+        if nearer or np.hypot(arrow[2] - arrow[0], arrow[3] - arrow[1]) >= SHORTEST_PX:
+            found.append([*arrow, nearer])
     return found

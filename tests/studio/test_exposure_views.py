@@ -65,6 +65,15 @@ def test_the_exposure_is_that_of_the_frame() -> None:
     step = scene.camera.pixel_pitch / scene.camera.normalization_distance
     assert arrow[2] - arrow[0] == pytest.approx(5.0 * 0.4 / 280.0 / step, rel=1e-6)  # its center stays at its depth
     assert arrow[3] - arrow[1] == pytest.approx(-3.0 * 0.4 / 280.0 / step, rel=1e-6)
+    assert arrow[4] == 0.0
+
+
+@pytest.mark.parametrize("speed", [20.0, -20.0])
+def test_what_comes_nearer_or_goes_away_is_marked(speed: float) -> None:
+    """Also where it stays at its place in the frame."""
+    scene = scene_of().replace("object.0.motion.velocity", [0.0, 0.0, speed])
+    (arrow,) = exposure_of(clsco.render_frame(scene, 1, truth=()), scene, 1)["arrows"]
+    assert arrow[4] == pytest.approx(-speed * 0.4)
 
 
 def test_what_does_not_move_has_no_exposure() -> None:

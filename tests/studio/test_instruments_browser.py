@@ -13,7 +13,7 @@ import pytest
 import clsco
 from clsco.files.images import read_image
 from clsco.studio.lens import lens_line
-from tests.studio.browser import axe_faults, rest
+from tests.studio.browser import axe_faults, number, rest
 from tests.studio.running import Running, studio
 from tests.studio.test_canvas_browser import STILL, at, codes, shown
 
@@ -24,7 +24,7 @@ COLORED = """([red, green, blue]) => { const over = document.querySelector('#ove
     if (data[k] === red && data[k + 1] === green && data[k + 2] === blue && data[k + 3] > 200) found.push(k / 4);
   }
   return found.map((at) => [at % over.width, Math.floor(at / over.width)]); }"""
-YELLOW, RED = [255, 210, 77], [255, 50, 50]
+YELLOW, RED, LIGHT_BLUE = [255, 210, 77], [255, 50, 50], [159, 212, 255]
 
 
 @pytest.fixture(scope="module")
@@ -65,6 +65,36 @@ def test_a_click_chooses_an_object_and_outlines_it(page: Any) -> None:
     assert max(far) < rim + 3
     page.keyboard.press("Escape")
     page.wait_for_function(f"({COLORED})({YELLOW}).length === 0")
+
+
+def test_handles_move_the_object_that_is_outlined(page: Any) -> None:
+    page.mouse.click(*at(page, 64, 64))
+    page.locator('.objects button[aria-pressed="true"]', has_text="1 ball").wait_for()
+    until_drawn(page, LIGHT_BLUE, 20)
+    before = [number(page, f"object.0.center.{axis}") for axis in range(3)]
+    scale = page.locator("#canvas").bounding_box()["width"] / 128
+    x, y = at(page, 64, 64)
+    drag(page, (x, y), (x + 16 * scale, y))
+    page.wait_for_function("studio.values['object.0.center.0'] > 0.1")
+    rest(page)
+    step = 0.04 / 20.0 * (before[2] - 12.0)  # mm per pixel, of the point that is held
+    after = [number(page, f"object.0.center.{axis}") for axis in range(3)]
+    assert after == pytest.approx([before[0] + 16 * step, *before[1:]], rel=0.05, abs=1e-3)
+    until_drawn(page, LIGHT_BLUE, 20)
+    drag(page, (x + 16 * scale, y - 36), (x + 16 * scale, y - 86))  # the handle along z
+    page.wait_for_function(f"studio.values['object.0.center.2'] > {before[2]} + 5")
+    assert number(page, "object.0.center.0") == after[0]
+    page.keyboard.press("Escape")
+    page.wait_for_function("studio.chosen() === -1")
+
+
+def drag(page: Any, begin: tuple[float, float], end: tuple[float, float]) -> None:
+    page.mouse.move(*begin)
+    page.mouse.down()
+    page.wait_for_timeout(300)
+    page.mouse.move(*end, steps=5)
+    page.wait_for_timeout(300)
+    page.mouse.up()
 
 
 def test_the_histogram_counts_what_is_clipped(page: Any) -> None:

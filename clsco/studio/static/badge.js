@@ -5,6 +5,7 @@ import { one, studio } from "./shared.js";
 
 /** @type {import("./shared.js").Picture | null} */
 let shown = null; // the picture that was painted last; null before, and while frames are played
+const typed = new Map(); // the numbers of the latest changes, by path
 let latest = -1, sent = 0, heard = 0; // revision of the scene; changes that were sent, and that the studio has tried
 
 const show = (text, rung) => {
@@ -40,14 +41,18 @@ studio.played = () => {
   show("played", 0);
 };
 
-studio.changes = () => { // the number of the next change
+studio.changes = (path) => { // the number of the next change
   sent += 1;
+  typed.set(path, sent);
   studio.badge();
   return sent;
 };
 
+/** A value that the studio tells is older than what is in the box. */
+studio.isEcho = (path) => (typed.get(path) ?? 0) > heard;
+
 studio.revised = (revision) => { // the scene has this revision; null: of a studio that was started again
-  if (revision === null) [latest, sent, heard] = [-1, 0, 0];
+  if (revision === null) { [latest, sent, heard] = [-1, 0, 0]; typed.clear(); }
   else latest = Math.max(latest, revision);
 };
 

@@ -1,5 +1,6 @@
 // Instruments beside and over the picture: histogram with clipping, focus peaking, scale bar, outline of an object, wipe.
 
+import "./handles.js";
 import { RUNG } from "./protocol.js";
 import { brief } from "./scales.js";
 import { on, one, problem, studio } from "./shared.js";
@@ -86,9 +87,11 @@ let objects = null;
 let chosen = -1; // -1: none
 
 const outlined = () => {
+  if (chosen < 0) studio.releases();
   if (objects === null || chosen < 0) { outline.clear(); return; }
   const { ids, width, height } = objects, isIn = (at) => ids[at] === chosen;
   outline.mark(width, height, (at, row) => isIn(at) && !(isIn(at - 1) && isIn(at + 1) && isIn(at - row) && isIn(at + row)));
+  studio.grips(isIn, width, height);
 };
 
 studio.outlined = ({ width, height, values, revision }) => {

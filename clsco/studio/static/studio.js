@@ -188,7 +188,7 @@ const numbers = (context, width, height) => { // the codes, written in the pixel
 };
 
 const pointing = () => {
-  viewport.listen((event) => event.button === 0 && !studio.tool);
+  viewport.listen((event) => event.button === 0 && !studio.tool && studio.handleAt(event.clientX, event.clientY) === null);
   one("#stage").addEventListener("dblclick", () => viewport.fit());
   one("#fit").addEventListener("click", () => viewport.fit());
   one("#actual").addEventListener("click", () => viewport.zoom(1 / devicePixelRatio / viewport.scale));
@@ -204,7 +204,7 @@ let watched = "";
 
 const flush = () => {
   for (const [path, [value, number]] of waiting) {
-    send({ path, value, drag: number, count: studio.changes() });
+    send({ path, value, drag: number, count: studio.changes(path) });
     studio.sent.set(path, value);
   }
   waiting.clear();
@@ -347,7 +347,7 @@ const told = (said) => {
 const valued = (values) => {
   Object.assign(studio.values, values);
   for (const [path, value] of Object.entries(values)) {
-    if (dragged?.path === path && performance.now() - dragged.at < ECHO) continue; // older than what is in the box
+    if (waiting.has(path) || studio.isEcho(path) || (dragged?.path === path && performance.now() - dragged.at < ECHO)) continue; // older than what is in the box
     for (const control of sameKey(path)) give(control, value);
   }
 };

@@ -15,8 +15,8 @@ studio.take = (name) => { // a tool; the same once more, or "", puts it away
 const FIRST = 2e6; // numbers of drags, which those of controls do not reach
 let drag = FIRST;
 /**
- * What is dragged: where the pointer took hold and is, and whether the server knows of what.
- * @type {{ drag: number, from: [number, number], to: [number, number], along: boolean, known: boolean, name?: string, ended?: boolean } | null}
+ * What is dragged: where the pointer took hold and is, whether by the handle along z, and whether the server knows of what.
+ * @type {{ drag: number, from: [number, number], to: [number, number], along: boolean, rises: boolean, known: boolean, name?: string, ended?: boolean } | null}
  */
 let held = null;
 let frame = 0; // that the next change waits for
@@ -46,24 +46,33 @@ const pull = () => {
   });
 };
 
+studio.heldBy = () => { // px on the stage, and of the handle along z, by which an object is dragged
+  const [across, down] = held === null ? [0, 0] : [held.to[0] - held.from[0], held.to[1] - held.from[1]];
+  return held === null || held.along ? { across: [0, 0], along: down } : { across: [across, down], along: 0 };
+};
+
 const pulled = () => { frame ||= requestAnimationFrame(pull); };
 
 const moving = () => {
   const stage = one("#stage");
   stage.addEventListener("pointerdown", (event) => {
-    const at = event.button === 0 && studio.tool === "move" ? studio.viewport.pixelAt(event.clientX, event.clientY) : null;
+    if (event.button !== 0) return;
+    const handle = studio.handleAt(event.clientX, event.clientY);
+    const at = handle?.at ?? (studio.tool === "move" ? studio.viewport.pixelAt(event.clientX, event.clientY) : null);
     if (at === null) return;
     drag += 1;
     const place = /** @type {[number, number]} */ ([event.clientX, event.clientY]);
-    held = { drag, from: place, to: place, along: event.shiftKey, known: false };
+    const rises = Boolean(handle?.along);
+    held = { drag, from: place, to: place, along: rises || event.shiftKey, rises, known: false };
     studio.send({ grab: at, drag });
   });
   stage.addEventListener("pointermove", (event) => {
     pointer = [event.clientX, event.clientY];
     if (held === null) { hover(); return; }
     held.to = pointer;
-    held.along = event.shiftKey;
+    held.along = held.rises || event.shiftKey;
     pulled();
+    studio.viewport.changed();
     hint(held.name ?? "");
   });
   stage.addEventListener("pointerleave", () => {
@@ -73,6 +82,8 @@ const moving = () => {
   const end = () => {
     if (held === null) return;
     if (frame) { cancelAnimationFrame(frame); pull(); }
+    const { scale } = studio.viewport;
+    studio.dropped(studio.heldBy().across.map((by) => by / scale));
     if (held.known) held = null;
     else held.ended = true; // once it is known what was held, it is moved
   };
@@ -130,25 +141,47 @@ studio.hearing.push((said) => {
 });
 
 // ---- arrows of motion -------------------------------------------------------------------------------------------
+const RING = 16; // px, about what comes nearer or goes away
+
 studio.arrows = [];
 studio.overlays.push((context, place) => {
   if (!one("#arrows").checked) return;
-  for (const [x0, y0, x1, y1] of studio.arrows) {
-    const from = place(x0, y0), to = place(x1, y1), angle = Math.atan2(to[1] - from[1], to[0] - from[0]);
-    /** @returns {[number, number]} */
-    const barb = (turn) => [to[0] + 10 * Math.cos(angle + turn), to[1] + 10 * Math.sin(angle + turn)];
-    for (const [width, color] of /** @type {[number, string][]} */ ([[6, "#141517"], [2.5, "#ffd24d"]])) { // the first is its edge, on light and dark
-      [context.lineWidth, context.strokeStyle] = [width, color];
-      context.beginPath();
-      context.moveTo(...from);
-      context.lineTo(...to);
-      context.moveTo(...barb(2.6));
-      context.lineTo(...to);
-      context.lineTo(...barb(-2.6));
-      context.stroke();
-    }
+  const lines = studio.arrows.flatMap((arrow) => {
+    const from = place(arrow[0], arrow[1]), to = place(arrow[2], arrow[3]), nearer = arrow[4];
+    const moves = Math.hypot(to[0] - from[0], to[1] - from[1]) > 1;
+    return [...(moves ? across(from, to) : []), ...(nearer ? along(to, nearer > 0) : [])];
+  });
+  for (const [width, color] of /** @type {[number, string][]} */ ([[6, "#141517"], [2.5, "#ffd24d"]])) { // the first is its edge, on light and dark
+    [context.lineWidth, context.strokeStyle] = [width, color];
+    context.beginPath();
+    for (const line of lines) line.forEach(([left, top], at) => { if (at) context.lineTo(left, top); else context.moveTo(left, top); });
+    context.stroke();
   }
+  studio.arrows.forEach(([, , x, y, nearer]) => {
+    if (!nearer) return;
+    const text = `${Number(Math.abs(nearer).toPrecision(3))} mm ${nearer > 0 ? "nearer" : "away"}`, [left, top] = place(x, y);
+    [context.font, context.lineWidth, context.strokeStyle, context.fillStyle] = ["12px sans-serif", 4, "#141517", "#ffd24d"];
+    context.strokeText(text, left + 2 * RING, top + 4);
+    context.fillText(text, left + 2 * RING, top + 4);
+  });
 });
+
+/** @typedef {[number, number][]} Line */
+/** An arrow in the picture. @returns {Line[]} */
+const across = (from, to) => {
+  const angle = Math.atan2(to[1] - from[1], to[0] - from[0]);
+  const barb = (turn) => [to[0] + 10 * Math.cos(angle + turn), to[1] + 10 * Math.sin(angle + turn)];
+  return /** @type {Line[]} */ ([[from, to], [barb(2.6), to, barb(-2.6)]]);
+};
+
+/** A ring with barbs: outward about what comes nearer, and so grows, inward about what goes away. @returns {Line[]} */
+const along = ([x, y], nears) => {
+  const at = (turn, radius) => [x + radius * Math.cos(turn), y + radius * Math.sin(turn)], sign = nears ? 1 : -1;
+  const ring = Array.from({ length: 25 }, (_, k) => at((k * Math.PI) / 12, RING - 6));
+  const barbs = [0.25, 0.75, 1.25, 1.75].map((share) => share * Math.PI).map((turn) =>
+    [at(turn - 0.35, RING - sign * 2), at(turn, RING + sign * 5), at(turn + 0.35, RING - sign * 2)]);
+  return /** @type {Line[]} */ ([ring, ...barbs]);
+};
 
 studio.parts.push(() => {
   moving();
