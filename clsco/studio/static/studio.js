@@ -347,7 +347,8 @@ const told = (said) => {
 const valued = (values) => {
   Object.assign(studio.values, values);
   for (const [path, value] of Object.entries(values)) {
-    if (waiting.has(path) || studio.isEcho(path) || (dragged?.path === path && performance.now() - dragged.at < ECHO)) continue; // older than what is in the box
+    const isTyped = dragged?.path === path && performance.now() - dragged.at < ECHO;
+    if (waiting.has(path) || studio.isEcho(path) || isTyped) continue; // older than what is in the box
     for (const control of sameKey(path)) give(control, value);
   }
 };
