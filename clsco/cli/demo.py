@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw, ImageFont, ImageOps
 
 from clsco.files.images import write_png
 from clsco.files.transfer import encode
@@ -51,7 +51,7 @@ def views(frames: Sequence[Frame]) -> dict[str, Picture]:
     else:
         maps[f"blur radius R, {least:.1f} to {most:.1f} px"] = viridis(radius, -bound, bound)
         maps["normal"] = (127.5 * (1 + frame.normal * np.array([1, 1, -1]))).round().astype(np.uint8)
-    if longest > 0:
+    if longest >= 0.5:  # else rounding, or nothing that a picture shows
         maps[f"flow, up to {longest:.0f} px"] = flow_colors(frame.flow, longest)
     on_gray = {label: np.where(seen[..., None], m, NOTHING).astype(np.uint8) for label, m in maps.items()}
     photographs = {"color": photograph(frame.color)}
@@ -66,37 +66,39 @@ def photograph(radiance: NDArray[np.float32]) -> Picture:
     return codes if codes.ndim == 3 else np.repeat(codes[..., None], 3, axis=2)
 
 
-def contact_sheet(frames: Mapping[str, Sequence[Frame]]) -> Picture:
-    """Draw a frame of every example, and below all views of some; returns (rows, columns, 3).
+def contact_sheet(shown: Mapping[str, Frame], detailed: Sequence[Sequence[Frame]]) -> Picture:
+    """Draw frames by their labels, and below all views of others; returns (rows, columns, 3).
 
-    frames: one, or a stereo pair, by the names in EXAMPLES, with all truth.
+    detailed: frames, or stereo pairs, with all truth.
     """
     across = 4
     width = GAP + across * (WIDE + GAP)
-    photographs = -(-len(frames) // across) * (WIDE + LINE + GAP)
-    height = GAP + photographs + len(DETAILS) * (NARROW + LINE + GAP) + LINE
+    photographs = -(-len(shown) // across) * (WIDE + LINE + GAP)
+    height = GAP + photographs + len(detailed) * (NARROW + LINE + GAP) + LINE
     sheet = Image.new("RGB", (width, height), BACKGROUND)
     draw = ImageDraw.Draw(sheet)
     font = ImageFont.load_default(14)
 
     def put(picture: Picture, label: str, side: int, x: int, y: int, ink: tuple[int, int, int]) -> None:
-        small = Image.fromarray(picture).resize((side, side), Image.Resampling.LANCZOS)
+        small = ImageOps.fit(Image.fromarray(picture), (side, side), Image.Resampling.LANCZOS)
         sheet.paste(small, (x, y))
         draw.text((x, y + side + 3), label, fill=ink, font=font)
 
-    for number, (name, shown) in enumerate(frames.items()):
+    for number, (label, frame) in enumerate(shown.items()):
         row, column = divmod(number, across)
         x, y = GAP + column * (WIDE + GAP), GAP + row * (WIDE + LINE + GAP)
-        put(photograph(shown[0].color), EXAMPLES[name], WIDE, x, y, TEXT)
+        put(photograph(frame.color), label, WIDE, x, y, TEXT)
     y = GAP + photographs
     draw.text((GAP, y - 2), "The truth that comes with a frame, at the middle of the shutter", fill=TEXT, font=font)
-    for row, name in enumerate(DETAILS):
-        for column, (label, picture) in enumerate(views(frames[name]).items()):
+    for row, frames in enumerate(detailed):
+        for column, (label, picture) in enumerate(views(frames).items()):
             x, top = GAP + column * (NARROW + GAP), y + LINE + row * (NARROW + LINE + GAP)
             put(picture, label, NARROW, x, top, QUIET)
     return np.asarray(sheet)
 
 
 def write_contact_sheet(path: Path, frames: Mapping[str, Sequence[Frame]]) -> None:
-    """Write `contact_sheet` as a PNG. Raises ImageError where it cannot be written."""
-    write_png(path, contact_sheet(frames))
+    """Write the sheet of all EXAMPLES as a PNG: frames, or stereo pairs, by name. Raises ImageError where it cannot be
+    written."""
+    shown = {EXAMPLES[name]: each[0] for name, each in frames.items()}
+    write_png(path, contact_sheet(shown, [frames[name] for name in DETAILS]))
