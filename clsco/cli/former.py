@@ -43,12 +43,7 @@ class _Former(click.Group):
         return super().parse_args(ctx, args)
 
 
-def former_commands(dataset: click.Group, dev: click.Group) -> list[click.Command]:
-    """Former names of commands of `clsco dataset` and `clsco dev`."""
-    return [
-        _Former("batch", dataset, "make", ("status", "verify", "show")),
-        _Former("convert", dataset, "convert"),
-        _Former("bench", dev, "bench", ("stability",)),
-        _Former("check", dev, "check"),
-        _Former("thesis", dev, "thesis"),
-    ]
+def former_command(name: str, group: click.Group) -> click.Command:
+    """Command of a former name, which is in another group now."""
+    others = {"batch": ("status", "verify", "show"), "bench": ("stability",)}
+    return _Former(name, group, "make" if name == "batch" else name, others.get(name, ()))

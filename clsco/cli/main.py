@@ -9,17 +9,14 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from clsco import __version__
-from clsco.cli.dataset import dataset
-from clsco.cli.dev import dev
-from clsco.cli.examples import examples
 from clsco.cli.focus import focus_at_option, focus_depth_option, focused_files, parsed_focus
-from clsco.cli.former import former_commands
 from clsco.cli.inputs import first_scene, report_inputs, report_loss, report_notes, report_stretched
 from clsco.cli.options import (
     PATH,
@@ -40,10 +37,7 @@ from clsco.cli.options import (
     truth_options,
 )
 from clsco.cli.output import echo, show_log
-from clsco.cli.psf import psf
-from clsco.cli.render import render, render_to_folders, request_for, require_uncolored
-from clsco.cli.studio import studio
-from clsco.cli.video import video
+from clsco.cli.render import render_to_folders, request_for, require_uncolored
 from clsco.errors import ClscoError, DeviceError, SceneError
 
 if TYPE_CHECKING:
@@ -51,7 +45,34 @@ if TYPE_CHECKING:
     from clsco.plan.prepare import Prepared
 
 
-@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
+MODULES = ("dataset", "dev", "examples", "psf", "render", "studio", "video")
+# Former names, and the group of the command now.
+FORMER = {"batch": "dataset", "bench": "dev", "check": "dev", "convert": "dataset", "thesis": "dev"}
+
+
+def _of_module(name: str) -> Any:
+    return getattr(import_module(f"clsco.cli.{name}"), name)
+
+
+class _AllCommands(Commands):
+    """The commands of this module, and those of modules that are imported when they are called or listed."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names in the order of the alphabet."""
+        return sorted([*super().list_commands(ctx), *MODULES, *FORMER])
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        """Command of this name."""
+        if name in FORMER:
+            from clsco.cli.former import former_command
+
+            return former_command(name, _of_module(FORMER[name]))
+        if name in MODULES:
+            return _of_module(name)
+        return super().get_command(ctx, name)
+
+
+@click.group(cls=_AllCommands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="clsco")
 @click.option("-v", "--verbose", count=True, help="Say on stderr what is done; -vv: with all details.")
 def main(verbose: int) -> None:
@@ -393,7 +414,3 @@ def inpaint(
     print_tables(*inpaint_tables(report))
     if not report.missing_pixels:
         echo(f"no pixel is missing: {click.format_filename(out)} is a copy of {click.format_filename(image)}")
-
-
-for command in (dataset, dev, examples, psf, render, video, studio, *former_commands(dataset, dev)):
-    main.add_command(command)

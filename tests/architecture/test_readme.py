@@ -7,6 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import click
 import numpy as np
 import pytest
 
@@ -70,7 +71,9 @@ def test_the_python_of_the_shutter_runs(capsys: pytest.CaptureFixture[str]) -> N
 
 
 def test_commands_and_outputs_are_all_named() -> None:
-    shown = {name for name, command in main.commands.items() if not command.hidden}
+    context = click.Context(main)
+    commands = {name: main.get_command(context, name) for name in main.list_commands(context)}
+    shown = {name for name, command in commands.items() if command is not None and not command.hidden}
     assert set(re.findall(r"^\| `clsco (\w+)", PAGES["docs/commands.md"], re.MULTILINE)) == shown
     named = re.findall(r"^\| `(\w+)` \| (?:float\d+|bool|u?int\d+)", PAGES["docs/outputs.md"], re.MULTILINE)
     assert sorted(named) == sorted(FILE_NAMES.values())
