@@ -27,7 +27,7 @@ from clsco.studio.pictures import (
 )
 from clsco.studio.reference import reference_picture
 from clsco.studio.renderer import PictureJob, Question, RendererEndedError, RenderProgress, Watch
-from clsco.studio.renderers import kind_of
+from clsco.studio.renderers import drawn_parts, kind_of
 
 REST = 0.120  # s without a change
 LATEST = 1e9  # s, of a time sample
@@ -55,6 +55,7 @@ class Renders(Protocol):
     def pictures(self, job: PictureJob, watch: Watch | None = None) -> AsyncGenerator[ViewPicture, None]: ...
     async def inspect(self, question: Question, watch: Watch | None = None) -> dict[str, Any]: ...
     async def warm(self, scene: Scene) -> None: ...
+    async def draw(self, scene: Scene) -> dict[str, Any]: ...
     def cancel(self) -> None: ...
 
 
@@ -98,6 +99,7 @@ class Preview:
         self._stack: list[tuple[int, Scene]] = []  # what is missing of it, with its numbers
         self.small: tuple[int, bytes] = (-1, b"")  # picture of the latest exact frame, and of which revision
         self._outlines, self._outlined = False, 0  # are they wanted; of which state they were sent
+        self._draws, self._drawn = False, tuple[Any, ...]()  # are drawings wanted; parts of the scene of the latest
         self._warm: set[Any] = set()  # kinds of scenes whose kernels, and those near, are compiled
 
     def changed(self) -> None:
@@ -223,6 +225,11 @@ class Preview:
         self._outlines, self._outlined = is_wanted, 0
         self._news.set()
 
+    def draw(self, is_wanted: bool) -> None:
+        """Send the drawings of shutter, aperture and lens each time that they change, or no longer."""
+        self._draws = is_wanted
+        self._news.set()
+
     async def tell(self, **content: Any) -> None:
         """Send a message that is no picture."""
         await self._send(packed_message(self._session.revision, content))
@@ -258,6 +265,10 @@ class Preview:
                 self._warm.add(kind)
                 with suppress(ClscoError):  # what is wrong is reported by the pictures
                     await self._renderer.warm(self._session.scene)
+            elif self._draws and (parts := drawn_parts(self._session.scene)) != self._drawn:
+                self._drawn = parts
+                with suppress(ClscoError):
+                    await self.tell(drawings=await self._renderer.draw(self._session.scene))
             elif self._asked:
                 await self._ask(next(iter(self._asked)))
             else:

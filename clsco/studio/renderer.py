@@ -166,6 +166,11 @@ class RendererProcess:
         async for _ in self._ask("warm", scene):
             pass
 
+    async def draw(self, scene: Scene) -> dict[str, Any]:
+        """Ask for `clsco.studio.drawings.drawings` of a scene. Errors are as for `pictures`."""
+        async with aclosing(self._ask("draw", scene)) as answers:
+            return await anext(answers)
+
     async def rehearse(self, job: PictureJob) -> None:
         """Have compiled and timed what previews like a job's need. Errors are as for `pictures`."""
         async for _ in self._ask("rehearse", job):
@@ -321,6 +326,8 @@ class _RenderWorker:
                 self._live.warm(content)
             elif what == "rehearse":
                 self._rehearse(content)
+            elif what == "draw":
+                self._send(number, self._drawings(content))
             elif what == "inspect":
                 self._send(number, self._inspect(number, content))
             elif content.rung == DRAGGING:
@@ -403,10 +410,16 @@ class _RenderWorker:
                 if ladder.predicted(work, eighths) <= PATIENCE:
                     self._coarse_picture(job, size, way, eighths)
 
-    def _size_of(self, job: PictureJob) -> tuple[int, int]:
-        from clsco.inputs.textures import texture_size
+    def _drawings(self, scene: Scene) -> dict[str, Any]:
+        from clsco.plan.prepare import with_resolution
+        from clsco.studio.drawings import drawings
 
-        return job.scene.camera.resolution or texture_size(job.scene.objects[0].inputs()["texture"])
+        return drawings(with_resolution(scene))
+
+    def _size_of(self, job: PictureJob) -> tuple[int, int]:
+        from clsco.plan.prepare import with_resolution
+
+        return with_resolution(job.scene).camera.frame_size
 
     def _exact(self, number: int, job: PictureJob) -> None:
         from clsco.studio.pictures import picture_of, truth_of

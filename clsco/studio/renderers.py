@@ -63,6 +63,10 @@ class Renderers:
         """Ask for the figures of a pixel. As for `RendererProcess`."""
         return await self._main.inspect(question, watch)
 
+    async def draw(self, scene: Scene) -> dict[str, Any]:
+        """Ask for the drawings of a scene. As for `RendererProcess`."""
+        return await self._main.draw(scene)
+
     async def warm(self, scene: Scene) -> None:
         """Have compiled, in the background, what the scene and those near it need, and its previews rehearsed."""
         await self._main.warm(scene)
@@ -90,3 +94,8 @@ class Renderers:
 def kind_of(scene: Scene) -> Any:
     """Key that scenes with the same kernels share."""
     return tuple(item.shape for item in scene.objects), scene.psf.model, scene.aperture.shape, scene.motion.warp
+
+
+def drawn_parts(scene: Scene) -> tuple[Any, ...]:
+    """Parts of a scene that its drawings depend on."""
+    return scene.sequence.shutter_curve, scene.aperture, scene.psf, scene.lens, scene.camera

@@ -299,6 +299,8 @@ async def _look(session: Document, preview: Preview, said: dict[str, Any]) -> bo
             preview.hide(is_hidden)
         case {"outline": bool(is_wanted)}:
             preview.outline(is_wanted)
+        case {"drawings": bool(is_wanted)}:
+            preview.draw(is_wanted)
         case {"do": "pin thesis"}:
             preview.pin(as_the_thesis(session))
         case {"do": "pin reference"}:
@@ -347,6 +349,7 @@ async def _tell(tab: Tab, preview: Preview) -> None:
         tab.told.clear()
         session = tab.session
         state = {
+            "revision": session.revision,  # so that the page knows whose values it has
             "title": session.scene.title,
             "file": session.file,
             "saved": session.is_saved,

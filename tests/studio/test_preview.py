@@ -44,6 +44,7 @@ class Renderer:
     faults: list[ClscoError] = field(default_factory=list)
     questions: list[Question] = field(default_factory=list)
     warmed: list[Scene] = field(default_factory=list)
+    drawn: list[Scene] = field(default_factory=list)
 
     async def pictures(self, job: PictureJob, watch: Watch | None = None) -> AsyncGenerator[ViewPicture, None]:
         self.jobs.append(job)
@@ -67,6 +68,10 @@ class Renderer:
 
     async def warm(self, scene: Scene) -> None:
         self.warmed.append(scene)
+
+    async def draw(self, scene: Scene) -> dict[str, Any]:
+        self.drawn.append(scene)
+        return {"curve": []}
 
     def cancel(self) -> None:
         self.canceled += 1
@@ -129,6 +134,23 @@ def test_a_scene_at_rest_is_shown_once_by_each_rung() -> None:
     assert browser.got == [(0, DRAGGING), (0, LOSSY), (0, EXACT)]
     assert [job.rung for job in renders.jobs] == [DRAGGING, EXACT]
     assert len(renders.warmed) == 1  # afterwards
+
+
+def test_drawings_are_sent_when_they_are_wanted_and_others() -> None:
+    async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
+        await asyncio.sleep(2 * REST)
+        preview.draw(True)
+        await asyncio.sleep(REST)
+        session.scene = session.scene.replace("object.0.radius", 20.0)  # which no drawing depends on
+        preview.changed()
+        await asyncio.sleep(2 * REST)
+        session.scene = session.scene.replace("sequence.shutter_curve", "triangle")
+        preview.changed()
+        await asyncio.sleep(2 * REST)
+
+    _, renders, browser = played(play)
+    assert [each.sequence.shutter_curve for each in renders.drawn] == ["box", "triangle"]
+    assert browser.said.count({"drawings": {"curve": []}}) == 2
 
 
 def test_of_many_changes_the_latest_is_shown_and_none_after_it() -> None:

@@ -6,17 +6,21 @@ import { one, studio } from "./shared.js";
 /** @type {import("./shared.js").Picture | null} */
 let shown = null; // the picture that was painted last; null before, and while frames are played
 const typed = new Map(); // the numbers of the latest changes, by path
-let latest = -1, sent = 0, heard = 0; // revision of the scene; changes that were sent, and that the studio has tried
+let latest = -1, boxed = -1; // revisions of the scene, and of that whose values were told
+let sent = 0, heard = 0; // changes that were sent, and that the studio has tried
 
-const show = (text, rung) => {
+const show = (text, kind) => {
   const badge = one("#badge");
   if (badge.textContent !== text) badge.textContent = text;
-  badge.dataset.rung = rung;
+  badge.dataset.rung = kind;
 };
 
-const rendered = ({ rung, width, full, without }) => {
-  if (rung === RUNG.EXACT) return "exact of these values";
-  if (rung === RUNG.LOSSY) return "full size";
+const rung = (picture) => picture.rung === RUNG.EXACT && picture.revision > boxed ? RUNG.LOSSY : picture.rung;
+
+const rendered = (picture) => {
+  const { width, full, without } = picture;
+  if (rung(picture) === RUNG.EXACT) return "exact of these values";
+  if (rung(picture) === RUNG.LOSSY) return "full size";
   return `preview ${Math.round((8 * width) / full[0])}/8${without.map((part) => `, no ${part}`).join("")}`;
 };
 
@@ -33,7 +37,7 @@ studio.badge = (picture = shown) => {
   shown = picture;
   if (shown === null) return;
   const words = earlier(shown);
-  show(words || rendered(shown), words ? "earlier" : shown.rung);
+  show(words || rendered(shown), words ? "earlier" : rung(shown));
 };
 
 studio.played = () => {
@@ -52,9 +56,11 @@ studio.changes = (path) => { // the number of the next change
 studio.isEcho = (path) => (typed.get(path) ?? 0) > heard;
 
 studio.revised = (revision) => { // the scene has this revision; null: of a studio that was started again
-  if (revision === null) { [latest, sent, heard] = [-1, 0, 0]; typed.clear(); }
+  if (revision === null) { [latest, boxed, sent, heard] = [-1, -1, 0, 0]; typed.clear(); }
   else latest = Math.max(latest, revision);
 };
+
+studio.boxed = (revision) => { boxed = revision; }; // all values were told
 
 studio.hearing.push((said) => {
   if (said.heard) heard = Math.max(heard, said.heard);

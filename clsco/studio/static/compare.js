@@ -118,9 +118,9 @@ studio.overlays.push((context, place) => { // the line of the wipe, and what is 
     context.textAlign = align;
     context.lineWidth = 4;
     context.strokeStyle = "#141517";
-    context.strokeText(text, at, height - 14);
+    context.strokeText(text, at, height - 44);
     context.fillStyle = "#ffd24d";
-    context.fillText(text, at, height - 14);
+    context.fillText(text, at, height - 44);
   }
 });
 

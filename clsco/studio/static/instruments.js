@@ -1,5 +1,6 @@
 // Instruments beside and over the picture: histogram with clipping, focus peaking, scale bar, outline of an object, wipe.
 
+import "./drawings.js";
 import "./handles.js";
 import { RUNG } from "./protocol.js";
 import { brief } from "./scales.js";

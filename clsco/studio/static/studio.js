@@ -57,8 +57,10 @@ const connect = () => {
 const received = (buffer) => {
   const { picture, payload } = opened(buffer);
   if (picture.rung < RUNG.PINNED) studio.revised(picture.revision);
-  if (picture.encoding === ENCODING.MESSAGE) told(JSON.parse(new TextDecoder().decode(payload)));
-  else show(picture, payload);
+  if (picture.encoding !== ENCODING.MESSAGE) { show(picture, payload); return; }
+  const said = JSON.parse(new TextDecoder().decode(payload));
+  if ("undo" in said) studio.boxed(picture.revision);
+  told(said);
 };
 
 // ---- pictures ---------------------------------------------------------------------------------------------------

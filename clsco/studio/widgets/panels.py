@@ -23,6 +23,12 @@ from clsco.studio.tables import SHAPE_LABELS, at, words
 from clsco.studio.widgets.html import button, check_box, choice, number, say, tried
 
 _MOTIONS = {"velocity": "Translation", "angular_velocity": "Rotation"}
+DRAWINGS = {
+    "sequence.shutter_curve": ("curve", 48, "How far the shutter is open, over the time of an exposure"),
+    "aperture.shape": ("pupil", 96, "Opening of the lens, as a point before the focus shows it"),
+    "psf.model": ("spreads", 150, "Light of points over the frame, where |R| is 12 px"),
+}
+"""Drawings below keys: their name, height in px, and words."""
 _TYPE, _PROPERTIES, _MOTION = 1, 2, 3  # of the panels of the thesis
 
 
@@ -161,6 +167,9 @@ def draw_field(session: Document, shown: Field) -> None:
             else:
                 _text(session, shown, value, box)
             _fault(shown)
+    if shown.path in DRAWINGS:
+        name, height, what = DRAWINGS[shown.path]
+        say("canvas", data_drawing=name, width=280, height=height, role="img", aria_label=what, title=what)
 
 
 def _components(session: Document, shown: Field) -> None:
