@@ -20,6 +20,7 @@ from benchmarks.apertures_picture import heart
 SIDE, REPETITIONS = 448, 5
 RADII = (6.0, 20.0)  # px
 PLAIN, COLORED = "plain disc", "plain disc, in color"
+ELLIPSES, COLORED_ELLIPSES = "distortion over 85 degrees, ellipses", "the same in color"
 BARREL, CURVED = {"distortion": [-0.25, 0.05, 0.0]}, {"field_curvature": -0.001, "focus_surface": "sphere"}
 PENTAGON = {"shape": "polygon", "blades": 5, "rotation": 8.0}
 # Sections of a scene file by the name of a row.
@@ -38,19 +39,22 @@ LENSES: dict[str, dict[str, Any]] = {
     "vignetting": {"lens": {"vignetting": "natural"}},
     "field curvature, focus on a sphere": {"lens": CURVED},
     "distortion": {"lens": BARREL},
+    ELLIPSES: {"lens": BARREL},
 }
 IN_COLOR: dict[str, dict[str, Any]] = {
     COLORED: {},
     "longitudinal color": {"lens": {"axial": [0.01, 0.0, -0.01]}},
     "lateral color": {"lens": {"lateral": [1.001, 1.0, 0.999]}},
     "waves, in color": {"psf": {"model": "wave"}},
+    COLORED_ELLIPSES: {"lens": BARREL},
 }
+WIDE = {ELLIPSES: 4.0, COLORED_ELLIPSES: 4.0}  # times as large pixels and opening: the image is distorted visibly
 
 
-def scene(sections: dict[str, Any], radius: float, in_color: bool = False) -> clsco.Scene:
+def scene(sections: dict[str, Any], radius: float, in_color: bool = False, wide: float = 1.0) -> clsco.Scene:
     """A plane behind the focus, with |R| around a radius in px."""
     texture = np.random.default_rng(1).random((256, 256, 3), np.float32) if in_color else "bricks"
-    focus, aperture, pitch, focal_length = 250.0, 10.0, 0.012, 20.0
+    focus, aperture, pitch, focal_length = 250.0, wide * 10.0, wide * 0.012, 20.0
     scale = focal_length * aperture / (2.0 * pitch)
     nearest, farthest = (1.0 / (1.0 / focus - part * radius / scale) for part in (0.8, 1.2))
     across = 0.5 * SIDE * pitch / focal_length  # slope of the last ray
@@ -67,7 +71,7 @@ def scene(sections: dict[str, Any], radius: float, in_color: bool = False) -> cl
 def measured(names: list[str], radius: float) -> dict[str, float]:
     """ns per pixel of frames, by the name of the lens."""
     every = LENSES | IN_COLOR
-    scenes = {name: scene(every[name], radius, name in IN_COLOR) for name in names}
+    scenes = {name: scene(every[name], radius, name in IN_COLOR, WIDE.get(name, 1.0)) for name in names}
     spent: dict[str, list[float]] = {name: [] for name in names}
     live = clsco.Live()
     for turn in range(REPETITIONS + 1):

@@ -366,7 +366,7 @@ def _of_blur(
         return {"convolved row": plan.rows * plan.columns * channels * wide}
     (visits, rows, taps), (fine_visits, fine_rows, fine_taps) = (_taps(plan, size, fine) for fine in (False, True))
     kind, planes = ("shape" if psf.has_runs else str(psf.layout)), channels
-    if psf.stretched:  # of which weights take the time, whatever they are multiplied by
+    if psf.stretched:  # of which chords take the time, whatever they are multiplied by
         kind, planes = "ellipse", 1
     subs = plan.silhouettes**2
     partly = np.zeros(lit.shape, np.bool_) if hits is None else hits.state == PARTLY

@@ -8,8 +8,16 @@ from numpy.typing import NDArray
 from clsco.optics.distortion import Distortion
 
 Array = NDArray[np.float64]
-NODES = tuple(zip((0.5 - 0.15**0.5, 0.5, 0.5 + 0.15**0.5), (5.0 / 18.0, 8.0 / 18.0, 5.0 / 18.0), strict=True))
-"""Gauss-Legendre nodes on 0 to 1, with their weights."""
+FLAT = 1.5
+"""Distance, px, of columns from the end of an ellipse from which on chords up to them are FEW, and nearer by MANY."""
+FEW, MANY = (
+    ((0.5 - 0.5 / 3.0**0.5, 0.5), (0.5 + 0.5 / 3.0**0.5, 0.5), (0.5, 0.0), (0.5, 0.0)),
+    tuple(
+        (0.5 + 0.5 * sign * (3.0 / 7.0 + turn * 2.0 / 7.0 * 1.2**0.5) ** 0.5, 0.25 - turn * 30.0**0.5 / 72.0)
+        for sign, turn in ((-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0), (1.0, 1.0))
+    ),
+)
+"""Gauss-Legendre nodes on 0 to 1, with their weights; as many of both."""
 DISC = (1.0, 0.0, 1.0)
 """Shape of a disc, see `shape_of`."""
 ROUND, WHOLE = 1.0, 2.0  # px, R up to which blur is a disc, and from which on an ellipse
@@ -47,10 +55,10 @@ def ellipse_weights(dx: Array, dy: Array, radius: Array, shape: Array) -> Array:
 
     Notes
     -----
-    The chord of the ellipse through every place v of the axis along which its rim is less steep, in closed form over
-    both pixels of the other axis, times the tent of both pixels in v, by three nodes on each side of the middle, as far
-    as the ellipse goes. Sums over pixels differ from 1 by 3e-4 at R = 2, 1e-4 at 4 and 1e-5 at 10 px, second moments
-    from R^2/4 J J^T / det J + 1/6 by 3e-3, 4e-4 and 2e-5. Validated against the integral.
+    Chords along columns, in closed form over both pixels, times the tent of both pixels across them: before and after
+    the middle of a column a few chords, and near the end of the ellipse, where they are steep, more by nodes of the
+    root of their distance from it. Sums over pixels differ from 1 by less than 1e-5, second moments from
+    R^2/4 J J^T / det J + 1/6 by 4e-3 at R = 2, 4e-4 at 4 and 2e-5 at 10 px. Validated against the integral.
 
     Examples
     --------
@@ -62,19 +70,20 @@ def ellipse_weights(dx: Array, dy: Array, radius: Array, shape: Array) -> Array:
     (1.0, 11.4, 7.4)
     """
     q0, q1, q2 = np.moveaxis(np.asarray(shape), -1, 0)
-    aside = np.abs(q1 * dx + q2 * dy) < np.abs(q0 * dx + q1 * dy)  # along rows, else along columns
-    along, across = np.where(aside, dy, dx), np.where(aside, dx, dy)
-    form, square = np.where(aside, q0, q2), radius * radius
-    most, total = radius * np.sqrt(form), np.zeros(np.broadcast(along, form, radius).shape)
+    most, total = radius * np.sqrt(q2), np.zeros(np.broadcast(dx, dy, q0, radius).shape)
     for side in (-1.0, 0.0):
-        start = np.clip(along + side, -most, most)
-        width = np.clip(along + side + 1.0, -most, most) - start
-        for node, part in NODES:
-            v = start + width * node
-            half = np.sqrt(np.maximum(form * square - v * v, 0.0)) / form
-            middle = -q1 * v / form - across
-            total += part * width * (1.0 - np.abs(v - along)) * (_below(middle + half) - _below(middle - half))
-    return np.asarray(total / (np.pi * square))
+        right = dx + side >= 0.0
+        near = np.where(right, dx + side, -1.0 - dx - side)  # from the middle of the ellipse, of the two columns
+        flat, start = near + 1.0 + FLAT <= most, np.sqrt(np.maximum(most - near - 1.0, 0.0))
+        width = np.sqrt(np.maximum(most - near, 0.0)) - start
+        for (few, few_parts), (many, many_parts) in zip(FEW, MANY, strict=True):
+            at = start + width * many
+            rest = np.where(flat, most - near - few, at * at)  # from the end of the ellipse
+            v = np.where(right, 1.0, -1.0) * (most - rest)
+            half, middle = np.sqrt(rest * (2.0 * most - rest)) / q2, -q1 * v / q2 - dy
+            part = np.where(flat, few_parts, 2.0 * at * width * many_parts) * (1.0 - np.abs(v - dx))
+            total += part * (_below(middle + half) - _below(middle - half))
+    return np.asarray(total / (np.pi * radius * radius))
 
 
 def _below(t: Array) -> Array:

@@ -51,7 +51,7 @@ Scratch = Literal["none", "columns", "rows"]
 BANDS_PER_CORE = 4  # of `gather` at a time, where they need memory of their own
 SUMS_BEYOND = 64  # sums of `convolve` beyond the last row that a vector there reads, and that are used for nothing
 PAGE, BESIDE_PAGE = 64, 5  # vectors of 8 doubles in 4 KiB, and how far from a multiple of it rows should be long
-ITEM_BYTES, SHAPE_BYTES = 20, 28  # of a group of sources of a column, beside its vectors; of a general shape
+ITEM_BYTES, SHAPE_BYTES, ELLIPSE_BYTES = 20, 28, 8  # of a group of sources of a column, beside its vectors
 MOST_IN_ONE_SUM = 256  # taps of `gather` that a float adds up before it goes into another sum
 MAP_BYTES = structs("double")["texture_map_t"].itemsize
 COUNTERS = COUNTER_DONE + 1  # ints, of a filling
@@ -86,10 +86,7 @@ def bands_at_a_time(rows: int, cores: int) -> int:
 
 
 def band_scratch(psf: PointSpread, fp64: bool) -> Scratch:
-    """Kind of scratch that `gather` keeps for each band of a frame: whole rows of sampled discs, none for ellipses,
-    columns of others."""
-    if psf.stretched:
-        return "none"
+    """Kind of scratch that `gather` keeps for each band of a frame: whole rows of sampled discs, columns of others."""
     found: dict[str, Scratch] = {"disc": "rows", "general": "columns" if psf.has_runs else "none"}
     return found.get(psf.layout, "columns") if fp64 or psf.layout not in found else "none"
 
@@ -149,6 +146,9 @@ def column_bytes(psf: PointSpread, tilt: bool, channels: int, far: int) -> int:
         ends, sums = (1 + tilt) * channels * (BAND + 1), channels * BAND
         items = MOST_ITEMS * (4 * WIDE_LANES * (2 + slopes + 2 * channels) + SHAPE_BYTES)
         return 8 * WIDE_LANES * ends + 4 * WIDE_LANES * sums + tiles + items
+    if psf.stretched:
+        items = MOST_ITEMS * (4 * WIDE_LANES * (3 + slopes + channels) + ELLIPSE_BYTES)
+        return 8 * WIDE_LANES * (1 + tilt) * channels * BAND + tiles + items
     ends, sums = (1 + slopes) * channels, (1 + tilt) * channels
     rims = int(tilt and psf.diffracted)
     item = 2 + slopes + rims + 2 * channels

@@ -93,6 +93,7 @@ WITHOUT_TWIN = {
             "some_taps",
             "values_at",
             "tap_weight",
+            "ellipse_sizes",
             "take_sources",
             "ungrouped_of",
             "take_group",
@@ -119,6 +120,13 @@ WITHOUT_TWIN = {
         (
             *("quadrant_column_of", "add_tap", "add_rim", "add_rims", "add_column_ends", "finish_quadrant_sums"),
             *("spread_quadrant_items", "put_quadrant_items"),
+        ),
+        "the sum of scatter, column by column",
+    ),
+    "ellipses": dict.fromkeys(
+        (
+            *("ellipse_column_of", "wide_sqrt", "floor_of_lowest", "add_chord_ends", "add_chords", "finish_chords"),
+            *("spread_ellipse_items", "put_ellipse_items"),
         ),
         "the sum of scatter, column by column",
     ),
@@ -191,7 +199,7 @@ OTHERWISE = {
 
 # Files whose twin is part of another file.
 PART_OF = {"gather": "blur", "sources": "trace", "texture": "trace", "tiles": "blur"}
-PART_OF |= dict.fromkeys(("psf", "vectors", "many", "discs", "quadrants", "cut", "shapes"), "blur")
+PART_OF |= dict.fromkeys(("psf", "vectors", "many", "discs", "quadrants", "cut", "shapes", "ellipses"), "blur")
 PART_OF |= dict.fromkeys(("gaussians", "columns", "spans"), "blur")
 PART_OF |= {"blocks": "visibility_test"}
 

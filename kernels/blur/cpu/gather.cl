@@ -148,8 +148,10 @@ static void settle(int first, int last, int apart, int shift, int plane, int pit
 // Adds all sources that fit in; returns whether there are others.
 #if BY_COLUMNS
 #define ADD_ALIKE add_columns
+#define ALIKE_VALUES CUT_VALUES(lens, depth) ELLIPSE_VALUES
 #else
 #define ADD_ALIKE add_disc_rows
+#define ALIKE_VALUES
 #endif
 #define SOURCE_BLOCK WIDE_LANES  // sources of a row that are classified at once
 #define GATHER_STEP (BY_ROWS ? ROW_TILE : COLUMN_STEP)  // columns
@@ -319,7 +321,7 @@ __kernel void gather(const grid_t grid, const psf_t psf, __global const float *s
         const int until = cut ? MIN(at_first + budget.x, steps) : steps;
         const bool others = ADD_ALIKE(grid, psf, source, value, intervals, taps, outlines, first, end,
                                       at_first * GATHER_STEP, until * GATHER_STEP, scratch + own * scratch_size, pitch,
-                                      pad, total CUT_VALUES(lens, depth));
+                                      pad, total ALIKE_VALUES);
         if (cut)
             position[own] = others || (before & OTHERS) ? until | OTHERS : until < steps ? until : DONE;
         if (cut || !others)
