@@ -104,6 +104,18 @@ def test_memory_is_flat_over_many_steps(page: Any, running: Running) -> None:
         assert new < old * 1.1 + 30
 
 
+@pytest.mark.slow
+def test_memory_of_the_server_is_flat_over_page_loads(page: Any, running: Running) -> None:
+    found = []
+    for _ in range(4):
+        for _ in range(75):
+            page.reload()
+            page.wait_for_function("window.studio && studio.revision >= 0")
+        found.append(megabytes(running.process.pid))
+    print(f"MiB of the server after 75, 150, 225 and 300 page loads: {found}")
+    assert found[-1] < found[0] * 1.1 + 10
+
+
 def children(pid: int) -> list[int]:
     return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 

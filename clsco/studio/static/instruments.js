@@ -2,6 +2,8 @@
 
 import "./drawings.js";
 import "./handles.js";
+import "./narrow.js";
+import "./tour.js";
 import { RUNG } from "./protocol.js";
 import { brief } from "./scales.js";
 import { on, one, problem, studio } from "./shared.js";

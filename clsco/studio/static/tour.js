@@ -1,0 +1,83 @@
+// A tour of two minutes: what is where, one part of the page after the other, with something to try.
+
+import { on, one, studio } from "./shared.js";
+
+/** @type {[string, string][]} */
+const STEPS = [ // a part of the page, and words
+  ["#lens-strip", "The lens. Drag the focus, or type a distance; close the aperture from f/2 to f/8: more is sharp. The words on the right say what, in mm."],
+  ["#focus", "Focus by click (F): press it, then click in the picture on what is to be sharp."],
+  ["#badge", "What the picture is of: a preview while something is dragged, then exact: the pixels that clsco render writes of these values."],
+  ["#views", "The truth beside the picture: depth, blur radius, flow and more of the same frame, also by the keys 1 to 9."],
+  ["#stage", "Click an object: it is outlined, its handles move it, the one above along z. The wheel zooms, a double click fits."],
+  ["#side", "The inspector: why it is soft at the pixel under the pointer. Its blur radius, how its light spreads, and the lens."],
+  ["#panels-scroll", "The panels of the thesis, in its words, then all others. Input image takes a photo of your own; each value has its default behind ↺."],
+  ["#pin", "Pin this frame, that of the thesis or the reference, and wipe or flip between both."],
+  ["#inpaint", "Inpaint: paint over what is to go, and have it filled by several methods."],
+  ["#generate", "Generate writes frames, a clip, a focal stack or a data set, by a command line that can be copied. Share gives an address of this scene."],
+];
+const GAP = 10; // px between a part and the words about it
+
+let at = -1;
+/** @type {HTMLDialogElement | null} */
+let dialog = null;
+
+const button = (text, pressed) => {
+  const found = document.createElement("button");
+  found.type = "button";
+  found.textContent = text;
+  found.addEventListener("click", pressed);
+  return found;
+};
+
+const place = (box) => { // below the part or above it, wherever there is room; beside the whole of a tall one
+  if (dialog === null) return;
+  const { width, height } = dialog.getBoundingClientRect();
+  const below = box.bottom + GAP + height < innerHeight, above = box.top - GAP - height > 0;
+  const top = below ? box.bottom + GAP : above ? box.top - GAP - height : innerHeight - height - 6 * GAP;
+  const left = Math.min(Math.max(box.left, GAP), innerWidth - width - GAP);
+  dialog.style.top = `${top}px`;
+  dialog.style.left = `${left}px`;
+};
+
+const show = (step) => {
+  for (const marked of document.querySelectorAll("[data-toured]")) marked.removeAttribute("data-toured");
+  if (step < 0 || step >= STEPS.length) { dialog?.close(); return; }
+  at = step;
+  const [selector, text] = STEPS[step], part = one(selector);
+  one("#studio").classList.toggle("open", Boolean(part.closest("#panels")));
+  one("#studio").classList.toggle("sided", selector === "#side");
+  part.setAttribute("data-toured", "");
+  one("#tour-words").textContent = text;
+  one("#tour-at").textContent = `${step + 1} of ${STEPS.length}`;
+  one("#tour-back").disabled = step === 0;
+  one("#tour-next").textContent = step === STEPS.length - 1 ? "Done" : "Next";
+  place(part.getBoundingClientRect());
+};
+
+const made = () => {
+  const found = document.createElement("dialog"), words = document.createElement("p"), row = document.createElement("div");
+  [found.id, words.id, row.className] = ["tour", "tour-words", "row"];
+  found.setAttribute("aria-label", "Tour");
+  words.setAttribute("aria-live", "polite");
+  const count = document.createElement("span"), back = button("Back", () => show(at - 1)), next = button("Next", () => show(at + 1));
+  [count.id, count.className, back.id, next.id, next.className] = ["tour-at", "spread", "tour-back", "tour-next", "primary"];
+  row.append(count, back, next, button("Close", () => show(-1)));
+  found.append(words, row);
+  found.addEventListener("close", () => { one("#studio").classList.remove("open", "sided"); show(-1); });
+  one("#studio").append(found);
+  return found;
+};
+
+studio.parts.push(() => {
+  const keys = one("#keys");
+  keys.append(button("Tour of the studio", () => {
+    keys.close();
+    dialog ??= made();
+    if (!dialog.open) dialog.show(); // not as a modal: what is shown can be tried
+    show(0);
+    one("#tour-next").focus();
+  }));
+  on("keydown", (event) => {
+    if (event.key === "Escape" && dialog?.open && !one("dialog:modal")) { event.stopImmediatePropagation(); show(-1); }
+  }, { capture: true });
+});
