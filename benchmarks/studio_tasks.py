@@ -1,4 +1,5 @@
-"""Ten tasks of a new user in the studio, done in Chromium: clicks, texts and seconds of each, and a picture of its end.
+"""Ten tasks of a new user in the studio, done in Chromium: clicks, texts, scrolls and seconds of each, and a picture of
+its end.
 
     python -m benchmarks.studio_tasks [--width 1280 390] [--only PART] [-o FOLDER]
 
@@ -29,11 +30,12 @@ WAIT = 180_000  # ms
 
 @dataclass
 class Hand:
-    """What is done with a page, counted."""
+    """Clicks, texts and scrolls in a page, counted."""
 
     page: Any
     clicks: int = 0
     texts: int = 0
+    scrolls: int = 0
 
     def seen(self, *selectors: str) -> Any:
         """The first of some elements that is there, brought into sight: folded parts and drawers are opened first."""
@@ -50,7 +52,9 @@ class Hand:
         if found.evaluate("(it) => it.closest('details:not([open])') !== null && it.tagName !== 'SUMMARY'"):
             self.clicks += 1
             found.evaluate("(it) => it.closest('details').querySelector('summary').click()")
+        before = found.bounding_box()
         found.scroll_into_view_if_needed()
+        self.scrolls += before != found.bounding_box()
         return found
 
     def click(self, *selectors: str) -> None:
@@ -215,7 +219,7 @@ def main() -> None:
             shutil.copy(EXAMPLES / f"{name}.toml", root)
         (root / "set.toml").write_text(SET)
         with studio(root, str(root / "sphere.toml"), "--device", "pocl") as running, chromium() as browser:
-            print(f"{'task':28}{'px':>6}{'clicks':>8}{'texts':>7}{'s':>8}", flush=True)
+            print(f"{'task':28}{'px':>6}{'clicks':>8}{'texts':>7}{'scrolls':>9}{'s':>8}", flush=True)
             for width in chosen.width:
                 for number, (name, (scene, work)) in enumerate(TASKS.items(), 1):
                     if chosen.only in name:
@@ -240,7 +244,7 @@ def done(
         took = f"{time.monotonic() - start:8.1f}"
     except Exception as error:  # an older studio cannot, or the page is at fault: the others go on
         took = f"  {type(error).__name__}: {str(error)[:80]!r}"
-    print(f"{name:28}{width:6}{hand.clicks:8}{hand.texts:7}{took}", flush=True)
+    print(f"{name:28}{width:6}{hand.clicks:8}{hand.texts:7}{hand.scrolls:9}{took}", flush=True)
     page.wait_for_timeout(500)
     page.screenshot(path=folder / f"{width}-{number}-{name.replace(' ', '_').replace('/', '').strip('?')}.png")
     context.close()
