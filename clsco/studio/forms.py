@@ -143,7 +143,7 @@ class Field:
 
 @dataclass(frozen=True)
 class Panel:
-    """Fields under a title; `is_open`: those of the thesis are seen at once."""
+    """Fields under a title; `is_open`: those of the thesis, and of keys that the scene has, are seen at once."""
 
     title: str
     fields: tuple[Field, ...]
@@ -226,7 +226,13 @@ def panels(session: Document, index: int = 0) -> tuple[Panel, ...]:
         found.append(Panel("Groups", tuple(groups)))
     if scene:  # sections that the rows above do not know
         found.append(Panel("More", tuple(scene.values())))
-    return tuple(panel for panel in found if panel.fields)
+    return tuple(replace(panel, is_open=panel.is_open or _is_used(session, panel)) for panel in found if panel.fields)
+
+
+def _is_used(session: Document, panel: Panel) -> bool:
+    """True if the scene says something about a key of a panel that every scene does not have."""
+    paths = [field.path for field in panel.fields if field.path != "title" and not field.path.endswith(".name")]
+    return any(at(session.table, path.split(".")) is not None for path in paths)
 
 
 def field_at(session: Document, path: str) -> Field | None:

@@ -91,6 +91,9 @@ def test_the_five_panels_are_those_of_the_thesis(session: Document) -> None:
     ]  # fmt: skip
     first = {panel.title: panel.fields for panel in panels(session)}
     assert [panel.is_open for panel in panels(session)] == [True] * 5 + [False] * (len(titles) - 5)
+    session.patch("aperture.shape", "polygon")
+    opened = [panel.title for panel in panels(session) if panel.is_open]
+    assert opened == [*titles[:5], "PSF and method"]  # of which the scene says something now
     assert [field.path for field in first["Input Image File"]] == ["object.0.texture"]
     (kind,) = first["Select Object Type"]
     assert [label for _, label in kind.choices][:5] == ["Planar", "Cylindrical", "Spherical", "Conical", "Elliptical"]
