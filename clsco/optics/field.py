@@ -17,7 +17,7 @@ from clsco.optics.pupils.wavefront import Wavefront
 Array = NDArray[np.float64]
 CELLS_PER_WAVE = 8.0  # along the way from the middle to the corner
 LEAST_CELLS, MOST_CELLS = 2, 16  # along that way
-BLENDED = 6e-3  # L1 of blended weights from exact ones with CELLS_PER_WAVE
+BLENDED, BLENDED_RAYS = 6e-3, 1.4e-2  # L1 of blended weights from exact ones with CELLS_PER_WAVE
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,11 @@ class SeidelField:
     curvature : float
         W220 h^2 rho^2, px.
     waves : float
-        Their size in waves of green light, which the cells go by.
+        Their size in waves of green light, or of rays in px, which the cells go by.
     frame : tuple of int
         Columns and rows of the frame, px.
+    by_rays : bool
+        Light goes by rays, whose spots have sharp rims.
 
     Examples
     --------
@@ -53,6 +55,7 @@ class SeidelField:
     curvature: float
     waves: float
     frame: tuple[int, int]
+    by_rays: bool = False
 
     @cached_property
     def corner(self) -> float:
@@ -78,7 +81,8 @@ class SeidelField:
         -----
         Validated against exact weights at the middles of cells (tests/optics/test_field.py).
         """
-        return BLENDED * (CELLS_PER_WAVE * self.waves / self._of_way) ** 2
+        size = CELLS_PER_WAVE * self.waves / self._of_way
+        return BLENDED_RAYS * size if self.by_rays else BLENDED * size**2
 
     @property
     def nodes(self) -> list[tuple[float, float]]:

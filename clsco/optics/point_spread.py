@@ -24,6 +24,7 @@ from clsco.scene.model import Aperture, Camera, Psf
 if TYPE_CHECKING:  # imported where a scene has them
     from clsco.optics.field import SeidelField
     from clsco.optics.pupils.diffracted import Diffracted
+    from clsco.optics.pupils.traced import Traced
     from clsco.optics.pupils.wavefront import Wavefront
 
 MINIMUM_BLUR = 0.5  # px; sampled PSFs leave smaller radii alone (thesis, 2.2)
@@ -142,7 +143,7 @@ class PointSpread:
 
     @property
     def diffracted(self) -> bool:
-        """Light goes beyond the rim of the lens, by waves, and a point in focus is a spot."""
+        """Light goes beyond the rim of the lens, by waves or aberrations, and a point in focus is a spot."""
         return self.pupil.steps > 0
 
     @property
@@ -310,9 +311,13 @@ def point_spread(
             Gaussian(psf.sigma_ratio, psf.truncation, round_cut), psf.edge, 2 * psf.silhouette_samples, rims
         )
     pupil = image or FORMULAS[aperture.shape](aperture)
-    if psf.model == "wave":
+    if psf.model == "wave" or psf.aberrated:
+        if camera is None:
+            rule = 'must be given with psf.model = "wave" or aberrations, for its aperture and pixels'
+            raise SceneError(f"camera: {rule}; got None")
         varying = _field(psf, camera)
-        return PointSpread(_diffracted(pupil, psf, camera, varying), psf.edge, rims=rims, varying=varying)
+        behind = _diffracted if psf.model == "wave" else _traced
+        return PointSpread(behind(pupil, psf, camera, varying), psf.edge, rims=rims, varying=varying)
     return PointSpread(pupil, psf.edge, rims=rims)
 
 
@@ -331,7 +336,7 @@ def spreads_of_colors(spread: PointSpread, psf: Psf, camera: Camera | None) -> t
     tuple of three PointSpread
         The same three times but by waves.
     """
-    if not spread.diffracted:
+    if psf.model != "wave" or camera is None:
         return spread, spread, spread
     from clsco.optics.pupils.diffracted import Diffracted
 
@@ -342,14 +347,12 @@ def spreads_of_colors(spread: PointSpread, psf: Psf, camera: Camera | None) -> t
 
 
 def _diffracted(
-    pupil: Pupil, psf: Psf, camera: Camera | None, varying: SeidelField | None, color: int = GREEN
+    pupil: Pupil, psf: Psf, camera: Camera, varying: SeidelField | None, color: int = GREEN
 ) -> Diffracted:  # fmt: skip
     """The pupil with diffraction of light of a color, on the axis of the field."""
     from clsco.optics.pupils.fourier import FourierDiffracted
     from clsco.optics.pupils.hankel import HankelDiffracted, is_round
 
-    if camera is None:
-        raise SceneError('camera: must be given with psf.model = "wave", for its aperture and pixels; got None')
     apart = 0.5 * psf.bandwidth / sqrt(3.0)  # the two Gauss-Legendre nodes of the band
     middle = psf.wavelengths[color]
     nodes = (middle - apart, middle + apart) if apart else (middle,)
@@ -373,6 +376,17 @@ def _diffracted(
     return found
 
 
+def _traced(pupil: Pupil, psf: Psf, camera: Camera, varying: SeidelField | None) -> Traced:
+    """The pupil with aberrations by rays, on the axis of the field."""
+    from clsco.optics.pupils.traced import Traced
+
+    wavefront = _wavefront(psf, camera)
+    found = Traced(pupil, wavefront=wavefront, steepest=varying.slope(wavefront) if varying else 0.0)
+    if found.margin > MOST_MARGIN:
+        raise SceneError(f"psf: aberrations must bend light by at most {MOST_MARGIN:g} px; got {found.margin:.4g} px")
+    return found
+
+
 def _wavefront(psf: Psf, camera: Camera) -> Wavefront:
     """Errors of the wavefront in px of path: waves of green light are the same lengths for all colors."""
     from clsco.optics.pupils.wavefront import Wavefront
@@ -381,15 +395,17 @@ def _wavefront(psf: Psf, camera: Camera) -> Wavefront:
     return Wavefront(tuple((n, m, waves * unit) for n, m, waves in zernike_terms(psf.zernike)), psf.seidel.W040 * unit)
 
 
-def _field(psf: Psf, camera: Camera | None) -> SeidelField | None:
+def _field(psf: Psf, camera: Camera) -> SeidelField | None:
     """Seidel's terms over the field, None where nothing varies."""
-    if camera is None or not psf.seidel.varies:
+    if not psf.seidel.varies:
         return None
     from clsco.optics.field import SeidelField
 
     unit = diffraction_unit(camera, psf.wavelengths[GREEN])
     coma, astigmatism, curvature = (unit * waves for waves in (psf.seidel.W131, psf.seidel.W222, psf.seidel.W220))
-    return SeidelField(coma, astigmatism, curvature, psf.seidel.varying_waves, camera.frame_size)
+    by_rays = psf.model != "wave"  # which have no structure finer than pixels
+    waves = psf.seidel.varying_waves * (2.0 * unit if by_rays else 1.0)
+    return SeidelField(coma, astigmatism, curvature, waves, camera.frame_size, by_rays)
 
 
 def diffraction_unit(camera: Camera, wavelength: float) -> float:
@@ -415,8 +431,9 @@ def spread_of_wavelength(spread: PointSpread, camera: Camera, wavelength: float)
         It is not by waves, or diffraction is far finer than pixels, or far coarser.
     """
     from clsco.optics.pupils.diffracted import Diffracted
+    from clsco.optics.pupils.traced import Traced
 
-    if not isinstance(spread.pupil, Diffracted):
+    if not isinstance(spread.pupil, Diffracted) or isinstance(spread.pupil, Traced):
         raise SceneError(f'psf: wavelengths need psf.model = "wave"; got {spread.pupil.name}')
     unit = diffraction_unit(camera, wavelength)
     if not LEAST_UNIT <= unit <= MOST_UNIT:

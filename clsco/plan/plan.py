@@ -383,7 +383,7 @@ def make_plan(
     columns, rows = scene.camera.frame_size
     wanted, device, psf = request or Request(), device or ThisMachine(), elliptic_spread(scene, psf, eye)
     maps = maps or (None,) * len(scene.objects)
-    spreads = spreads_of_colors(psf, scene.psf, scene.camera) if _is_apart(scene, psf, channels) else ()
+    spreads = spreads_of_colors(psf, scene.psf, scene.camera) if _is_apart(scene, channels) else ()
     psf = max(spreads, key=lambda each: each.pupil.margin, default=psf)
     check_shape(psf, wanted.method)
     seen = predict(scene, psf, eye, maps)
@@ -403,9 +403,9 @@ def make_plan(
     return replace(plan, taps=_predicted_taps(plan, seen)) if blur != "none" and plan.color else plan
 
 
-def _is_apart(scene: Scene, psf: PointSpread, channels: int) -> bool:
+def _is_apart(scene: Scene, channels: int) -> bool:
     """True if colors are blurred apart: by another lens each, or an image in color by waves of other lengths."""
-    return scene.separates_colors or (psf.diffracted and channels > 1 and len(set(scene.psf.wavelengths)) > 1)
+    return scene.separates_colors or (channels > 1 and scene.psf.is_colored)
 
 
 def _predicted_taps(plan: Plan, predicted: Prediction) -> float:

@@ -10,6 +10,7 @@ from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_tables import table_bytes
 from clsco.optics.pupils.diffracted import Diffracted
 from clsco.optics.pupils.fourier import FourierDiffracted
+from clsco.optics.pupils.traced import Traced
 from clsco.plan.passes import Parameters
 
 MOST_WAVES = 512.0  # of defocus at the rim: the transform of more would take seconds for each radius
@@ -32,7 +33,7 @@ def check_waves(psf: PointSpread, largest: float) -> None:
     pupil = psf.pupil
     if isinstance(pupil, FourierDiffracted):
         pupil.samples(largest)
-    if not isinstance(pupil, Diffracted) or pupil.waves(largest) <= MOST_WAVES:
+    if not isinstance(pupil, Diffracted) or isinstance(pupil, Traced) or pupil.waves(largest) <= MOST_WAVES:
         return
     rule = f'"wave" takes at most {MOST_WAVES:g} waves of defocus at the rim'
     about = f'R {largest:.3g} px; "pillbox" has about {disc_psnr(pupil.widest):.0f} dB against it'
@@ -60,15 +61,19 @@ def wave_words(psf: PointSpread, smallest: float, largest: float, silhouettes: i
         table_bytes(psf, smallest, largest, silhouettes) if silhouettes else 0
     )
     rest = "given to the rest" if pupil.keeps else "lost"
-    found: Parameters = (
-        ("waves", f"Q = {pupil.widest:.3g} px, {pupil.waves(largest):.3g} waves of defocus at the largest R"),
-        ("tail", f"{100.0 * cut:.2g} % of the light, beyond {pupil.margin:.3g} px from the rim, is {rest}"),
-        ("tables", f"{size / 2**20:.2g} MiB"),
-        ("disc", f"would have about {disc_psnr(pupil.widest):.0f} dB against waves"),
-    )
-    if not isinstance(pupil, FourierDiffracted):
-        return found
-    found += (("pupil", f"{pupil.samples(largest):.0f} samples over the diameter, by Fourier transforms"),)
+    found: Parameters = (("tables", f"{size / 2**20:.2g} MiB"),)
+    if isinstance(pupil, Traced):
+        found += (
+            ("rays", f"bent by up to {pupil.margin:.3g} px, {pupil.samples(largest):.0f} of them over the diameter"),
+        )
+    else:
+        found += (
+            ("waves", f"Q = {pupil.widest:.3g} px, {pupil.waves(largest):.3g} waves of defocus at the largest R"),
+            ("tail", f"{100.0 * cut:.2g} % of the light, beyond {pupil.margin:.3g} px from the rim, is {rest}"),
+            ("disc", f"would have about {disc_psnr(pupil.widest):.0f} dB against waves"),
+        )
+        if isinstance(pupil, FourierDiffracted):
+            found += (("pupil", f"{pupil.samples(largest):.0f} samples over the diameter, by Fourier transforms"),)
     if psf.varying is None:
         return found
     (across, down), off = psf.varying.cells, psf.varying.blending

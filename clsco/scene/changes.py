@@ -36,7 +36,7 @@ _DISPLACED: tuple[tuple[str, str | None, str], ...] = (
         ("psf.model", model, f"psf.{key}")
         for key, own in MODEL_KEYS.items()
         for model in get_args(SpreadModel)
-        if model != own
+        if model not in own
     ),
     ("motion.warp", "forward", "motion.texture_filter"),
     ("motion.warp", "inverse", "fill"),

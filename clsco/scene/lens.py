@@ -134,8 +134,8 @@ class Lens(Strict):
 
 
 def check_opening(lens: Lens) -> None:
-    """Raise the fault of a lens whose opening changes, as that of psf.model = "wave" cannot."""
-    rule = fault('cannot change with psf.model = "wave", whose blur is that of one opening')
+    """Raise the fault of a lens whose opening changes, as that of psf.model = "wave" and of aberrations cannot."""
+    rule = fault('cannot change with psf.model = "wave" or aberrations, whose blur is that of one opening')
     for k, key in enumerate(lens.keyframe or ()):
         for name in ("focal_length", "f_number"):
             if getattr(key, name) is not None:

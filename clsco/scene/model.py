@@ -339,7 +339,7 @@ class Scene(Strict):
 
     @model_validator(mode="after")
     def _psf_fits_the_aperture(self) -> Self:
-        if self.lens is not None and self.psf.model == "wave":
+        if self.lens is not None and (self.psf.model == "wave" or self.psf.aberrated):
             check_opening(self.lens)
         if found := misfit(self.psf, self.aperture):
             key, rule, value = found

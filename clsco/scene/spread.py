@@ -110,10 +110,12 @@ class Aperture(HasInputs, Strict):
 Wavelength = Annotated[float, Within(100.0, 20000.0, "nm")]
 Wavelengths = Annotated[tuple[Wavelength, Wavelength, Wavelength], Triple]
 SpreadModel = Literal["pillbox", "gaussian", "wave"]
-MODEL_KEYS = {"sigma_ratio": "gaussian", "truncation": "gaussian"} | dict.fromkeys(
-    ("wavelengths", "bandwidth", "seidel", "zernike", "tail", "rest"), "wave"
-)
-"""Keys of [psf] that belong to one model."""
+MODEL_KEYS: dict[str, tuple[SpreadModel, ...]] = {
+    "sigma_ratio": ("gaussian",), "truncation": ("gaussian",), "seidel": ("wave", "pillbox"),
+    "zernike": ("wave", "pillbox"), "wavelengths": ("wave", "pillbox"),
+    **dict.fromkeys(("bandwidth", "tail", "rest"), ("wave",)),
+}  # fmt: skip
+"""Keys of [psf] that belong to some models."""
 
 
 class Psf(Strict):
@@ -139,14 +141,14 @@ class Psf(Strict):
     """Cut of the Gaussian, in sigma; only with model = "gaussian". Default 3, with edge = "sampled" 2."""
     wavelengths: Wavelengths = (610.0, 540.0, 465.0)
     """Wavelengths of red, green and blue, nm, of which gray images take the one in the middle; only with
-    model = "wave"."""
+    model = "wave", or with seidel or zernike, whose waves are those of green."""
     bandwidth: Annotated[float, Within(0.0, 1000.0, "nm")] = 0.0
     """Width of a band around each of them that has as much light everywhere, nm; only with model = "wave"."""
     seidel: Seidel = Seidel.model_construct()
-    """Errors of the wavefront by Seidel's terms; only with model = "wave"."""
+    """Errors of the wavefront by Seidel's terms, in waves of green light; with model = "wave", or by rays, without
+    diffraction, with "pillbox"."""
     zernike: Zernike = Zernike.model_construct()
-    """Errors of the wavefront by Zernike polynomials, the same on every point of the field; only with
-    model = "wave"."""
+    """Errors of the wavefront by Zernike polynomials, the same on every point of the field; as `seidel`."""
     tail: Annotated[float, Within(1e-4, 0.2)] = 0.01
     """Share of the light of a point that is left out at most, far beyond the rim of its blur; only with
     model = "wave"."""
@@ -165,9 +167,10 @@ class Psf(Strict):
     @field_validator(*MODEL_KEYS)
     @classmethod
     def _of_its_model(cls, value: Any, info: ValidationInfo) -> Any:
-        model = MODEL_KEYS[str(info.field_name)]
-        if info.data.get("model", model) != model:
-            raise fault(f'belongs to psf.model = "{model}", not "{info.data["model"]}"')
+        models = MODEL_KEYS[str(info.field_name)]
+        if info.data.get("model", models[0]) not in models:
+            wanted = " or ".join(f'"{model}"' for model in models)
+            raise fault(f'belongs to psf.model = {wanted}, not "{info.data["model"]}"')
         return value
 
     @model_validator(mode="after")
@@ -175,12 +178,23 @@ class Psf(Strict):
         if self.bandwidth >= min(self.wavelengths):
             rule = f"must be less than each of the wavelengths, of which one is {min(self.wavelengths):g} nm"
             raise at_keys([(("bandwidth",), fault(rule), self.bandwidth)])
+        unused = self.model == "pillbox" and not self.aberrated
+        if unused and self.wavelengths != type(self).model_fields["wavelengths"].default:
+            rule = 'belongs to psf.model = "wave" or to aberrations'
+            raise at_keys([(("wavelengths",), fault(rule), list(self.wavelengths))])
+        if self.aberrated and self.edge != "integrated":
+            raise at_keys([(("edge",), fault('must be "integrated" with psf.seidel or psf.zernike'), self.edge)])
         return self
 
     @property
     def aberrated(self) -> bool:
         """True where the wavefront has errors."""
         return self.seidel.W040 != 0.0 or self.seidel.varies or bool(zernike_terms(self.zernike))
+
+    @property
+    def is_colored(self) -> bool:
+        """True where waves of each color spread otherwise."""
+        return self.model == "wave" and len(set(self.wavelengths)) > 1
 
     @property
     def asks_for_rays(self) -> bool:
@@ -206,6 +220,8 @@ def misfit(psf: Psf, aperture: Aperture) -> tuple[str, str, Any] | None:
         return "rim", 'needs psf.edge = "integrated" or "area"', psf.edge
     if aperture.rim and psf.model == "wave":
         return "rim", 'needs psf.model = "pillbox" or "gaussian"', psf.model
+    if aperture.rim and psf.aberrated:
+        return "rim", "must be absent with psf.seidel or psf.zernike", "some"
     if psf.aberrated and aperture.squeeze < 1.0:
         return "squeeze", "must be at least 1 with psf.seidel or psf.zernike, which are of a circle", aperture.squeeze
     for key, about, value in found:

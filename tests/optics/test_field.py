@@ -23,9 +23,12 @@ HALF = np.array([32.0, 24.0]) / 40.0
 
 
 @cache
-def lens(w131: float = 0.0, w222: float = 0.0, w220: float = 0.0, w040: float = 0.0) -> PointSpread:
+def lens(
+    w131: float = 0.0, w222: float = 0.0, w220: float = 0.0, w040: float = 0.0, by_rays: bool = False
+) -> PointSpread:
+    model = {"model": "pillbox", "wavelengths": LONG["wavelengths"]} if by_rays else LONG
     seidel = {"W131": w131, "W222": w222, "W220": w220, "W040": w040}
-    return point_spread(Psf.model_validate({**LONG, "seidel": seidel}), Aperture(), camera=CAMERA)
+    return point_spread(Psf.model_validate({**model, "seidel": seidel}), Aperture(), camera=CAMERA)
 
 
 def weights_of(psf: PointSpread, radius: float) -> Array:
@@ -88,6 +91,18 @@ def test_astigmatism_blurs_along_the_way_from_the_middle() -> None:
     assert np.abs(turned - weights.T).max() < 1e-9
 
 
+def test_short_waves_come_near_to_rays() -> None:
+    """The same path in px as some waves of Q = 0.5, and as 8 times as many of Q = 1 / 16."""
+    waves = np.array([0.4, 0.3, -0.1])
+    rays, off = weights_of(lens(*waves, by_rays=True).at(0.8, 0.6), 2.0), []
+    for times in (1.0, 8.0):
+        seidel = dict(zip(("W131", "W222", "W220"), times * waves, strict=True))
+        psf = Psf.model_validate({**LONG, "wavelengths": [2500.0 / times] * 3, "tail": 0.02, "seidel": seidel})
+        off.append(np.abs(weights_of(point_spread(psf, Aperture(), camera=CAMERA).at(0.8, 0.6), 2.0) - rays).sum())
+    assert off[1] < 0.4 * off[0]
+    assert off[1] < 0.1
+
+
 @pytest.mark.parametrize("tent", [True, False])
 @pytest.mark.parametrize("place", [(-0.5, 0.25), (0.5, -0.25), (-0.5, -0.25), (0.0, -0.25)])
 def test_mirrored_places_have_weights_of_their_own_wavefronts(place: tuple[float, float], tent: bool) -> None:
@@ -108,9 +123,14 @@ def test_mirrored_places_have_weights_of_their_own_wavefronts(place: tuple[float
     assert np.abs(found - expected).max() < 1e-9
 
 
-@pytest.mark.parametrize(("waves", "radius"), [((0.25, 0.1, 0.05), 2.0), ((0.6, 0.3, 0.0), 0.0)])
-def test_blending_is_as_far_off_as_the_plan_says(waves: tuple[float, float, float], radius: float) -> None:
-    psf = lens(*waves)
+@pytest.mark.parametrize(
+    ("waves", "radius", "by_rays"),
+    [((0.25, 0.1, 0.05), 2.0, False), ((0.6, 0.3, 0.0), 0.0, False), ((1.0, 0.5, 0.1), 2.0, True)],
+)
+def test_blending_is_as_far_off_as_the_plan_says(
+    waves: tuple[float, float, float], radius: float, by_rays: bool
+) -> None:
+    psf = lens(*waves, by_rays=by_rays)
     field = psf.varying
     assert field is not None
     (across, down), (columns, rows) = field.cells, field.frame

@@ -27,6 +27,8 @@ FIELD: Any = {
     "tail": 0.04,
     "seidel": {"W131": 0.12, "W222": 0.08, "W220": -0.02},
 }
+BY_RAYS: Any = {"wavelengths": FIELD["wavelengths"], "seidel": FIELD["seidel"], "silhouette_samples": 2}
+rays = partial(scene_from, {"camera": CAMERA, "psf": BY_RAYS})
 scene = partial(scene_from, {"camera": CAMERA, "psf": FIELD})
 CASES: dict[str, dict[str, Any]] = {
     "facing": {"object": [FACING]},
@@ -118,3 +120,22 @@ def test_light_stays() -> None:
     sharp = scene(object=wanted.objects, psf={"border": "renormalize"})
     (frame,), (plain,) = clsco.render(wanted), clsco.render(sharp)
     assert frame.color.mean() == pytest.approx(plain.color.mean(), rel=1e-5)
+
+
+@pytest.mark.parametrize("method", mostly_slow(["auto", "scatter", "tiles"], ["auto"]))
+def test_device_and_reference_agree_by_rays(method: str) -> None:
+    wanted = rays(object=[TILTED])
+    assert_agree(rendered(wanted, method=method), reference_frames(wanted), least=0.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("aperture", [{}, {"shape": "polygon", "blades": 5}])
+def test_what_is_hidden_by_rays(aperture: dict[str, Any]) -> None:
+    wanted = rays(object=[NEAR, FACING], aperture=aperture)
+    assert_agree(rendered(wanted), reference_frames(wanted), least=0.0)
+
+
+def test_a_plan_names_rays() -> None:
+    words = dict(prepare(rays(object=[FACING])).plan.passes[-1].parameters)
+    assert words["rays"] == "bent by up to 0.48 px, 192 of them over the diameter"
+    assert "waves" not in words

@@ -6,13 +6,18 @@ import pytest
 
 from tests.scene.test_bad_scenes import messages_of
 
+OPENING = (
+    'lens.keyframe[0].f_number: cannot change with psf.model = "wave" or aberrations, whose blur is that of one '
+    "opening; got 2.0"
+)
+
 
 @pytest.mark.parametrize(
     ("line", "message"),
     [
         (
-            "psf.wavelengths = [610, 540, 465]",
-            'psf.wavelengths: belongs to psf.model = "wave", not "pillbox"; got [610, 540, 465]',
+            "psf.wavelengths = [620, 540, 460]",
+            'psf.wavelengths: belongs to psf.model = "wave" or to aberrations; got [620.0, 540.0, 460.0]',
         ),
         (
             'psf = {model = "gaussian", bandwidth = 10}',
@@ -37,8 +42,20 @@ from tests.scene.test_bad_scenes import messages_of
         ('psf = {model = "wave", tail = 0.3}', "psf.tail: must be between 0.0001 and 0.2; got 0.3"),
         ('psf = {model = "wave", rest = "keep"}', 'psf.rest: must be renormalize or lose; got "keep"'),
         (
-            "psf.seidel = {W040 = 1.0}",
-            'psf.seidel: belongs to psf.model = "wave", not "pillbox"; got a table of 1 keys',
+            'psf = {model = "gaussian", seidel = {W040 = 1.0}}',
+            'psf.seidel: belongs to psf.model = "wave" or "pillbox", not "gaussian"; got a table of 1 keys',
+        ),
+        (
+            'psf = {edge = "area", seidel = {W040 = 1.0}}',
+            'psf.edge: must be "integrated" with psf.seidel or psf.zernike; got "area"',
+        ),
+        (
+            "psf.seidel = {W040 = 1.0}\naperture.rim = [{distance = 20.0, diameter = 14.0}]",
+            'aperture.rim: must be absent with psf.seidel or psf.zernike; got "some"',
+        ),
+        (
+            "psf.seidel = {W040 = 1.0}\nlens.keyframe = [{time = 0.0, f_number = 2.0}, {time = 1.0, f_number = 4.0}]",
+            OPENING,
         ),
         (
             'psf = {model = "wave", seidel = {W131 = -20.5}}',

@@ -17,9 +17,6 @@ LAW = 1.1  # light beyond d px outside of the rim is at most so many times 2 Q /
 LEAST_MARGIN = 1.0  # px
 MOST_STEPS = 32  # intervals of tables per px
 PANEL_NODES = 10
-ANGLES = (np.arange(PANEL_NODES) + 0.5) * pi / PANEL_NODES
-CHEBYSHEV = -np.cos(ANGLES)
-BARYCENTRIC = np.where(np.arange(PANEL_NODES) % 2, -1.0, 1.0) * np.sin(ANGLES)
 
 
 @dataclass(frozen=True)
@@ -123,8 +120,10 @@ def faded(depth: Array) -> Array:
     return np.asarray(held**3 * (10.0 + held * (6.0 * held - 15.0)))
 
 
-def panels_of(radii: Array, panel: float) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Polynomials in R that give weights at signed radii, each for a panel of so many px.
+def panels_of(
+    radii: Array, panel: float, count: int = PANEL_NODES
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:  # fmt: skip
+    """Polynomials in R that give weights at signed radii, each for a panel of so many px, of `count` nodes.
 
     Returns
     -------
@@ -132,15 +131,18 @@ def panels_of(radii: Array, panel: float) -> tuple[NDArray[np.int64], NDArray[np
         Panels, rising; one from n panel on has the number n, and nodes by `panel_nodes`.
     which : ndarray of int (radii,)
         Index of each radius' panel.
-    factors : ndarray (radii, PANEL_NODES)
+    factors : ndarray (radii, count)
         Weights of the values at the nodes of its panel.
     """
+    angles = (np.arange(count) + 0.5) * pi / count
+    barycentric = np.where(np.arange(count) % 2, -1.0, 1.0) * np.sin(angles)
     numbers, which = np.unique(np.floor(radii / panel).astype(np.int64), return_inverse=True)
-    away = radii[:, None] - panel_nodes(numbers, panel)[which]
-    factors = BARYCENTRIC / np.where(away == 0.0, 1e-300, away)
+    away = radii[:, None] - panel_nodes(numbers, panel, count)[which]
+    factors = barycentric / np.where(away == 0.0, 1e-300, away)
     return numbers, which, factors / factors.sum(axis=1, keepdims=True)
 
 
-def panel_nodes(numbers: NDArray[np.int64], panel: float) -> Array:
-    """Radii (panels, PANEL_NODES) at the nodes of panels of so many px."""
-    return np.asarray((numbers[:, None] + 0.5 * (CHEBYSHEV + 1.0)) * panel)
+def panel_nodes(numbers: NDArray[np.int64], panel: float, count: int = PANEL_NODES) -> Array:
+    """Radii (panels, count) at the nodes of panels of so many px, Chebyshev's."""
+    at = -np.cos((np.arange(count) + 0.5) * pi / count)
+    return np.asarray((numbers[:, None] + 0.5 * (at + 1.0)) * panel)

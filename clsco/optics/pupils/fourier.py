@@ -5,15 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from math import floor, log2
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsco.cache import Cache
-from clsco.optics.pupils.diffracted import Diffracted, faded, panel_nodes, panels_of
+from clsco.optics.pupils.diffracted import PANEL_NODES, Diffracted, faded, panel_nodes, panels_of
 from clsco.optics.pupils.hankel import is_round
 from clsco.optics.pupils.pupil import Array, Pupil
 from clsco.optics.pupils.transform import (
-    Spectrum,
     fast_length,
     image_parts,
     pixel_weights,
@@ -53,6 +54,7 @@ class FourierDiffracted(Diffracted):
     """
 
     STEPS = ((1.6, 2), (0.45, 4), (0.1, 8), (0.04, 16))
+    NODES: ClassVar[int] = PANEL_NODES  # of each panel
 
     wavefront: Wavefront = field(default_factory=Wavefront)
     steepest: float = 0.0
@@ -84,7 +86,7 @@ class FourierDiffracted(Diffracted):
         found = np.zeros(r.shape)
         column, row = np.rint(right), np.rint(down)
         places = np.rint((column - right) * PLACES) + 1j * np.rint((row - down) * PLACES)
-        numbers, which, factors = panels_of(r.ravel(), self.panel)
+        numbers, which, factors = panels_of(r.ravel(), self.panel, self.NODES)
         of_panel = which.reshape(r.shape)
         for place in np.unique(places):
             for number in np.unique(of_panel[places == place]):
@@ -100,7 +102,7 @@ class FourierDiffracted(Diffracted):
     def rows(self, radii: Array, dx: Array, dy: Array, tent: bool) -> Array:
         column, row = np.rint(dx).astype(np.int64), np.rint(dy).astype(np.int64)
         place = tuple(float(np.rint((at[0] - d[0]) * PLACES) / PLACES) for at, d in ((column, dx), (row, dy)))
-        numbers, which, factors = panels_of(radii, self.panel)
+        numbers, which, factors = panels_of(radii, self.panel, self.NODES)
         found = np.zeros((len(radii), len(dy), len(dx)))
         for k, number in enumerate(numbers.tolist()):
             squares = self._squares(number, (place[0], place[1]), tent)
@@ -131,12 +133,17 @@ class FourierDiffracted(Diffracted):
         if self._can_mirror and any(self.wavefront.mirrored):
             return self._mirrored_squares(number, place, tent)
 
-        def make() -> Array:
-            found = _spectra.get((self, number), lambda: self._spectra(number), lambda made: made.nbytes)
-            width = found.shape[1] // image_parts(self.narrowest, self.extent)
-            return np.stack([pixel_weights(each, width, place, tent) for each in found])
+        return _weights.get(
+            (self, number, place, tent), lambda: self._made(number, place, tent), lambda made: made.nbytes
+        )
 
-        return _weights.get((self, number, place, tent), make, lambda made: made.nbytes)
+    def _made(self, number: int, place: tuple[float, float], tent: bool) -> Array:
+        found = self._kept_spectra(number)
+        width = found.shape[1] // image_parts(self.narrowest, self.extent)
+        return np.stack([pixel_weights(each, width, place, tent) for each in found])
+
+    def _kept_spectra(self, number: int) -> NDArray[Any]:
+        return _spectra.get((self, number), lambda: self._spectra(number), lambda made: made.nbytes)
 
     @property
     def _can_mirror(self) -> bool:
@@ -151,7 +158,7 @@ class FourierDiffracted(Diffracted):
         squares = upright._squares(number, (signs[0] * place[0], signs[1] * place[1]), tent)
         return np.roll(np.flip(squares, axes), (1,) * len(axes), axes)
 
-    def _spectra(self, number: int) -> Spectrum:
+    def _spectra(self, number: int) -> NDArray[Any]:
         """Spectra (nodes, y, x) of the light at the nodes of a panel."""
         nodes = panel_nodes(np.array([number]), self.panel)[0]
         farthest = self.panel * max(abs(number), abs(number + 1))

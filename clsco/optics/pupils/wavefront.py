@@ -78,6 +78,12 @@ class Wavefront:
             total = total + size * zernike(n, m, x, y)
         return np.asarray(total)
 
+    def gradient(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Changes of the path in px per radius at lens points, to the right and down."""
+        right = self.path(x + STEP, y) - self.path(x - STEP, y)
+        down = self.path(x, y + STEP) - self.path(x, y - STEP)
+        return right / (2.0 * STEP), down / (2.0 * STEP)
+
     @property
     def slope(self) -> float:
         """Largest change of the path along the lens, px per radius."""
@@ -88,9 +94,7 @@ class Wavefront:
 def _slope(wavefront: Wavefront) -> float:
     radius, angle = np.linspace(0.0, 1.0, ON_RADIUS)[:, None], np.arange(ON_CIRCLE) * (2.0 * np.pi / ON_CIRCLE)
     x, y = radius * np.cos(angle), radius * np.sin(angle)
-    across = wavefront.path(x + STEP, y) - wavefront.path(x - STEP, y)
-    down = wavefront.path(x, y + STEP) - wavefront.path(x, y - STEP)
-    return float(np.hypot(across, down).max()) / (2.0 * STEP)
+    return float(np.hypot(*wavefront.gradient(x, y)).max())
 
 
 def zernike(n: int, m: int, x: Array, y: Array) -> Array:

@@ -166,7 +166,11 @@ def test_point_spreads_of_a_camera() -> None:
 @pytest.mark.parametrize(
     ("psf", "camera", "message"),
     [
-        ({}, None, 'camera: must be given with psf.model = "wave", for its aperture and pixels; got None'),
+        (
+            {},
+            None,
+            'camera: must be given with psf.model = "wave" or aberrations, for its aperture and pixels; got None',
+        ),
         (
             {},
             Camera(pixel_pitch=0.1),
