@@ -20,7 +20,7 @@ from benchmarks.apertures_picture import heart
 SIDE, REPETITIONS = 448, 5
 RADII = (6.0, 20.0)  # px
 PLAIN, COLORED = "plain disc", "plain disc, in color"
-ELLIPSES, COLORED_ELLIPSES = "distortion over 85 degrees, ellipses", "the same in color"
+ELLIPSES, COLORED_ELLIPSES = "distortion over 85 degrees, ellipses", "distortion over 85 degrees, in color"
 BARREL, CURVED = {"distortion": [-0.25, 0.05, 0.0]}, {"field_curvature": -0.001, "focus_surface": "sphere"}
 PENTAGON = {"shape": "polygon", "blades": 5, "rotation": 8.0}
 # Sections of a scene file by the name of a row.

@@ -397,10 +397,14 @@ def lens_cases() -> Iterator[Case]:
         "image": {"distortion": (-0.25, 0.05, 0.0), "tangential": (0.01, -0.02)},
         "image and focus": {"distortion": (0.2, 0.1, 0.0), "field_curvature": -0.03, "focus_surface": "sphere"},
         "colors": {"field_curvature": -0.03, "focus_surface": "sphere", "axial": (0.2, 0.0, -0.1)},
+        "ellipses by atomics": {"distortion": (-0.25, 0.05, 0.0)},
+        "ellipses": {"distortion": (-0.25, 0.05, 0.0), "tangential": (0.01, -0.02)},
     }
     for number, (name, keys) in enumerate(bends.items()):
         wall = Plane(distance=270.0, slope_x=0.5)
-        scene = Scene(camera=Camera(resolution=(9, 6), pixel_pitch=0.3), objects=(wall,), lens=Lens(**keys))
+        wide: dict[str, Any] = {"pixel_pitch": 2.0, "aperture_diameter": 300.0} if "ellipses" in name else {}
+        camera = {"pixel_pitch": 0.3} | wide
+        scene = Scene(camera=Camera(resolution=(9, 6), **camera), objects=(wall,), lens=Lens(**keys))
         kind = {"kind": "gpu"} if number % 2 else {}
         yield Case(f"lens, {name}", kind, partial(through_a_lens, scene), repr(scene.lens), 3)
 
