@@ -53,9 +53,7 @@ def pinhole(scene: Scene, index: int, eye: Eye = "left") -> Pinhole:
     pose, step = eye_pose(scene, eye, time), ray_step(camera_at(scene, time))
     rotation = FLIP @ pose.rotation.T @ FLIP
     middle = (0.5 * (columns - 1), 0.5 * (rows - 1))
-    (k1, k2, k3), tangential = (
-        (scene.lens.distortion, scene.lens.tangential) if scene.lens else ((0.0,) * 3, (0.0,) * 2)
-    )
+    (k1, k2, k3), tangential = (scene.lens.radial, scene.lens.tangential) if scene.lens else ((0.0,) * 3, (0.0,) * 2)
     keys = (k1, k2, *tangential, k3)
     shift = -rotation @ (FLIP @ pose.shift)
     return Pinhole(columns, rows, 1.0 / step, middle, rotation, shift, keys if any(keys) else ())

@@ -62,7 +62,7 @@ class Distortion:
         if lens is None or not lens.distorts:
             return None
         p1, p2 = lens.tangential
-        return cls(lens.distortion, (-p1, p2))
+        return cls(lens.radial, (-p1, p2))
 
     @cached_property
     def reach(self) -> float:

@@ -227,14 +227,15 @@ def _check_curvature(scene: Scene, lens: LensOptics, slopes: Slopes) -> None:
 
 def _check_fold(scene: Scene, cameras: Sequence[Camera], guard: int) -> None:
     """Raise SceneError where frame and guard band reach to where a distorted image would fold back."""
-    distortion = distortion_of(cameras[0])
-    if distortion is None:
+    distortion, lens = distortion_of(cameras[0]), scene.lens
+    if distortion is None or lens is None:
         return
     step, corner = max(map(ray_step, cameras)), float(np.hypot(*(0.5 * np.array(cameras[0].frame_size) + guard)))
     if not corner * step < distortion.image_reach:
-        key = "distortion" if scene.lens is not None and any(scene.lens.distortion) else "tangential"
+        given = {"lens.distortion": any(lens.distortion), "lens.tangential": any(lens.tangential)}
+        key = next((key for key, some in given.items() if some), "psf.seidel.W311")
         rule = f"frame and guard band must end where the image folds back, {distortion.image_reach / step:.4g} px off"
-        raise SceneError(f"lens.{key}: {rule} the axis; got a corner {corner:.4g} px off")
+        raise SceneError(f"{key}: {rule} the axis; got a corner {corner:.4g} px off")
 
 
 def _widest(scene: Scene, time: float) -> Camera:

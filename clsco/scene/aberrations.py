@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import Field, create_model, model_validator
+from pydantic import Field, create_model
 
-from clsco.scene.quantities import Strict, Within, at_keys, fault
+from clsco.scene.quantities import Strict, Within
 
 MOST_ORDER = 6  # n of Zernike polynomials
 NAMES = {
@@ -30,6 +30,8 @@ class Seidel(Strict):
     """Astigmatism, with h^2: the focus along and across that direction differ, waves."""
     W220: Waves = 0.0
     """Field curvature, with h^2, waves."""
+    W311: Waves = 0.0
+    """Distortion, with h^3: the image is farther from the middle; a part of k1 of lens.distortion, waves."""
 
     @property
     def varying_waves(self) -> float:
@@ -41,12 +43,30 @@ class Seidel(Strict):
         """True where the wavefront is not the same all over the field."""
         return self.varying_waves > 0.0
 
-    @model_validator(mode="before")
-    @classmethod
-    def _no_shift(cls, value: Any) -> Any:
-        if isinstance(value, Mapping) and "W311" in value:
-            raise at_keys([(("W311",), fault("is no key, as distortion is lens.distortion"), value["W311"])])
-        return value
+    def radial_distortion(self, wavelength: float, diameter: float, corner: float) -> float:
+        """Coefficient k1 of radial distortion that W311 is.
+
+        Parameters
+        ----------
+        wavelength : float
+            Green light's, nm.
+        diameter : float
+            Diameter of the lens, mm.
+        corner : float
+            Slope of the ray to the corner of the frame.
+
+        Notes
+        -----
+        A wavefront that leans by W at the rim of the lens turns rays by 2 W / D, and k1 corner^3 is the change of the
+        slope.
+
+        Examples
+        --------
+        >>> from clsco.scene.aberrations import Seidel
+        >>> round(Seidel(W311=10.0).radial_distortion(550.0, 10.0, 0.25), 6)
+        0.0704
+        """
+        return 2e-6 * wavelength * self.W311 / (diameter * corner**3)
 
 
 def _polynomials() -> Iterator[tuple[int, int]]:

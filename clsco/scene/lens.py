@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
+from pydantic import BeforeValidator, Field, PrivateAttr, ValidationInfo, field_validator
 
 from clsco.scene.motions import (
     NONE,
@@ -16,6 +16,9 @@ from clsco.scene.motions import (
     default_of_keyframes,
 )
 from clsco.scene.quantities import MAX_LENGTH_MM, Pair, Strict, Triple, Within, as_python, at_keys, fault
+
+if TYPE_CHECKING:
+    from clsco.scene.spread import Psf
 
 MOST_VIGNETTING = 10.0
 MOST_DISTORTION = 10.0
@@ -87,6 +90,8 @@ class Lens(Strict):
     """Tangential distortion p1, p2 in the direction and with the axes of OpenCV, x right and y down: x is seen by
     2 p1 x y + p2 (r^2 + 2 x^2) farther right, y by p1 (r^2 + 2 y^2) + 2 p2 x y farther down."""
 
+    _of_wavefront: float = PrivateAttr(0.0)  # given by Scene, which knows the wavelength and the frame
+
     @field_validator("interpolation", "outside")
     @classmethod
     def _of_keyframes(cls, value: Any, info: ValidationInfo) -> Any:
@@ -113,9 +118,15 @@ class Lens(Strict):
         return self.field_curvature != 0.0 or self.focus_surface == "sphere" or self.distorts
 
     @property
+    def radial(self) -> tuple[float, float, float]:
+        """Radial distortion k1, k2, k3, with that of the wavefront in k1."""
+        k1, k2, k3 = self.distortion
+        return k1 + self._of_wavefront, k2, k3
+
+    @property
     def distorts(self) -> bool:
         """True if it does not show straight lines as such."""
-        return any(self.distortion) or any(self.tangential)
+        return any(self.radial) or any(self.tangential)
 
     @property
     def darkens(self) -> bool:
@@ -133,10 +144,29 @@ class Lens(Strict):
         return any(size != 1.0 for size in self.lateral)
 
 
-def check_opening(lens: Lens) -> None:
+def check_opening(lens: Lens | None, psf: Psf) -> None:
     """Raise the fault of a lens whose opening changes, as that of psf.model = "wave" and of aberrations cannot."""
     rule = fault('cannot change with psf.model = "wave" or aberrations, whose blur is that of one opening')
+    if lens is None or not (psf.model == "wave" or psf.aberrated or psf.seidel.W311):
+        return
     for k, key in enumerate(lens.keyframe or ()):
         for name in ("focal_length", "f_number"):
             if getattr(key, name) is not None:
                 raise at_keys([(("lens", "keyframe", k, name), rule, getattr(key, name))])
+
+
+def with_distortion_of_wavefront(lens: Lens | None, psf: Psf, camera: Any) -> Lens | None:
+    """The lens of a scene with the distortion that is a term of Seidel's; raises the fault of an unknown frame."""
+    seidel, k1 = psf.seidel, 0.0
+    if seidel.W311:
+        if camera.resolution is None:
+            rule = fault("needs camera.resolution, as it is of the corner of the frame")
+            raise at_keys([(("psf", "seidel", "W311"), rule, seidel.W311)])
+        half = 0.5 * math.hypot(*(size - 1 for size in camera.resolution)) or 1.0
+        corner = half * camera.pixel_pitch / camera.normalization_distance
+        k1 = seidel.radial_distortion(psf.wavelengths[1], camera.aperture_diameter, corner)
+    if k1 == (0.0 if lens is None else lens._of_wavefront):
+        return lens
+    found = (lens or Lens.model_construct()).model_copy()
+    found._of_wavefront = k1
+    return found

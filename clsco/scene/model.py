@@ -18,7 +18,7 @@ from clsco.scene.arrays import HasInputs
 from clsco.scene.changes import replaced
 from clsco.scene.faults import refusal
 from clsco.scene.groups import Group, Groups, unknown_groups
-from clsco.scene.lens import Lens, check_opening
+from clsco.scene.lens import Lens, check_opening, with_distortion_of_wavefront
 from clsco.scene.motions import CameraMotion, CameraShake, Keyframe, LensKeyframe, ObjectMotion
 from clsco.scene.objects import MAX_OBJECTS, Object, Objects
 from clsco.scene.quantities import (
@@ -339,8 +339,8 @@ class Scene(Strict):
 
     @model_validator(mode="after")
     def _psf_fits_the_aperture(self) -> Self:
-        if self.lens is not None and (self.psf.model == "wave" or self.psf.aberrated):
-            check_opening(self.lens)
+        self.__dict__["lens"] = with_distortion_of_wavefront(self.lens, self.psf, self.camera)
+        check_opening(self.lens, self.psf)
         if found := misfit(self.psf, self.aperture):
             key, rule, value = found
             raise at_keys([(("aperture", key), fault(rule), value)])

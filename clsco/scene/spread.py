@@ -178,7 +178,7 @@ class Psf(Strict):
         if self.bandwidth >= min(self.wavelengths):
             rule = f"must be less than each of the wavelengths, of which one is {min(self.wavelengths):g} nm"
             raise at_keys([(("bandwidth",), fault(rule), self.bandwidth)])
-        unused = self.model == "pillbox" and not self.aberrated
+        unused = self.model == "pillbox" and not (self.aberrated or self.seidel.W311)
         if unused and self.wavelengths != type(self).model_fields["wavelengths"].default:
             rule = 'belongs to psf.model = "wave" or to aberrations'
             raise at_keys([(("wavelengths",), fault(rule), list(self.wavelengths))])

@@ -11,6 +11,7 @@ import pytest
 
 import clsco
 from clsco.opencl.device import choose
+from clsco.optics.point_spread import diffraction_unit
 from clsco.plan.memory import device_bytes
 from clsco.plan.prepare import prepare
 from tests.scenes import assert_agree, reference_frames, rendered, scene_from
@@ -139,3 +140,22 @@ def test_a_plan_names_rays() -> None:
     words = dict(prepare(rays(object=[FACING])).plan.passes[-1].parameters)
     assert words["rays"] == "bent by up to 0.48 px, 192 of them over the diameter"
     assert "waves" not in words
+
+
+def test_distortion_is_a_term_of_the_wavefront() -> None:
+    """Rays in the corner arrive 2 Q W311 px farther out; frames are those of lens.distortion."""
+    wide = CAMERA | {"pixel_pitch": 0.1}
+    wanted = scene_from({"camera": wide, "psf": {"wavelengths": [2500.0] * 3, "seidel": {"W311": -2.0}}}, TILTED)
+    assert wanted.lens is not None
+    camera, (k1, *_) = wanted.camera, wanted.lens.radial
+    unit = camera.pixel_pitch / camera.normalization_distance
+    corner = 0.5 * np.hypot(47.0, 31.0)
+    assert k1 * (corner * unit) ** 3 / unit == pytest.approx(2.0 * diffraction_unit(camera, 2500.0) * -2.0)
+    same = scene_from({"camera": wide, "lens": {"distortion": [k1, 0.0, 0.0]}}, TILTED)
+    (frame,), (expected,) = clsco.render(wanted), clsco.render(same)
+    assert (frame.color == expected.color).all()
+
+
+def test_distortion_of_the_wavefront_needs_a_frame() -> None:
+    with pytest.raises(clsco.SceneError, match=r"psf\.seidel\.W311: needs camera\.resolution"):
+        clsco.parse_scene({"object": [FACING], "psf": {"seidel": {"W311": 1.0}}})

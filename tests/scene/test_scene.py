@@ -71,7 +71,7 @@ COEFFICIENTS = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -900.0)
                 "truncation": 3.0,
                 "wavelengths": (610.0, 540.0, 465.0),
                 "bandwidth": 0.0,
-                "seidel": {"W040": 0.0, "W131": 0.0, "W222": 0.0, "W220": 0.0},
+                "seidel": {"W040": 0.0, "W131": 0.0, "W222": 0.0, "W220": 0.0, "W311": 0.0},
                 "zernike": {f"{n},{m}": 0.0 for n in range(2, 7) for m in range(-n, n + 1, 2)},
                 "tail": 0.01,
                 "rest": "renormalize",

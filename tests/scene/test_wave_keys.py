@@ -58,6 +58,10 @@ OPENING = (
             OPENING,
         ),
         (
+            "camera.resolution = [9, 9]\npsf.seidel = {W311 = 1.0}\nlens.keyframe = [{time = 0.0, f_number = 2.0}]",
+            OPENING,
+        ),
+        (
             'psf = {model = "wave", seidel = {W131 = -20.5}}',
             "psf.seidel.W131: must be between -20 and 20 waves; got -20.5",
         ),
