@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.pupils.circle import Circle
 from clsco.optics.pupils.hankel import HankelDiffracted
-from clsco.plan.waves import disc_psnr
+from clsco.optics.waves import disc_psnr
 
 Array = NDArray[np.float64]
 SIDE, SQUARE = 160, 20  # px

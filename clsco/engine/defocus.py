@@ -23,6 +23,7 @@ from clsco.opencl.arrays import check_image, on_host, without_mask
 from clsco.opencl.session import DeviceLike, Session
 from clsco.optics.lens import LARGEST_BLUR
 from clsco.optics.point_spread import GREEN, PointSpread, exposure_factor, spreads_of_colors
+from clsco.optics.waves import check_waves
 from clsco.passes.blur import Area, Image, Maps, Sources
 from clsco.passes.pack import grid_struct
 from clsco.passes.static_image import GivenImage
@@ -32,7 +33,6 @@ from clsco.plan.image import ImagePlan
 from clsco.plan.memory import Limit, device_bytes, fitted, limit_of
 from clsco.plan.methods import BlurSpec, can_convolve, check_shape, choose_blur, has_few_taps
 from clsco.plan.predict import guard_band
-from clsco.plan.waves import check_waves
 from clsco.records import REAL, Real
 from clsco.scene.file import ApertureLike, CameraLike, PsfLike, aperture_of, camera_of, psf_of
 from clsco.scene.model import Psf

@@ -228,7 +228,7 @@ class Renderer:
         spec = self.plan.spec
         if not spec.psf.diffracted:
             return {}
-        from clsco.plan.waves import light_cut
+        from clsco.optics.waves import light_cut
 
         return {"light_cut": light_cut(spec.psf, spec.smallest, spec.largest)}
 

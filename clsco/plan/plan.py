@@ -388,7 +388,7 @@ def make_plan(
     check_shape(psf, wanted.method)
     seen = predict(scene, psf, eye, maps)
     if psf.diffracted:
-        from clsco.plan.waves import check_waves
+        from clsco.optics.waves import check_waves
 
         check_waves(psf, seen.largest)
     choices, groups, extents = choose(scene, psf, wanted, eye, maps, channels, device, seen)

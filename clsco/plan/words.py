@@ -53,7 +53,7 @@ def of_blur(spec: BlurSpec, choices: Choices, groups: int) -> Parameters:
         ("method", f"{spec.method}: {choices.blur.reason}"),
     ]
     if spec.psf.diffracted:
-        from clsco.plan.waves import wave_words
+        from clsco.optics.waves import wave_words
 
         found += wave_words(spec.psf, spec.smallest, spec.largest, spec.subpixels)
     if spec.psf.stretched:

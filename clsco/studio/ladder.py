@@ -21,6 +21,7 @@ LEAST = 5  # eighths; where fewer come in time, more is left out
 WORTH = 1.5  # times what the smallest picture takes, which a larger one is worth
 OCCLUSION, MOTION = "occlusion", "motion"
 WAYS: tuple[tuple[str, ...], ...] = ((), (OCCLUSION,), (OCCLUSION, MOTION))  # what is left out, in this order
+MOST_FIXED, SMALL_FIXED = 0.9, 0.8  # of the time of pictures of one size, of the smallest, that is not due to pixels
 LEAST_SPREAD = 0.03  # of numbers of pixels, that a line is laid through
 _WEIGHTS = 0.7 ** np.arange(5, -1, -1.0)  # of the latest measurements
 _STALL = 4.0  # times the prediction: a compilation, say
@@ -31,7 +32,7 @@ class Ladder:
     """Chooses the largest picture whose predicted time is within the budget.
 
     The time has a part that every picture takes, and one for each pixel and time sample: the line through what was
-    measured last. Where all of that was of one size, a longer time is due to the pixels.
+    measured last. Where all of that was of one size, what changed is due to the pixels.
 
     Attributes
     ----------
@@ -71,7 +72,8 @@ class Ladder:
             slope = np.average((pixels - middle) * (times - mean), weights=weights) / spread
             slope = min(max(slope, 0.0), mean / middle)
         else:
-            least = min(self.fixed, mean * self.fixed / self.predicted(middle, EIGHTHS))
+            fixed = max(self.fixed, SMALL_FIXED * mean) if eighths == 1 else self.fixed
+            least = min(fixed, MOST_FIXED * mean)
             slope = (mean - least) / middle
         self.fixed, self.ns = float(mean - slope * middle), float(1e9 * slope)
 

@@ -43,6 +43,16 @@ def hidden(tree: ast.AST) -> Iterator[str]:
             yield node.id
 
 
+def kinds(tree: ast.AST) -> Iterator[str]:
+    """Pupils of which something asks whether a value is one."""
+    nodes = [*ast.walk(tree)]
+    imports = [node for node in nodes if isinstance(node, ast.ImportFrom) and node.module]
+    pupils = [node for node in imports if f"{node.module}.".startswith("clsco.optics.pupils.")]
+    known = {name.name for node in pupils for name in node.names}
+    for call in (node for node in nodes if isinstance(node, ast.Call) and ast.unparse(node.func) == "isinstance"):
+        yield from known & {node.id for node in ast.walk(call.args[1]) if isinstance(node, ast.Name)}
+
+
 def test_nothing_is_asserted() -> None:
     nodes = [(name, node) for name, tree in TREES.items() for node in ast.walk(tree)]
     assert {f"{name}:{node.lineno}" for name, node in nodes if isinstance(node, ast.Assert)} == set()
@@ -66,3 +76,10 @@ def test_values_are_frozen_and_keys_are_values() -> None:
     }
     assert found == {"clsco/opencl/pages.py": ["id"]}
     assert [*hidden(ast.parse("object.__setattr__(a, 'b', {id(a): PrivateAttr()})"))]
+
+
+def test_optics_alone_tells_pupils_apart() -> None:
+    paths = [path for path in sorted((ROOT / "clsco").rglob("*.py")) if "optics" not in path.parts]
+    assert {path.name: found for path in paths if (found := [*kinds(ast.parse(path.read_text("utf-8")))])} == {}
+    told = "from clsco.optics.pupils.ring import Ring\nisinstance(pupil, Ring | int)"
+    assert [*kinds(ast.parse(told))] == ["Ring"]

@@ -15,9 +15,9 @@ from clsco.errors import SceneError
 from clsco.inputs.pupils import scene_point_spread
 from clsco.opencl.device import choose
 from clsco.optics.pupils.hankel import HankelDiffracted
+from clsco.optics.waves import MOST_WAVES, disc_psnr
 from clsco.plan.memory import device_bytes
 from clsco.plan.prepare import prepare
-from clsco.plan.waves import MOST_WAVES, disc_psnr
 from clsco.scene.model import Camera, Scene
 from clsco.scene.sweep import load_sweep
 from tests.scenes import assert_agree, reference_frames, rendered, scene_from

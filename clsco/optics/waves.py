@@ -11,7 +11,6 @@ from clsco.optics.psf_tables import table_bytes
 from clsco.optics.pupils.diffracted import Diffracted
 from clsco.optics.pupils.fourier import FourierDiffracted
 from clsco.optics.pupils.traced import Traced
-from clsco.plan.passes import Parameters
 
 MOST_WAVES = 512.0  # of defocus at the rim: the transform of more would take seconds for each radius
 ADEQUATE, PER_DECADE = 33.0, 17.5  # dB: PSNR of a disc instead of waves is about ADEQUATE - PER_DECADE log10(Q)
@@ -51,7 +50,7 @@ def light_cut(psf: PointSpread, smallest: float, largest: float) -> float:
     return max(each, default=0.0)
 
 
-def wave_words(psf: PointSpread, smallest: float, largest: float, silhouettes: int) -> Parameters:
+def wave_words(psf: PointSpread, smallest: float, largest: float, silhouettes: int) -> tuple[tuple[str, str], ...]:
     """Parameters of the blur for reports; none where it is not by waves."""
     pupil = psf.pupil
     if not isinstance(pupil, Diffracted):
@@ -61,7 +60,7 @@ def wave_words(psf: PointSpread, smallest: float, largest: float, silhouettes: i
         table_bytes(psf, smallest, largest, silhouettes) if silhouettes else 0
     )
     rest = "given to the rest" if pupil.keeps else "lost"
-    found: Parameters = (("tables", f"{size / 2**20:.2g} MiB"),)
+    found: tuple[tuple[str, str], ...] = (("tables", f"{size / 2**20:.2g} MiB"),)
     if isinstance(pupil, Traced):
         found += (
             ("rays", f"bent by up to {pupil.margin:.3g} px, {pupil.samples(largest):.0f} of them over the diameter"),
