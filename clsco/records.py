@@ -48,7 +48,7 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     surface = _reals(real, turn=nine, body_turn=nine, own_turn=nine, offset=three, body_offset=three, own_offset=three)
     surface += _reals(real, rest=three, q=three, l=three)
     surface += _reals(real, bounds_low=three, bounds_high=three, k=(), at_lens=(), radius=())
-    surface += [("nappe", i), ("texture", i), *_reals(real, near_x=two, near_y=two, near_w=())]
+    surface += [("nappe", i), ("texture", i), *_reals(real, near_x=two, near_y=two, near_w=(), width=())]
     mapping: list[Any] = [("base", "i8")]
     mapping += [(name, i) for name in ("kind", "wrap_x", "wrap_y", "columns", "rows", "levels")]
     mapping += _reals(real, frame=nine, scale=(4,), shift=two, slant=(), spread=(), outside=())

@@ -8,7 +8,7 @@ axes. One ray-surface solution serves all of them, in a form without cancellatio
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf
+from math import inf, pi
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,6 +100,9 @@ class PlacedSurface:
         is none.
     seen : Extent
         Bounds of the surface in the image and in depth.
+    width : float
+        About how wide the image of a bounded flat surface is across its longest way, a slope of rays; infinite of
+        others.
     """
 
     canonical: Canonical
@@ -113,6 +116,7 @@ class PlacedSurface:
     constant: float
     ball: Vector
     seen: Extent = EVERYWHERE
+    width: float = inf
 
 
 def _axes_along(axis: Vector) -> NDArray[np.float64]:
@@ -244,7 +248,17 @@ def place(item: Object, pose: Pose) -> PlacedSurface:
     else:
         constant = float(shape.q @ offset**2 + 2.0 * (shape.l @ offset) - shape.k)
     ways, ball = (turn, offset, body_turn, body_offset, own_turn, own_offset), _ball(item, pose)
-    return PlacedSurface(shape, *ways, rest, constant, ball, _seen(*ball.tolist()))
+    return PlacedSurface(shape, *ways, rest, constant, ball, _seen(*ball.tolist()), _width(item, constant, ball))
+
+
+def _width(item: Object, distance: float, ball: Vector) -> float:
+    """See `PlacedSurface.width`: an area A at depth Z on a plane that the lens is so far from, mm, has the image
+    A distance / Z^3, which is no longer than that of the ball."""
+    if not isinstance(item, Rectangle | Disc):
+        return inf
+    area = pi * item.radius**2 if isinstance(item, Disc) else item.size[0] * item.size[1]
+    depth, radius = ball[2:].tolist()
+    return area * abs(distance) / (2.0 * radius * depth**2) if depth > radius else inf
 
 
 def _ball(item: Object, pose: Pose) -> Vector:

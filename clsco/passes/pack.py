@@ -134,6 +134,7 @@ def _surface_struct(item: Object, surface: PlacedSurface, texture: int, real: Re
             "near_x": surface.seen.x,
             "near_y": surface.seen.y,
             "near_w": surface.seen.w[1],
+            "width": surface.width,
         },
     )
 

@@ -241,7 +241,7 @@ def filled(
     mapped, allowed = not scene.is_analytic, None
     if scene.fill.domain == "surface" and not mapped:
         view = view_at(scene, textures, time, eye, True, None, color)
-        allowed = trace(view, everything(scene), guard).label > 0
+        allowed = (trace(view, everything(scene), guard).label & 127) > 0
     values = np.concatenate([new.radiance, new.inverse_depth[..., None]], axis=-1)
     far = mapped or len(scene.objects) > 1
     brightest = max(map(radiance_span, _images(textures)))

@@ -73,13 +73,13 @@ __kernel void scatter(const grid_t grid, const psf_t psf, __global const float *
         return;
     const int at = y * grid.width + x, row = y - grid.above, column = x - grid.guard;
     const int plane = grid.width * grid.height, sums_plane = grid.rows * grid.columns;
-    const float4 s = get_source(source, plane, at);
+    float4 s = get_source(source, plane, at);
 #if SUBPIXELS
     const int slot = as_int(s.w);
     if (slot >= 0) {
         for (int sub = 0; sub < SUBPIXELS * SUBPIXELS; ++sub) {
             const int id = slot * SUBPIXELS * SUBPIXELS + sub;
-            const float4 p = sub_source[id];
+            float4 p = sub_source[id];
             if (p.x < 0)
                 continue;
             const spread_t spread = subpixel_spread(psf, sub_intervals, sub_coefficients, p.x,
@@ -89,7 +89,7 @@ __kernel void scatter(const grid_t grid, const psf_t psf, __global const float *
             const visibility_t *visibility = IS_PARTLY(as_int(p.w)) ? &seen : 0;
             if (visibility)
                 source_visibility(grid, lens, surfaces, group, psf, lens_cells, grid.top + row + spread.oy,
-                                  column + spread.ox, sub_depth[id], spread, p, (real)1 / SUBPIXELS, &seen);
+                                  column + spread.ox, sub_depth[id], spread, &p, (real)1 / SUBPIXELS, &seen);
 #endif
             for (int k = 0; k < CHANNELS; ++k)
                 scatter_source(grid, spread, p, sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id], scale, row,
@@ -106,7 +106,7 @@ __kernel void scatter(const grid_t grid, const psf_t psf, __global const float *
     visibility_t seen;
     const visibility_t *visibility = IS_PARTLY(as_int(s.w)) ? &seen : 0;
     if (visibility)
-        source_visibility(grid, lens, surfaces, group, psf, lens_cells, grid.top + row, column, depth[at], spread, s,
+        source_visibility(grid, lens, surfaces, group, psf, lens_cells, grid.top + row, column, depth[at], spread, &s,
                           (real)1, &seen);
 #endif
     for (int k = 0; k < CHANNELS; ++k)
@@ -154,13 +154,13 @@ __kernel void renormalize(const grid_t grid, const psf_t psf, __global const flo
     if (column >= grid.columns || y >= grid.height)
         return;
     const int at = y * grid.columns + column, plane = grid.height * grid.columns;
-    const float4 s = get_source(source, plane, at);
+    float4 s = get_source(source, plane, at);
 #if SUBPIXELS
     const int slot = as_int(s.w);
     if (slot >= 0) {
         for (int sub = 0; sub < SUBPIXELS * SUBPIXELS; ++sub) {
             const int id = slot * SUBPIXELS * SUBPIXELS + sub;
-            const float4 p = sub_source[id];
+            float4 p = sub_source[id];
             if (p.x < 0)
                 continue;
             const float share = share_inside(

@@ -15,7 +15,8 @@
 // Square roots and floors as instructions took a plane from 36 to 12 ns per pixel, one cast for all lenses of a sweep
 // the prepass from 31 to 6 and 20 per lens (benchmarks/optimisation_log.md).
 
-#define EDGE 128  // of a label: on the other side of an odd number of surfaces than the lens
+#define EDGE 128  // of a label: on the other side of an odd number of surfaces than the lens, or more than
+                  // that which is hit may be in the pixel
 
 // Record of a hit, as the lens takes it; below 0 where none of its radiance reaches the lens, which is tested from the
 // hit `seen` of inverse depth seen_w. subpixel: the source is one of SUBPIXELS^2. In and out: label, statistics.
@@ -202,8 +203,13 @@ __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *su
     if (hit && is_beyond(extents + 6 * ((hit - 1) / 2), ray, depth[at]))
         atomic_max(statistics + STATISTIC_BEYOND, 1);
 #endif
-#if SUBPIXELS && OCCLUDED
-    label[at] = root;
+#if SUBPIXELS && BOUNDED
+    if (passes_between(grid, surfaces, group, FRAME_ROW(grid, y), x - grid.guard, ray, hit ? (hit - 1) / 2 : -1))
+        label[at] = root | EDGE;
+    else
+#endif
+#if SUBPIXELS && (OCCLUDED || BOUNDED)
+        label[at] = root;
 #endif
 }
 

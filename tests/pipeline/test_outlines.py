@@ -80,3 +80,23 @@ def test_wires_hide_as_much_as_they_are_wide(engine: Engine) -> None:
         )
         width = 2.0 * radius / 245.0 / math.cos(math.radians(angle)) * 50.0 / 0.4
         assert 80.0 * (1.0 - frame.color.mean(dtype=float)) == pytest.approx(width, rel=0.05)
+
+
+@pytest.mark.parametrize("engine", ["device", "reference"])
+@pytest.mark.parametrize(("low", "radius"), [(2.85, 0.01), (2.6, 10.0), (3.3, 10.0)])
+def test_a_face_seen_edge_on_between_rays(low: float, radius: float, engine: Engine) -> None:
+    """A level card, so many px down in the image, is less than a pixel high between the middles of two rows. Before it
+    is a black one, which hides it from those points of the lens that are below it."""
+    near, far, pinhole = 240.0, 260.0, radius < 1.0  # mm
+    below = low * STEP * far
+    level = {"center": [0.0, -below, 250.0], "size": [60.0, far - near], "rotation": [90.0, 0.0, 0.0]}
+    upright = {"center": [0.0, -below - 50.0, near], "size": [60.0, 100.0]}
+    cards = {"shape": "rectangle", "texture": "#ffffff"} | level, {"shape": "rectangle", "texture": "#000000"} | upright
+    keys = {"camera": CAMERA | {"aperture_diameter": 2 * radius}, "psf": {"silhouette_samples": 4 if pinhole else 8}}
+    made = scene_from(keys, *cards[: 1 if pinhole else 2])
+    frame = next(iter(clsco.reference.render(made))) if engine == "reference" else clsco.render_frame(made, truth=())
+    lens = radius * np.sin(np.linspace(-1.0, 1.0, 2001) * math.pi / 2)  # places along y, of equal angles
+    area = radius**2 - lens**2
+    height = low * (far / near - 1.0) * float((np.maximum(1.0 + lens / below, 0.0) * area).sum() / area.sum())
+    found = np.asarray(frame.color, np.float64).reshape(SIDE, SIDE)[:, 6:18].sum(axis=0)
+    np.testing.assert_allclose(found, height, rtol=2e-3 if pinhole else 0.08)

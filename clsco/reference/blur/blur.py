@@ -194,6 +194,8 @@ def _subpixel_shares(
         place = np.stack([sub.row[p], sub.column[p]]) - guard
         visibility = None if sub.visibility is None else sub.visibility.of(block)
         cells = np.empty(0) if visibility is None else cell_visibility(visibility)
+        if visibility is not None:  # where it has the tilt
+            slope[np.flatnonzero(visibility.row >= 0)[visibility.lean.any(axis=-1)]] = 0.0
         for dy in range(-far, far + 1):
             for dx in range(-far, far + 1):
                 row, column = sub.row[p] - guard + dy, sub.column[p] - guard + dx

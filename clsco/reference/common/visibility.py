@@ -425,8 +425,9 @@ class Visibility:
     row: (sources,) where a source is in the other arrays, -1 if nothing hides it or all is hidden. Of the M others:
     radius px; wide; x, y: place of the source in its pixel, px; occluders: per surface which of them it concerns, and
     how. extent: of the lens in lens radii; cells: weights (L, L) of its cells;
-    mask: straight edges (n, 3) of the lens, none where it is round; circles: rims that cut its light; waves: light goes
-    beyond the rim.
+    mask: straight edges (n, 3) of the lens, none where it is round; lean (M, 2): change of the tilt per cell of a
+    narrow lens, part of which is behind the surface, else 0; circles: rims that cut its light; waves: light goes beyond
+    the rim.
     """
 
     row: NDArray[np.int64]
@@ -438,6 +439,7 @@ class Visibility:
     extent: float
     cells: Array
     mask: Array
+    lean: Array
     circles: tuple[Circle, ...] = ()
     waves: bool = False
 
@@ -459,6 +461,7 @@ class Visibility:
             self.extent,
             self.cells,
             self.mask,
+            self.lean[there],
             tuple(circle.of(there) for circle in self.circles),
             self.waves,
         )
@@ -490,8 +493,12 @@ def check_visibility(
     partly = state == PARTLY
     row = np.where(partly, np.cumsum(partly) - 1, -1)
     occluders = tuple((mask[partly], occluder.of(mask & partly)) for mask, occluder in found)
+    # What is hidden and what the tilt ends go together: both are parts of the lens behind a surface seen edge-on.
+    steep = np.hypot(*division.gradient.T) * division.extent > 1.0
+    leans = steep & ~division.wide & (division.width < 1.0)
+    lean = np.where(leans[:, None], division.gradient, 0.0) / division.cells[:, None]
     return state, edge, Visibility(
         row, points.radius[partly], division.wide[partly], points.x[partly], points.y[partly], occluders,
         division.extent, psf.lens_cells(), np.array(psf.pupil.edges).reshape(-1, 3),
-        tuple(circle.of(partly) for circle in circles), psf.diffracted,
+        lean[partly], tuple(circle.of(partly) for circle in circles), psf.diffracted,
     )  # fmt: skip

@@ -37,6 +37,12 @@ def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
     return share * rim_share(visibility, x, y)
 
 
+def lens_share(visibility: Visibility, x: Array, y: Array) -> Array:
+    """The same of cells x, y (M,) of narrow lenses, times the tilt of surfaces that show their other sides to some."""
+    tilt = np.maximum(0.0, 1.0 + x * visibility.lean[:, 0] + y * visibility.lean[:, 1])
+    return np.asarray(tilt * free_share(visibility, x, y))
+
+
 def rim_share(visibility: Visibility, x: Array, y: Array) -> Array:
     """Share (M,) of the light of taps that the rims let through, over an edge as soft as the response of a pixel."""
     share = np.ones_like(x)
@@ -61,7 +67,8 @@ def _inside(visibility: Visibility, x: Array, y: Array) -> tuple[Array, Array]:
 
 
 def cell_visibility(visibility: Visibility) -> Array:
-    """Share (N, L, L) of each cell of the lens that nothing hides, of the N sources that the lens is not wide for."""
+    """Share (N, L, L) of each cell of the lens that nothing hides, of the N sources that the lens is not wide for,
+    times the tilt where `lean` has it."""
     narrow = np.flatnonzero(~visibility.wide)
     at = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS
     share = np.ones((narrow.size, at.size, at.size))
@@ -70,7 +77,7 @@ def cell_visibility(visibility: Visibility) -> Array:
         sources = there[np.argsort(visibility.row[there])]
         cells, across = visibility.of(np.repeat(sources[narrow], at.size)), np.tile(at, narrow.size)
         for i, down in enumerate(at):  # a row of cells of all sources at a time
-            share[:, i] = free_share(cells, across, np.full_like(across, down)).reshape(narrow.size, -1)
+            share[:, i] = lens_share(cells, across, np.full_like(across, down)).reshape(narrow.size, -1)
     return share
 
 

@@ -41,7 +41,7 @@ from clsco.reference.trace.detail import detailed_texture
 from clsco.reference.trace.footprint import parts_of, sharpening, surface_texture
 from clsco.reference.trace.light import shade
 from clsco.reference.trace.mapping import MappedTexture
-from clsco.reference.trace.outline import UNMARKED, cell_coverage, labels_around
+from clsco.reference.trace.outline import UNMARKED, cell_coverage, labels_around, passes_between
 from clsco.scene.model import Camera, Scene
 
 SILHOUETTE_RANGE = 2  # px, Chebyshev distance from a silhouette within which pixels get sub-pixel sources
@@ -242,13 +242,13 @@ def trace(view: View, group: OcclusionGroup, guard: int) -> Sources:
     scene = view.scene
     row, column = padded_grid(scene.camera, guard)
     hit = cast(view, group, row, column, (row, column), 1)
-    label, lit, visibility = hit.label, hit.label > 0, None
+    label, lit, visibility = hit.label.copy(), hit.label > 0, None
+    bounds = [cutting_bounds(item) for item in scene.objects]
     if group.occluders or view.psf.rims:
         rays = pixel_ray(scene.camera, row, column)[lit]
         here, radius = np.zeros(len(rays)), hit.radius[lit]
         tilt, _ = pixel_tilt(hit.gradient[lit], radius, view.psf.diffracted)
         size = np.maximum(np.abs(radius), np.minimum(2.0 * np.abs(radius), 1.0)) * np.where(radius < 0.0, -1.0, 1.0)
-        bounds = [cutting_bounds(item) for item in scene.objects]
         state, edge, seen = check_visibility(
             view.lens,
             view.surfaces,
@@ -257,12 +257,12 @@ def trace(view: View, group: OcclusionGroup, guard: int) -> Sources:
             view.psf,
             Points(rays, hit.w[lit], radius, here, here, 1.0, tilt * size[:, None] * scene.psf.tilt),
         )
-        label = label.copy()
         label[lit] |= edge.astype(np.uint8) << 7
         number = np.full(lit.size, -1)
         number[np.flatnonzero(lit)] = seen.row
         visibility = replace(seen, row=number)
         lit[lit] = state != HIDDEN
+    label[passes_between(view.surfaces, bounds, group, scene.camera, row, column, hit.number)] |= 1 << 7
     return Sources(
         hit.radiance,
         hit.w,

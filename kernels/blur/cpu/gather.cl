@@ -204,14 +204,14 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
         const int x = block + __builtin_ctz(single);
         single &= single - 1;
         const int at = line + x;
-        const float4 s = get_source(source, plane, at);
+        float4 s = get_source(source, plane, at);
         __global float *out = part + place + x;
 #if SUBPIXELS
         const int slot = as_int(s.w);
         if (slot >= 0) {
             for (int sub = 0; sub < SUBPIXELS * SUBPIXELS; ++sub) {
                 const int id = slot * SUBPIXELS * SUBPIXELS + sub;
-                const float4 p = sub_source[id];
+                float4 p = sub_source[id];
                 if (p.x < 0)
                     continue;
                 const spread_t spread = subpixel_spread(psf, sub_intervals, sub_coefficients, p.x,
@@ -226,7 +226,7 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
                     visibility_t visibility;
                     source_visibility(grid, lens, surfaces, group, psf, lens_cells, grid.top + y + spread.oy,
                                       x - grid.guard + spread.ox,
-                                      sub_depth[id], spread, p, (real)1 / SUBPIXELS, &visibility);
+                                      sub_depth[id], spread, &p, (real)1 / SUBPIXELS, &visibility);
                     float light[CHANNELS];
                     for (int k = 0; k < CHANNELS; ++k)
                         light[k] = sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id];
@@ -255,7 +255,7 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
             left -= HIDDEN_WORK + HIDDEN_TAPS * vectors;
             visibility_t visibility;
             source_visibility(grid, lens, surfaces, group, psf, lens_cells, grid.top + y, x - grid.guard, depth[at],
-                              spread, s, source_width(s), &visibility);
+                              spread, &s, source_width(s), &visibility);
             float light[CHANNELS];
             light_of(value + at, plane, grid.width, s, light);
             add_occluded(spread, &visibility, up, down, light, s, out - half_width, apart,
