@@ -15,8 +15,7 @@
 // Square roots and floors as instructions took a plane from 36 to 12 ns per pixel, one cast for all lenses of a sweep
 // the prepass from 31 to 6 and 20 per lens (benchmarks/optimisation_log.md).
 
-#define EDGE 128  // of a label: on the other side of an odd number of surfaces than the lens, or more than
-                  // that which is hit may be in the pixel
+#define EDGE 128  // of a label: behind an odd number of surfaces, or more than what is hit may be in the pixel
 
 // Record of a hit, as the lens takes it; below 0 where none of its radiance reaches the lens, which is tested from the
 // hit `seen` of inverse depth seen_w. subpixel: the source is one of SUBPIXELS^2. In and out: label, statistics.

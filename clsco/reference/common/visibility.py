@@ -452,19 +452,9 @@ class Visibility:
         )
         new = np.where(row >= 0, np.cumsum(row >= 0) - 1, -1)
         return Visibility(
-            new,
-            self.radius[there],
-            self.wide[there],
-            self.x[there],
-            self.y[there],
-            occluders,
-            self.extent,
-            self.cells,
-            self.mask,
-            self.lean[there],
-            tuple(circle.of(there) for circle in self.circles),
-            self.waves,
-        )
+            new, self.radius[there], self.wide[there], self.x[there], self.y[there], occluders, self.extent, self.cells,
+            self.mask, self.lean[there], tuple(circle.of(there) for circle in self.circles), self.waves,
+        )  # fmt: skip
 
 
 def check_visibility(
