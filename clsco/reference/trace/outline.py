@@ -62,7 +62,7 @@ def root_margins(
 
 def passes_between(
     surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], group: OcclusionGroup, camera: Camera,
-    row: Array, column: Array, number: NDArray[np.int32],
+    row: NDArray[np.int64], column: NDArray[np.int64], number: NDArray[np.int32],
 ) -> NDArray[np.bool_]:  # fmt: skip
     """True (H, W) of pixels in which a bounded flat surface with a narrow image may be, other than the object that the
     ray through the middle hits: at corners of it each condition holds.
