@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, PrivateAttr, ValidationInfo, field_validator
+from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 
 from clsco.scene.motions import (
     NONE,
@@ -90,8 +90,6 @@ class Lens(Strict):
     """Tangential distortion p1, p2 in the direction and with the axes of OpenCV, x right and y down: x is seen by
     2 p1 x y + p2 (r^2 + 2 x^2) farther right, y by p1 (r^2 + 2 y^2) + 2 p2 x y farther down."""
 
-    _of_wavefront: float = PrivateAttr(0.0)  # given by Scene, which knows the wavelength and the frame
-
     @field_validator("interpolation", "outside")
     @classmethod
     def _of_keyframes(cls, value: Any, info: ValidationInfo) -> Any:
@@ -120,8 +118,7 @@ class Lens(Strict):
     @property
     def radial(self) -> tuple[float, float, float]:
         """Radial distortion k1, k2, k3, with that of the wavefront in k1."""
-        k1, k2, k3 = self.distortion
-        return k1 + self._of_wavefront, k2, k3
+        return self.distortion
 
     @property
     def distorts(self) -> bool:
@@ -142,6 +139,18 @@ class Lens(Strict):
     def shifts_colors(self) -> bool:
         """True if colors are not of one size."""
         return any(size != 1.0 for size in self.lateral)
+
+
+class LensOfWavefront(Lens):
+    """A lens whose wavefront distorts; made by `with_distortion_of_wavefront`."""
+
+    of_wavefront: float = Field(exclude=True)
+    """Part of k1 that psf.seidel.W311 is."""
+
+    @property
+    def radial(self) -> tuple[float, float, float]:
+        k1, k2, k3 = self.distortion
+        return k1 + self.of_wavefront, k2, k3
 
 
 def check_opening(lens: Lens | None, psf: Psf) -> None:
@@ -165,8 +174,7 @@ def with_distortion_of_wavefront(lens: Lens | None, psf: Psf, camera: Any) -> Le
         half = 0.5 * math.hypot(*(size - 1 for size in camera.resolution)) or 1.0
         corner = half * camera.pixel_pitch / camera.normalization_distance
         k1 = seidel.radial_distortion(psf.wavelengths[1], camera.aperture_diameter, corner)
-    if k1 == (0.0 if lens is None else lens._of_wavefront):
-        return lens
-    found = (lens or Lens.model_construct()).model_copy()
-    found._of_wavefront = k1
-    return found
+    given = {} if lens is None else {name: getattr(lens, name) for name in Lens.model_fields}
+    if k1:
+        return LensOfWavefront.model_construct(**given, of_wavefront=k1)
+    return Lens.model_construct(**given) if isinstance(lens, LensOfWavefront) else lens
