@@ -23,9 +23,8 @@ from clsco.optics.pupils.wavefront import Wavefront
 
 MOST_PARTS, LEAST_PARTS = 16, 2  # cells of a spot per px, as many as make SPOT or fewer of its reach
 SPOT = 256
-SHARPER = (
-    1.0 / 12.0
-)  # of a response, for the variance that cells of light and means over them add, 1/6 of a cell squared
+# Part of a response: the variance that cells of light and means over them add, 1/6 of a cell squared.
+SHARPER = 1.0 / 12.0
 RAYS_PER_PX, FEWEST_RAYS, MOST_RAYS = 16, 96, 384  # per radius of the lens, by the size of its spot
 STEPS_PER_PX = 8  # intervals of tables
 NO_WAVES = ((1.0, 1.0),)
