@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine, Sequence
 from contextlib import aclosing, suppress
 from dataclasses import asdict
@@ -59,6 +58,11 @@ class Renders(Protocol):
     def cancel(self) -> None: ...
 
 
+def _now() -> float:
+    """Time by the event loop's clock, s: the one that its waits end by."""
+    return asyncio.get_running_loop().time()
+
+
 class Preview:
     """Pictures of a session for one tab.
 
@@ -106,7 +110,7 @@ class Preview:
         """The session has another scene."""
         self._state += 1
         self._is_stopped = False
-        self._changed_at, self._crashes = time.monotonic(), 0
+        self._changed_at, self._crashes = _now(), 0
         self._stack = []
         self._news.set()
         self._give_up()
@@ -248,7 +252,7 @@ class Preview:
             if done < self._state:
                 await self._show(DRAGGING)
             elif rung < EXACT:
-                if not await self._changes_within(self._changed_at + REST - time.monotonic()):
+                if not await self._changes_within(self._changed_at + REST - _now()):
                     await self._show(EXACT)
             elif self._other is not None:
                 await self._show(PINNED)
@@ -298,8 +302,8 @@ class Preview:
 
     async def _changes_within(self, seconds: float) -> bool:
         """Wait so long, or until the state changes."""
-        state, end = self._state, time.monotonic() + seconds
-        while self._state == state and (left := end - time.monotonic()) > 0:
+        state, end = self._state, _now() + seconds
+        while self._state == state and (left := end - _now()) > 0:
             self._news.clear()
             try:
                 async with asyncio.timeout(left):

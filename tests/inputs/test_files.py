@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from clsco.errors import ImageError
-from clsco.inputs import depth_maps, textures
+from clsco.files import images
+from clsco.inputs import depth_files
 from clsco.inputs.files import InputFiles
 from tests.scenes import scene_from
 
@@ -28,7 +29,7 @@ def reads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
         return counting
 
-    for module, name in ((textures, "read_image"), (depth_maps, "read_depth")):
+    for module, name in ((images, "read_image"), (depth_files, "read_depth")):
         monkeypatch.setattr(module, name, counted(getattr(module, name)))
     return found
 

@@ -17,6 +17,7 @@ from clsco.studio.ladder import BUDGET, OCCLUSION, WAYS, Ladder, Ladders, coarse
 from clsco.studio.pictures import DRAGGING, EXACT, HEADER, LOSSY, MESSAGE, PINNED, REFERENCE, STACKED, ViewPicture
 from clsco.studio.preview import MEASURE, MOST_UNSEEN, REST, Preview
 from clsco.studio.renderer import PictureJob, Question, RendererEndedError, RenderProgress, Watch
+from tests.studio import fast_forward
 
 
 class Session:
@@ -123,7 +124,7 @@ def played(play: Play, **renderer: Any) -> tuple[Session, Renderer, Browser]:
             await running
         return session, renders, browser
 
-    return asyncio.run(run())
+    return fast_forward.run(run())
 
 
 def test_a_scene_at_rest_is_shown_once_by_each_rung() -> None:
@@ -237,7 +238,7 @@ def test_a_browser_that_sees_nothing_leaves_the_renderer_to_others() -> None:
         await asyncio.gather(*running, return_exceptions=True)
         return slow, hidden, quick
 
-    slow, hidden, quick = asyncio.run(run())
+    slow, hidden, quick = fast_forward.run(run())
     assert len(slow.got) == MOST_UNSEEN
     assert [rung for _, rung in quick.got] == [DRAGGING, LOSSY, EXACT]
     assert [rung for _, rung in hidden.got] == [DRAGGING, LOSSY, EXACT]
