@@ -33,10 +33,14 @@ WIDE: dict[str, Any] = {
         {"shape": "plane", "distance": 6000.0, "texture": "siemens_star"},
     ],
 }  # fmt: skip
-"""A frame of half a minute: R up to 64 px behind what is in focus."""
+"""R up to 64 px behind what is in focus."""
+
+LONG: dict[str, Any] = WIDE | {"camera": WIDE["camera"] | {"resolution": (2560, 1920)}}
+"""Takes a quarter of a minute on two cores."""
 
 SMALL: dict[str, Any] = WIDE | {"camera": WIDE["camera"] | {"resolution": (60, 45), "pixel_pitch": 0.04}}
-MOMENT = 2.0  # s; a machine with other work to do takes a few times as long as one without
+MOMENT = 2.0  # s of a piece
+SOON = 8.0  # s of waiting, on a machine that may have other work to do
 
 
 def rows(seed: int, *shape: int) -> np.ndarray[Any, Any]:
@@ -108,7 +112,7 @@ def interrupted(after: float) -> Iterator[list[float]]:
     try:
         with pytest.raises(KeyboardInterrupt):
             yield came
-        assert time.perf_counter() - came[0] < MOMENT
+        assert time.perf_counter() - came[0] < SOON
     finally:
         gc.enable()
         timer.cancel()
@@ -129,7 +133,7 @@ def warm() -> None:
 def test_a_frame_of_a_minute_ends_with_ctrl_c_and_the_next_one_has_its_bits(after: float) -> None:
     expected = clsco.render_frame(SMALL).color
     with interrupted(after):
-        clsco.render_frame(WIDE, truth=())
+        clsco.render_frame(LONG, truth=())
     assert (clsco.render_frame(SMALL).color == expected).all()
 
 
@@ -143,9 +147,9 @@ def test_other_long_calls_end_with_ctrl_c() -> None:
     with interrupted(1.0):
         clsco.inpaint(image[..., 0], np.tile(HOLES, (50, 10)), method="texture")
     with interrupted(1.0):
-        next(clsco.reference.render(clsco.parse_scene(WIDE)))
+        next(clsco.reference.render(clsco.parse_scene(LONG)))
     with interrupted(1.0), clsco.Live() as live:
-        live.render(WIDE, truth=())
+        live.render(LONG, truth=())
 
 
 @pytest.mark.processor  # a card ends the frame before
@@ -157,8 +161,8 @@ def test_a_cancel_ends_a_launch_that_is_under_way() -> None:
         began = time.perf_counter()
         timer.start()
         with pytest.raises(CanceledError):
-            live.render(WIDE, truth=())
-        assert time.perf_counter() - began < 1.0 + MOMENT
+            live.render(LONG, truth=())
+        assert time.perf_counter() - began < 1.0 + SOON
         assert (live.render(SMALL, truth=()).color == expected).all()
 
 
