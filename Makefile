@@ -3,7 +3,7 @@ PYTHON ?= $(shell for python in python3 python3.14 python3.13 python3.12 python3
 	"$$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo "$$python" && break; done)
 BIN := .venv/bin
 
-.PHONY: demo nightly test test-slow test-browser laws fuzz soak oclgrind mutation stability docs lint lint-python lint-javascript bench clean
+.PHONY: demo nightly test test-kernels test-slow test-browser laws fuzz soak oclgrind mutation stability docs lint lint-python lint-javascript bench clean
 
 demo: .venv/pocl.stamp
 	$(BIN)/clsco demo -o demo
@@ -11,9 +11,13 @@ demo: .venv/pocl.stamp
 # The tests of a file use the same kernels: one worker compiles them. Files with few tests, which are long ones, not last.
 PARALLEL := -n auto --dist loadfile --no-loadscope-reorder
 
-# TESTS: files of them instead of all.
+# All but those of single kernels. TESTS: files of them instead.
 test: .venv/dev.stamp
-	$(BIN)/python -m pytest -q $(PARALLEL) $(TESTS)
+	$(BIN)/python -m pytest -q $(PARALLEL) $(or $(TESTS),--ignore tests/kernels)
+
+# Each kernel alone, beside its counterpart of the reference.
+test-kernels:
+	$(MAKE) test TESTS=tests/kernels
 
 test-slow: .venv/dev.stamp
 	$(BIN)/python -m pytest -q $(PARALLEL) -m slow $(TESTS)
@@ -41,7 +45,7 @@ soak: .venv/dev.stamp
 	$(BIN)/python -m tests.faults.batch_kills --kills $$(( $(KILLS) / 10 ))
 
 # All that takes too long for each change: hours.
-nightly: docs test test-slow laws fuzz soak test-browser oclgrind stability
+nightly: docs test test-kernels test-slow laws fuzz soak test-browser oclgrind stability
 
 # Each law 500 times.
 laws: .venv/dev.stamp

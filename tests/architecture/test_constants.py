@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 from clsco.constants import definitions
-from tests.architecture.test_kernels_build import PROGRAMS
+from tests.kernels.test_programs_build import PROGRAMS
 
 ROOT = Path(__file__).resolve().parents[2]
 KERNELS = {path: path.read_text("utf-8") for path in sorted((ROOT / "kernels").rglob("*.cl*"))}

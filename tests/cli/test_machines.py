@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from clsco.opencl.session import Session
+from tests.slow import mostly_slow
 
 NOWHERE = "/proc/none"  # in which nobody makes a folder
 HOMES = {
@@ -38,7 +39,7 @@ def done(code: str, **environ: str) -> None:
 
 
 @pytest.mark.parametrize("where", HOMES)
-@pytest.mark.parametrize("code", [BLUR, PYOPENCL_FIRST], ids=["clsco", "pyopencl first"])
+@pytest.mark.parametrize("code", mostly_slow([BLUR, PYOPENCL_FIRST], [BLUR]), ids=["clsco", "pyopencl first"])
 def test_kernels_run_where_nothing_can_be_kept(where: str, code: str) -> None:
     done(code, **HOMES[where])
 

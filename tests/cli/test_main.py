@@ -32,7 +32,6 @@ from clsco.scene import examples
 from clsco.scene.file import parse_scene
 from clsco.scene.model import Scene
 from tests.scenes import PLANE, scene_file
-from tests.slow import mostly_slow
 
 ROOT = Path(__file__).resolve().parents[2]
 BALL = """
@@ -458,7 +457,8 @@ def test_too_little_memory(ball: Path, tmp_path: Path, monkeypatch: pytest.Monke
     assert line.startswith("error: memory: ")
 
 
-@pytest.mark.parametrize("kill", mostly_slow([signal.SIGINT, signal.SIGKILL], [signal.SIGKILL]))
+@pytest.mark.slow  # tests/faults kills runs as well
+@pytest.mark.parametrize("kill", [signal.SIGINT, signal.SIGKILL])
 def test_a_killed_run_leaves_whole_frames_and_is_resumed(kill: signal.Signals, ball: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     code = "import sys; from clsco.cli.main import main; main(sys.argv[1:])"

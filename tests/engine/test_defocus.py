@@ -138,7 +138,9 @@ def test_a_wide_blur_leaves_a_uniform_image_as_it_is(radius: float, method: str)
     assert np.abs(inside / 0.73 - 1.0).max() < 1.2e-6
 
 
-@pytest.mark.parametrize("psf", [{}, {"occlusion": "none", "model": "gaussian"}, {"border": "renormalize"}], ids=str)
+@pytest.mark.parametrize(
+    "psf", mostly_slow([{}, {"occlusion": "none", "model": "gaussian"}, {"border": "renormalize"}], [{}]), ids=str
+)
 def test_arrays_are_blurred_as_the_files_of_the_command(psf: dict[str, Any]) -> None:
     """A scene of one depth map: layered, and lit by its mirror image; radii come back rounded."""
     rows, columns = 50, 40
@@ -205,7 +207,7 @@ def test_the_same_bits_every_time() -> None:
         assert len({defocus(image, coc, method=method).tobytes() for _ in range(3)}) == 1
 
 
-@pytest.mark.parametrize("method", ["gather", "scatter", "tiles", "convolve"])
+@pytest.mark.parametrize("method", mostly_slow(["gather", "scatter", "tiles", "convolve"], ["gather", "convolve"]))
 @pytest.mark.parametrize("brightest", [0.0, 1e-36])
 def test_hardly_any_light_is_hardly_any_light(method: str, brightest: float) -> None:
     image, coc = picture(12, 9)

@@ -62,7 +62,7 @@ SCENES: dict[str, Scene] = {
     "wide, even": scene(WALL | {"slope_x": 0.0}, lens=BARREL, camera=WIDE, psf={"tilt": False}),
     "wide, in color": scene(WALL, lens=BARREL | COLORS, camera=WIDE),
 }
-FAST = ("still", "forward", "one depth", "wide")
+FAST = ("still", "wide")
 
 
 @pytest.mark.parametrize("name", mostly_slow(SCENES, FAST))
@@ -194,7 +194,7 @@ def test_strips_have_the_same_bits(psf: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize(
     "options",
-    mostly_slow([{"precision": "single"}, {"method": "scatter"}, {"method": "tiles"}], [{"method": "tiles"}]),
+    mostly_slow([{"precision": "single"}, {"method": "scatter"}, {"method": "tiles"}], []),
     ids=str,
 )
 def test_single_precision_and_other_methods(options: dict[str, Any]) -> None:

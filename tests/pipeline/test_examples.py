@@ -74,7 +74,7 @@ LONG |= {
     "fig_3_05_right",
     "fig_3_08_right",
 }
-LONG |= {"fig_3_15_right", "fig_4_17", "fig_4_19"}
+LONG |= {"fig_3_15_right", "fig_4_03", "fig_4_06", "fig_4_17", "fig_4_19", "chromatic_ruler", "plane_approaching"}
 LONG |= {"rolling_fan", "rolling_train"}  # see tests/pipeline/test_rolling_shutter.py and test_line_truth.py
 LONG |= {"vignetted"}  # see tests/pipeline/test_real_lens.py
 LONG |= {"background"}  # see tests/pipeline/test_background.py

@@ -107,7 +107,7 @@ SPANS: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("name", mostly_slow(list(SPANS), ["all"]))
+@pytest.mark.parametrize("name", mostly_slow(list(SPANS), []))
 def test_runs_of_taps_give_the_sum_of_taps(name: str) -> None:
     """Wide blur behind several occluders, in two bands of rows: by runs between edges, and tap by tap (scatter)."""
     wanted = scene({"camera": WIDE} | SPANS[name])
@@ -298,7 +298,8 @@ def test_nothing_has_no_object() -> None:
     np.testing.assert_array_equal(frame.object_id == -1, ~frame.mask)
 
 
-@pytest.mark.parametrize("warp", mostly_slow(["inverse", "forward"], ["forward"]))
+@pytest.mark.slow
+@pytest.mark.parametrize("warp", ["inverse", "forward"])
 def test_each_object_flows_by_itself(warp: str) -> None:
     """The ball goes 10 mm to the right before the wall stands still: by 10 s0 / (p Z) px each pixel of it."""
     going = {"motion": {"velocity": [10.0, 0.0, 0.0]}}
@@ -332,6 +333,7 @@ def test_a_moving_camera_is_everything_moving_the_other_way() -> None:
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 
 
+@pytest.mark.slow
 def test_a_plane_hides_the_same_however_it_is_written() -> None:
     """As a quadric about a point of it, and about one 10 mm before it."""
     flat = {"shape": "quadric", "texture": "siemens_star"}

@@ -30,7 +30,8 @@ def turning(item: dict[str, Any], warp: str, frames: int = 64, aperture: float =
     )
 
 
-@pytest.mark.parametrize("warp", ["forward", pytest.param("inverse", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("warp", ["forward", "inverse"])
 def test_a_card_that_turns_between_the_moments_looked_at(warp: str) -> None:
     scene = turning({"shape": "plane", "distance": 280.0, "bounds": BOUNDS}, warp)
     frame, twin = next(iter(clsco.render(scene))), next(iter(reference.render(scene)))

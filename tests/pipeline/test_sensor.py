@@ -54,7 +54,7 @@ def light_of(scene: Scene, **options: Any) -> list[Frame]:
     return list(clsco.render(scene.replace("sensor", None), truth=(), **options))
 
 
-@pytest.mark.parametrize("name", mostly_slow(SCENES, SCENES.keys() - {"pair"}))
+@pytest.mark.parametrize("name", mostly_slow(SCENES, SCENES.keys() - {"pair", "forward"}))
 def test_codes_are_those_of_the_light(name: str) -> None:
     scene = named(name)
     for frame, plain in zip(clsco.render(scene), light_of(scene), strict=True):
@@ -102,7 +102,7 @@ def test_strips_have_the_bits_of_the_whole(name: str) -> None:
 
 
 @pytest.mark.processor
-@pytest.mark.parametrize("threads", ["1", "3"])
+@pytest.mark.parametrize("threads", mostly_slow(["1", "3"], ["3"]))
 def test_with_other_threads(threads: str) -> None:
     code = "from tests.pipeline.test_sensor import codes_sum; print(codes_sum())"
     root = Path(__file__).resolve().parents[2]

@@ -90,7 +90,7 @@ SCENES["an edge of texels"] = scene(
     CARD | {"rotation": [0.0, 0.0, 0.0], "center": [0.02, 0.02, 255.0], "texture": "checkerboard", "texture_size": 1e9},
     psf=PLAIN, motion={"texture_filter": "nearest"}, camera=CAMERA | {"resolution": [47, 35]},
 )  # fmt: skip
-SOME = ("ball seen from a pole", "wrap none")
+SOME = ("wrap none",)
 
 
 @pytest.mark.parametrize("name", mostly_slow(SCENES, SOME))

@@ -15,7 +15,7 @@ from clsco.opencl.session import Session
 from clsco.passes.blur import FILES_OF
 from clsco.passes.trace import TRACE_FILES
 from clsco.records import structs
-from tests.architecture.test_kernels_build import PROGRAMS, variants
+from tests.kernels.test_programs_build import PROGRAMS, variants
 
 ROOT = Path(__file__).resolve().parents[2]
 # Programs of GPUs, with all features and with none.
