@@ -38,7 +38,7 @@ def studio(
     if not root.is_dir():
         raise SceneError(f"--root: must be a folder; got {root}")
     try:
-        from clsco.studio.page import attach
+        from clsco.studio.page import draw
         from clsco.studio.server import Studio, serve
     except ModuleNotFoundError as error:
         raise SceneError(f"studio: needs {error.name}: pip install 'clsco[studio]'; got no such module") from None
@@ -50,4 +50,4 @@ def studio(
             "warning: other machines reach the studio, and what is sent is not encrypted; put a TLS proxy before it"
         )
         echo(warning, err=True)
-    serve(opened, host, port, attach, echo, not no_browser)
+    serve(opened, host, port, draw, echo, not no_browser)

@@ -1,16 +1,13 @@
-"""The page of the studio, drawn with NiceGUI; no other module but its widgets imports it."""
+"""The page of the studio."""
 
 from __future__ import annotations
-
-from fastapi import FastAPI
-from nicegui import Client, ui
 
 from clsco.studio.forms import field_at
 from clsco.studio.pictures import VIEWS
 from clsco.studio.server import Studio
 from clsco.studio.session import Document
 from clsco.studio.widgets.files import open_dialog, preset_dialog, recover_dialog, save_dialog, share_dialog
-from clsco.studio.widgets.html import button, number_box, say, slider
+from clsco.studio.widgets.html import Page, button, number_box, say, slider
 from clsco.studio.widgets.inpainting import inpainting_dialog
 from clsco.studio.widgets.jobs import draw_jobs, generate_dialog
 from clsco.studio.widgets.panels import draw_panels, draw_sweep
@@ -46,61 +43,49 @@ COMPARISONS = (
     ("64", "difference × 64"),
 )
 DIALS = (("camera.focus_distance", "Focus"), ("camera.f_number", "f/"), ("camera.focal_length", "f"))
-MOST_UNSHOWN = 8  # pages
-SCRIPTS = ("studio", "files")
-STYLES = ("studio", "forms", "files")
-_VIEW_FILTER = """<svg width="0" height="0" aria-hidden="true">
+_HEAD = """<!DOCTYPE html>
+<html lang="en-US"><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
+<title>clsco studio</title><link rel="icon" href="data:,">
+<link rel="stylesheet" href="static/studio.css"><link rel="stylesheet" href="static/forms.css">
+<link rel="stylesheet" href="static/files.css"><script type="module" src="static/studio.js"></script>
+<svg width="0" height="0" aria-hidden="true">
 <filter id="view-filter" x="0" y="0" width="1" height="1">
 <feComponentTransfer class="stops" color-interpolation-filters="linearRGB">
 <feFuncR type="linear"/><feFuncG type="linear"/><feFuncB type="linear"/></feComponentTransfer>
 <feComponentTransfer class="gamma" color-interpolation-filters="sRGB">
 <feFuncR type="gamma"/><feFuncG type="gamma"/><feFuncB type="gamma"/></feComponentTransfer>
-</filter></svg>"""
+</filter></svg>
+"""
 
 
-def attach(app: FastAPI, studio: Studio) -> None:
-    """Add the page to the server."""
-
-    @ui.page("/", title="clsco studio", language="en-US")
-    async def page(s: str = "") -> None:
-        end_pages()
-        name = await studio.tab(s)
-        ui.add_head_html("".join(f'<link rel="stylesheet" href="static/{style}.css">' for style in STYLES))
-        ui.add_body_html("".join(f'<script type="module" src="static/{part}.js"></script>' for part in SCRIPTS))
-        draw(name, studio)
-
-    ui.run_with(app, title="clsco studio", show_welcome_message=False, tailwind=False, dark=None)
+def draw(name: str, studio: Studio, address: str) -> tuple[Page, str]:
+    """Draw the page of a tab, at an address; returns it, and what a browser loads."""
+    page = Page(address, studio.tabs[name].told.set)
+    with page.current():
+        _draw(page, name, studio)
+    return page, _HEAD + "".join(page.out)
 
 
-def end_pages() -> None:
-    """Let go of pages that were loaded and that no browser shows, but for the latest: NiceGUI keeps them for a minute,
-    and each has some megabytes. A page that comes back loads itself again, and its tab has the scene."""
-    unshown = [client for client in Client.instances.values() if not client.has_socket_connection]
-    for client in sorted(unshown, key=lambda client: client.created)[:-MOST_UNSHOWN]:
-        client.delete()
-
-
-def draw(name: str, studio: Studio) -> None:
-    """Draw the page of a tab."""
+def _draw(page: Page, name: str, studio: Studio) -> None:
     session = studio.tabs[name].session
-    with say("div", id="studio", data_tab=name):
+    with say("div", id="studio", data_tab=name, data_page=page.key):
         say("div", id="lost", role="status", hidden=True)
         with say("header"):
             _header(session, studio, name)
         with say("nav", id="panels", aria_label="Panels"):
             with say("div", id="panels-scroll"):
-                ends = [draw_sweep(session), draw_panels(session)]
+                draw_sweep(session)
+                draw_panels(session)
             with say("div", id="panels-end"):
                 say("button", "Reset", id="reset", data_do="reset", title="Panels 2 to 5 to their defaults")
-                button("Generate", generate_dialog(session, studio.jobs, studio.device or ""), id="generate").classes(
-                    "primary"
-                )
+                generate = generate_dialog(session, studio.jobs, studio.device or "")
+                button("Generate", generate, id="generate", class_="primary")
         _lens_strip(session)
         with say("section", id="middle", aria_label="Picture and time line"):
             _middle()
         with say("aside", id="side", aria_label="Inspector and jobs", tabindex=0):
             _inspector()
-            ends.append(draw_jobs(session, studio.jobs))
+            draw_jobs(session, studio.jobs)
     with say("dialog", id="keys", aria_label="Keyboard"):
         with say("table"):
             for keys, meaning in KEYS:
@@ -108,8 +93,6 @@ def draw(name: str, studio: Studio) -> None:
                     say("th", keys, scope="row")
                     say("td", meaning)
         say("button", "Close", data_close="#keys")
-    for end in (*ends, studio.page_ended):
-        ui.context.client.on_delete(end)
 
 
 def _header(session: Document, studio: Studio, name: str) -> None:
@@ -128,7 +111,7 @@ def _header(session: Document, studio: Studio, name: str) -> None:
     say("button", "Redo", id="redo", data_do="redo", disabled=True)
     if studio.kept_scenes():
         button("Recover", recover_dialog(session, studio), title="Scenes of a studio that ended before they were saved")
-    say("div").classes("spread")
+    say("div", class_="spread")
     say("span", id="plan", title="Of the exact frame: passes, time, and memory on the device, as `clsco plan` reports")
     say("button", "?", aria_label="Keyboard", data_show="#keys")
     say("button", "Inspector", id="inspector", data_toggle="sided")
@@ -148,11 +131,11 @@ def _lens_strip(session: Document) -> None:
         for path, label in DIALS:
             dial = field_at(session, path)
             assert dial is not None
-            with say("div").classes("dial"):
+            with say("div", class_="dial"):
                 say("label", label, for_=f"dial-{path}")
                 slider(dial)
                 number_box(dial, session.shown(path), f"dial-{path}")
-                say("span", dial.unit).classes("unit")
+                say("span", dial.unit, class_="unit")
         say(
             "button", "Focus by click", id="focus", aria_pressed="false", data_tool="focus",
             title="Then click what is to be in focus (F)",
@@ -174,11 +157,10 @@ def _middle() -> None:
         say("canvas", id="stacked", width=1, height=1, hidden=True, role="img", aria_label="Frame of the focal stack")
         say("canvas", id="over", aria_hidden="true")
         say("div", id="hint", hidden=True)
-        ui.html(_VIEW_FILTER, sanitize=False)
         say("div", "no picture yet", id="badge", data_rung="earlier")
         say("div", id="pin-badge", hidden=True)
         say("div", id="progress", role="status", hidden=True)
-        say("div", id="message", role="alert", hidden=True)
+        say("div", id="message", role="alert", popover="manual", hidden=True)
         with say("div", id="scale-bar", hidden=True):
             say("div", id="scale-line")
             say("span", id="scale-about")
@@ -200,7 +182,7 @@ def _middle() -> None:
             for value, label in COMPARISONS:
                 say("option", label, value=value)
         say("input", id="wipe", type="range", min=0, max=100, value=50, aria_label="Wipe", hidden=True)
-        say("div").classes("spread")
+        say("div", class_="spread")
         say(
             "button", "Right eye", id="eye", aria_pressed="false", hidden=True,
             title="The other view of the stereo pair (E)",
@@ -239,7 +221,7 @@ def _keyframes() -> None:
                 "input", id="key-time", type="text", inputmode="decimal", data_kind="number", autocomplete="off",
                 aria_label="Time, s", title="Time of the time line; Enter goes there",
             )  # fmt: skip
-            say("span", "s").classes("unit")
+            say("span", "s", class_="unit")
             say("button", "Add", id="add-key", title="Add a keyframe with the pose, or the lens, at this time")
             say("button", "Remove", id="remove-key", disabled=True, title="Remove the chosen keyframe (Delete)")
             say("button", "Edit", id="edit-key", disabled=True, title="The boxes of the chosen keyframe (Enter)")
@@ -295,29 +277,29 @@ def _stack() -> None:
 def _inspector() -> None:
     """Panel with the figures of the pixel under the cursor."""
     with say("section", aria_label="Inspector"):
-        with say("div").classes("row"):
+        with say("div", class_="row"):
             say("h2", "Inspector")
             say("span", "point at the picture", id="pixel")
         say("table", id="values")
         with say("div", id="histogram-part", hidden=True):
             say("canvas", id="histogram", width=276, height=56, role="img", aria_label="Histogram of the codes")
-            say("p", id="clipped").classes("quiet")
+            say("p", id="clipped", class_="quiet")
         with say("div", id="psf-part", hidden=True):
             say("h3", "Point spread function")
-            with say("div").classes("row"):
+            with say("div", class_="row"):
                 for name, label in (("psf", "Weights"), ("response", "Measured")):
                     with say("figure"):
                         say("canvas", id=name, width=130, height=130, role="img", aria_label=f"{label} spread")
                         say("figcaption", label)
-            say("p", id="psf-side").classes("quiet")
+            say("p", id="psf-side", class_="quiet")
             with say("table"):
                 with say("thead"), say("tr"):
                     for label in ("", "Weights", "Measured"):
                         say("th" if label else "td", label)
                 say("tbody", id="psf-values")
-            say("p", id="psf-about").classes("quiet")
-            say("p", id="unmeasured", role="status").classes("quiet")
+            say("p", id="psf-about", class_="quiet")
+            say("p", id="unmeasured", role="status", class_="quiet")
             say("button", "Measure", id="measure", title="Render the scene with only this source lit", hidden=True)
         say("h3", "Lens")
         say("canvas", id="lens", width=276, height=100, role="img", aria_label="Thin lens, not to scale")
-        say("p", id="lens-about").classes("quiet")
+        say("p", id="lens-about", class_="quiet")

@@ -1,141 +1,140 @@
-"""Addresses that the page requests: results of jobs, small pictures of textures, images and masks of inpainting."""
+"""Addresses that the page requests: scenes, results of jobs, small pictures, images and masks of inpainting."""
 
 from __future__ import annotations
 
+import asyncio
 import json
 import re
 from collections.abc import Callable
 
 import numpy as np
-from fastapi import FastAPI, Request
-from fastapi.responses import FileResponse, JSONResponse, Response
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.routing import Route
 
 from clsco.errors import ClscoError, ImageError, SceneError
 from clsco.files.png import png_parts
 from clsco.files.transfer import encode
 from clsco.inputs.textures import load_texture
 from clsco.scene.file import FILE_KEYS
+from clsco.scene.toml import toml_text
+from clsco.studio.folder import keep_image
 from clsco.studio.generate import sample_picture
 from clsco.studio.inpainting import Inpainting, inpainting_of
 from clsco.studio.jobs import Jobs
 from clsco.studio.pictures import SMALL
 from clsco.studio.session import Document
 
-Sessions = Callable[[str], Document | None]
 LARGEST_PICTURE = 2**18  # bytes
 _PICTURE = re.compile(r"(kept|file)_[A-Za-z0-9_-]{1,80}\.jpg")
-_TYPES = {".png": "image/png", ".mp4": "video/mp4", ".webm": "video/webm"}
+_TYPES = {".png": "image/png", ".mp4": "video/mp4", ".webm": "video/webm", ".jpg": "image/jpeg"}
 
 
-def add_routes(app: FastAPI, jobs: Jobs, session_of: Sessions) -> None:
-    """Add the routes to the server.
+class Addresses:
+    """The addresses of a server behind the guard.
 
     Parameters
     ----------
-    app : FastAPI
-        Behind the guard.
     jobs : Jobs
     session_of : function of str
         The session of a tab; None where there is no such tab.
     """
-    _add_results(app, jobs)
-    _add_scene(app, session_of)
-    _add_inpainting(app, session_of)
 
+    def __init__(self, jobs: Jobs, session_of: Callable[[str], Document | None]) -> None:
+        self._jobs, self._session_of = jobs, session_of
 
-def _add_results(app: FastAPI, jobs: Jobs) -> None:
-    """Add what jobs have made."""
+    def routes(self) -> list[Route]:
+        """Routes of a Starlette application."""
+        return [
+            Route("/scene", self.scene), Route("/share", self.share, methods=["POST"]),
+            Route("/texture", self.texture, methods=["POST"]), Route("/thumbnail", self.thumbnail),
+            Route("/result", self.result), Route("/sample", self.sample), Route("/scene-picture", self.scene_picture),
+            Route("/inpainting/picture", self.picture), Route("/inpainting/mask", self.mask),
+            Route("/inpainting/mask", self.paint, methods=["POST"]),
+        ]  # fmt: skip
 
-    @app.get("/result")
-    def result(job: int, name: str) -> Response:
-        """A file that a job has made, by its name in the job's folder."""
-        try:
-            folder = jobs.root / jobs.job(job).folder
-            found = [path for path in jobs.files(job) if path.relative_to(folder).as_posix() == name]
-        except (KeyError, OSError):
-            found = []
-        if not found or not found[0].is_file() or not found[0].resolve().is_relative_to(jobs.root):
-            return Response("no such result\n", 404, media_type="text/plain")
-        return FileResponse(found[0], media_type=_TYPES[found[0].suffix], headers={"cache-control": "no-cache"})
-
-    @app.get("/sample")
-    def sample(job: int, part: int, parts: int) -> Response:
-        """A small picture of a sample of a data set: the first of one of equal parts of the set."""
-        try:
-            folder = jobs.root / jobs.job(job).folder
-            content = sample_picture(folder, part, parts) if 0 <= part < parts else b""
-        except (ClscoError, KeyError, IndexError, OSError, StopIteration):
-            content = b""
-        if not content:
-            return Response("no such sample\n", 404, media_type="text/plain")
-        kept = {"cache-control": "private, max-age=86400"}  # a set that is made anew has another address
-        return Response(content, media_type="image/png", headers=kept)
-
-    @app.get("/scene-picture")
-    def scene_picture(name: str) -> Response:
-        """A small picture of a scene that was shown, by the name that it has in the folder of the state."""
-        try:
-            content = jobs.state.read(name, LARGEST_PICTURE) if _PICTURE.fullmatch(name) else b""
-        except OSError:
-            content = b""
-        if not content:
-            return Response("no such picture\n", 404, media_type="text/plain")
-        return Response(content, media_type="image/jpeg", headers={"cache-control": "no-cache"})
-
-
-def _add_scene(app: FastAPI, session_of: Sessions) -> None:
-    """Add textures of the scene, and scenes of links."""
-
-    @app.get("/thumbnail")
-    def thumbnail(tab: str, path: str) -> Response:
-        """A small picture of a texture of the scene, by the path of its key."""
-        session = session_of(tab)
-        try:
-            content, about = small_picture(session, path) if session is not None else (b"", "")
-        except ClscoError:
-            content = b""
-        if not content:
-            return Response("no such picture\n", 404, media_type="text/plain")
-        return Response(content, media_type="image/png", headers={"cache-control": "no-store", "x-about": about})
-
-    @app.post("/share")
-    async def share(request: Request, tab: str) -> JSONResponse:
-        """Go to the scene of a link, which is the fragment of the page's address."""
-        session = session_of(tab)
+    def _session(self, request: Request) -> Document:
+        session = self._session_of(request.query_params.get("tab", ""))
         if session is None:
-            return _none()
+            raise HTTPException(404, "no such tab")
+        return session
+
+    async def scene(self, request: Request) -> Response:
+        """The scene of a tab, as a file to keep."""
+        about = {"content-disposition": 'attachment; filename="scene.toml"', "cache-control": "no-store"}
+        return Response(toml_text(self._session(request).table), media_type="application/toml", headers=about)
+
+    async def share(self, request: Request) -> JSONResponse:
+        """Go to the scene of a link, which is the fragment of the page's address."""
+        session = self._session(request)
         try:
             session.load_share((await request.body()).decode("ascii", "replace"))
         except SceneError as error:
-            return JSONResponse({"error": "\n".join(error.messages)}, 400)
+            return _refused("\n".join(error.messages))
         return JSONResponse({})
 
+    async def texture(self, request: Request) -> JSONResponse:
+        """Keep an image that was dropped, under a name made of its content, and say what it is called."""
+        root, kind = self._session(request).root, request.query_params.get("kind", "")
+        content = await request.body()  # the guard bounds it
+        try:
+            return JSONResponse({"name": await asyncio.to_thread(keep_image, root, content, kind)})
+        except ClscoError as error:
+            return _refused(str(error))
 
-def _add_inpainting(app: FastAPI, session_of: Sessions) -> None:
-    """Add images and masks of inpainting."""
+    def thumbnail(self, request: Request) -> Response:
+        """A small picture of a texture of the scene, by the path of its key."""
+        try:
+            content, about = small_picture(self._session(request), request.query_params.get("path", ""))
+        except ClscoError:
+            content, about = b"", ""
+        return _picture(content, **{"cache-control": "no-store", "x-about": about})
 
-    @app.get("/inpainting/picture")
-    def picture(tab: str, which: str) -> Response:
+    def result(self, request: Request) -> Response:
+        """A file that a job has made, by its name in the job's folder."""
+        jobs, name = self._jobs, request.query_params.get("name")
+        try:
+            job = int(request.query_params["job"])
+            folder = jobs.root / jobs.job(job).folder
+            (path,) = (path for path in jobs.files(job) if path.relative_to(folder).as_posix() == name)
+            if not path.is_file() or not path.resolve().is_relative_to(jobs.root):
+                raise FileNotFoundError
+        except (KeyError, ValueError, OSError):
+            raise HTTPException(404, "no such result") from None
+        return FileResponse(path, media_type=_TYPES[path.suffix], headers={"cache-control": "no-cache"})
+
+    def sample(self, request: Request) -> Response:
+        """A small picture of a sample of a data set: the first of one of equal parts of the set."""
+        try:
+            job, part, parts = (int(request.query_params[name]) for name in ("job", "part", "parts"))
+            folder = self._jobs.root / self._jobs.job(job).folder
+            content = sample_picture(folder, part, parts) if 0 <= part < parts else b""
+        except (ClscoError, KeyError, ValueError, IndexError, OSError, StopIteration):
+            content = b""
+        return _picture(content, **{"cache-control": "private, max-age=86400"})  # one made anew has another address
+
+    def scene_picture(self, request: Request) -> Response:
+        """A small picture of a scene that was shown, by the name that it has in the folder of the state."""
+        name = request.query_params.get("name", "")
+        try:
+            content = self._jobs.state.read(name, LARGEST_PICTURE) if _PICTURE.fullmatch(name) else b""
+        except OSError:
+            content = b""
+        return _picture(content, ".jpg", **{"cache-control": "no-cache"})
+
+    def picture(self, request: Request) -> Response:
         """The image that is inpainted, or what a method has made of it."""
-        session = session_of(tab)
-        content = inpainting_of(session).picture(which) if session is not None else b""
-        if not content:
-            return Response("no such picture\n", 404, media_type="text/plain")
-        return Response(content, media_type="image/png", headers={"cache-control": "no-store"})
+        inpainting = inpainting_of(self._session(request))
+        return _picture(inpainting.picture(request.query_params.get("which", "")), **{"cache-control": "no-store"})
 
-    @app.get("/inpainting/mask")
-    def mask(tab: str) -> JSONResponse:
+    def mask(self, request: Request) -> JSONResponse:
         """The mask as runs."""
-        session = session_of(tab)
-        return _mask(inpainting_of(session)) if session is not None else _none()
+        return _mask(inpainting_of(self._session(request)))
 
-    @app.post("/inpainting/mask")
-    async def paint(request: Request, tab: str) -> JSONResponse:
+    async def paint(self, request: Request) -> JSONResponse:
         """Take a mask as runs, or add the pixels of a color to it; the guard bounds the request."""
-        session = session_of(tab)
-        if session is None:
-            return _none()
-        inpainting = inpainting_of(session)
+        inpainting = inpainting_of(self._session(request))
         try:
             match json.loads(await request.body()):
                 case {"columns": int(columns), "rows": int(rows), "runs": list(runs)}:
@@ -143,10 +142,16 @@ def _add_inpainting(app: FastAPI, session_of: Sessions) -> None:
                 case {"column": int(column), "row": int(row), "tolerance": int() | float() as tolerance, **rest}:
                     inpainting.add_color(column, row, tolerance, erase=rest.get("erase") is True)
                 case _:
-                    return JSONResponse({"error": "mask: must be runs or a color"}, 400)
+                    return _refused("mask: must be runs or a color")
         except (ImageError, ValueError, RecursionError) as error:
-            return JSONResponse({"error": str(error)}, 400)
+            return _refused(str(error))
         return _mask(inpainting)
+
+
+def _picture(content: bytes, suffix: str = ".png", **headers: str) -> Response:
+    if not content:
+        raise HTTPException(404, "no such picture")
+    return Response(content, media_type=_TYPES[suffix], headers=headers)
 
 
 def _mask(inpainting: Inpainting) -> JSONResponse:
@@ -154,8 +159,8 @@ def _mask(inpainting: Inpainting) -> JSONResponse:
     return JSONResponse({"columns": columns, "rows": rows, "runs": inpainting.runs()})
 
 
-def _none() -> JSONResponse:
-    return JSONResponse({"error": "no such tab"}, 404)
+def _refused(message: str) -> JSONResponse:
+    return JSONResponse({"error": message}, 400)
 
 
 def small_picture(session: Document, path: str) -> tuple[bytes, str]:

@@ -1,4 +1,4 @@
-"""The studio's server: routes of its own beside NiceGUI's page, behind the guard, on one socket."""
+"""The studio's server: its page, its routes and a socket for each tab, behind the guard."""
 
 from __future__ import annotations
 
@@ -17,14 +17,15 @@ from pathlib import Path
 from typing import Any
 
 import uvicorn
-from fastapi import FastAPI, Request, WebSocket, WebSocketDisconnect
-from fastapi.responses import JSONResponse, Response
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import HTMLResponse
+from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
+from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from clsco.errors import ClscoError, ImageError, SceneError
+from clsco.errors import ImageError, SceneError
 from clsco.scene.model import Scene
-from clsco.scene.toml import toml_text
-from clsco.studio.folder import keep_image
 from clsco.studio.generate import stack_scenes
 from clsco.studio.guard import MAX_MESSAGE, Guard, door
 from clsco.studio.jobs import Jobs
@@ -34,10 +35,11 @@ from clsco.studio.moving import Pointer
 from clsco.studio.presets import choose_method
 from clsco.studio.preview import Preview
 from clsco.studio.renderers import Renderers
-from clsco.studio.routes import add_routes
+from clsco.studio.routes import Addresses
 from clsco.studio.session import Document
 from clsco.studio.store import digest_of
 from clsco.studio.tables import is_path
+from clsco.studio.widgets.html import Page
 
 MAX_PATCH = 2**16  # bytes
 LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
@@ -45,7 +47,7 @@ STATIC = Path(__file__).parent / "static"
 MOST_TABS = 64
 MOST_LEVELS = 12  # of lists and tables in a message; those of a scene have half of them
 LEAVING = '{"leaving":true}'  # says a page that is loaded again, or left
-COLLECTED = 32  # pages after whose end garbage is collected, which takes some tenths of a second
+GONE = 4404  # the page is of a studio that ended, or was loaded again
 MOST_WATCHED = 2000  # keys with a control
 TICK = 0.5  # s between looks at the jobs
 KEPT = "kept_"  # names of scenes begin with it, in the folder of the state
@@ -69,6 +71,7 @@ class Tab:
         self.watched: tuple[str, ...] = ()
         self.told = asyncio.Event()  # that there is something to tell
         self.pictured = -1  # revision whose picture was kept
+        self.page = Page()
 
 
 class Studio:
@@ -89,7 +92,6 @@ class Studio:
         self.renderer = Renderers(device)
         self.jobs = Jobs(self.root)
         self.tabs: dict[str, Tab] = {}
-        self._ended = 0  # pages
         old = self.kept_scenes()[MOST_KEPT:]
         pictures = sorted(self.jobs.state.path.glob(f"{SHOWN}*.jpg"), key=_changed_at)[:-MOST_SHOWN]
         self.jobs.state.remove(*(name for path in old for name in (path.name, f"{path.stem}.jpg")))
@@ -117,16 +119,10 @@ class Studio:
             return name
         forgotten = [name for name, tab in self.tabs.items() if tab.preview is None]
         for old in forgotten[: max(len(self.tabs) - MOST_TABS + 1, 0)]:
-            del self.tabs[old]
+            self.tabs.pop(old).page.end()
         new = secrets.token_urlsafe(12)
         self.tabs[new] = Tab(self.new_session())
         return new
-
-    def page_ended(self) -> None:
-        """A page is gone. What it leaves refers to itself, has megabytes, and would be there for long."""
-        self._ended += 1
-        if self._ended % COLLECTED == 0:
-            gc.collect()
 
     def kept_scenes(self) -> list[Path]:
         """Scenes that were kept when a studio ended, the latest first."""
@@ -170,10 +166,13 @@ class Studio:
     async def frames(self, socket: WebSocket) -> None:
         """Talk to a tab: patches up, pictures down."""
         tab = self.tabs.get(socket.query_params.get("tab", ""))
-        if tab is None or tab.preview is not None:
+        if tab is not None and tab.preview is not None:
             await socket.close(1008)
             return
         await socket.accept()
+        if tab is None or socket.query_params.get("page", tab.page.key) != tab.page.key:
+            await socket.close(GONE)
+            return
         sending = asyncio.Lock()
 
         async def send(data: bytes) -> None:
@@ -229,7 +228,9 @@ class Studio:
 
     async def _do(self, tab: Tab, preview: Preview, pointer: Pointer, said: dict[str, Any]) -> None:
         """Act on a message; nothing in it is code, and unknown messages are passed over."""
-        if not (_point(pointer, said) or await _look(tab.session, preview, said)):
+        if isinstance(number := said.get("on"), int):
+            tab.page.hear(number, said.get("value"))
+        elif not (_point(pointer, said) or await _look(tab.session, preview, said)):
             await self._change(tab, preview, said)
 
     async def _change(self, tab: Tab, preview: Preview, said: dict[str, Any]) -> None:
@@ -348,6 +349,8 @@ async def _tell(tab: Tab, preview: Preview) -> None:
     while True:
         tab.told.clear()
         session = tab.session
+        for message in tab.page.taken():
+            await preview.tell(**message)
         state = {
             "revision": session.revision,  # so that the page knows whose values it has
             "title": session.scene.title,
@@ -373,46 +376,31 @@ async def _tell(tab: Tab, preview: Preview) -> None:
         await asyncio.sleep(0.03)  # what comes together is told together
 
 
-Attach = Callable[[FastAPI, Studio], None]
+Draw = Callable[[str, Studio, str], tuple[Page, str]]
 
 
-def application(studio: Studio, attach: Attach) -> FastAPI:
+def application(studio: Studio, draw: Draw) -> Starlette:
     """The routes of the studio, without the guard."""
 
     @asynccontextmanager
-    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+    async def lifespan(_: Starlette) -> AsyncIterator[None]:
         watching = asyncio.create_task(studio.watch())
         yield
         watching.cancel()
         studio.keep()
 
-    app = FastAPI(lifespan=lifespan, docs_url=None, redoc_url=None, openapi_url=None)
-    app.add_api_websocket_route("/frames", studio.frames)
+    async def page(request: Request) -> HTMLResponse:
+        """The page, of a tab that was there before where it is loaded again."""
+        name = await studio.tab(request.query_params.get("s", ""))
+        studio.tabs[name].page.end()
+        studio.tabs[name].page, content = draw(name, studio, str(request.base_url))
+        return HTMLResponse(content, headers={"cache-control": "no-store"})
 
-    @app.get("/scene")
-    async def scene(tab: str) -> Response:
-        """The scene of a tab, as a file to keep."""
-        known = studio.tabs.get(tab)
-        if known is None:
-            return Response("no such tab\n", 404, media_type="text/plain")
-        about = {"content-disposition": 'attachment; filename="scene.toml"', "cache-control": "no-store"}
-        return Response(toml_text(known.session.table), media_type="application/toml", headers=about)
+    def session_of(name: str) -> Document | None:
+        return studio.tabs[name].session if name in studio.tabs else None
 
-    @app.post("/texture")
-    async def texture(request: Request, tab: str, kind: str) -> JSONResponse:
-        """Keep an image that was dropped, under a name made of its content, and say what it is called."""
-        if tab not in studio.tabs:
-            return JSONResponse({"error": "no such tab"}, 404)
-        content = await request.body()  # the guard bounds it
-        try:
-            return JSONResponse({"name": await asyncio.to_thread(keep_image, studio.root, content, kind)})
-        except ClscoError as error:
-            return JSONResponse({"error": str(error)}, 400)
-
-    add_routes(app, studio.jobs, lambda name: studio.tabs[name].session if name in studio.tabs else None)
-    app.mount("/static", StaticFiles(directory=STATIC))
-    attach(app, studio)  # NiceGUI takes all other paths
-    return app
+    ours = [Route("/", page), WebSocketRoute("/frames", studio.frames), Mount("/static", StaticFiles(directory=STATIC))]
+    return Starlette(routes=[*ours, *Addresses(studio.jobs, session_of).routes()], lifespan=lifespan)
 
 
 class _Server(uvicorn.Server):
@@ -426,9 +414,7 @@ class _Server(uvicorn.Server):
             self.begun()
 
 
-def serve(
-    studio: Studio, host: str, port: int, attach: Attach, show: Callable[[str], None], opens_browser: bool
-) -> None:
+def serve(studio: Studio, host: str, port: int, draw: Draw, show: Callable[[str], None], opens_browser: bool) -> None:
     """Serve the studio until interrupted.
 
     Parameters
@@ -438,8 +424,8 @@ def serve(
         Address to listen at.
     port : int
         0: any that is free.
-    attach : function
-        Adds the page.
+    draw : function
+        `clsco.studio.page.draw`.
     show : function of str
         Is given the address.
     opens_browser : bool
@@ -455,7 +441,7 @@ def serve(
     shown = f"[{host}]" if ":" in host else host
     state = studio.jobs.state
     hosts = [f"{name}:{port}" for name in (shown, *LOOPBACK)]
-    guarded = Guard(application(studio, attach), hosts, token, state.key())
+    guarded = Guard(application(studio, draw), hosts, token, state.key())
     config = uvicorn.Config(
         guarded, log_level="warning", access_log=False, server_header=False, proxy_headers=False,
         ws_max_size=MAX_MESSAGE, timeout_graceful_shutdown=1, http=door(guarded.cookie),

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import shutil
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -65,9 +66,23 @@ def chromium() -> Iterator[Any]:
     if path is None:
         pytest.skip("needs chromium: apt-get install chromium")
     with playwright.sync_playwright() as started:
+        playwright.Page.wait_for_function = _wait_for
         browser = started.chromium.launch(executable_path=path, args=["--no-sandbox"])
         yield browser
         browser.close()
+
+
+def _wait_for(page: Any, expression: str, *, arg: Any = None, timeout: float = 30000.0) -> None:
+    """Wait until an expression is true: as Playwright's own, which needs a policy that lets strings be evaluated."""
+    from playwright.sync_api import Error
+
+    end = time.monotonic() + timeout / 1000.0
+    while time.monotonic() < end:
+        with suppress(Error):  # while a page is loaded
+            if page.evaluate(expression, arg):
+                return
+        page.wait_for_timeout(20)
+    raise TimeoutError(expression)
 
 
 def rest(page: Any) -> None:

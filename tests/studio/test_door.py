@@ -17,7 +17,7 @@ from urllib.parse import unquote, urlsplit
 import httpx
 import pytest
 
-pytest.importorskip("nicegui", reason="needs the extra clsco[studio]")
+pytest.importorskip("starlette", reason="needs the extra clsco[studio]")
 
 import uvicorn
 from uvicorn.server import ServerState
@@ -133,7 +133,7 @@ def test_cookies_of_others_do_not_lock_out(running: Running, other: str) -> None
     answer = httpx.get(f"{running.page}/", headers=[(b"Cookie", cookies["Cookie"].encode("latin-1"))], timeout=30)
     assert answer.status_code == 200
     if other.isascii():
-        with running.connect("/_nicegui_ws/socket.io/?EIO=4&transport=websocket", cookies, running.origin):
+        with running.connect("/frames?tab=none", cookies, running.origin):
             pass
     assert time.monotonic() - start < 15.0  # it drew a page
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-pytest.importorskip("fastapi", reason="needs the extra studio")
+pytest.importorskip("starlette", reason="needs the extra studio")
 
 from clsco.studio.moving import Pointer
 from clsco.studio.preview import Preview

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("fastapi", reason="needs the extra studio")
+pytest.importorskip("starlette", reason="needs the extra studio")
 import httpx
-from fastapi import FastAPI
 from PIL import Image
+from starlette.applications import Starlette
 
 from clsco.files.images import write_png
 from clsco.studio.jobs import CommandJob, Jobs
-from clsco.studio.routes import add_routes
+from clsco.studio.routes import Addresses
 from clsco.studio.session import Document
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -28,7 +28,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 class Client:
     """Requests to an application without a socket."""
 
-    def __init__(self, app: FastAPI) -> None:
+    def __init__(self, app: Starlette) -> None:
         self.app = app
 
     def get(self, place: str, **options: Any) -> httpx.Response:
@@ -47,11 +47,10 @@ def client(tmp_path: Path) -> Iterator[Client]:
     shutil.copy(EXAMPLES / "depth_map_image.png", tmp_path / "a.png")
     (tmp_path / "frames").mkdir()
     write_png(tmp_path / "frames" / "frame_0000.png", np.zeros((2, 3), np.uint8))
-    session, jobs, app = Document(tmp_path), Jobs(tmp_path), FastAPI()
+    session, jobs = Document(tmp_path), Jobs(tmp_path)
     jobs._put(CommandJob(1, "one", ("render",), "frames", "frame_*.json", 1, "done"))
     session.patch("object.0.texture", "a.png")
-    add_routes(app, jobs, {"t": session}.get)
-    yield Client(app)
+    yield Client(Starlette(routes=Addresses(jobs, {"t": session}.get).routes()))
     jobs.close()
 
 

@@ -13,10 +13,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-pytest.importorskip("fastapi", reason="needs the extra studio")
+pytest.importorskip("starlette", reason="needs the extra studio")
 
 import httpx
-from fastapi import FastAPI
+from starlette.applications import Starlette
 
 from clsco import ClscoError, ImageError, SceneError
 from clsco.files.images import write_png
@@ -24,11 +24,10 @@ from clsco.studio.folder import keep_image
 from clsco.studio.generate import distributions
 from clsco.studio.jobs import CommandJob
 from clsco.studio.presets import load_preset
-from clsco.studio.routes import add_routes
+from clsco.studio.routes import Addresses
 from clsco.studio.server import Studio, Tab
 from clsco.studio.session import Document, StateFolder
 from clsco.studio.store import digest_of
-from tests.studio.running import studio
 
 NAMES = ("lock", "jobs.json", "job_1.end", "job_1.end.part", "job_1.log", "kept", "kept_one.json", "key")
 
@@ -133,8 +132,7 @@ def test_scenes_that_were_shown_have_pictures(tmp_path: Path, monkeypatch: pytes
     (kept,) = studio.kept_scenes()
     assert studio.picture_of(kept) == "scene-picture?name=kept_one.jpg"
     assert studio.jobs.state.read("kept_one.jpg", 100) == b"kept"
-    app = FastAPI()
-    add_routes(app, studio.jobs, lambda _: None)
+    app = Starlette(routes=Addresses(studio.jobs, lambda _: None).routes())
 
     async def answers() -> list[bytes]:
         names = ("kept_one.jpg", "key", "lock", "kept_one.json", "../kept_one.jpg", "kept_two.jpg")
@@ -227,14 +225,3 @@ def test_pipes_and_growth_among_the_files_of_the_folder(tmp_path: Path) -> None:
         file.truncate(2**40)
     assert not any(name.endswith(("set.toml", "zero.toml")) for name in distributions(tmp_path) if "/" not in name)
     assert [digest_of(tmp_path / name) for name in ("set.toml", "zero.toml", "large.png", "x" * 5000, "\0")] == [""] * 5
-
-
-def test_a_studio_in_a_folder_with_nicegui_storage_of_strangers(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip("nicegui", reason="needs the extra clsco[studio]")
-    (tmp_path / ".nicegui").mkdir()
-    os.mkfifo(tmp_path / ".nicegui" / "storage-general.json")  # is read as soon as NiceGUI is imported
-    monkeypatch.chdir(tmp_path)
-    with studio(tmp_path) as running, running.client() as client:
-        assert client.get("/").status_code == 200

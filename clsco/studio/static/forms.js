@@ -2,12 +2,11 @@
 
 import { all, on, one, problem, studio } from "./shared.js";
 
-const tab = () => one("#studio")?.dataset.tab;
 const at = (name, path) => one(`[data-${name}="${CSS.escape(path)}"]`);
 
 const upload = async (path, file) => {
   const kind = file.name.split(".").pop().toLowerCase();
-  const place = `texture?tab=${encodeURIComponent(tab())}&kind=${encodeURIComponent(kind)}`;
+  const place = `texture?tab=${studio.tab}&kind=${encodeURIComponent(kind)}`;
   try {
     const answer = await fetch(place, { method: "POST", body: file });
     const { name, error } = await answer.json();
@@ -45,7 +44,7 @@ for (const kind of /** @type {const} */ (["dragover", "drop"])) {
 
 const small = async (image, path, name) => {
   const answer = await fetch(
-    `thumbnail?tab=${encodeURIComponent(tab())}&path=${encodeURIComponent(path)}&of=${encodeURIComponent(name)}`);
+    `thumbnail?tab=${studio.tab}&path=${encodeURIComponent(path)}&of=${encodeURIComponent(name)}`);
   const about = at("about", path);
   image.hidden = !answer.ok;
   if (answer.ok) image.src = URL.createObjectURL(await answer.blob());
@@ -55,15 +54,13 @@ const small = async (image, path, name) => {
 
 // The scene of a link is the fragment of the page's address, which browsers do not send.
 const shared = async () => {
-  if (!tab()) { setTimeout(shared, 50); return; }
   if (!location.hash.startsWith("#s=")) return;
-  const answer = await fetch(`share?tab=${encodeURIComponent(tab())}`, { method: "POST", body: location.hash });
+  const answer = await fetch(`share?tab=${studio.tab}`, { method: "POST", body: location.hash });
   const { error } = await answer.json();
   history.replaceState(null, "", location.pathname + location.search);
-  const place = one("#message");
-  if (error && place !== null) [place.textContent, place.hidden] = [error, false];
+  if (error) studio.fail([error]);
 };
-shared();
+studio.parts.push(shared);
 window.addEventListener("hashchange", shared);
 
 // Small pictures follow the names of the textures.

@@ -39,7 +39,7 @@ studio.hearing.push((said) => {
 });
 
 studio.escape = () => {
-  if (document.querySelector("dialog[open], .q-dialog")) return;
+  if (document.querySelector("dialog[open]")) return;
   if (studio.isReferring() || !(one("#progress").hidden || canceled)) studio.send({ do: "cancel" });
   studio.referring(null);
 };

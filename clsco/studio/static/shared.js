@@ -1,4 +1,4 @@
-// The object by which the modules of the page, the server's calls and the tests know one another; and the page's elements,
+// The object by which the modules of the page and the tests know one another; and the page's elements,
 // which Python draws: their kinds are not known here.
 
 /**
@@ -44,4 +44,4 @@ const state = {
 
 /** @type {typeof state & typeof calls} */
 export const studio = Object.assign(calls, state);
-Object.assign(window, { studio }); // for the calls of the server
+Object.assign(window, { studio }); // for the tests

@@ -1,5 +1,5 @@
 // The part of the studio that must be quick: pictures onto a canvas, and sliders' values to the server, over one socket.
-// Everything else of the page is NiceGUI's. Whatever has an attribute data-path is the control of that key of the scene.
+// What changes which elements there are is in parts.js. Whatever has an attribute data-path is the control of that key of the scene.
 
 import { colored } from "./colors.js";
 import { ENCODING, RUNG, VIEWS, opened } from "./protocol.js";
@@ -10,6 +10,7 @@ import { Viewport } from "./viewport.js";
 import "./badge.js";
 import "./lens.js";
 import "./instruments.js";
+import "./parts.js";
 import "./persistence.js";
 import "./tools.js";
 import "./timeline.js";
@@ -17,6 +18,7 @@ import "./keyframes.js";
 import "./compare.js";
 import "./progress.js";
 import "./inspect.js";
+import "./files.js";
 import "./forms.js";
 import "./brush.js";
 
@@ -26,13 +28,14 @@ const NUMBERS_FROM = 24; // CSS px per pixel of the image
 // ---- the socket -------------------------------------------------------------------------------------------------
 /** @type {WebSocket | null} */
 let socket = null;
+const GONE = 4404; // the page is of a studio that ended, or was loaded again
 let tries = 0, link = ""; // link: a scene in the address
 studio.isOpen = () => socket?.readyState === WebSocket.OPEN;
 const send = (content) => { if (studio.isOpen()) socket?.send(JSON.stringify(content)); };
 studio.send = send;
 
 const connect = () => {
-  socket = new WebSocket(new URL(`frames?tab=${studio.tab}`, location.href.replace(/^http/, "ws")));
+  socket = new WebSocket(new URL(`frames?tab=${studio.tab}&page=${one("#studio").dataset.page}`, location.href.replace(/^http/, "ws")));
   socket.binaryType = "arraybuffer";
   socket.onopen = () => {
     tries = 0;
@@ -47,7 +50,8 @@ const connect = () => {
     studio.opened();
   };
   socket.onmessage = (event) => received(event.data);
-  socket.onclose = () => {
+  socket.onclose = ({ code }) => {
+    if (code === GONE) { location.reload(); return; }
     studio.closed();
     tries += 1;
     setTimeout(connect, Math.min(250 * 2 ** tries, 8000));
@@ -357,14 +361,23 @@ const valued = (values) => {
 
 let failing = 0;
 const fail = (messages) => {
+  notify(messages.join("\n"), false);
+};
+const notify = (text, isGood) => { // above all, dialogs too
   const place = one("#message");
-  place.textContent = messages.join("\n");
+  place.textContent = text;
+  place.toggleAttribute("data-good", isGood);
   place.hidden = false;
+  place.showPopover();
   clearTimeout(failing);
-  failing = setTimeout(() => { place.hidden = true; }, 12000);
+  failing = setTimeout(hush, isGood ? 5000 : 12000);
+};
+const hush = () => {
+  one("#message").hidden = true;
+  one("#message").hidePopover();
 };
 
-studio.fail = fail;
+Object.assign(studio, { fail, notify });
 
 const CLICKS = { // what a click on an element with such an attribute does
   clear: (path) => { drag += 1; put(path, null); },
@@ -438,8 +451,7 @@ const keys = (event, target) => {
   else studio.extra(event);
 };
 
-studio.start = (name) => {
-  if (studio.tab) return;
+const start = (name) => {
   studio.tab = name;
   link = location.hash.startsWith("#s=") ? location.hash : "";
   history.replaceState(null, "", `?s=${name}`);
@@ -452,5 +464,4 @@ studio.start = (name) => {
   connect();
 };
 
-const begin = () => (one("#studio") && one("#canvas") ? studio.start(one("#studio").dataset.tab) : requestAnimationFrame(begin));
-begin();
+start(one("#studio").dataset.tab);

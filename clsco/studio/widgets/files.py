@@ -9,15 +9,13 @@ from itertools import groupby
 from pathlib import Path
 from typing import NamedTuple
 
-from nicegui import ui
-
 from clsco.errors import SceneError
 from clsco.studio.folder import SCENES, listed
 from clsco.studio.presets import load_preset, presets
 from clsco.studio.server import Studio
 from clsco.studio.session import ConflictError, Document
 from clsco.studio.store import read_kept
-from clsco.studio.widgets.html import Dialog, button, say, text_box, tried
+from clsco.studio.widgets.html import Dialog, button, notify, page, say, text_box
 
 
 class Tile(NamedTuple):
@@ -32,22 +30,22 @@ def draw_tiles(groups: Mapping[str, list[Tile]], chosen: Callable[[str, int], ob
 
     groups: by their headings, "" for none; chosen: takes the group and the number of a scene in it.
     """
-    with say("label").classes("box"):
+    with say("label", class_="box"):
         say("span", search)
         say("input", type="search", autocomplete="off", data_search="")
     for heading, tiles in groups.items():
         with say("section", data_group=heading.lower()):
             if heading:
                 say("h3", heading)
-            with say("ul").classes("names tiles"):
+            with say("ul", class_="names tiles"):
                 for number, tile in enumerate(tiles):
-                    with say("li"), say("button", type="button", title=tile.name) as element:
+                    pressed = partial(chosen, heading, number)
+                    with say("li"), say("button", type="button", title=tile.name, click=lambda _, do=pressed: do()):
                         if tile.picture:
                             say("img", src=tile.picture, alt="", loading="lazy")
                         else:
-                            say("span", aria_hidden="true").classes("no-picture")
+                            say("span", aria_hidden="true", class_="no-picture")
                         say("span", tile.name)
-                    element.on("click", partial(tried, partial(chosen, heading, number)), args=[])
     say("p", "Nothing has these words.", data_nothing="", hidden=True, role="status")
 
 
@@ -108,19 +106,18 @@ def save_dialog(session: Document) -> tuple[Callable[[], None], Callable[[], Non
 
     def save(path: Path | None, overwrite: bool = False) -> None:
         try:
-            if not tried_unless_conflict(session, path, overwrite):
-                return
+            session.save(path, overwrite)
         except ConflictError as error:
             conflict(path, str(error))
             return
         assert session.path is not None
-        ui.notify(f"Saved {session.path.name}", type="positive")
+        notify(f"Saved {session.path.name}")
         dialog.close()
 
     def conflict(path: Path | None, message: str) -> None:
         with dialog.filled():
             say("p", message, role="alert")
-            with ui.element("div").classes("row"):
+            with say("div", class_="row"):
                 button("Overwrite", partial(save, path, True))
                 button("Save under another name", ask)
                 button("Show the difference", partial(difference, path))
@@ -128,8 +125,8 @@ def save_dialog(session: Document) -> tuple[Callable[[], None], Callable[[], Non
 
     def difference(path: Path | None) -> None:
         with dialog.filled():
-            say("pre", session.difference(path) or "There is none.").classes("difference")
-            with ui.element("div").classes("row"):
+            say("pre", session.difference(path) or "There is none.", class_="difference")
+            with say("div", class_="row"):
                 button("Overwrite", partial(save, path, True))
                 button("Save under another name", ask)
 
@@ -138,8 +135,8 @@ def save_dialog(session: Document) -> tuple[Callable[[], None], Callable[[], Non
         typed["name"] = known
         with dialog.filled():
             text_box(f"File in {session.root.name}", known, lambda name: typed.update(name=name))
-            with ui.element("div").classes("row"):
-                button("Save", lambda: save(Path(typed["name"]))).classes("primary")
+            with say("div", class_="row"):
+                button("Save", lambda: save(Path(typed["name"])), class_="primary")
         dialog.open()
 
     def at_once() -> None:
@@ -149,22 +146,6 @@ def save_dialog(session: Document) -> tuple[Callable[[], None], Callable[[], Non
             save(None)
 
     return at_once, ask
-
-
-def tried_unless_conflict(session: Document, path: Path | None, overwrite: bool) -> bool:
-    """Save, and show the fault if there is one, but for a conflict, which is raised."""
-    conflicts: list[ConflictError] = []
-
-    def action() -> None:
-        try:
-            session.save(path, overwrite)
-        except ConflictError as error:
-            conflicts.append(error)
-
-    done = tried(action)
-    if conflicts:
-        raise conflicts[0]
-    return done
 
 
 def share_dialog(session: Document) -> Callable[[], None]:
@@ -178,19 +159,19 @@ def share_dialog(session: Document) -> Callable[[], None]:
 
     def show() -> None:
         link = session.share()
-        here = f"{ui.context.client.request.base_url}{link}"  # with the place of the cookie, which others need not know
+        here = f"{page().address}{link}"  # with the place of the cookie, which others need not know
         typed["link"] = ""
         with dialog.filled():
             say("p", "The address holds the whole scene, but for images.")
             for label, text in (("For others, who open it below in their studio", link), ("For this browser", here)):
-                with say("label").classes("box"):
+                with say("label", class_="box"):
                     say("span", label)
-                    with ui.element("div").classes("row"):
+                    with say("div", class_="row"):
                         say("input", type="text", readonly=True, value=text, aria_label=label, data_link="")
                         say("button", "Copy", type="button", data_copy=text)
             text_box("From others", "", lambda text: typed.update(link=text))
-            with ui.element("div").classes("row"):
-                button("Open the link", load).classes("primary")
+            with say("div", class_="row"):
+                button("Open the link", load, class_="primary")
         dialog.open()
 
     return show

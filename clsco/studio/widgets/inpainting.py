@@ -2,38 +2,48 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
-from nicegui import run, ui
-
-from clsco.errors import ClscoError
 from clsco.studio.folder import IMAGES, listed
 from clsco.studio.inpainting import FILLERS, Inpainting, inpainting_of
 from clsco.studio.jobs import Jobs
 from clsco.studio.presets import REMOVALS
 from clsco.studio.session import Document
-from clsco.studio.widgets.html import Dialog, button, check_box, say, text_box, tried
+from clsco.studio.widgets.html import Dialog, Part, button, check_box, notify, page, say, text_box, tried
 
 _TOOLS = {
     "brush": "Brush", "rectangle": "Rectangle", "lasso": "Lasso", "color": "Pixels of a color", "move": "Move the view",
 }  # fmt: skip
 _LABELS = {"mean-median": "Mean and median (thesis)", "biharmonic": "Biharmonic", "texture": "Texture"}
-_FRAME = "async () => emit(await studio.brush.shownFrame())"
-_ALL_SENT = "async () => { await studio.brush.sent(); emit(); }"
 _BLANK = "what is hatched is filled; wheel or fingers zoom, Shift and a drag move the view"
 _TICK = 0.4  # s between looks at a method
 
 
-class _Actions:
-    """Actions of the dialog, and the parts of it that they make anew."""
+class _Dialog:
+    """The dialog, what its buttons do, and the parts of it that they make anew."""
 
-    def __init__(self, inpainting: Inpainting, jobs: Jobs, tab: str, dialog: Dialog) -> None:
-        self.inpainting, self.jobs, self.tab, self.dialog = inpainting, jobs, tab, dialog
+    def __init__(self, session: Document, jobs: Jobs, tab: str, device: str | None) -> None:
+        self.session, self.jobs, self.tab = session, jobs, tab
+        self.inpainting = inpainting_of(session, device)
+        self.page = page()
         self.typed = {"name": "", "mask": "inpainting/mask.png", "folder": "inpainting"}
         self.wanted = dict.fromkeys(FILLERS, True)
         self.running: tuple[str, float] | None = None  # method that fills, and when it began
+        self.filling: asyncio.Task[None] | None = None
+        self.bar, self.progress, self.results = map(Part, (self._draw_bar, self._draw_progress, self._draw_results))
+        self.dialog = Dialog("Inpainting", self._draw, wide=True)
+
+    def show(self) -> None:
+        self.dialog.open()
+        self._brush("opened", bool(self.inpainting.name))
+
+    def _brush(self, *call: Any) -> None:
+        """Call a function of `static/brush.js`."""
+        self.page.tell(brush=call)
 
     def open(self, name: str) -> None:
         self.inpainting.open(name)
@@ -44,21 +54,21 @@ class _Actions:
         self._loaded()
 
     def _loaded(self) -> None:
-        ui.run_javascript("studio.brush.load()")
+        self._brush("load")
         self.results.refresh()
 
     def load_mask(self) -> None:
         self.inpainting.load_mask(self.typed["mask"])
-        ui.run_javascript("studio.brush.replaced()")
+        self._brush("replaced")
         self.results.refresh()
 
     def save_mask(self) -> None:
         self.inpainting.save_mask(self.typed["mask"])
-        ui.notify(f"Wrote {self.typed['mask']}", type="positive")
+        notify(f"Wrote {self.typed['mask']}")
 
     def save(self) -> None:
         names = self.inpainting.save(self.typed["folder"])
-        ui.notify(f"Wrote {', '.join(names)} to {self.typed['folder']}", type="positive")
+        notify(f"Wrote {', '.join(names)} to {self.typed['folder']}")
 
     def chosen(self) -> list[str]:
         return [method for method, is_on in self.wanted.items() if is_on]
@@ -67,147 +77,113 @@ class _Actions:
         self.inpainting.begin(self.jobs, self.chosen(), self.typed["folder"])
         self.dialog.close()
 
-    async def fill(self, timer: ui.timer) -> None:
+    def fill(self) -> None:
+        self.filling = asyncio.create_task(self._fill())
+
+    async def _fill(self) -> None:
         self.results.refresh()
-        timer.activate()
         for method in self.chosen():
             self.running = (method, time.monotonic())
             self.progress.refresh()
-            try:
-                found = await run.io_bound(self.inpainting.fill, method)
-            except ClscoError as error:
-                ui.notify(str(error), type="negative", close_button="Close")
-                break
-            finally:
-                self.running = None
-                self.progress.refresh()
-            if found is None:
-                break
+            filled = asyncio.create_task(asyncio.to_thread(self.inpainting.fill, method))
+            while not (await asyncio.wait([filled], timeout=_TICK))[0]:
+                self.bar.refresh()
+            self.running = None
+            self.progress.refresh()
+            if not tried(filled.result) or filled.result() is None:
+                return
             self.results.refresh()
-        timer.deactivate()
 
-    @ui.refreshable_method
-    def progress(self) -> None:
-        if self.running is not None:
-            method, began = self.running
-            _progress(self.inpainting, method, time.monotonic() - began)
-
-    @ui.refreshable_method
-    def results(self) -> None:
-        _results(self.inpainting, self.tab, self.typed["folder"])
-
-
-def inpainting_dialog(session: Document, jobs: Jobs, tab: str, device: str | None = None) -> Callable[[], None]:
-    """The dialog of inpainting.
-
-    Parameters
-    ----------
-    session : Document
-    jobs : Jobs
-    tab : str
-        Name of the tab.
-    device : str, optional
-
-    Returns
-    -------
-    function
-        Opens it.
-    """
-    inpainting = inpainting_of(session, device)
-    dialog = Dialog("Inpainting")
-    dialog.element.classes("wide")
-    actions = _Actions(inpainting, jobs, tab, dialog)
-    typed = actions.typed
-    with dialog.body:
-        timer = ui.timer(_TICK, actions.progress.refresh, active=False)
-        names = "names-inpainting"
+    def _draw(self) -> None:
+        names, root, typed = "names-inpainting", self.session.root, self.typed
         with say("datalist", id=names):
-            for name in listed(session.root, IMAGES):
+            for name in listed(root, IMAGES):
                 say("option", value=name)
-        with say("div").classes("row"):
-            text_box(f"Image in {session.root.name}", "", lambda name: typed.update(name=name), list=names)
-            button("Open the image", lambda: actions.open(typed["name"]))
-            say("button", "Take the frame shown", type="button", data_brush="frame").on(
-                "click", lambda event: tried(lambda: actions.open(str(event.args))), js_handler=_FRAME
-            )
-        with say("div", role="group", aria_label="Presets").classes("row"):
-            say("span", "Presets:").classes("quiet")
+        with say("div", class_="row"):
+            text_box(f"Image in {root.name}", "", lambda name: typed.update(name=name), list=names)
+            button("Open the image", lambda: self.open(typed["name"]))
+            say(
+                "button", "Take the frame shown", type="button", data_brush="frame", data_after="shownFrame",
+                click=lambda name: self.open(str(name)),
+            )  # fmt: skip
+        with say("div", role="group", aria_label="Presets", class_="row"):
+            say("span", "Presets:", class_="quiet")
             for name, preset in REMOVALS.items():
-                button(preset.title, partial(actions.open_removal, name))
+                button(preset.title, partial(self.open_removal, name))
         _tools()
         say(
             "canvas", data_brush="canvas", tabindex="0", role="img",
             aria_label="Image with its mask; arrows move the brush, Enter paints",
         )  # fmt: skip
-        with say("div").classes("row"):
+        with say("div", class_="row"):
             say("span", "Open an image, and paint over what is to go.", data_brush="told", role="status")
-            say("span", _BLANK).classes("quiet")
-        with say("div", role="group", aria_label="Methods").classes("row"):
+            say("span", _BLANK, class_="quiet")
+        with say("div", role="group", aria_label="Methods", class_="row"):
             for method in FILLERS:
-                check_box(_LABELS[method], True, partial(actions.wanted.__setitem__, method))
-            say("button", "Fill", type="button").classes("primary").on(
-                "click", lambda _: actions.fill(timer), js_handler=_ALL_SENT
-            )
-        actions.progress()
-        actions.results()
-        with say("div").classes("row"):
+                check_box(_LABELS[method], True, partial(self.wanted.__setitem__, method))
+            button("Fill", self.fill, data_after="sent", class_="primary")
+        self.progress()
+        self.results()
+        with say("div", class_="row"):
             text_box("Mask (PNG)", typed["mask"], lambda name: typed.update(mask=name), list=names)
-            button("Load the mask", actions.load_mask)
-            say("button", "Save the mask", type="button").on(
-                "click", lambda _: tried(actions.save_mask), js_handler=_ALL_SENT
-            )
-        with say("div").classes("row"):
+            button("Load the mask", self.load_mask)
+            button("Save the mask", self.save_mask, data_after="sent")
+        with say("div", class_="row"):
             text_box("Folder for the results", typed["folder"], lambda name: typed.update(folder=name))
-            button("Write the results", actions.save)
-            say("button", "Fill as jobs", type="button", title="Goes on when the page is closed").on(
-                "click", lambda _: tried(actions.begin), js_handler=_ALL_SENT
-            )
+            button("Write the results", self.save)
+            button("Fill as jobs", self.begin, data_after="sent", title="Goes on when the page is closed")
 
-    def show() -> None:
-        dialog.open()
-        ui.run_javascript(f"studio.brush.opened({'true' if inpainting.name else 'false'})")
+    def _draw_progress(self) -> None:
+        """Progress of a method, with a button that cancels it."""
+        if self.running is not None:
+            with say("div", class_="row"):
+                self.bar()
+                button("Cancel", self.inpainting.filler.cancel)
 
-    return show
+    def _draw_bar(self) -> None:
+        if self.running is not None:
+            (method, began), share = self.running, self.inpainting.filler.share
+            say("span", f"{_LABELS[method]}: {100.0 * share:.0f} %, {time.monotonic() - began:.0f} s")
+            say("progress", value=f"{share:.3f}" if share else None, max="1", aria_label=f"Progress of {method}")
+
+    def _draw_results(self) -> None:
+        _results(self.inpainting, self.tab, self.typed["folder"])
+
+
+def inpainting_dialog(session: Document, jobs: Jobs, tab: str, device: str | None = None) -> Callable[[], None]:
+    """The dialog of inpainting, of a tab of this name; returns what opens it."""
+    return _Dialog(session, jobs, tab, device).show
 
 
 def _tools() -> None:
     """Tools of the brush, which `static/brush.js` reads."""
-    with say("div", role="radiogroup", aria_label="Tool").classes("row"):
+    with say("div", role="radiogroup", aria_label="Tool", class_="row"):
         for tool, label in _TOOLS.items():
-            with say("label").classes("check"):
+            with say("label", class_="check"):
                 say(
                     "input", type="radio", name="brush-tool", value=tool, data_brush="tool",
-                    checked=True if tool == "brush" else None,
+                    checked=tool == "brush",
                 )  # fmt: skip
                 say("span", label)
-        with say("label", title="E").classes("check"):
+        with say("label", title="E", class_="check"):
             say("input", type="checkbox", data_brush="erase")
             say("span", "Erase")
-    with say("div").classes("row"):
-        with say("label", title="[ and ]").classes("check"):
+    with say("div", class_="row"):
+        with say("label", title="[ and ]", class_="check"):
             say("span", "Width of the brush (px)")
             say("input", type="range", min="1", max="200", step="1", value="12", data_brush="size")
-        with say("label").classes("check"):
+        with say("label", class_="check"):
             say("span", "Tolerance of a color (% of white)")
             say("input", type="range", min="0", max="50", step="1", value="8", data_brush="tolerance")
-    with say("div").classes("row"):
+    with say("div", class_="row"):
         say("button", "Undo stroke", type="button", data_brush="undo", title="Ctrl Z", disabled=True)
         say("button", "Redo stroke", type="button", data_brush="redo", title="Shift Ctrl Z", disabled=True)
         say("button", "Clear the mask", type="button", data_brush="clear")
-        say("span").classes("spread")
-        say("span", "", data_brush="zoom").classes("quiet")
+        say("span", class_="spread")
+        say("span", "", data_brush="zoom", class_="quiet")
         say("button", "−", type="button", data_brush="smaller", aria_label="Zoom out")
         say("button", "+", type="button", data_brush="larger", aria_label="Zoom in")
         say("button", "Fit", type="button", data_brush="fit", title="0")
-
-
-def _progress(inpainting: Inpainting, method: str, seconds: float) -> None:
-    """Progress of a method, with a button that cancels it."""
-    share = inpainting.filler.share
-    with say("div").classes("row"):
-        say("span", f"{_LABELS[method]}: {100.0 * share:.0f} %, {seconds:.0f} s")
-        say("progress", value=f"{share:.3f}" if share else None, max="1", aria_label=f"Progress of {method}")
-        button("Cancel", inpainting.filler.cancel)
 
 
 def _results(inpainting: Inpainting, tab: str, folder: str) -> None:
@@ -215,7 +191,7 @@ def _results(inpainting: Inpainting, tab: str, folder: str) -> None:
     if not inpainting.results:
         return
     now = time.monotonic_ns()
-    with say("div").classes("beside"):
+    with say("div", class_="beside"):
         for method in inpainting.results:
             place = f"inpainting/picture?tab={tab}&which={method}&at={now}"
             with say("figure"):
@@ -224,7 +200,7 @@ def _results(inpainting: Inpainting, tab: str, folder: str) -> None:
                     say("span", f"{_LABELS[method]} ")
                     if inpainting.image.dtype == "uint8":  # else what is shown has fewer bits
                         say("a", "Save as PNG", href=place, download=f"{method}.png")
-    with say("div").classes("scrolled"), say("table").classes("figures"):
+    with say("div", class_="scrolled"), say("table", class_="figures"):
         say("caption", "Figures of the methods, as in figure 5.21")
         with say("tr"):
             say("td")
@@ -237,6 +213,6 @@ def _results(inpainting: Inpainting, tab: str, folder: str) -> None:
                     say("td", value or "–")
     for method in inpainting.results:
         line = inpainting.command(method, folder)
-        with say("div").classes("row"):
-            say("code", line).classes("line")
+        with say("div", class_="row"):
+            say("code", line, class_="line")
             say("button", "Copy", type="button", data_copy=line, aria_label=f"Copy the command line of {method}")

@@ -10,8 +10,6 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from nicegui import ui
-
 from clsco.errors import ClscoError
 from clsco.scene.text import time_words
 from clsco.studio.generate import (
@@ -30,7 +28,7 @@ from clsco.studio.generate import (
 )
 from clsco.studio.jobs import CommandJob, Jobs
 from clsco.studio.session import Document
-from clsco.studio.widgets.html import Dialog, button, check_box, choice, say, text_box
+from clsco.studio.widgets.html import Dialog, Part, button, check_box, choice, notify, page, say, text_box
 
 SHOWN = 12  # frames of a job as pictures
 WORDS = {
@@ -70,7 +68,7 @@ def generate_dialog(session: Document, jobs: Jobs, device: str = "") -> Callable
 
     def begin(action: Callable[[], CommandJob]) -> None:
         job = action()
-        ui.notify(f"Job {job.number}: {job.line}", multi_line=True)
+        notify(f"Job {job.number}: {job.line}")
         dialog.close()
 
     def frames() -> None:
@@ -90,9 +88,9 @@ def generate_dialog(session: Document, jobs: Jobs, device: str = "") -> Callable
         return lambda value: setattr(answers, name, value)
 
     def truth() -> None:
-        with say("fieldset").classes("vector"):
+        with say("fieldset", class_="vector"):
             say("legend", "Ground truth")
-            with say("div").classes("choices"):
+            with say("div", class_="choices"):
                 for name, lacks in truth_formats().items():
                     is_on = answers.truth.get(name, False)
                     label = f"{name} ({lacks})" if lacks else name
@@ -119,8 +117,8 @@ def generate_dialog(session: Document, jobs: Jobs, device: str = "") -> Callable
                 "Clip beside the frames", {"": "none"} | {n: n for n in clips}, answers.preset, set_("preset"), clips
             )
             check_box("Image of each time sample, too", answers.subframes, set_("subframes"))
-            with ui.element("div").classes("row"):
-                button(_all_frames(session), frames).classes("primary")
+            with say("div", class_="row"):
+                button(_all_frames(session), frames, class_="primary")
             with say("details"):
                 say("summary", "Focal stack")
                 text_box("Nearest focus distance (mm)", answers.nearest, set_("nearest"), inputmode="decimal")
@@ -161,38 +159,37 @@ def clip_dialog(session: Document, jobs: Jobs) -> Callable[[CommandJob], None]:
             needs = "" if "--format" in job.arguments else "needs ground truth beside the frames, in npz or exr"
             missing = {view: needs for view in VIEWS if view != "color"}
             choice("View", VIEWS, answers["view"], lambda view: answers.update(view=view), missing)
-            button("Make the clip", lambda: begin(job)).classes("primary")
+            button("Make the clip", lambda: begin(job), class_="primary")
         dialog.open()
 
     return show
 
 
-def draw_jobs(session: Document, jobs: Jobs) -> Callable[[], None]:
+def draw_jobs(session: Document, jobs: Jobs) -> None:
     """Draw the jobs, and draw them again when they change.
 
     While they only get on, what can be pressed stays: else clicks and the focus would be lost.
-
-    Returns: ends it, when the page is closed.
     """
-    followed: dict[int, Callable[[CommandJob], None]] = {}
+    followed: dict[int, tuple[Part, Part]] = {}
 
     def listed() -> list[tuple[Any, ...]]:
         return [(job.number, job.status, job.message, job.total) for job in jobs.listed]
 
     clips = clip_dialog(session, jobs)
 
-    @ui.refreshable
-    def area() -> None:
+    def draw() -> None:
         with say("section", aria_label="Jobs"):
             say("h2", "Jobs")
             if not jobs.listed:
-                say("p", "Generate writes frames; what runs is seen here.").classes("quiet")
+                say("p", "Generate writes frames; what runs is seen here.", class_="quiet")
             for job in jobs.listed:
                 followed[job.number] = _draw(jobs, job, clips)
 
-    said = say("div", role="status", aria_live="polite").classes("for-listeners")
-    area()
+    said, area = Part(lambda: say("span", last["text"])), Part(draw)
     last: dict[str, Any] = {"told": 0.0, "text": "", "listed": listed()}
+    with say("div", role="status", aria_live="polite", class_="for-listeners"):
+        said()
+    area()
 
     def changed() -> None:
         if (now_listed := listed()) != last["listed"]:
@@ -200,15 +197,15 @@ def draw_jobs(session: Document, jobs: Jobs) -> Callable[[], None]:
             area.refresh()
         for job in jobs.listed:
             if job.status == "running" and job.number in followed:  # else it is drawn in a moment
-                followed[job.number](job)
+                for part in followed[job.number]:
+                    part.refresh()
         text = "; ".join(f"job {job.number} {_state(job)}" for job in jobs.listed if job.is_unfinished)
         now = time.monotonic()
         if text != last["text"] and now - last["told"] > 2.0:  # not more often than can be listened to
             last.update(told=now, text=text)
-            said.props["innerText"] = text
-            said.update()
+            said.refresh()
 
-    return jobs.subscribe(changed)
+    page().endings.append(jobs.subscribe(changed))
 
 
 def _state(job: CommandJob) -> str:
@@ -220,67 +217,58 @@ def _state(job: CommandJob) -> str:
     return f"{job.done} of {job.total}{rest}" if job.total else f"{job.done} files"
 
 
-def _draw(jobs: Jobs, job: CommandJob, make_clip: Callable[[CommandJob], None]) -> Callable[[CommandJob], None]:
-    """Draw a job; returns what shows how far it is."""
-    bar = None
-    with say("article", aria_label=f"Job {job.number}").classes(f"job {job.status}"):
+def _draw(jobs: Jobs, job: CommandJob, make_clip: Callable[[CommandJob], None]) -> tuple[Part, Part]:
+    """Draw a job; returns the parts that show how far it is."""
+    progress, made = Part(partial(_progress, jobs, job.number)), Part(partial(_pictures, jobs, job.number))
+    with say("article", aria_label=f"Job {job.number}", class_=f"job {job.status}"):
         say("h3", f"{job.number} {job.title}")
-        words = say("p", _how_far(job))
-        if job.status == "running":
-            value = str(job.done) if job.total else None
-            bar = say("progress", value=value, max=str(max(job.total, 1)), aria_label=f"Progress of job {job.number}")
-        with say("div").classes("row"):
+        progress()
+        with say("div", class_="row"):
             say("code", job.line)
             say("button", "Copy", type="button", data_copy=job.line, aria_label="Copy the command line")
         if job.message:
-            say("pre", job.message, role="alert").classes("difference")
-        with say("div") as made:
-            count = _pictures(jobs, job)
-        with say("div").classes("row"):
+            say("pre", job.message, role="alert", class_="difference")
+        made()
+        with say("div", class_="row"):
             if job.is_unfinished:
                 button("Cancel", partial(jobs.cancel, job.number), aria_label=f"Cancel job {job.number}")
             else:
                 if job.status != "done":
                     button("Again", partial(jobs.again, job.number), aria_label=f"Run job {job.number} again")
-                elif job.command == "render" and count > 1 and "/" not in job.pattern:  # of one scene
+                elif job.command == "render" and len(_images(jobs, job)) > 1 and "/" not in job.pattern:  # of one scene
                     button("Make a clip", partial(make_clip, job))
                 button("Off the list", partial(jobs.forget, job.number), aria_label=f"Take job {job.number} off")
 
-    def follow(now: CommandJob) -> None:
-        words.props["innerText"] = _how_far(now)
-        words.update()
-        if bar is not None and now.total:
-            bar.props["value"] = str(now.done)
-            bar.update()
-        made.clear()
-        with made:
-            _pictures(jobs, now)
-
-    return follow
+    return progress, made
 
 
-def _how_far(job: CommandJob) -> str:
-    return f"{_state(job).capitalize()}, in {job.folder}"
+def _progress(jobs: Jobs, number: int) -> None:
+    job = jobs.job(number)
+    say("p", f"{_state(job).capitalize()}, in {job.folder}")
+    if job.status == "running":
+        value = job.done if job.total else None
+        say("progress", value=value, max=max(job.total, 1), aria_label=f"Progress of job {number}")
 
 
-def _pictures(jobs: Jobs, job: CommandJob) -> int:
-    """Show a job's results as small pictures and clips; returns the number of pictures."""
-    if job.command == "dataset":
-        parts = min(job.done, SHOWN) if job.status == "done" else 0
-        with say("div").classes("pictures"):
+def _images(jobs: Jobs, job: CommandJob) -> list[Path]:
+    return [path for path in jobs.files(job.number) if path.suffix == ".png" and "sample" not in path.name]
+
+
+def _pictures(jobs: Jobs, number: int) -> None:
+    """Show a job's results as small pictures and clips."""
+    job = jobs.job(number)
+    with say("div", class_="pictures"):
+        if job.command == "dataset":
+            parts = min(job.done, SHOWN) if job.status == "done" else 0
             for part in range(parts):
-                place = f"sample?job={job.number}&part={part}&parts={parts}&at={job.ended:.0f}"
+                place = f"sample?job={number}&part={part}&parts={parts}&at={job.ended:.0f}"
                 say("img", src=place, alt=f"Sample {part + 1} of {parts}", loading="lazy")
-        return parts
-    files = jobs.files(job.number)
-    pictures = [path for path in files if path.suffix == ".png" and "sample" not in path.name]
-    with say("div").classes("pictures"):
-        for path in pictures[-SHOWN:]:
+            return
+        for path in _images(jobs, job)[-SHOWN:]:
             say("img", src=_address(jobs, job, path), alt=path.stem, loading="lazy")
-        for path in files if job.status == "done" else ():
+        for path in jobs.files(number) if job.status == "done" else ():
             if path.suffix in PLAYED and (job.command == "render" or path.name == job.pattern):
                 say("video", src=_address(jobs, job, path), controls=True, preload="metadata", aria_label=path.name)
-    return len(pictures)
 
 
 def _address(jobs: Jobs, job: CommandJob, path: Path) -> str:

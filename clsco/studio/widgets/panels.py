@@ -1,7 +1,7 @@
 """Panels of the scene's keys: those of the thesis in its words, then all others.
 
-Controls with `data-path` are read and written by `static/studio.js`; what changes which controls there are goes through
-NiceGUI.
+Controls with `data-path` are read and written by `static/studio.js`; what changes which controls there are is drawn
+again here.
 """
 
 from __future__ import annotations
@@ -11,8 +11,6 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-from nicegui import ui
-
 from clsco.scene.shapes import SHAPES
 from clsco.studio.folder import IMAGES, listed
 from clsco.studio.forms import Field, Panel, panels
@@ -20,7 +18,7 @@ from clsco.studio.keyframes import tracks
 from clsco.studio.presets import choose_method, is_as_the_thesis
 from clsco.studio.session import Document
 from clsco.studio.tables import SHAPE_LABELS, at, words
-from clsco.studio.widgets.html import button, check_box, choice, number, say, tried
+from clsco.studio.widgets.html import Part, button, check_box, choice, number, page, say
 
 _MOTIONS = {"velocity": "Translation", "angular_velocity": "Rotation"}
 DRAWINGS = {
@@ -44,27 +42,17 @@ class Chosen:
     before: dict[str, Any] = field(default_factory=dict)
 
 
-def draw_panels(session: Document, chosen: Chosen | None = None) -> Callable[[], None]:
-    """Draw the objects of a session and all panels, and draw them again when there are others.
-
-    Returns: ends it, when the page is closed.
-    """
+def draw_panels(session: Document, chosen: Chosen | None = None) -> None:
+    """Draw the objects of a session and all panels, and draw them again when there are others."""
     now = chosen or Chosen()
 
-    @ui.refreshable
-    def objects() -> None:
-        object_list(session, now.index, choose)
-
-    @ui.refreshable
-    def method() -> None:
-        _method(session)
-
-    @ui.refreshable
-    def area() -> None:
+    def draw() -> None:
         for position, panel in enumerate(panels(session, now.index)):
             _draw(session, panel, position, now, method)
 
-    parts: list[tuple[Any, Callable[[Document, Chosen], Any], Any]] = [
+    objects = Part(lambda: object_list(session, now.index, choose))
+    method, area = Part(partial(_method, session)), Part(draw)
+    parts: list[tuple[Part, Callable[[Document, Chosen], Any], Any]] = [
         (objects, _names, _names(session, now)),
         (method, _is_thesis, _is_thesis(session, now)),
         (area, _form, _form(session, now)),
@@ -83,7 +71,7 @@ def draw_panels(session: Document, chosen: Chosen | None = None) -> Callable[[],
 
     objects()
     area()
-    return session.subscribe(changed)
+    page().endings.append(session.subscribe(changed))
 
 
 def _names(session: Document, chosen: Chosen) -> Any:
@@ -112,17 +100,16 @@ def is_chosen(session: Document, path: str) -> bool:
 
 def _draw(session: Document, panel: Panel, position: int, chosen: Chosen, method: Callable[[], Any]) -> None:
     is_open = chosen.is_open.get(panel.title, panel.is_open)
-    with say("details", open=is_open or None).classes("panel") as details:
-        details.on(
-            "toggle",
-            lambda event: chosen.is_open.__setitem__(panel.title, bool(event.args)),
-            js_handler="(event) => emit(event.target.open)",
-        )
+
+    def toggled(on: object) -> None:
+        chosen.is_open[panel.title] = bool(on)
+
+    with say("details", open=is_open, class_="panel", toggle=toggled):
         say("summary", panel.title)
         if panel.title == "PSF and method":
             method()
         if position == _PROPERTIES:
-            say("p", "In the thesis centers are on the axis, and |R| is at most about 6 px.").classes("quiet")
+            say("p", "In the thesis centers are on the axis, and |R| is at most about 6 px.", class_="quiet")
         for each in panel.fields:
             if position == _TYPE:
                 _shapes(session, each)
@@ -136,32 +123,32 @@ def draw_field(session: Document, shown: Field) -> None:
     """Draw one field: its control or those of its components, with what it means, and the way back to its default."""
     value = session.shown(shown.path)
     if shown.kind == "number":
-        with say("div").classes("field"):
+        with say("div", class_="field"):
             number(shown, value)
             _back(shown)
     elif shown.kind == "vector":
-        with say("fieldset").classes("vector"):
+        with say("fieldset", class_="vector"):
             say("legend", shown.name, title=shown.help)
             _components(session, shown)
             _back(shown)
             if shown.key == "semi_axes":
                 check_box("c = b, as in the thesis", session.is_linked, partial(setattr, session, "is_linked"))
     elif shown.kind == "flag":
-        with say("div").classes("field"):
-            with say("label").classes("check"):
+        with say("div", class_="field"):
+            with say("label", class_="check"):
                 say(
-                    "input", type="checkbox", checked=bool(value) or None, title=shown.help, data_path=shown.path,
+                    "input", type="checkbox", checked=bool(value), title=shown.help, data_path=shown.path,
                     data_only=shown.only or None,
                 )  # fmt: skip
                 say("span", shown.label)
             _back(shown)
             _fault(shown)
     else:
-        with say("div").classes("field"):
+        with say("div", class_="field"):
             box = f"box-{shown.path}"
             say("label", shown.name, for_=box)
             if shown.kind == "choice":
-                with say("div").classes("row"):
+                with say("div", class_="row"):
                     _select(shown, value, box)
                     _back(shown)
             else:
@@ -176,8 +163,8 @@ def _components(session: Document, shown: Field) -> None:
     """The components of a vector, each in a row after its letter."""
     for index, letter in enumerate(shown.components):
         part = shown.component(index)
-        with say("div").classes("component"):
-            say("span", letter, aria_hidden="true").classes("letter")
+        with say("div", class_="component"):
+            say("span", letter, aria_hidden="true", class_="letter")
             number(part, session.shown(part.path))
 
 
@@ -185,16 +172,16 @@ def _select(shown: Field, value: Any, box: str) -> None:
     only = shown.only or None
     with say("select", id=box, data_path=shown.path, aria_label=shown.name, title=shown.help, data_only=only):
         if shown.default is None:
-            say("option", "by default", value="", selected=value is None or None)
+            say("option", "by default", value="", selected=value is None)
         for option, label in shown.choices:
-            say("option", label, value=option, selected=True if option == value else None)
+            say("option", label, value=option, selected=option == value)
         if isinstance(value, list):  # weights of a shutter curve, which a file gives
             say("option", _brief(value), value="", selected=True, disabled=True)
 
 
 def _text(session: Document, shown: Field, value: Any, box: str) -> None:
     names = f"names-{shown.path}" if shown.kind == "image" else None
-    with say("div").classes("row"):
+    with say("div", class_="row"):
         say(
             "input", id=box, type="text", data_path=shown.path, value="" if value is None else str(value), list=names,
             data_only=shown.only or None, aria_label=shown.name, title=shown.help, autocomplete="off",
@@ -208,8 +195,8 @@ def _text(session: Document, shown: Field, value: Any, box: str) -> None:
             for name in [name for name, _ in shown.choices] + listed(session.folder, IMAGES)[:100]:
                 say("option", value=name)
     if shown.key == "texture":
-        with say("div", data_drop=shown.path).classes("drop"):
-            say("img", data_thumbnail=shown.path, alt="", hidden=True).classes("thumbnail")
+        with say("div", data_drop=shown.path, class_="drop"):
+            say("img", data_thumbnail=shown.path, alt="", hidden=True, class_="thumbnail")
             say("span", "Drop an image here", data_about=shown.path)
 
 
@@ -223,7 +210,8 @@ def _back(shown: Field) -> None:
     say(
         "button", "↺", type="button", data_clear=shown.path, aria_label=f"Default of {shown.label}",
         title=f"Default: {default}{unit}{limits}",
-    ).classes("back")  # fmt: skip
+        class_="back",
+    )  # fmt: skip
 
 
 def _brief(value: Any) -> str:
@@ -239,11 +227,11 @@ def _fault(shown: Field) -> None:
 def _shapes(session: Document, shown: Field) -> None:
     """Radio buttons of the types: the five of the thesis, and the others below."""
     value = session.shown(shown.path)
-    with say("div", role="radiogroup", aria_label=shown.label).classes("shapes"):
+    with say("div", role="radiogroup", aria_label=shown.label, class_="shapes"):
         for option, label in shown.choices:
-            with say("label").classes("check"):
+            with say("label", class_="check"):
                 say(
-                    "input", type="radio", name=shown.path, value=option, checked=True if option == value else None,
+                    "input", type="radio", name=shown.path, value=option, checked=option == value,
                     data_path=shown.path,
                 )  # fmt: skip
                 say("span", label)
@@ -262,7 +250,7 @@ def _motion(session: Document, shown: Field, chosen: Chosen) -> None:
             session.patch(path, None)
 
     check_box(_MOTIONS[shown.key], is_on, choose, title=shown.help)
-    with say("fieldset", disabled=None if is_on else True).classes("vector"):
+    with say("fieldset", disabled=not is_on, class_="vector"):
         say("legend", f"{shown.symbol} ({shown.unit})")
         _components(session, shown)
     _fault(shown)
@@ -271,7 +259,7 @@ def _motion(session: Document, shown: Field, chosen: Chosen) -> None:
 def _method(session: Document) -> None:
     """The switch between the thesis and clsco."""
     is_thesis = is_as_the_thesis(session)
-    with say("div", role="group", aria_label="Method").classes("row"):
+    with say("div", role="group", aria_label="Method", class_="row"):
         for on, text in ((True, "As the thesis"), (False, "Defaults of clsco")):
             pressed = "true" if is_thesis is on else "false"
             button(text, partial(choose_method, session, on), aria_pressed=pressed)
@@ -299,52 +287,49 @@ def object_list(session: Document, index: int, choose: Callable[[int], None]) ->
         session.delete_object(index)
         choose(max(index - 1, 0))
 
-    with say("section", aria_label="Objects").classes("objects"):
-        with ui.element("ul"):
+    with say("section", aria_label="Objects", class_="objects"):
+        with say("ul"):
             for number, item in enumerate(objects):
                 label = str(item.get("name") or SHAPE_LABELS.get(item["shape"], words(item["shape"])))
-                with ui.element("li"):
+                with say("li"):
                     button(
                         f"{number + 1} {label}", partial(choose, number),
                         aria_pressed="true" if number == index else "false", aria_label=f"Object {number + 1}, {label}",
                     )  # fmt: skip
-        with say("div", role="group", aria_label="Change the list of objects").classes("row"):
+        with say("div", role="group", aria_label="Change the list of objects", class_="row"):
             _adding(session, choose)
             button("Copy", lambda: choose(session.copy_object(index)), aria_label="Copy the object")
-            button("Delete", deleted, aria_label="Delete the object", disabled=None if last else True)
-            button("↑", lambda: moved(index - 1), aria_label="Earlier", disabled=True if index == 0 else None)
-            button("↓", lambda: moved(index + 1), aria_label="Later", disabled=True if index == last else None)
+            button("Delete", deleted, aria_label="Delete the object", disabled=last == 0)
+            button("↑", lambda: moved(index - 1), aria_label="Earlier", disabled=index == 0)
+            button("↓", lambda: moved(index + 1), aria_label="Later", disabled=index == last)
 
 
 def _adding(session: Document, choose: Callable[[int], None]) -> None:
     """A list of shapes, of which one is added."""
-    handler = "(event) => { const shape = event.target.value; event.target.value = ''; emit(shape); }"
     ready = [shape for shape in SHAPES if shape != "depth_map"]  # which needs a file first
-    with say("select", aria_label="Add an object").on(
-        "change", lambda event: tried(lambda: choose(session.add_object(str(event.args)))), js_handler=handler
-    ):
+
+    def add(shape: object) -> None:
+        choose(session.add_object(str(shape)))
+
+    with say("select", aria_label="Add an object", data_once=True, change=add):
         say("option", "Add ...", value="")
         for shape in ready:
             say("option", SHAPE_LABELS.get(shape, words(shape)), value=shape)
 
 
-def draw_sweep(session: Document) -> Callable[[], None]:
-    """Say that a file has several scenes, and let one be chosen; returns what ends it, when the page is closed."""
+def draw_sweep(session: Document) -> None:
+    """Say that a file has several scenes, and let one be chosen."""
 
-    @ui.refreshable
-    def area() -> None:
+    def draw() -> None:
         labels = session.state.labels
         if len(labels) == 1:
             return
-        with say("section", aria_label="Sweep").classes("objects"):
+        with say("section", aria_label="Sweep", class_="objects"):
             say("p", f"Keys with several values make {len(labels)} scenes; Generate writes them all.", role="status")
             named = {label: f"{number + 1} {label.replace('__', ', ')}" for number, label in enumerate(labels)}
-            choice("Scene that is shown", named, labels[session.state.shown], chosen)
+            choice("Scene that is shown", named, labels[session.state.shown], session.show_scene)
 
-    def chosen(label: str) -> None:
-        tried(lambda: session.show_scene(label))
-
-    before = [_seen(session)]
+    area, before = Part(draw), [_seen(session)]
 
     def changed() -> None:
         if _seen(session) != before[0]:
@@ -352,7 +337,7 @@ def draw_sweep(session: Document) -> Callable[[], None]:
             area.refresh()
 
     area()
-    return session.subscribe(changed)
+    page().endings.append(session.subscribe(changed))
 
 
 def _seen(session: Document) -> tuple[tuple[str, ...], int]:
