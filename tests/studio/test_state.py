@@ -139,7 +139,7 @@ def test_scenes_that_were_shown_have_pictures(tmp_path: Path, monkeypatch: pytes
         async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://studio") as client:
             return [(await client.get("/scene-picture", params={"name": name})).content for name in names]
 
-    assert asyncio.run(answers()) == [b"kept", *[b"no such picture\n"] * 5]
+    assert asyncio.run(answers()) == [b"kept", *[b"no such picture"] * 5]
     studio.renderer.close()
     studio.jobs.close()
 
