@@ -18,7 +18,7 @@ from clsco.errors import ClscoError
 from clsco.studio import server
 from clsco.studio.page import draw
 from clsco.studio.server import Studio, application
-from clsco.studio.widgets.html import Dialog, Page, Part, button, check_box, notify, say, text_box
+from clsco.studio.widgets.html import Dialog, Page, PagePart, button, check_box, notify, say, text_box
 from tests.studio.test_messages import BAD, Said
 
 EMPTY = ("img", "input", "link", "meta")
@@ -121,7 +121,7 @@ def test_parts_are_drawn_again_and_what_was_in_them_is_gone() -> None:
 
     page = Page()
     with page.current():
-        within, part = Part(inner), Part(outer)
+        within, part = PagePart(inner), PagePart(outer)
         part()
     first = numbers("".join(page.out))
     labels[:] = ["c"]
@@ -135,7 +135,7 @@ def test_parts_are_drawn_again_and_what_was_in_them_is_gone() -> None:
         page.hear(number, "")
     assert done == ["c", "inner"]
     with page.current():
-        Part().refresh()
+        PagePart().refresh()
     assert not page.taken()  # nothing is another
 
 

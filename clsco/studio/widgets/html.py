@@ -75,7 +75,7 @@ class Page:
         self._messages = [message for message in self._messages if not first <= message.get("part", -1) < last]
 
     def taken(self) -> list[dict[str, Any]]:
-        """What is to be told, which then was."""
+        """Messages that are to be told, which then were."""
         messages, self._messages = self._messages, []
         return messages
 
@@ -122,7 +122,7 @@ def say(tag: str, text: str = "", **attributes: Any) -> Element:
     return Element(out)
 
 
-class Part:
+class PagePart:
     """A part of a page that is drawn where it is called, and again when it is refreshed.
 
     Parameters
@@ -236,7 +236,7 @@ class Dialog:
     def __init__(self, title: str, draw: Callable[[], object] = lambda: None, wide: bool = False) -> None:
         self._page = page()
         self._place = f"#dialog-{next(self._page.numbers)}"
-        body = Part(draw)
+        body = PagePart(draw)
         self.filled = body.filled
         with say("dialog", id=self._place[1:], aria_label=title, class_=f"studio-dialog{' wide' if wide else ''}"):
             say("h2", title)

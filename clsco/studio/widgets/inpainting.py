@@ -13,7 +13,7 @@ from clsco.studio.inpainting import FILLERS, Inpainting, inpainting_of
 from clsco.studio.jobs import Jobs
 from clsco.studio.presets import REMOVALS
 from clsco.studio.session import Document
-from clsco.studio.widgets.html import Dialog, Part, button, check_box, notify, page, say, text_box, tried
+from clsco.studio.widgets.html import Dialog, PagePart, button, check_box, notify, page, say, text_box, tried
 
 _TOOLS = {
     "brush": "Brush", "rectangle": "Rectangle", "lasso": "Lasso", "color": "Pixels of a color", "move": "Move the view",
@@ -34,7 +34,7 @@ class _Dialog:
         self.wanted = dict.fromkeys(FILLERS, True)
         self.running: tuple[str, float] | None = None  # method that fills, and when it began
         self.filling: asyncio.Task[None] | None = None
-        self.bar, self.progress, self.results = map(Part, (self._draw_bar, self._draw_progress, self._draw_results))
+        self.bar, self.progress, self.results = map(PagePart, (self._draw_bar, self._draw_progress, self._draw_results))
         self.dialog = Dialog("Inpainting", self._draw, wide=True)
 
     def show(self) -> None:

@@ -28,7 +28,7 @@ from clsco.studio.generate import (
 )
 from clsco.studio.jobs import CommandJob, Jobs
 from clsco.studio.session import Document
-from clsco.studio.widgets.html import Dialog, Part, button, check_box, choice, notify, page, say, text_box
+from clsco.studio.widgets.html import Dialog, PagePart, button, check_box, choice, notify, page, say, text_box
 
 SHOWN = 12  # frames of a job as pictures
 WORDS = {
@@ -170,7 +170,7 @@ def draw_jobs(session: Document, jobs: Jobs) -> None:
 
     While they only get on, what can be pressed stays: else clicks and the focus would be lost.
     """
-    followed: dict[int, tuple[Part, Part]] = {}
+    followed: dict[int, tuple[PagePart, PagePart]] = {}
 
     def listed() -> list[tuple[Any, ...]]:
         return [(job.number, job.status, job.message, job.total) for job in jobs.listed]
@@ -185,7 +185,7 @@ def draw_jobs(session: Document, jobs: Jobs) -> None:
             for job in jobs.listed:
                 followed[job.number] = _draw(jobs, job, clips)
 
-    said, area = Part(lambda: say("span", last["text"])), Part(draw)
+    said, area = PagePart(lambda: say("span", last["text"])), PagePart(draw)
     last: dict[str, Any] = {"told": 0.0, "text": "", "listed": listed()}
     with say("div", role="status", aria_live="polite", class_="for-listeners"):
         said()
@@ -217,9 +217,9 @@ def _state(job: CommandJob) -> str:
     return f"{job.done} of {job.total}{rest}" if job.total else f"{job.done} files"
 
 
-def _draw(jobs: Jobs, job: CommandJob, make_clip: Callable[[CommandJob], None]) -> tuple[Part, Part]:
+def _draw(jobs: Jobs, job: CommandJob, make_clip: Callable[[CommandJob], None]) -> tuple[PagePart, PagePart]:
     """Draw a job; returns the parts that show how far it is."""
-    progress, made = Part(partial(_progress, jobs, job.number)), Part(partial(_pictures, jobs, job.number))
+    progress, made = PagePart(partial(_progress, jobs, job.number)), PagePart(partial(_pictures, jobs, job.number))
     with say("article", aria_label=f"Job {job.number}", class_=f"job {job.status}"):
         say("h3", f"{job.number} {job.title}")
         progress()

@@ -18,7 +18,7 @@ from clsco.studio.keyframes import tracks
 from clsco.studio.presets import choose_method, is_as_the_thesis
 from clsco.studio.session import Document
 from clsco.studio.tables import SHAPE_LABELS, at, words
-from clsco.studio.widgets.html import Part, button, check_box, choice, number, page, say
+from clsco.studio.widgets.html import PagePart, button, check_box, choice, number, page, say
 
 _MOTIONS = {"velocity": "Translation", "angular_velocity": "Rotation"}
 DRAWINGS = {
@@ -50,9 +50,9 @@ def draw_panels(session: Document, chosen: Chosen | None = None) -> None:
         for position, panel in enumerate(panels(session, now.index)):
             _draw(session, panel, position, now, method)
 
-    objects = Part(lambda: object_list(session, now.index, choose))
-    method, area = Part(partial(_method, session)), Part(draw)
-    parts: list[tuple[Part, Callable[[Document, Chosen], Any], Any]] = [
+    objects = PagePart(lambda: object_list(session, now.index, choose))
+    method, area = PagePart(partial(_method, session)), PagePart(draw)
+    parts: list[tuple[PagePart, Callable[[Document, Chosen], Any], Any]] = [
         (objects, _names, _names(session, now)),
         (method, _is_thesis, _is_thesis(session, now)),
         (area, _form, _form(session, now)),
@@ -329,7 +329,7 @@ def draw_sweep(session: Document) -> None:
             named = {label: f"{number + 1} {label.replace('__', ', ')}" for number, label in enumerate(labels)}
             choice("Scene that is shown", named, labels[session.state.shown], session.show_scene)
 
-    area, before = Part(draw), [_seen(session)]
+    area, before = PagePart(draw), [_seen(session)]
 
     def changed() -> None:
         if _seen(session) != before[0]:
