@@ -81,7 +81,7 @@ def _draw(page: Page, name: str, studio: Studio) -> None:
                 generate = generate_dialog(session, studio.jobs, studio.device or "")
                 button("Generate", generate, id="generate", class_="primary")
         _lens_strip(session)
-        with say("section", id="middle", aria_label="Picture and time line"):
+        with say("main", id="middle", aria_label="Picture and time line"):
             _middle()
         with say("aside", id="side", aria_label="Inspector and jobs", tabindex=0):
             _inspector()
@@ -119,7 +119,7 @@ def _header(session: Document, studio: Studio, name: str) -> None:
 
 def _lens_strip(session: Document) -> None:
     """The lens, always in sight: what is in focus, and how deep."""
-    with say("div", id="lens-strip", role="group", aria_label="Lens"):
+    with say("section", id="lens-strip", aria_label="Lens"):
         say(
             "canvas",
             id="lens-small",
