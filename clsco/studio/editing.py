@@ -43,6 +43,7 @@ class State:
     apart: tuple[Mapping[str, Table], ...]  # of each object, the keys of the shapes that it has had
     path: Path | None = None  # of the scene file
     label: str = ""  # of the scene that is shown, of several
+    opened: int = 0  # scenes that were opened before it
 
     @cached_property
     def objects(self) -> list[Table]:

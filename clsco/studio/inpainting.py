@@ -27,8 +27,8 @@ from clsco.studio.jobs import CommandJob, Jobs
 from clsco.studio.presets import REMOVALS
 from clsco.studio.session import Document
 
-FILLERS = ("mean-median", "biharmonic", "texture")
-"""Methods of `clsco inpaint`, that of the thesis first."""
+FILLERS = ("mean-median", "biharmonic", "texture", "auto")
+"""Methods of `clsco inpaint`, that of the thesis first; auto: the better one of the two before it."""
 MOST_RUNS = 2**20
 LARGEST = 2**24  # pixels that are filled while somebody waits
 ROWS = {  # of the table in figure 5.21, with what `Report.figures` calls them

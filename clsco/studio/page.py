@@ -18,6 +18,10 @@ KEYS = (
     (", .", "frame before, next frame"),
     ("F, then a click", "focus on what is there"),
     ("a click", "choose the object that is there, and outline it; Esc ends that"),
+    (
+        "a drag of a handle",
+        "of the object that is outlined: the one in its middle moves it at its depth, the one above along z",
+    ),
     ("M, then a drag", "move the object that is there at its depth; with Shift along z, which planes always do"),
     ("B", "inpainting; there [ and ] make the brush smaller and larger, E erases, 0 fits, Ctrl Z takes a stroke back"),
     ("E", "the right eye's view of a stereo pair, and back"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine, Sequence
-from contextlib import aclosing, suppress
+from contextlib import aclosing
 from dataclasses import asdict
 from typing import Any, Protocol, TypeVar
 
@@ -32,7 +32,7 @@ REST = 0.120  # s without a change
 LATEST = 1e9  # s, of a time sample
 MEASURE = "measure"  # purpose of a question
 MOST_UNSEEN = 2  # pictures that the browser has not painted yet
-_MOST_CRASHES = 2  # of the renderer with the same scene
+_MOST_CRASHES = 3  # of renderers with the same scene: both, and one that was started again
 
 T = TypeVar("T")
 Report = Callable[[dict[str, Any]], Awaitable[None]]
@@ -267,17 +267,27 @@ class Preview:
                 await self._show(OUTLINED)
             elif (kind := kind_of(self._session.scene)) not in self._warm:
                 self._warm.add(kind)
-                with suppress(ClscoError):  # what is wrong is reported by the pictures
-                    await self._renderer.warm(self._session.scene)
+                await self._besides(self._renderer.warm(self._session.scene))
             elif self._draws and (parts := drawn_parts(self._session.scene)) != self._drawn:
                 self._drawn = parts
-                with suppress(ClscoError):
-                    await self.tell(drawings=await self._renderer.draw(self._session.scene))
+                await self._besides(self._tell_drawings())
             elif self._asked:
                 await self._ask(next(iter(self._asked)))
             else:
                 self._news.clear()
                 await self._news.wait()
+
+    async def _tell_drawings(self) -> None:
+        await self.tell(drawings=await self._renderer.draw(self._session.scene))
+
+    async def _besides(self, work: Awaitable[None]) -> None:
+        """Have work done that nobody waits for: pictures report what is wrong with the scene."""
+        try:
+            await work
+        except RendererEndedError as error:
+            await self.tell(error=[str(error)])
+        except ClscoError:
+            pass
 
     @property
     def _is_full(self) -> bool:

@@ -50,7 +50,7 @@ class Document(Editor):
         super().__init__(root)
         self._digests: dict[Path, str] = {}
         self._saved: tuple[Path | None, Table] = (None, self.table)
-        self._kept = 0
+        self._kept = self._opened = 0
 
     @property
     def file(self) -> str:
@@ -170,7 +170,8 @@ class Document(Editor):
         return name if is_drawn(name) else str(self.folder / name)
 
     def _state_of(self, table: Table, path: Path | None) -> State:
-        return State(table, ({},) * len(items(table)), path)
+        self._opened += 1
+        return State(table, ({},) * len(items(table)), path, opened=self._opened)
 
     def _written(self, path: Path | None) -> tuple[Path, str, Table]:
         """The file that a scene is saved to, its text, and the table with names relative to its folder."""

@@ -75,8 +75,8 @@ def test_an_image_is_chosen_and_shown_small(page: Any, root: Path) -> None:
 
 def test_painted_pixels_are_filled_by_all_methods(page: Any, root: Path) -> None:
     page.get_by_role("button", name="Inpaint").click()
-    page.get_by_label(f"Image in {root.name}").fill("damaged.png")
-    page.get_by_role("button", name="Open the image").click()
+    page.get_by_role("button", name="Browse for an image").focus()
+    page.locator("dialog[open] [data-upload]").set_input_files(str(EXAMPLES / "damaged.png"))
     page.wait_for_function("document.querySelector('[data-brush=canvas]').width === 300")
     fill, dialog = (page.locator(name).bounding_box() for name in ("dialog[open] .primary >> nth=0", "dialog[open]"))
     assert fill["y"] + fill["height"] < dialog["y"] + dialog["height"]  # in sight, without scrolling
@@ -89,7 +89,18 @@ def test_painted_pixels_are_filled_by_all_methods(page: Any, root: Path) -> None
     page.wait_for_timeout(300)
     assert int(page.locator("[data-brush=told]").inner_text().split()[0]) > count + 100
     page.get_by_role("button", name="Fill", exact=True).click()
-    page.wait_for_function("document.querySelectorAll('.beside img').length === 3", timeout=90000)
+    page.wait_for_function("document.querySelectorAll('.beside figure').length === 3", timeout=90000)
+    figure = page.locator(".beside figure").first
+    assert [picture.get_attribute("alt") for picture in figure.locator("img").all() if picture.is_visible()] == [
+        "Filled by mean-median"
+    ]
+    page.get_by_role("button", name="Before: mean-median").click()
+    assert [picture.get_attribute("alt") for picture in figure.locator("img").all() if picture.is_visible()] == [
+        "Before"
+    ]
+    width = figure.bounding_box()["width"]
+    page.get_by_role("button", name="Large: mean-median").click()
+    assert figure.bounding_box()["width"] > 2.5 * width
     assert page.locator(".figures th[scope=row]").all_inner_texts()[0] == "Missing pixels"
     page.get_by_role("button", name="Write the results").click()
     page.wait_for_timeout(700)

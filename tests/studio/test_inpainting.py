@@ -109,6 +109,15 @@ def test_methods_side_by_side_are_those_of_the_command(inpainting: Inpainting) -
     assert not inpainting.results
 
 
+def test_auto_is_the_method_that_it_names(inpainting: Inpainting) -> None:
+    inpainting.paint(16, 12, [50, 4, 12, 4, 122])
+    filled = inpainting.fill("auto")
+    assert filled is not None
+    took = filled.figures["method"]
+    assert took in ("biharmonic", "texture")
+    assert np.array_equal(filled.image, clsco.inpaint(inpainting.image, inpainting.mask, method=took, device="pocl"))
+
+
 @pytest.mark.slow
 def test_what_is_being_filled_is_canceled(inpainting: Inpainting) -> None:
     inpainting.image = np.zeros((2000, 2000, 3), np.uint8)

@@ -18,7 +18,9 @@ from clsco.errors import ClscoError
 from clsco.studio import server
 from clsco.studio.page import draw
 from clsco.studio.server import Studio, application
+from clsco.studio.session import Document
 from clsco.studio.widgets.html import Dialog, Page, PagePart, button, check_box, notify, say, text_box
+from clsco.studio.widgets.panels import draw_panels
 from tests.studio.test_messages import BAD, Said
 
 EMPTY = ("img", "input", "link", "meta")
@@ -154,6 +156,30 @@ def test_any_value_of_any_element_is_heard(tmp_path: Path) -> None:
     asyncio.run(hear())
     assert not [error for error in said.errors if "must not fail" in error]
     said.studio.jobs.close()
+
+
+def test_panels_are_folded_by_what_each_scene_uses(tmp_path: Path) -> None:
+    for name, rest in (("plain", ""), ("lit", "[light]\ndirection = [0, 1, 1]\n")):
+        (tmp_path / f"{name}.toml").write_text(f'{rest}[[object]]\nshape = "plane"\n')
+    session, page = Document(tmp_path), Page()
+    with page.current():
+        draw_panels(session)
+
+    def opened(html: str) -> list[str]:
+        return re.findall(r"<details open[^>]*><summary>([^<]*)", html)
+
+    thesis = opened("".join(page.out))
+    session.open(tmp_path / "lit.toml")
+    (drawn,) = (said["html"] for said in page.taken() if "<details" in said["html"])
+    assert opened(drawn) == [*thesis, "Light"]
+    (number,) = re.findall(r'<details[^>]*data-number="(\d+)"><summary>Sensor', drawn)
+    page.hear(int(number), True)
+    session.add_object()
+    (drawn,) = (said["html"] for said in page.taken() if "<details" in said["html"])
+    assert opened(drawn) == [*thesis, "Light", "Sensor"]  # as it was left
+    session.open(tmp_path / "plain.toml")
+    (drawn,) = (said["html"] for said in page.taken() if "<details" in said["html"])
+    assert opened(drawn) == thesis
 
 
 def test_a_tab_has_one_page_and_those_that_are_forgotten_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

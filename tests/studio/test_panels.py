@@ -235,9 +235,10 @@ def test_a_killed_renderer_is_started_again(page: Any, running: Running) -> None
     for pid in children(running.process.pid):
         if "spawn_main" in Path(f"/proc/{pid}/cmdline").read_text():
             os.kill(pid, signal.SIGKILL)
-    type_in(page, "camera.focal_length", "21")
-    page.locator("#message").wait_for(state="visible", timeout=20000)
-    assert "signal 9" in page.locator("#message").inner_text()
+    box(page, "camera.focal_length").fill("21")
+    box(page, "camera.focal_length").blur()
+    page.locator("#message", has_text="signal 9").wait_for(timeout=20000)
+    page.wait_for_function("studio.values['camera.focal_length'] === 21 && studio.revision > 0", timeout=30000)
     rest(page)
 
 

@@ -45,6 +45,7 @@ class Renderer:
     faults: list[ClscoError] = field(default_factory=list)
     questions: list[Question] = field(default_factory=list)
     warmed: list[Scene] = field(default_factory=list)
+    ends: list[ClscoError] = field(default_factory=list)  # while it warms up
     drawn: list[Scene] = field(default_factory=list)
 
     async def pictures(self, job: PictureJob, watch: Watch | None = None) -> AsyncGenerator[ViewPicture, None]:
@@ -69,6 +70,8 @@ class Renderer:
 
     async def warm(self, scene: Scene) -> None:
         self.warmed.append(scene)
+        if self.ends:
+            raise self.ends.pop()
 
     async def draw(self, scene: Scene) -> dict[str, Any]:
         self.drawn.append(scene)
@@ -408,7 +411,7 @@ def test_a_fault_of_the_scene_is_told_once() -> None:
     assert len(renders.jobs) == 1
 
 
-def test_a_renderer_that_ends_is_asked_again_once() -> None:
+def test_a_renderer_that_ends_is_asked_again_but_not_for_ever() -> None:
     async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
         await asyncio.sleep(3 * REST)
 
@@ -416,7 +419,17 @@ def test_a_renderer_that_ends_is_asked_again_once() -> None:
     assert browser.said == [{"error": ["ended"]}]
     assert browser.got[-1] == (0, EXACT)
     _, renders, browser = played(play, faults=[RendererEndedError("ended") for _ in range(9)])
-    assert len(renders.jobs) == 2
+    assert len(renders.jobs) == 3
+
+
+def test_the_end_of_a_renderer_is_told_of_although_nobody_waits_for_it() -> None:
+    async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
+        await asyncio.sleep(3 * REST)
+
+    _, _, browser = played(play, ends=[RendererEndedError("ended")])
+    assert browser.said == [{"error": ["ended"]}]
+    _, _, browser = played(play, ends=[SceneError("scene: must fit; got none")])  # which pictures report
+    assert browser.said == []
 
 
 @pytest.mark.parametrize("fixed", [0.001, 0.012])

@@ -270,6 +270,10 @@ on("click", (_, target) => {
   const action = ACTIONS[target.dataset?.brush];
   if (action && image !== null) action();
 });
+on("click", (_, target) => { // flips between a result and the image before, or makes both large
+  const { figure } = target.dataset ?? {};
+  if (figure) target.setAttribute("aria-pressed", String(target.closest("figure").toggleAttribute(`data-${figure}`)));
+});
 window.addEventListener("resize", () => { if (image !== null && isOpen()) viewport.refit(); });
 
 const resize = (key) => {

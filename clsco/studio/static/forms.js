@@ -4,14 +4,19 @@ import { all, on, one, problem, studio } from "./shared.js";
 
 const at = (name, path) => one(`[data-${name}="${CSS.escape(path)}"]`);
 
-const upload = async (path, file) => {
+/** Keeps an image in the studio's folder; gives its name there. */
+studio.uploaded = async (file) => {
   const kind = file.name.split(".").pop().toLowerCase();
   const place = `texture?tab=${studio.tab}&kind=${encodeURIComponent(kind)}`;
+  const answer = await fetch(place, { method: "POST", body: file });
+  const { name, error } = await answer.json();
+  if (error) throw new Error(error);
+  return name;
+};
+
+const upload = async (path, file) => {
   try {
-    const answer = await fetch(place, { method: "POST", body: file });
-    const { name, error } = await answer.json();
-    if (error) throw new Error(error);
-    studio.put(path, name);
+    studio.put(path, await studio.uploaded(file));
   } catch (error) {
     const fault = at("fault", path);
     if (fault !== null) [fault.textContent, fault.hidden] = [problem(error), false];
@@ -31,7 +36,7 @@ on("click", (_, target) => {
   if (button) copy(button);
 });
 on("change", (_, target) => {
-  const { upload: path } = target.dataset ?? {};
+  const { upload: path } = target.dataset ?? {}; // "": of no key
   if (path && target.files.length) upload(path, target.files[0]);
 });
 for (const kind of /** @type {const} */ (["dragover", "drop"])) {

@@ -1,10 +1,11 @@
 // Parts of the page that Python draws again, and elements that do something there.
 
-import { all, on, one, studio } from "./shared.js";
+import { all, on, one, problem, studio } from "./shared.js";
 
 const AFTER = { // what is waited for before an element does something, and what may be its value
   shownFrame: () => studio.brush.shownFrame(),
   sent: () => studio.brush.sent(),
+  uploaded: (element) => studio.uploaded(element.files[0]),
 };
 
 const valueOf = (element) => element.type === "checkbox" ? element.checked : element.open ?? element.value;
@@ -14,9 +15,12 @@ for (const kind of /** @type {const} */ (["click", "input", "change", "toggle"])
     const element = target.closest?.(`[data-on="${kind}"]`);
     if (!element) return;
     const number = Number(element.dataset.number), value = valueOf(element);
-    if ("once" in element.dataset) element.value = "";
     studio.flush();
-    studio.send({ on: number, value: (await AFTER[element.dataset.after]?.()) ?? value });
+    const after = AFTER[element.dataset.after]?.(element);
+    if ("once" in element.dataset) element.value = "";
+    try {
+      studio.send({ on: number, value: (await after) ?? value });
+    } catch (error) { studio.fail([problem(error)]); }
   }, { capture: true });
 }
 

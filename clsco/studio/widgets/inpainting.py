@@ -18,7 +18,10 @@ from clsco.studio.widgets.html import Dialog, PagePart, button, check_box, notif
 _TOOLS = {
     "brush": "Brush", "rectangle": "Rectangle", "lasso": "Lasso", "color": "Pixels of a color", "move": "Move the view",
 }  # fmt: skip
-_LABELS = {"mean-median": "Mean and median (thesis)", "biharmonic": "Biharmonic", "texture": "Texture"}
+_LABELS = {
+    "mean-median": "Mean and median (thesis)", "biharmonic": "Biharmonic", "texture": "Texture",
+    "auto": "The better of these two",
+}  # fmt: skip
 _BLANK = "what is hatched is filled; wheel or fingers zoom, Shift and a drag move the view"
 _TICK = 0.4  # s between looks at a method
 
@@ -31,7 +34,7 @@ class _Dialog:
         self.inpainting = inpainting_of(session, device)
         self.page = page()
         self.typed = {"name": "", "mask": "inpainting/mask.png", "folder": "inpainting"}
-        self.wanted = dict.fromkeys(FILLERS, True)
+        self.wanted = {method: method != "auto" for method in FILLERS}
         self.running: tuple[str, float] | None = None  # method that fills, and when it began
         self.filling: asyncio.Task[None] | None = None
         self.bar, self.progress, self.results = map(PagePart, (self._draw_bar, self._draw_progress, self._draw_results))
@@ -103,6 +106,11 @@ class _Dialog:
             text_box(f"Image in {root.name}", "", lambda name: typed.update(name=name), list=names)
             button("Open the image", lambda: self.open(typed["name"]))
             say(
+                "input", type="file", accept=",".join(IMAGES), hidden=True, tabindex="-1", data_upload="",
+                data_after="uploaded", data_once=True, change=lambda name: self.open(str(name)),
+            )  # fmt: skip
+            say("button", "Browse", type="button", data_browse="", aria_label="Browse for an image")
+            say(
                 "button", "Take the frame shown", type="button", data_brush="frame", data_after="shownFrame",
                 click=lambda name: self.open(str(name)),
             )  # fmt: skip
@@ -120,7 +128,7 @@ class _Dialog:
             say("span", _BLANK, class_="quiet")
         with say("div", role="group", aria_label="Methods", class_="row"):
             for method in FILLERS:
-                check_box(_LABELS[method], True, partial(self.wanted.__setitem__, method))
+                check_box(_LABELS[method], self.wanted[method], partial(self.wanted.__setitem__, method))
             button("Fill", self.fill, data_after="sent", class_="primary")
         self.progress()
         self.results()
@@ -191,13 +199,23 @@ def _results(inpainting: Inpainting, tab: str, folder: str) -> None:
     if not inpainting.results:
         return
     now = time.monotonic_ns()
+    start = f"inpainting/picture?tab={tab}&at={now}&which="
     with say("div", class_="beside"):
-        for method in inpainting.results:
-            place = f"inpainting/picture?tab={tab}&which={method}&at={now}"
+        for method, filled in inpainting.results.items():
+            place, took = f"{start}{method}", filled.figures["method"]
             with say("figure"):
                 say("img", src=place, alt=f"Filled by {method}")
-                with say("figcaption"):
-                    say("span", f"{_LABELS[method]} ")
+                say("img", src=f"{start}image", alt="Before", loading="lazy")
+                with say("figcaption", class_="row"):
+                    say("span", _LABELS[method] if took == method else f"{_LABELS[method]}: {_LABELS[took]}")
+                    for word, title in (
+                        ("before", "The image before it was filled"),
+                        ("large", "As wide as the window"),
+                    ):
+                        say(
+                            "button", word.capitalize(), type="button", title=title, aria_pressed="false",
+                            data_figure=word, aria_label=f"{word.capitalize()}: {method}",
+                        )  # fmt: skip
                     if inpainting.image.dtype == "uint8":  # else what is shown has fewer bits
                         say("a", "Save as PNG", href=place, download=f"{method}.png")
     with say("div", class_="scrolled"), say("table", class_="figures"):

@@ -34,17 +34,19 @@ _TYPE, _PROPERTIES, _MOTION = 1, 2, 3  # of the panels of the thesis
 class Chosen:
     """State of the panels of a page.
 
-    index: of the object; is_open: panels by title; before: motions that were given up, by path.
+    index: of the object; is_open: panels by title, of the scene that was opened as `scene` says; before: motions that
+    were given up, by path.
     """
 
     index: int = 0
+    scene: int = 0
     is_open: dict[str, bool] = field(default_factory=dict)
     before: dict[str, Any] = field(default_factory=dict)
 
 
 def draw_panels(session: Document, chosen: Chosen | None = None) -> None:
     """Draw the objects of a session and all panels, and draw them again when there are others."""
-    now = chosen or Chosen()
+    now = chosen or Chosen(scene=session.state.opened)
 
     def draw() -> None:
         for position, panel in enumerate(panels(session, now.index)):
@@ -64,6 +66,9 @@ def draw_panels(session: Document, chosen: Chosen | None = None) -> None:
 
     def changed() -> None:
         now.index = min(now.index, len(session.table["object"]) - 1)
+        if now.scene != session.state.opened:  # whose panels are folded by what it uses
+            now.scene = session.state.opened
+            now.is_open.clear()
         for position, (part, of, before) in enumerate(parts):
             if (after := of(session, now)) != before:
                 parts[position] = part, of, after
@@ -90,7 +95,7 @@ def _form(session: Document, chosen: Chosen) -> Any:
     moves = [is_chosen(session, f"{path}.motion.{key}") for key in _MOTIONS]
     counts = [len(session.table.get(key, ())) for key in ("object", "group")]
     counts += [len(track.times) for track in tracks(session)]
-    return chosen.index, session.shown(f"{path}.shape"), counts, moves
+    return chosen.index, chosen.scene, session.shown(f"{path}.shape"), counts, moves
 
 
 def is_chosen(session: Document, path: str) -> bool:
