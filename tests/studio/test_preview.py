@@ -420,13 +420,7 @@ def test_a_renderer_that_ends_is_asked_again_but_not_for_ever() -> None:
     assert browser.got[-1] == (0, EXACT)
     _, renders, browser = played(play, faults=[RendererEndedError("ended") for _ in range(9)])
     assert len(renders.jobs) == 3
-
-
-def test_the_end_of_a_renderer_is_told_of_although_nobody_waits_for_it() -> None:
-    async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
-        await asyncio.sleep(3 * REST)
-
-    _, _, browser = played(play, ends=[RendererEndedError("ended")])
+    _, _, browser = played(play, ends=[RendererEndedError("ended")])  # when nobody waits for it
     assert browser.said == [{"error": ["ended"]}]
     _, _, browser = played(play, ends=[SceneError("scene: must fit; got none")])  # which pictures report
     assert browser.said == []
