@@ -103,7 +103,12 @@ class GroundTruth:
         self._take_out_background(out)
         if isinstance(self.pixels, ForwardWarp):
             out |= self.pixels.truth(sample, plan.truth, events)
-        return {"filled": np.zeros((plan.rows, plan.columns), np.uint8)} | out
+        return {"filled": np.zeros((plan.rows, plan.columns), np.uint8)} | self._of_motion() | out
+
+    def _of_motion(self) -> Arrays:
+        """Outputs that rays are not asked for where nothing moves: 0 all over."""
+        shape = self.plan.rows, self.plan.columns
+        return {"flow": np.zeros((*shape, 2), np.float32), "hidden": np.zeros(shape, np.bool_)}
 
     def _arguments(
         self, reference: TimeSample, sample: TimeSample, after: TimeSample, there: TimeSample | None = None,

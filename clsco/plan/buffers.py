@@ -76,8 +76,24 @@ TRUTH_BUFFERS: dict[str, tuple[type[np.generic], int]] = {
     "flow_occluded": (np.uint8, 1),
     "uv": (np.float32, 2),
 }
+# Outputs that are 0 where nothing moves and there is one view.
+OF_MOTION = ("flow", "hidden")
 # Outputs that a rolling shutter has from those that rays give.
 OF_LINES = ("flow", "disparity", "occluded", "flow_backward", "flow_occluded")
+
+
+def ray_truth(scene: Scene, wanted: Collection[str], is_forward: bool) -> tuple[str, ...]:
+    """Outputs of ground truth that rays are asked for, from which those that are `wanted` follow."""
+    asked = {*wanted}
+    if asked and any(item.is_background for item in scene.objects):
+        asked.add("object_id")
+    if is_forward:
+        asked.discard("sharp")
+    if not (scene.moves or scene.stereo):
+        asked -= {*OF_MOTION}
+    if scene.rolls and asked & {*OF_LINES}:
+        asked = (asked - {*OF_LINES}) | {"depth", "object_id"}
+    return tuple(name for name in TRUTH_BUFFERS if name in asked)
 
 
 def bands_at_a_time(rows: int, cores: int) -> int:

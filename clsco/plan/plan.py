@@ -27,13 +27,12 @@ from clsco.optics.quadrics import Extent
 from clsco.optics.sensor import SensorModel, sensor_model
 from clsco.optics.visibility import OcclusionGroup
 from clsco.plan.buffers import (
-    OF_LINES,
     STATISTICS,
-    TRUTH_BUFFERS,
     Sizes,
     blur_buffers,
     fill_sizes,
     map_buffers,
+    ray_truth,
     silhouette_buffers,
     sum_buffers,
     texture_buffers,
@@ -291,12 +290,7 @@ class Plan:
     @property
     def device_truth(self) -> tuple[str, ...]:
         """Outputs of ground truth that rays give; a forward warp makes its own focused image."""
-        if not self.scene.is_analytic:
-            return ()
-        wanted = {*self.truth, *(["object_id"] if self.truth and self.background is not None else [])}
-        if self.scene.rolls and wanted & {*OF_LINES}:
-            wanted = (wanted - {*OF_LINES}) | {"depth", "object_id"}
-        return tuple(n for n in TRUTH_BUFFERS if n in wanted and not (n == "sharp" and self.forward))
+        return ray_truth(self.scene, self.truth, self.forward) if self.scene.is_analytic else ()
 
     @property
     def mapped(self) -> int:

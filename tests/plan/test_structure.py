@@ -54,6 +54,13 @@ def test_what_one_of_several_objects_needs_is_compiled(items: tuple[Any, ...], n
     assert {name for name in ("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED") if features[name]} == needed
 
 
+def test_rays_are_asked_for_motion_where_something_moves_or_is_seen_twice() -> None:
+    motion = {"flow", "hidden"}
+    assert motion & {*plan_of(BALL, STILL).device_truth} == set()
+    assert motion <= {*plan_of(BALL, MOVING).device_truth}
+    assert motion <= {*plan_of(BALL, STILL, stereo=Stereo(baseline=6.0)).device_truth}
+
+
 def test_kernels_have_room_for_all_that_may_be_in_the_way_of_a_layer() -> None:
     """Nothing is before the card; before the plane is the card."""
     given = plan_of(CARD, TILTED)
