@@ -28,8 +28,8 @@ RIM_CELLS, RIM_SIGMA = 128, 2  # cells per radius that the length of the rim is 
 LONGEST_PANEL, PANEL_PER_UNIT = 1.0, 6.0  # px of R that one polynomial is for, at most, and that in Q
 OF_FIELD = 0.5  # of samples of the pupil, by which blending weights over a field is farther off
 PLACES = 2**16  # of sources in a pixel, that are told apart
-SPECTRA_BYTES, WEIGHTS_BYTES = 2**27, 2**27
-_spectra, _weights = Cache(SPECTRA_BYTES), Cache(WEIGHTS_BYTES)
+SPOT_BYTES, WEIGHTS_BYTES = 2**27, 2**27
+_spots, _weights = Cache(SPOT_BYTES), Cache(WEIGHTS_BYTES)
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class FourierDiffracted(Diffracted):
                 inside = np.maximum(np.abs(x), np.abs(y)) < half
                 values = squares[:, np.where(inside, y + half, 0), np.where(inside, x + half, 0)]
                 found[here] = inside * np.einsum("ns,sn->s", values, factors[here.ravel()])
-        return np.maximum(found, 0.0)
+        return self._clipped(found)
 
     def rows(self, radii: Array, dx: Array, dy: Array, tent: bool) -> Array:
         column, row = np.rint(dx).astype(np.int64), np.rint(dy).astype(np.int64)
@@ -110,6 +110,9 @@ class FourierDiffracted(Diffracted):
             x, y = np.abs(column) < half, np.abs(row) < half
             values = squares[:, row[y][:, None] + half, column[x] + half]
             found[np.ix_(which == k, y, x)] = np.tensordot(factors[which == k], values, axes=1)
+        return self._clipped(found)
+
+    def _clipped(self, found: Array) -> Array:
         return np.maximum(found, 0.0)
 
     def left_out(self, radius: float) -> float:
@@ -138,12 +141,12 @@ class FourierDiffracted(Diffracted):
         )
 
     def _made(self, number: int, place: tuple[float, float], tent: bool) -> Array:
-        found = self._kept_spectra(number)
+        found = self._kept_spots(number)
         width = found.shape[1] // image_parts(self.narrowest, self.extent)
         return np.stack([pixel_weights(each, width, place, tent) for each in found])
 
-    def _kept_spectra(self, number: int) -> NDArray[Any]:
-        return _spectra.get((self, number), lambda: self._spectra(number), lambda made: made.nbytes)
+    def _kept_spots(self, number: int) -> NDArray[Any]:
+        return _spots.get((self, number), lambda: self._spots(number), lambda made: made.nbytes)
 
     @property
     def _can_mirror(self) -> bool:
@@ -158,8 +161,8 @@ class FourierDiffracted(Diffracted):
         squares = upright._squares(number, (signs[0] * place[0], signs[1] * place[1]), tent)
         return np.roll(np.flip(squares, axes), (1,) * len(axes), axes)
 
-    def _spectra(self, number: int) -> NDArray[Any]:
-        """Spectra (nodes, y, x) of the light at the nodes of a panel."""
+    def _spots(self, number: int) -> NDArray[Any]:
+        """Light at the nodes of a panel, for sources at any place in their pixels, by spectra (nodes, y, x)."""
         nodes = panel_nodes(np.array([number]), self.panel)[0]
         farthest = self.panel * max(abs(number), abs(number + 1))
         found = []

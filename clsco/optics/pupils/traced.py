@@ -76,13 +76,17 @@ class Traced(FourierDiffracted):
     def left_out(self, _: float) -> float:
         return 0.0
 
+    def _clipped(self, found: Array) -> Array:
+        """Cubics between nodes where no weight is negative, as tables have them: they may be, between these."""
+        return found
+
     def _count(self, radius: float) -> int:
         """Rays per radius of the lens."""
         wanted = RAYS_PER_PX * (radius * self.extent + self.margin)
         return min(max(32 * ceil(wanted / 32.0), FEWEST_RAYS), MOST_RAYS)
 
-    def _spectra(self, number: int) -> Array:
-        """Light (nodes, y, x) in the cells of spots, not its spectrum, at the nodes of a panel."""
+    def _spots(self, number: int) -> Array:
+        """Light at the nodes of a panel, in the cells (nodes, y, x) of spots."""
         nodes = panel_nodes(np.array([number]), self.panel, POWERS)[0]
         parts, reach, count = self._sizes(number)
         x, y, light, bent_x, bent_y = _rays(self.opening, self.wavefront, count)
@@ -101,11 +105,11 @@ class Traced(FourierDiffracted):
         return min(max(parts, LEAST_PARTS), MOST_PARTS), reach, self._count(farthest)
 
     def _made(self, number: int, place: tuple[float, float], tent: bool) -> Array:
-        found: Array = self._kept_spectra(number)
+        found: Array = self._kept_spots(number)
         parts, *_ = self._sizes(number)
         for at in place:
             found = pixels(found, response(parts, at, tent), parts).swapaxes(1, 2)
-        return found
+        return np.maximum(found, 0.0)
 
 
 def ends(at: Array, light: Array, pitch: float, middle: int) -> tuple[NDArray[np.int64], Array]:

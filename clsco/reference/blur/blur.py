@@ -208,7 +208,7 @@ def _subpixel_shares(
                     seen = np.ones(p.size)
                     seen[visibility.row >= 0] = tap_share(visibility, cells, dx, dy)
                     share = share * seen[inside]
-                lit = share > 0.0
+                lit = share != 0.0
                 target = (row * shape[1] + column)[inside][lit]
                 yield block[inside][lit], target, share[lit] / samples**2
 
