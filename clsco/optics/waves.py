@@ -50,6 +50,21 @@ def light_cut(psf: PointSpread, smallest: float, largest: float) -> float:
     return max(each, default=0.0)
 
 
+def table_seconds(psf: PointSpread, smallest: float, largest: float, silhouettes: int) -> float:
+    """Seconds of a core that tables for |blur radii| from smallest to largest px take, which are then kept; 0 of what
+    is made at once.
+
+    silhouettes: sub-pixel sources along an axis, 0 for none.
+    """
+    pupils = {each.upright for spread in (psf.places or (psf,)) if isinstance(each := spread.pupil, FourierDiffracted)}
+    found = 0.0
+    for pupil in pupils:
+        nodes = pupil.NODES / pupil.panel * (1 if pupil.wavefront.is_flat else 2)
+        for radius in range(int(smallest), int(largest) + 1):
+            found += nodes * pupil.seconds(radius + 1.0, 1 + silhouettes**2)
+    return found
+
+
 def wave_words(psf: PointSpread, smallest: float, largest: float, silhouettes: int) -> tuple[tuple[str, str], ...]:
     """Parameters of the blur for reports; none where it is not by waves."""
     pupil = psf.pupil
@@ -60,7 +75,9 @@ def wave_words(psf: PointSpread, smallest: float, largest: float, silhouettes: i
         table_bytes(psf, smallest, largest, silhouettes) if silhouettes else 0
     )
     rest = "given to the rest" if pupil.keeps else "lost"
-    found: tuple[tuple[str, str], ...] = (("tables", f"{size / 2**20:.2g} MiB"),)
+    seconds = table_seconds(psf, smallest, largest, silhouettes)
+    once = f", made once in about {seconds:.1g} s" if seconds >= 0.5 else ""
+    found: tuple[tuple[str, str], ...] = (("tables", f"{size / 2**20:.2g} MiB{once}"),)
     if isinstance(pupil, Traced):
         found += (
             ("rays", f"bent by up to {pupil.margin:.3g} px, {pupil.samples(largest):.0f} of them over the diameter"),

@@ -25,9 +25,10 @@ from clsco.optics.pupils.transform import (
 from clsco.optics.pupils.wavefront import Wavefront
 
 RIM_CELLS, RIM_SIGMA = 128, 2  # cells per radius that the length of the rim is measured by, and their blur
-LONGEST_PANEL, PANEL_PER_UNIT = 1.0, 6.0  # px of R that one polynomial is for, at most, and that in Q
+SHORTEST_PANEL, LONGEST_PANEL, PANEL_PER_UNIT = 0.25, 1.0, 6.0  # px of R that one polynomial is for, and that in Q
 OF_FIELD = 0.5  # of samples of the pupil, by which blending weights over a field is farther off
 PLACES = 2**16  # of sources in a pixel, that are told apart
+SECONDS, PLACE = 2e-9, 16.0  # of a core: a step of a transform, and so many for each place of a source in its pixel
 SPOT_BYTES, WEIGHTS_BYTES = 2**27, 2**27
 _spots, _weights = Cache(SPOT_BYTES), Cache(WEIGHTS_BYTES)
 
@@ -121,7 +122,7 @@ class FourierDiffracted(Diffracted):
     @property
     def panel(self) -> float:
         """Panels of R that one polynomial is for, px: whole intervals of tables."""
-        return min(2.0 ** floor(log2(PANEL_PER_UNIT * self.narrowest)), LONGEST_PANEL)
+        return min(max(2.0 ** floor(log2(PANEL_PER_UNIT * self.narrowest)), SHORTEST_PANEL), LONGEST_PANEL)
 
     def samples(self, radius: float) -> float:
         """Samples of the pupil over its diameter for a blur radius in px; raises SceneError where it needs too many."""
@@ -133,7 +134,7 @@ class FourierDiffracted(Diffracted):
         if number < 0 and self.wavefront.is_flat:  # the same as of -R, mirrored in the source
             mirrored = self._squares(-1 - number, (-place[0], -place[1]), tent)
             return np.roll(mirrored[::-1, ::-1, ::-1], 1, axis=(1, 2))
-        if self._can_mirror and any(self.wavefront.mirrored):
+        if self.upright != self:
             return self._mirrored_squares(number, place, tent)
 
         return _weights.get(
@@ -149,17 +150,26 @@ class FourierDiffracted(Diffracted):
         return _spots.get((self, number), lambda: self._spots(number), lambda made: made.nbytes)
 
     @property
-    def _can_mirror(self) -> bool:
-        """True if weights of the mirrored wavefront are mirrored."""
-        return is_round(self.opening) and not self.wavefront.zernike
+    def upright(self) -> FourierDiffracted:
+        """The same behind a wavefront that several places of a field share, mirrored as weights are."""
+        if not is_round(self.opening) or self.wavefront.zernike:
+            return self
+        return replace(self, wavefront=self.wavefront.upright)
 
     def _mirrored_squares(self, number: int, place: tuple[float, float], tent: bool) -> Array:
-        """`_squares` by those of the upright wavefront, which several places of a field share."""
+        """`_squares` by those of the upright wavefront."""
         signs = tuple(-1.0 if turned else 1.0 for turned in self.wavefront.mirrored)
         axes = tuple(axis for axis, sign in zip((2, 1), signs, strict=True) if sign < 0.0)
-        upright = replace(self, wavefront=self.wavefront.upright)
-        squares = upright._squares(number, (signs[0] * place[0], signs[1] * place[1]), tent)
+        squares = self.upright._squares(number, (signs[0] * place[0], signs[1] * place[1]), tent)
         return np.roll(np.flip(squares, axes), (1,) * len(axes), axes)
+
+    def seconds(self, radius: float, places: int) -> float:
+        """Time of a core for one node of R px, for sources at so many places in their pixels."""
+        parts, samples = image_parts(self.narrowest, self.extent), self.samples(radius)
+        width = 2.0 * (radius * self.extent + self.margin + 2.0)
+        count, side = parts * max(samples * self.narrowest, width), parts * width
+        rows = (samples * self.extent + side) * len(self.bands)
+        return SECONDS * (rows * count * log2(count) + side * side * (log2(side) + PLACE * places))
 
     def _spots(self, number: int) -> NDArray[Any]:
         """Light at the nodes of a panel, for sources at any place in their pixels, by spectra (nodes, y, x)."""

@@ -13,12 +13,14 @@ from itertools import pairwise
 from math import atan2, ceil, cos, floor, hypot, pi, sin
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsco.optics.pupils.differences import corner_share, grid_share, share_at
+from clsco.optics.pupils.differences import ROUNDING, corner_share, grid_share, share_at
 from clsco.optics.pupils.pupil import Array, Edges, Pupil
 
 LONGEST_ARC = pi / 4.0
 STRAIGHT = 1e-6  # arcs of a smaller angle are straight
+FILLED = 16.0  # px: of larger radii pixels are filled within the outline, where sources are points
 
 
 @cache
@@ -185,8 +187,8 @@ class Outline(Pupil):
 
     def transmission(self, x: Array, y: Array) -> Array:
         """By how often outlines are to the left."""
-        x, y = np.broadcast_arrays(np.asarray(x, np.float64) * self.squeeze, np.asarray(y, np.float64))
-        inside = np.zeros(x.shape, bool)
+        x, y = np.asarray(x, np.float64) * self.squeeze, np.asarray(y, np.float64)
+        inside = np.zeros(np.broadcast_shapes(x.shape, y.shape), bool)
         for each in self.arcs:
             low, high = sorted((each.start[1], each.end[1]))
             if low == high:
@@ -201,7 +203,33 @@ class Outline(Pupil):
         return share_at(partial(corner_share, running, tent=tent, extent=self.extent), dx, dy, radius, tent)
 
     def rows(self, radii: Array, dx: Array, dy: Array, tent: bool) -> Array:
-        return grid_share(partial(self._running_integral, tent=tent), radii, dx, dy, tent)
+        if tent or radii.min() < FILLED:
+            return grid_share(partial(self._running_integral, tent=tent), radii, dx, dy, tent)
+        return np.stack([self._filled(float(radius), dx, dy) for radius in radii])
+
+    def _filled(self, radius: float, dx: Array, dy: Array) -> Array:
+        """Shares (dy, dx) in pixels: exact ones along the outline, and inside of it all the same."""
+        beside = 0.25  # of a row through the middle, where arcs end
+        found = self.transmission(dx / radius, (dy[:, None] + beside) / radius) / (pi * self.light * radius * radius)
+        row, column = np.nonzero(self._outlined(radius, dx, dy))
+        share = np.zeros(row.shape)
+        for right, down, sign in ((0.5, 0.5, 1.0), (-0.5, 0.5, -1.0), (0.5, -0.5, -1.0), (-0.5, -0.5, 1.0)):
+            share += sign * self._running_integral(np.asarray(radius), dx[column] + right, dy[row] + down, tent=False)
+        found[row, column] = np.where(share < ROUNDING, 0.0, share)
+        return np.asarray(found)
+
+    def _outlined(self, radius: float, dx: Array, dy: Array) -> NDArray[np.bool_]:
+        """Pixels (dy, dx) that an outline crosses, and those beside them."""
+        found = np.zeros((len(dy) + 2, len(dx) + 2), bool)
+        for each in self.arcs:
+            turned = each.radius * abs(each.angles[1] - each.angles[0])
+            length = radius * self.extent * (turned or hypot(*np.subtract(each.end, each.start)))
+            x, y = each.at(np.linspace(0.0, 1.0, 2 * ceil(length) + 2))
+            column, row = np.rint(x / self.squeeze * radius - dx[0]), np.rint(y * radius - dy[0])
+            inside = (column >= -1) & (column <= len(dx)) & (row >= -1) & (row <= len(dy))
+            found[row[inside].astype(np.int64) + 1, column[inside].astype(np.int64) + 1] = True
+        found = found[:-2] | found[1:-1] | found[2:]
+        return np.asarray(found[:, :-2] | found[:, 1:-1] | found[:, 2:])
 
     def _running_integral(self, radius: Array, x: Array, y: Array, tent: bool) -> Array:
         """Integral for `grid_share`, along all arcs: of (x - u)^2 (y - v) / 2 for the tent, else of x - u, by dv."""

@@ -24,6 +24,7 @@ from clsco.optics.pupils.pupil import Pupil
 from clsco.optics.pupils.ring import Ring
 from clsco.optics.pupils.transform import image_parts, pupil_samples, spot_light
 from clsco.optics.pupils.wavefront import Wavefront
+from clsco.optics.waves import table_seconds
 from tests.slow import mostly_slow
 
 Array = NDArray[np.float64]
@@ -242,3 +243,17 @@ def test_the_image_is_sampled_for_all_its_frequencies() -> None:
     assert image_parts(0.11, 1.0) == 20
     assert image_parts(2.0, 1.0) == 4
     assert image_parts(0.5, 2.0) == 8
+
+
+def test_seconds_of_tables_grow_with_what_is_made() -> None:
+    """By the radii, the places of sources in their pixels, and twice where -R is not +R mirrored; of distances none."""
+
+    def seconds(pupil: Pupil, largest: float, silhouettes: int = 0) -> float:
+        return table_seconds(PointSpread(pupil), 0.0, largest, silhouettes)
+
+    bent = waves(0.5, wavefront=COMA)
+    assert 0.1 < seconds(bent, 1.5) < seconds(bent, 1.5, 2) < seconds(bent, 2.5, 2) < 10.0
+    assert seconds(waves(0.5), 1.5) < 0.6 * seconds(bent, 1.5)
+    assert seconds(HankelDiffracted(Circle(), ((0.5, 1.0),)), 1.5) == 0.0
+    upright, mirrored = (waves(0.5, wavefront=Wavefront(coma=(0.1, sign * 0.2))) for sign in (1.0, -1.0))
+    assert upright.upright == mirrored.upright

@@ -154,3 +154,12 @@ def test_tables_hold_the_weights(name: str, samples: int) -> None:
         expected = [weigh(x - ox, y - oy, np.asarray(radius)) for oy in offsets for ox in offsets]
         off.append(max(np.abs(a - b).sum() for a, b in zip(found, expected, strict=True)))
     assert max(off) < 2e-4
+
+
+@pytest.mark.parametrize("name", mostly_slow(["bulging, narrow", "concave", "elliptic ring"], ["elliptic ring"]))
+def test_a_filled_grid_has_the_shares_of_its_pixels(name: str) -> None:
+    pupil, span = opening(name).pupil, np.arange(-45.0, 46.0)
+    filled = pupil.rows(np.array([40.3]), span, span, tent=False)[0]
+    each = pupil.share(span, span[:, None], np.array(40.3), tent=False)
+    assert filled == pytest.approx(each, abs=1e-6 * float(each.max()))
+    assert filled.sum() == pytest.approx(1.0, abs=1e-12)

@@ -86,7 +86,7 @@ def test_all_light_arrives(tent: bool) -> None:
             lens.rows(radii, SPAN - 0.25, SPAN + 0.25, tent=False) if not tent else lens.rows(radii, SPAN, SPAN, tent)
         )
         assert found.sum(axis=(1, 2)) == pytest.approx(1.0, abs=2e-3 if not tent else 1e-6)
-        assert found.min() >= 0.0
+        assert found.min() > -1e-6  # between nodes a cubic may be below 0
 
 
 def test_single_weights_are_those_of_rows() -> None:
