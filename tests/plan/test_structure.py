@@ -56,9 +56,11 @@ def test_what_one_of_several_objects_needs_is_compiled(items: tuple[Any, ...], n
 
 def test_rays_are_asked_for_motion_where_something_moves_or_is_seen_twice() -> None:
     motion = {"flow", "hidden"}
-    assert motion & {*plan_of(BALL, STILL).device_truth} == set()
-    assert motion <= {*plan_of(BALL, MOVING).device_truth}
-    assert motion <= {*plan_of(BALL, STILL, stereo=Stereo(baseline=6.0)).device_truth}
+    still = plan_of(BALL, STILL, truth=TRUTH_NAMES)
+    assert motion < {*still.truth}
+    assert motion & {*still.device_truth} == set()
+    assert motion <= {*plan_of(BALL, MOVING, truth=TRUTH_NAMES).device_truth}
+    assert motion <= {*plan_of(BALL, STILL, truth=TRUTH_NAMES, stereo=Stereo(baseline=6.0)).device_truth}
 
 
 def test_kernels_have_room_for_all_that_may_be_in_the_way_of_a_layer() -> None:
