@@ -3,7 +3,8 @@
 // Outputs that are not wanted are null: one program makes any of them.
 
 // Place of a hit in the image in the pose `other`: column, row, and its depth there over its depth here.
-static NOINLINE real3 moved_pixel(__constant surface_t *surface, const grid_t grid, __constant pose_t *other, real3 ray, real w)
+static NOINLINE real3 moved_pixel(__constant surface_t *surface, const grid_t grid, __constant pose_t *other,
+                                  real3 ray, real w)
 {
     const real3 rest = load3(surface->rest) + load3(other->shift);
     const real3 turned_point = turned(other->rotation, body_point(surface, ray, w));
@@ -23,8 +24,8 @@ static bool covered(real seen, real ratio, real w)
 }
 
 // True if a point at inverse depth w is not visible in the pixel `there`, between other surfaces; step: between rays.
-static NOINLINE bool occluded_among(__constant surface_t *surfaces, const grid_t grid, real step, const group_t group,
-                           real3 there, real w)
+static NOINLINE bool occluded_among(__constant surface_t *surfaces, const grid_t grid, real step,
+                                    const group_t group, real3 there, real w)
 {
     uchar any;
     int nearest;
