@@ -180,6 +180,17 @@ def write(found: Mapping[str, float]) -> None:
     path.write_text(text, "utf-8")
 
 
+def shown(case: Case, slower: float) -> bool:
+    """Print the row of a scene at once, and say whether its prediction is off."""
+    cost = cost_of(case.prepared, cores=1, slower=slower)
+    assert cost is not None
+    ratio = cost.seconds / case.seconds
+    off = not (abs(cost.seconds - case.seconds) < SMALL or 1 / FACTOR < ratio < FACTOR)
+    times = f"{1e3 * cost.seconds:.3g} | {1e3 * case.seconds:.3g} | {ratio:.2f}{' (off)' * off}"
+    print(f"| {case.name} | {times} | {cost.dearest[0]} {cost.dearest[1]:.0%} |", flush=True)
+    return off
+
+
 def main() -> int:
     """Read the command line, measure, print."""
     formatter = argparse.RawDescriptionHelpFormatter
@@ -190,22 +201,15 @@ def main() -> int:
     options = parser.parse_args()
     session = session_for(None)
     chosen = [(name, scene) for name, scene in scenes(options.width) if options.only in name]
-    cases = [measured(session, name, scene) for name, scene in chosen]
+    cases: Iterable[Case] = (measured(session, name, scene) for name, scene in chosen)
     if options.write:
+        cases = list(cases)
         write(fitted(cases))
-    slower, wrong = core_seconds() / rates.CORE_SECONDS, 0
+    slower = core_seconds() / rates.CORE_SECONDS
     print("| scene | predicted, ms | measured, ms | ratio | most costly |\n|---|---|---|---|---|")
-    for case in cases:
-        cost = cost_of(case.prepared, cores=1, slower=slower)
-        assert cost is not None
-        ratio = cost.seconds / case.seconds
-        off = not (abs(cost.seconds - case.seconds) < SMALL or 1 / FACTOR < ratio < FACTOR)
-        wrong += off
-        shown = f"{1e3 * cost.seconds:.3g} | {1e3 * case.seconds:.3g} | {ratio:.2f}{' (off)' * off}"
-        print(f"| {case.name} | {shown} | {cost.dearest[0]} {cost.dearest[1]:.0%} |")
-    print(
-        f"{len(cases)} scenes, {wrong} off by more than a factor of {FACTOR:g}; a core takes {slower:.2f} of the rates'"
-    )
+    wrong = sum(shown(case, slower) for case in cases)
+    core = f"a core takes {slower:.2f} of the rates'"
+    print(f"{len(chosen)} scenes, {wrong} off by more than a factor of {FACTOR:g}; {core}")
     return 1 if wrong else 0
 
 
