@@ -82,7 +82,7 @@ __kernel void scatter(const grid_t grid, const psf_t psf, __global const float *
             float4 p = sub_source[id];
             if (p.x < 0)
                 continue;
-            const spread_t spread = subpixel_spread(psf, sub_intervals, sub_coefficients, p.x,
+            const spread_t spread = subpixel_spread(psf, sub_intervals, sub_coefficients, p,
                                                     sub PLACE_VALUES(grid.top + row, column));
 #if OCCLUDED
             visibility_t seen;
@@ -164,7 +164,7 @@ __kernel void renormalize(const grid_t grid, const psf_t psf, __global const flo
             if (p.x < 0)
                 continue;
             const float share = share_inside(
-                grid, subpixel_spread(psf, sub_intervals, sub_coefficients, p.x, sub PLACE_VALUES(row, column)), p, row,
+                grid, subpixel_spread(psf, sub_intervals, sub_coefficients, p, sub PLACE_VALUES(row, column)), p, row,
                 column);
             for (int k = 0; k < CHANNELS && share > 0; ++k)
                 sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id] /= share;

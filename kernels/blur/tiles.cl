@@ -99,7 +99,7 @@ static void add_source(const grid_t grid, const psf_t psf, int x, int y, int i, 
             for (int k = 0; k < CHANNELS; ++k)
                 light[k] = sub_value[k * capacity * SUBPIXEL_COUNT + id];
             const spread_t spread = subpixel_spread(
-                psf, sub_intervals, sub_coefficients, s.x,
+                psf, sub_intervals, sub_coefficients, s,
                 sub PLACE_VALUES(FRAME_ROW(grid, chunk->y[i]), chunk->x[i] - grid.guard));
             add_source_tap(spread, dx, dy, s, light, sum);
         }

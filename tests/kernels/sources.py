@@ -62,7 +62,7 @@ def random_sources(shape: tuple[int, int], smallest: float, largest: float, stee
 
 
 def random_subpixels(sources: Sources, samples: int, count: int, smallest: float, largest: float) -> SubpixelSources:
-    """Sub-pixel sources in `count` random pixels, whether those have a source of their own or not."""
+    """Sub-pixel sources in `count` random pixels, whether those have a source of their own or not; half at limbs."""
     rng = RNG(43)
     height, width, channels = sources.radiance.shape
     pixel = rng.choice(height * width, count, replace=False)
@@ -74,6 +74,7 @@ def random_subpixels(sources: Sources, samples: int, count: int, smallest: float
         radius=rng.choice([-1, 1], shape) * rng.uniform(smallest, largest, shape),
         gradient=rng.uniform(-0.6, 0.6, (*shape, 2)),
         radiance=rng.random((*shape, channels)),
+        limb=rng.random(shape) < 0.5,
     )
 
 
@@ -152,6 +153,8 @@ def on_device(session: Session, given: Light, weight: float) -> spread.Sources:
         source[..., 3].view(np.int32)[sub.row, sub.column] = slots
         records_by_slot = np.full((capacity, given.samples, given.samples, 4), np.nan, np.float32)
         records_by_slot[slots] = records(given, sub.radius, sub.gradient, sub.hit, True)
+        marks = np.where(np.asarray(sub.limb), np.int32(-7), np.int32(-1))  # LIMB, WHOLE
+        records_by_slot[slots, ..., 3] = marks.view(np.float32)
         value = np.zeros((given.channels, capacity, given.samples, given.samples), np.float32)
         value[:, slots] = (
             np.moveaxis(np.where(sub.hit[..., None], sub.radiance, 0.0), -1, 0) / given.samples**2 * weight

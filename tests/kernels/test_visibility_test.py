@@ -64,6 +64,7 @@ __kernel void see_through(const int sources, __constant float *lens, const float
     visibility_t visibility;
     visibility.count = 1;
     visibility.wide = false;
+    visibility.limb = i & 1;
     visibility.lean_x = 0.03125f, visibility.lean_y = -0.25f;
     occluder_t *m = visibility.occluder;
     m->base = s[3], m->bx = s[4], m->by = s[5];
@@ -153,7 +154,8 @@ def test_a_lens_larger_than_the_aperture_through_its_cells(session: Session, run
     edge = Occluder(h, zero, none[:, :5], np.full(count, 2), none[:, :3], zero, none, none, zero, (), ())
     there = np.ones(count, dtype=bool)
     x, y = offset.T
-    lens = extent, point_spread(psf).lens_cells(), none[:0, :3], np.tile([0.03125, -0.25], (count, 1))
+    lean, limb = np.tile([0.03125, -0.25], (count, 1)), np.arange(count) % 2 == 1
+    lens = extent, point_spread(psf).lens_cells(), none[:0, :3], lean, limb
     visibility = Visibility(np.arange(count), radius, ~there, x, y, ((there, edge),), *lens)
     cells = cell_visibility(visibility)
     taps = range(-7, 8)

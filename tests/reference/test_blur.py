@@ -61,7 +61,7 @@ def in_the_middle(sources: Sources, margin: int) -> Sources:
 
 
 def random_subpixels(sources: Sources, samples: int, count: int) -> SubpixelSources:
-    """Sub-pixel sources in `count` random pixels, whether those have a source or not."""
+    """Sub-pixel sources in `count` random pixels, whether those have a source or not; half at limbs."""
     rng = np.random.default_rng(43)
     height, width, channels = sources.radiance.shape
     pixel = rng.choice(height * width, count, replace=False)
@@ -73,6 +73,7 @@ def random_subpixels(sources: Sources, samples: int, count: int) -> SubpixelSour
         radius=rng.uniform(-3, 3, shape),
         gradient=rng.uniform(-0.6, 0.6, (*shape, 2)),
         radiance=rng.random((*shape, channels)),
+        limb=rng.random(shape) < 0.5,
     )
 
 
@@ -106,7 +107,8 @@ def plain_scatter(psf: Psf, sources: Sources, sub: SubpixelSources | None, shape
             radius = sub.radius[k, u, v]
             share = point_spread(psf).subpixel_weights(dx, dy, radius)
             if psf.tilt:
-                share = share * tilt_factor(dx, dy, tilt_slope(sub.gradient[k, u, v], radius))
+                limb = sub.limb is not None and sub.limb[k, u, v]
+                share = share * tilt_factor(dx, dy, tilt_slope(sub.gradient[k, u, v], radius), limb)
             add(i, j, sub.radiance[k, u, v], share, 1.0 / samples**2)
     return color
 

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from clsco.optics.ellipses import DISC, ellipse_share, ellipse_weights
 from clsco.optics.point_spread import PointSpread, subpixel_offsets
 from clsco.plan.methods import BlurSpec
-from clsco.reference.common.geometry import Array, tilt_slope
+from clsco.reference.common.geometry import Array, tilt_share, tilt_slope
 from clsco.reference.common.visibility import Visibility
 from clsco.reference.common.visibility_test import cell_visibility, tap_share
 from clsco.reference.trace.trace import Sources, SubpixelSources
@@ -47,13 +47,13 @@ def prepare_sources(coc: Array, valid: NDArray[np.bool_]) -> Array:
     return np.stack([along(coc, valid), along(coc.T, valid.T).T], axis=-1)
 
 
-def tilt_factor(dx: ArrayLike, dy: ArrayLike, slope: Array) -> Array:
+def tilt_factor(dx: ArrayLike, dy: ArrayLike, slope: Array, limb: ArrayLike = False) -> Array:
     """Weight 1 + l . grad R of the radiance that a tilted surface sends through lens point l = (dx, dy) / R.
 
-    dx, dy: px, right and down; slope: grad R / R (..., 2) in 1/px, the same way, of `tilt_slope`. They
-    broadcast. The factor is never below 0.
+    dx, dy: px, right and down; slope: grad R / R (..., 2) in 1/px, the same way, of `tilt_slope`; limb: as of
+    `tilt_share`. They broadcast. The factor is never below 0.
     """
-    return np.maximum(0.0, 1.0 + (np.asarray(dx) * slope[..., 0] + np.asarray(dy) * slope[..., 1]))
+    return tilt_share(1.0 + (np.asarray(dx) * slope[..., 0] + np.asarray(dy) * slope[..., 1]), limb)
 
 
 def within_rim(psf: PointSpread, dx: ArrayLike, dy: ArrayLike, radius: ArrayLike) -> tuple[Array, Array]:
@@ -190,6 +190,7 @@ def _subpixel_shares(
         p, y, x = pixel[block], offset[i[block]], offset[j[block]]
         radius = sub.radius[sub.hit][block]
         slope = tilt_slope(sub.gradient[sub.hit][block], radius, spec.psf.diffracted)
+        limb = False if sub.limb is None else sub.limb[sub.hit][block]
         far = spec.psf.reach(float(np.abs(radius).max()), subpixel=True)
         place = np.stack([sub.row[p], sub.column[p]]) - guard
         visibility = None if sub.visibility is None else sub.visibility.of(block)
@@ -203,7 +204,7 @@ def _subpixel_shares(
                 right, below = dx - x[inside], dy - y[inside]
                 share = place_weights(spec.psf, right, below, radius[inside], place[:, inside], subpixel=True)
                 if spec.tilt:
-                    share = share * tilt_factor(*within_rim(spec.psf, dx - x, dy - y, radius), slope)[inside]
+                    share = share * tilt_factor(*within_rim(spec.psf, dx - x, dy - y, radius), slope, limb)[inside]
                 if visibility is not None:
                     seen = np.ones(p.size)
                     seen[visibility.row >= 0] = tap_share(visibility, cells, dx, dy)

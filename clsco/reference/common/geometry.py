@@ -386,6 +386,16 @@ def tilt_slope(gradient: Array, radius: ArrayLike, waves: bool = False) -> Array
     return np.clip(gradient / size[..., None], -STEEPEST_TILT, STEEPEST_TILT)
 
 
+def tilt_share(factor: ArrayLike, limb: ArrayLike = False) -> Array:
+    """Share (...) of a source's radiance that its tilt leaves, where f = 1 + l . grad R (...) is never below 0.
+
+    limb: of sub-pixel sources at the outline of a surface that turns away from the lens there: ((1 + f) / 2)^2, 0 below
+    f = -1, which has what the lens sees of the back as well (kernels/common/geometry.clh). They broadcast.
+    """
+    factor = np.asarray(factor)
+    return np.where(limb, 0.25 * np.maximum(factor + 1.0, 0.0) ** 2, np.maximum(factor, 0.0))
+
+
 def pixel_tilt(gradient: Array, radius: ArrayLike, waves: bool = False) -> tuple[Array, Array]:
     """Slope (..., 2) in 1/px of sources that are whole pixels, and the signed radius (...) in px of their weights.
 

@@ -67,7 +67,7 @@ def _limits(surface: PlacedSurface, bounds: Bounds | None, w: Array, rays: Array
 class Points:
     """Surface points of visibility tests: rays (N, 3), inverse depth w (N,) in 1/mm, signed blur radius (N,) in px,
     place x, y (N,) of the source in its pixel, px, the width of all sources, px, and the gradient (N, 2) of the blur
-    radius, px per px, right and down, 0 where the tilt of surfaces does not count."""
+    radius, px per px, right and down, 0 where the tilt of surfaces does not count; limb (N,): see `tilt_share`."""
 
     rays: Array
     w: Array
@@ -76,6 +76,7 @@ class Points:
     y: Array
     width: float
     gradient: Array
+    limb: Mask | bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -426,8 +427,8 @@ class Visibility:
     radius px; wide; x, y: place of the source in its pixel, px; occluders: per surface which of them it concerns, and
     how. extent: of the lens in lens radii; cells: weights (L, L) of its cells;
     mask: straight edges (n, 3) of the lens, none where it is round; lean (M, 2): change of the tilt per cell of a
-    narrow lens, part of which is behind the surface, else 0; circles: rims that cut its light; waves: light goes beyond
-    the rim.
+    narrow lens, part of which is behind the surface, else 0; limb (M,): see `tilt_share`; circles: rims that cut its
+    light; waves: light goes beyond the rim.
     """
 
     row: NDArray[np.int64]
@@ -440,6 +441,7 @@ class Visibility:
     cells: Array
     mask: Array
     lean: Array
+    limb: Mask
     circles: tuple[Circle, ...] = ()
     waves: bool = False
 
@@ -453,7 +455,8 @@ class Visibility:
         new = np.where(row >= 0, np.cumsum(row >= 0) - 1, -1)
         return Visibility(
             new, self.radius[there], self.wide[there], self.x[there], self.y[there], occluders, self.extent, self.cells,
-            self.mask, self.lean[there], tuple(circle.of(there) for circle in self.circles), self.waves,
+            self.mask, self.lean[there], self.limb[there], tuple(circle.of(there) for circle in self.circles),
+            self.waves,
         )  # fmt: skip
 
 
@@ -487,8 +490,9 @@ def check_visibility(
     steep = np.hypot(*division.gradient.T) * division.extent > 1.0
     leans = steep & ~division.wide & (division.width < 1.0)
     lean = np.where(leans[:, None], division.gradient, 0.0) / division.cells[:, None]
+    limb = np.broadcast_to(points.limb, partly.shape)
     return state, edge, Visibility(
         row, points.radius[partly], division.wide[partly], points.x[partly], points.y[partly], occluders,
         division.extent, psf.lens_cells(), np.array(psf.pupil.edges).reshape(-1, 3),
-        lean[partly], tuple(circle.of(partly) for circle in circles), psf.diffracted,
+        lean[partly], limb[partly], tuple(circle.of(partly) for circle in circles), psf.diffracted,
     )  # fmt: skip

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from clsco.constants import LENS_CELLS
-from clsco.reference.common.geometry import Array
+from clsco.reference.common.geometry import Array, tilt_share
 from clsco.reference.common.occluder import Part, leave_free, occluded_part
 from clsco.reference.common.visibility import Visibility
 
@@ -39,7 +39,7 @@ def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
 
 def lens_share(visibility: Visibility, x: Array, y: Array) -> Array:
     """The same of cells x, y (M,) of narrow lenses, times the tilt of surfaces that show their other sides to some."""
-    tilt = np.maximum(0.0, 1.0 + x * visibility.lean[:, 0] + y * visibility.lean[:, 1])
+    tilt = tilt_share(1.0 + x * visibility.lean[:, 0] + y * visibility.lean[:, 1], visibility.limb)
     return np.asarray(tilt * free_share(visibility, x, y))
 
 

@@ -79,6 +79,21 @@ def passes_between(
     return found
 
 
+def is_at_limb(camera: Camera, surfaces: Sequence[PlacedSurface], label: int, rays: Array, samples: int) -> Array:
+    """True (n,) of rays (n, 3) that hit the front of a curved surface less than half a cell from where it turns away
+    from the lens, by the discriminant and its slopes.
+
+    label: of the root and its object; samples: cells of a pixel, per axis.
+    """
+    surface = surfaces[(label - 1) // 2]
+    if not surface.canonical.q.any() or (label % 2 == 1) != (surface.constant > 0.0):
+        return np.zeros(len(rays), dtype=bool)
+    here = quarter_discriminant(surface, turned(surface.turn, rays))
+    steps = ray_step(camera) / samples * np.eye(3)[:2]
+    slopes = [quarter_discriminant(surface, turned(surface.turn, rays + step)) - here for step in steps]
+    return np.asarray(4.0 * here**2 < slopes[0] ** 2 + slopes[1] ** 2)
+
+
 def end_of_root(
     surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], label: int, start: Array, stop: Array
 ) -> Array:

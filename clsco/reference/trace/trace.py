@@ -41,7 +41,7 @@ from clsco.reference.trace.detail import detailed_texture
 from clsco.reference.trace.footprint import parts_of, sharpening, surface_texture
 from clsco.reference.trace.light import shade
 from clsco.reference.trace.mapping import MappedTexture
-from clsco.reference.trace.outline import UNMARKED, cell_coverage, labels_around, passes_between
+from clsco.reference.trace.outline import UNMARKED, cell_coverage, is_at_limb, labels_around, passes_between
 from clsco.scene.model import Camera, Scene
 
 SILHOUETTE_RANGE = 2  # px, Chebyshev distance from a silhouette within which pixels get sub-pixel sources
@@ -78,8 +78,8 @@ class SubpixelSources:
 
     row, column (M,): padded-grid pixel; hit (M, S, S): there is surface that is visible from the lens; visibility: the
     occluders of those, in their order, None for none at all; radius (M, S, S) px; gradient (M, S, S, 2) px per px;
-    radiance (M, S, S, C), times the cells that each covers. Source (i, j) is spread from its cell,
-    `subpixel_offsets(S)[i]` rows and [j] columns off the pixel's center.
+    radiance (M, S, S, C), times the cells that each covers; limb (M, S, S): see `tilt_share`, None for none at all.
+    Source (i, j) is spread from its cell, `subpixel_offsets(S)[i]` rows and [j] columns off the pixel's center.
     """
 
     row: NDArray[np.int64]
@@ -89,6 +89,7 @@ class SubpixelSources:
     gradient: Array
     radiance: Array
     visibility: Visibility | None = None
+    limb: NDArray[np.bool_] | None = None
 
 
 def padded_grid(camera: Camera, guard: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -351,7 +352,7 @@ def trace_subpixels(
     texel = ((row - guard)[:, None, None], (column - guard)[:, None, None])
     hit = cast(view, group, at_row, at_column, texel, samples)
     lens_radius = hit.radius  # of visibility tests
-    hit = _covering(view, group, hit, marked, (row, column), guard)
+    hit, limb = _covering(view, group, hit, marked, (row, column), guard)
     cut = parts[row, column]
     if sources is not None and cut.any():
         hit = _with_parts(view, hit, sources, (row, column), cut, guard)
@@ -366,21 +367,22 @@ def trace_subpixels(
         tilted = tilt_slope(hit.gradient, hit.radius, view.psf.diffracted) * size[..., None]
         state, _, visibility = check_visibility(
             view.lens, view.surfaces, bounds, group, view.psf,
-            Points(rays, hit.w[lit], lens_radius[lit], x, y, 1.0 / samples, tilted[lit] * scene.psf.tilt),
+            Points(rays, hit.w[lit], lens_radius[lit], x, y, 1.0 / samples, tilted[lit] * scene.psf.tilt, limb[lit]),
         )  # fmt: skip
         seen = state != HIDDEN
         lit[lit] = seen
         visibility = visibility.of(seen)
-    return SubpixelSources(row, column, lit, hit.radius, hit.gradient, hit.radiance, visibility)
+    return SubpixelSources(row, column, lit, hit.radius, hit.gradient, hit.radiance, visibility, limb)
 
 
 def _covering(
     view: View, group: OcclusionGroup, hit: Cast, marked: NDArray[np.bool_],
     pixel: tuple[NDArray[np.intp], NDArray[np.intp]], guard: int,
-) -> Cast:  # fmt: skip
+) -> tuple[Cast, NDArray[np.bool_]]:  # fmt: skip
     """Replace radius, gradient and radiance of hits of rays (M, S, S) beside outlines by those of what they cover.
 
-    marked: (H, W); pixel: rows and columns (M,), of which those that are not marked keep theirs.
+    Returns hits, and which are at limbs (`is_at_limb`). marked: (H, W); pixel: rows and columns (M,), of which those
+    that are not marked keep theirs.
     """
     samples, bounds = view.scene.psf.silhouette_samples, [cutting_bounds(item) for item in view.scene.objects]
     label = np.where(marked[pixel][:, None, None], hit.label, UNMARKED).astype(np.uint8)
@@ -400,7 +402,13 @@ def _covering(
     for name, plane in planes.items():
         plane[slot[same], i[same], j[same]] = getattr(shown, name)[same]
     planes["radiance"] *= np.where(beside, covered, 1.0)[..., None]
-    return replace(hit, **planes)
+    limb = np.zeros(hit.label.shape, dtype=bool)
+    moved = [np.where(same, n[beside] / samples, 0.0) for n in (down, right)]
+    rays = pixel_ray(view.scene.camera, texel[0] + offsets[i] + moved[0], texel[1] + offsets[j] + moved[1])
+    for one in np.unique(hit.label[beside]).tolist():
+        own = hit.label[beside] == one
+        limb[slot[own], i[own], j[own]] = is_at_limb(view.scene.camera, view.surfaces, one, rays[own], samples)
+    return replace(hit, **planes), limb
 
 
 def _with_parts(

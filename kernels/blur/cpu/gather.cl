@@ -17,14 +17,15 @@
 #pragma OPENCL FP_CONTRACT ON
 
 #if TILT
-// 1 + l . grad R of taps (x, y) px from a source.
+// Share of its light that the tilt of a source leaves to taps (x, y) px from it.
 INLINE float8 tilts(spread_t s, float4 source, float8 x, float y)
 {
 #if WAVES
-    return WITHIN_RIM(s.rim, x, y, LANE_SQRT) * (x * source.y + y * source.z) + 1;
+    const float8 factor = WITHIN_RIM(s.rim, x, y, LANE_SQRT) * (x * source.y + y * source.z) + 1;
 #else
-    return x * source.y + (1 + y * source.z);
+    const float8 factor = x * source.y + (1 + y * source.z);
 #endif
+    return TILT_SHARE((float8)0, factor, LIMB_OF(s));
 }
 #endif
 
@@ -36,8 +37,7 @@ INLINE void add_rows(spread_t s, int up, int down, float v, float4 source, __glo
         for (int dy = -up; dy <= down; ++dy) {
             const float8 w = weights(s, dy, b);
 #if TILT
-            float8 factor = tilts(s, source, lane + (b - s.half_width - s.ox), dy - s.oy);
-            factor = factor > 0 ? factor : (float8)0;
+            const float8 factor = tilts(s, source, lane + (b - s.half_width - s.ox), dy - s.oy);
             ADD_TAPS(out + dy * pitch + b, w * (factor * v));
 #else
             ADD_TAPS(out + dy * pitch + b, w * v);
@@ -76,8 +76,7 @@ INLINE void add_ellipse_rows(spread_t s, int up, int down, const float *light, f
             else
                 w = rim_weight(s, x, y);
 #if TILT
-            const float8 factor = tilts(s, source, x, dy);
-            w *= factor > 0 ? factor : (float8)0;
+            w *= tilts(s, source, x, dy);
 #endif
             for (int k = 0; k < CHANNELS; ++k)
                 ADD_TAPS(out + k * planes + dy * pitch + b, w * light[k]);
@@ -112,8 +111,7 @@ INLINE void add_occluded_rows(spread_t s, const visibility_t *visibility, int up
             const int first = b - s.half_width;
             float8 w = weights(s, dy, b) * free_taps(visibility, s, first, dy);
 #if TILT
-            const float8 factor = tilts(s, source, lane + (first - s.ox), dy - s.oy);
-            w *= factor > 0 ? factor : (float8)0;
+            w *= tilts(s, source, lane + (first - s.ox), dy - s.oy);
 #endif
             for (int k = 0; k < CHANNELS; ++k)
                 ADD_TAPS(out + k * planes + dy * pitch + b, w * light[k]);
@@ -214,7 +212,7 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
                 float4 p = sub_source[id];
                 if (p.x < 0)
                     continue;
-                const spread_t spread = subpixel_spread(psf, sub_intervals, sub_coefficients, p.x,
+                const spread_t spread = subpixel_spread(psf, sub_intervals, sub_coefficients, p,
                                                         sub PLACE_VALUES(grid.top + y, x - grid.guard));
                 const int half_width = spread.half_width;
                 const int up = MIN(half_width, y - first), down = MIN(half_width, end - 1 - y);
