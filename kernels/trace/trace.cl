@@ -2,7 +2,7 @@
 // C w^2 + 2 B w + A = 0 (common/geometry.clh); the blur radius is R = blur_scale (focus_power - w) (2.33). Twin:
 // clsco/reference/trace/trace.py. Host: clsco/passes/trace.py, for all scenes of analytic surfaces.
 //
-// Sources lie on the frame, or a strip of its rows, and on the apron that contributes to it, (height, width), row-major.
+// Sources lie on the frame, or a strip of its rows, and on the apron of what reaches it, (height, width), row-major.
 //   source  planes, see common/sources.clh
 //   value   float (CHANNELS, height, width): radiance
 //   label   uchar (height, width): 0 no surface, else which root of which object was hit, and on which side of others
@@ -308,7 +308,7 @@ __kernel void cover_outlines(const grid_t grid, __constant surface_t *surfaces, 
 }
 
 // Point sources of these cells. In: sub_label, sub_depth. In and out: sub_source, the coverage, and then float4
-// (coordinate, tilt right, tilt down, WHOLE, LIMB or the same PARTLY). Out: sub_value float (CHANNELS, slots, SUBPIXELS^2).
+// (coordinate, tilt right, tilt down, WHOLE ... PARTLY_LIMB). Out: sub_value float (CHANNELS, slots, SUBPIXELS^2).
 __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
                               const psf_t psf,
                               __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
