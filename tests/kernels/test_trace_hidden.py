@@ -19,6 +19,8 @@ from clsco.resources import folder
 from clsco.scene.model import Cylinder, ObjectMotion, Plane, Psf
 from tests.kernels.test_trace import (
     GUARD,
+    LIMB,
+    PARTLY_LIMB,
     PARTLY_OCCLUDED,
     ROW,
     SCENES,
@@ -71,8 +73,8 @@ def test_what_is_behind_the_lens_in_the_next_frame_is_not_visible(session: Sessi
 
 
 def test_subpixel_sources_of_all_layers_are_marked(session: Session) -> None:
-    """Sub-pixel sources are marked if something hides all of them or a part: their edge is as soft as the source is
-    wide."""
+    """Sub-pixel sources are marked if something hides all of them or a part, their edge being as soft as the source is
+    wide, and at limbs."""
     plan = planned(scene(ROW, psf=Psf(silhouette_samples=2)), 1)
     kinds = np.zeros(3, np.int64)
     for group in plan.groups:
@@ -84,7 +86,10 @@ def test_subpixel_sources_of_all_layers_are_marked(session: Session) -> None:
         blocked = np.zeros(exact.hit.shape, bool)
         if exact.visibility is not None:
             blocked[exact.hit] = exact.visibility.row >= 0
-        np.testing.assert_array_equal(records[..., 3].view(np.int32), np.where(blocked, PARTLY_OCCLUDED, WHOLE))
+        assert exact.limb is not None
+        marks = np.where(blocked, PARTLY_OCCLUDED, WHOLE)
+        marks[exact.hit & exact.limb] = np.where(blocked, PARTLY_LIMB, LIMB)[exact.hit & exact.limb]
+        np.testing.assert_array_equal(records[..., 3].view(np.int32), marks)
         kinds += [int(kind.sum()) for kind in (~exact.hit, exact.hit & blocked, exact.hit & ~blocked)]
     assert kinds.min() > 100, kinds
 

@@ -65,6 +65,31 @@ def test_light_beside_the_outline_of_a_cylinder(upright: bool, engine: Engine) -
 
 
 @pytest.mark.parametrize("engine", ["device", "reference"])
+@pytest.mark.parametrize("depth", [205.0, 290.0])
+def test_an_open_lens_sees_behind_the_outline_of_a_sphere(depth: float, engine: Engine) -> None:
+    """From points of the lens (l, 0, 0) a sphere covers ellipses of the plane in focus: d^T A d <= 0 of directions d =
+    (x, y, focus). Their mean is larger than what the middle of the lens sees, which alone has sources."""
+    focus, radius, lens = 245.0, 6.0, 20.0  # mm
+    found, expected = [], []
+    for size in (0.01, lens):
+        camera = CAMERA | {"aperture_diameter": 2 * size, "focus_distance": focus}
+        ball = {"shape": "sphere", "center": [0.0, 0.0, depth], "radius": radius, "texture": "#ffffff"}
+        made = scene_from({"camera": camera}, ball)
+        one = next(iter(clsco.reference.render(made))) if engine == "reference" else clsco.render_frame(made, truth=())
+        found.append(one.color.sum(dtype=float))
+        areas = []
+        for aside in size * np.sqrt((np.arange(32) + 0.5) / 32):  # of rings of equal areas
+            to = np.array([-aside, 0.0, depth])
+            a = (to @ to - radius**2) * np.eye(3) - np.outer(to, to)
+            middle = np.linalg.solve(a[:2, :2], -focus * a[:2, 2])
+            rest = focus**2 * a[2, 2] + focus * a[:2, 2] @ middle
+            areas.append(-math.pi * rest / math.sqrt(np.linalg.det(a[:2, :2])))
+        expected.append(float(np.mean(areas)) / (ray_step(Camera(**camera)) * focus) ** 2)
+    assert found[0] == pytest.approx(expected[0], rel=2e-3)
+    assert found[1] - found[0] == pytest.approx(expected[1] - expected[0], rel=0.1)
+
+
+@pytest.mark.parametrize("engine", ["device", "reference"])
 def test_wires_hide_as_much_as_they_are_wide(engine: Engine) -> None:
     """Also where the soft edges are wider than the wire."""
     angle = 30.0
