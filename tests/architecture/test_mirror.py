@@ -46,6 +46,7 @@ WITHOUT_TWIN = {
     "convolve": dict.fromkeys(("sum_down", "sum_across"), "sums over rectangles, of which the reference has no need"),
     "estimate": {"use_neighbors": "counts them, as the reference does where it needs to"},
     "sources": dict.fromkeys(("get_source", "put_source"), "where the planes of a record are"),
+    "outline": {"with_limb": "the last lines of _covering"},
     "occluder": dict.fromkeys(("limited_part", "inside_outline"), "a part of occluded_part"),
     "visibility_test": {
         "shared_cells": "free_share, which the device shortens where no two edges meet",
@@ -196,6 +197,7 @@ OTHERWISE = {
     "laplacian": "pixel by pixel, of an image or a vector",
     "outside_frame": "column and row are in one vector",
     "labels_around": "all pixels at once",
+    "is_at_limb": "SUBPIXELS is a feature",
     "passes_between": "the device has the ray through the middle",
     "share_square": "a coverage_t is changed in place",
     "project": "a camera of another time has another slope between rays",
