@@ -67,7 +67,7 @@ def _limits(surface: PlacedSurface, bounds: Bounds | None, w: Array, rays: Array
 class Points:
     """Surface points of visibility tests: rays (N, 3), inverse depth w (N,) in 1/mm, signed blur radius (N,) in px,
     place x, y (N,) of the source in its pixel, px, the width of all sources, px, and the gradient (N, 2) of the blur
-    radius, px per px, right and down, 0 where the tilt of surfaces does not count; limb (N,): see `tilt_share`."""
+    radius, px per px, right and down, 0 where the tilt of surfaces does not count; limb (N,): at a limb."""
 
     rays: Array
     w: Array
@@ -427,7 +427,7 @@ class Visibility:
     radius px; wide; x, y: place of the source in its pixel, px; occluders: per surface which of them it concerns, and
     how. extent: of the lens in lens radii; cells: weights (L, L) of its cells;
     mask: straight edges (n, 3) of the lens, none where it is round; lean (M, 2): change of the tilt per cell of a
-    narrow lens, part of which is behind the surface, else 0; limb (M,): see `tilt_share`; circles: rims that cut its
+    narrow lens, part of which is behind the surface, else 0; limb (M,): at a limb; circles: rims that cut its
     light; waves: light goes beyond the rim.
     """
 

@@ -78,7 +78,7 @@ class SubpixelSources:
 
     row, column (M,): padded-grid pixel; hit (M, S, S): there is surface that is visible from the lens; visibility: the
     occluders of those, in their order, None for none at all; radius (M, S, S) px; gradient (M, S, S, 2) px per px;
-    radiance (M, S, S, C), times the cells that each covers; limb (M, S, S): see `tilt_share`, None for none at all.
+    radiance (M, S, S, C), times the cells that each covers; limb (M, S, S): at a limb, None for none at all.
     Source (i, j) is spread from its cell, `subpixel_offsets(S)[i]` rows and [j] columns off the pixel's center.
     """
 
