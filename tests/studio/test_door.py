@@ -192,12 +192,13 @@ def test_what_the_browser_is_opened_with_leads_to_the_page(tmp_path: Path) -> No
 @pytest.mark.browser
 def test_other_servers_of_the_machine_see_no_cookie(running: Running) -> None:
     seen: list[str | None] = []
+    name, _, secret = running.cookie["Cookie"].partition("=")
 
     class Other(http.server.BaseHTTPRequestHandler):
         def do_GET(self) -> None:
             seen.append(self.headers.get("Cookie"))
             self.send_response(200)
-            self.send_header("Set-Cookie", f"{running.cookie['Cookie'].partition('=')[0]}=other; Path=/")
+            self.send_header("Set-Cookie", f"{name}=other; Path=/")
             self.end_headers()
 
         def log_message(self, *arguments: Any) -> None:
@@ -211,7 +212,8 @@ def test_other_servers_of_the_machine_see_no_cookie(running: Running) -> None:
             page.goto(running.address)
             rest(page)
             page.goto(f"http://127.0.0.1:{server.server_port}/")
-            assert set(seen) == {None}
+            assert seen[0] is None
+            assert secret not in str(seen)  # it may come twice, with its own cookie
             page.goto(f"{running.page}/")  # and theirs beside ours does not lock out
             rest(page)
     finally:
