@@ -213,14 +213,14 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, default=Path("build/studio_tasks"))
     chosen = parser.parse_args()
     chosen.output.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory() as folder:
-        root = Path(folder)
-        for name in SCENES:
-            shutil.copy(EXAMPLES / f"{name}.toml", root)
-        (root / "set.toml").write_text(SET)
-        with studio(root, str(root / "sphere.toml"), "--device", "pocl") as running, chromium() as browser:
-            print(f"{'task':28}{'px':>6}{'clicks':>8}{'texts':>7}{'scrolls':>9}{'s':>8}", flush=True)
-            for width in chosen.width:
+    print(f"{'task':28}{'px':>6}{'clicks':>8}{'texts':>7}{'scrolls':>9}{'s':>8}", flush=True)
+    for width in chosen.width:
+        with tempfile.TemporaryDirectory() as folder:  # without the jobs of another width
+            root = Path(folder)
+            for name in SCENES:
+                shutil.copy(EXAMPLES / f"{name}.toml", root)
+            (root / "set.toml").write_text(SET)
+            with studio(root, str(root / "sphere.toml"), "--device", "pocl") as running, chromium() as browser:
                 for number, (name, (scene, work)) in enumerate(TASKS.items(), 1):
                     if chosen.only in name:
                         done(browser, running.address, width, f"{number:02}", name, scene, work, chosen.output)
