@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from math import log10
+from math import ceil, log10
 
 from clsco.errors import SceneError
 from clsco.optics.point_spread import PointSpread
@@ -76,7 +76,7 @@ def wave_words(psf: PointSpread, smallest: float, largest: float, silhouettes: i
     )
     rest = "given to the rest" if pupil.keeps else "lost"
     seconds = table_seconds(psf, smallest, largest, silhouettes)
-    once = f", made once in about {seconds:.1g} s" if seconds >= 0.5 else ""
+    once = f", made once in about {ceil(seconds)} s" if seconds >= 0.5 else ""
     found: tuple[tuple[str, str], ...] = (("tables", f"{size / 2**20:.2g} MiB{once}"),)
     if isinstance(pupil, Traced):
         found += (

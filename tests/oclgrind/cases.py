@@ -40,6 +40,7 @@ from clsco.plan.plan import Plan, make_plan
 from clsco.plan.request import Request
 from clsco.records import flat
 from clsco.reference.sensor.sensor import sense
+from clsco.scene.aberrations import Seidel
 from clsco.scene.model import (
     Aperture,
     Camera,
@@ -409,9 +410,19 @@ def lens_cases() -> Iterator[Case]:
         yield Case(f"lens, {name}", kind, partial(through_a_lens, scene), repr(scene.lens), 3)
 
 
-def through_a_lens(scene: Scene) -> list[Array]:
+def field_cases() -> Iterator[Case]:
+    """Weights that are blended between those of places in the frame: of what is hidden in part, and of all methods."""
+    seidel = Seidel(W131=0.3, W222=0.2)
+    psf = Psf(seidel=seidel, wavelengths=(2500.0,) * 3, silhouette_samples=2)
+    camera = Camera(resolution=(9, 6), pixel_pitch=0.05, aperture_diameter=1.2)
+    for number, method in enumerate(("gather", "scatter", "tiles")):
+        given = Scene(camera=camera, objects=(FAR,) if number else (BALL, FAR), psf=psf)
+        yield Case(f"field, {method}", {}, partial(through_a_lens, given, method), repr(psf))
+
+
+def through_a_lens(scene: Scene, method: str = "auto") -> list[Array]:
     """The image, and its radii."""
-    ((_, frame),) = render_sweep((scene,), device="oclgrind", truth="blur_radius")
+    ((_, frame),) = render_sweep((scene,), device="oclgrind", truth="blur_radius", method=method)
     assert frame.blur_radius is not None
     return [frame.color, frame.blur_radius]
 
@@ -453,6 +464,7 @@ def all_cases() -> Iterator[Case]:
     yield from fault_cases()
     yield from sensor_cases()
     yield from lens_cases()
+    yield from field_cases()
     yield from tolerant_cases()
     for cases in (image_cases, inpainting_cases, scene_cases):
         yield from islice(cases(), 0, None, EVERY)

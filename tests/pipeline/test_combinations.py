@@ -47,7 +47,9 @@ def drawn(number: int) -> Scene:
         "resolution": [40, 30], "pixel_pitch": between(0.15, 0.25), "f_number": between(0.3, 0.8),
         "focus_distance": between(180.0, 260.0),
     }  # fmt: skip
-    return scene_from(tables, *_objects(rng, between, moving or warped))
+    objects = _objects(rng, between, moving or warped)
+    _aberrations(np.random.default_rng([41, number, 1]), tables)
+    return scene_from(tables, *objects)
 
 
 def _psf(rng: np.random.Generator, between: Draw, warped: bool) -> Tables:
@@ -107,6 +109,33 @@ def _changes(rng: np.random.Generator, between: Draw, tables: Tables) -> None:
         ends = {"focal_length": (20.0, 23.0), "focus_distance": (190.0, 240.0), "f_number": (0.4, 0.6)}
         name = str(rng.choice(["focus_distance", *others]))
         tables["lens"]["keyframe"] = [{"time": 0.1 * k, name: ends[name][k]} for k in range(2)]
+
+
+def _aberrations(rng: np.random.Generator, tables: Tables) -> None:
+    """Add wavefronts that vary over the field, by waves or by rays, and a wide field to a distorted image; waves are
+    long enough for tables to be made in seconds."""
+    psf, lens, camera = (tables[name] for name in ("psf", "lens", "camera"))
+    changes = lens.get("keyframe", [{}])[0]
+    if "distortion" in lens and psf["model"] == "pillbox" and "motion" not in tables and rng.random() < 0.6:
+        camera["pixel_pitch"] *= 2.5  # discs are ellipses in its image
+        psf |= {"edge": "integrated", "occlusion": "visibility"}
+        tables["aperture"].clear()
+        return
+    varies, by_rays = rng.random() < 0.35, rng.random() < 0.5
+    seidel = {name: float(rng.uniform(-most, most)) for name, most in (("W131", 0.15), ("W222", 0.1), ("W220", 0.05))}
+    if psf["model"] == "wave":
+        camera["f_number"] *= 6.0 if varies else 4.0
+    elif psf["model"] == "pillbox" and psf["edge"] == "integrated" and by_rays and "rim" not in tables["aperture"]:
+        if {"focal_length", "f_number"} & {*changes}:
+            return
+        psf |= {"wavelengths": [14000.0, 12000.0, 10000.0]}
+        psf["zernike"] = {"3,1": float(rng.uniform(-2.0, 2.0)), "2,-2": float(rng.uniform(-2.0, 2.0))}
+        seidel = {name: 30.0 * value for name, value in seidel.items()}
+    else:
+        return
+    if varies:
+        psf.pop("zernike", None)
+        psf["seidel"] = seidel | ({} if changes else {"W311": float(rng.uniform(-1.0, 1.0))})
 
 
 def _objects(rng: np.random.Generator, between: Draw, moving: bool) -> list[Tables]:
