@@ -19,7 +19,7 @@ Widths = TypeVar("Widths", int, NDArray[np.int64])
 # grow with it. The weight of a point source has a kink of order 3/2 where its circle touches a pixel's edge, first at
 # R = 1/8 px, and that of a Gaussian a corner where its cut does; the area forms have these in every weight of a frame.
 # tests/optics/test_point_spread.py bounds what interpolation adds to a PSF, tests/kernels/test_blur.py to a frame.
-OFFSET, AREA_STEPS = 0.125, 128
+OFFSET, AREA_STEPS = 0.125, 128  # twice as many of general shapes, whose edges lie at any angle
 GAUSSIAN_STEPS = 64  # a power of 2: octaves are divided where the corners are, up to an extent of 2 TABLE_STEPS offsets
 # Discs of sub-pixel sources have kinks where they touch pixel edges, at multiples of 1/8 px for 2 or 4 samples: up to
 # R = 16 px an interval begins there. With 48 per octave a small thing before a wall of one radius errs by 1.5e-5.
@@ -42,7 +42,7 @@ def table_steps(psf: PointSpread, subpixel: bool) -> int:
     if psf.diffracted:
         return psf.pupil.steps
     if psf.edge == "area" and not subpixel:
-        return AREA_STEPS
+        return 2 * AREA_STEPS if psf.layout == "general" else AREA_STEPS
     if psf.alignment:
         return GAUSSIAN_STEPS
     return SUBPIXEL_STEPS if subpixel else TABLE_STEPS
