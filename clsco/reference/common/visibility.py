@@ -428,7 +428,7 @@ class Visibility:
     how. extent: of the lens in lens radii; cells: weights (L, L) of its cells;
     mask: straight edges (n, 3) of the lens, none where it is round; lean (M, 2): change of the tilt per cell of a
     narrow lens, part of which is behind the surface, else 0; limb (M,): at a limb; circles: rims that cut its
-    light; waves: light goes beyond the rim.
+    light; waves: light goes beyond the rim; round: the rim is a circle.
     """
 
     row: NDArray[np.int64]
@@ -444,6 +444,7 @@ class Visibility:
     limb: Mask
     circles: tuple[Circle, ...] = ()
     waves: bool = False
+    round: bool = True
 
     def of(self, chosen: NDArray[Any] | slice) -> Visibility:
         """The same for some of the sources."""
@@ -456,7 +457,7 @@ class Visibility:
         return Visibility(
             new, self.radius[there], self.wide[there], self.x[there], self.y[there], occluders, self.extent, self.cells,
             self.mask, self.lean[there], self.limb[there], tuple(circle.of(there) for circle in self.circles),
-            self.waves,
+            self.waves, self.round,
         )  # fmt: skip
 
 
@@ -495,4 +496,5 @@ def check_visibility(
         row, points.radius[partly], division.wide[partly], points.x[partly], points.y[partly], occluders,
         division.extent, psf.lens_cells(), np.array(psf.pupil.edges).reshape(-1, 3),
         lean[partly], limb[partly], tuple(circle.of(partly) for circle in circles), psf.diffracted,
+        not (psf.signed or psf.diffracted or psf.pupil.edges),
     )  # fmt: skip

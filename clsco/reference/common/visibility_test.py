@@ -38,7 +38,14 @@ def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
 
 
 def lens_share(visibility: Visibility, x: Array, y: Array) -> Array:
-    """The same of cells x, y (M,) of narrow lenses, times the tilt of surfaces that show their other sides to some."""
+    """The same of cells x, y (M,) of narrow lenses, times the tilt of surfaces that show their other sides to some.
+
+    A round rim at the distance s from the middle of a cell leaves of it what has its mean at (s - 1/2) / 2 from there.
+    """
+    if visibility.round:
+        away = np.hypot(x, y)
+        inwards = 1.0 - 0.5 * np.clip(away - (LENS_CELLS - 0.5), 0.0, 1.0) / away
+        x, y = x * inwards, y * inwards
     tilt = tilt_share(1.0 + x * visibility.lean[:, 0] + y * visibility.lean[:, 1], visibility.limb)
     return np.asarray(tilt * free_share(visibility, x, y))
 
