@@ -62,7 +62,7 @@ class Row:
     def figures(self) -> Figures:
         """A row of the table."""
         found: dict[str, float | str] = {"scene": self.scene, "motion": self.motion}
-        found["time samples"] = str(next(iter(self.taken.values()))[0].samples)
+        found["time samples"] = ", ".join(dict.fromkeys(str(taken[0].samples) for taken in self.taken.values()))
         found |= {f"{mode}, s": self.seconds(mode) for mode in self.taken}
         for mode in self.taken:
             if BASE + mode in self.taken:
