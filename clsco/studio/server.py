@@ -69,6 +69,7 @@ class Tab:
         self.session = session
         self.preview: Preview | None = None
         self.watched: tuple[str, ...] = ()
+        self.typed: set[str] = set()  # keys whose boxes have other values than those that were told
         self.told = asyncio.Event()  # that there is something to tell
         self.pictured = -1  # revision whose picture was kept
         self.page = Page()
@@ -239,6 +240,7 @@ class Studio:
             case {"path": str(path), "value": value}:
                 drag = said.get("drag")
                 try:
+                    tab.typed.add(path)
                     tab.session.patch(path, value, drag if isinstance(drag, int) else None)
                 finally:
                     if isinstance(count := said.get("count"), int):  # the page knows then what its picture is of
@@ -366,7 +368,9 @@ async def _tell(tab: Tab, preview: Preview) -> None:
             "lens": lens_line(session.scene),
         }
         now = {path: session.shown(path) for path in tab.watched}
-        changed = {path: value for path, value in now.items() if path not in values or values[path] != value}
+        known = {path: value for path, value in values.items() if path not in tab.typed}
+        changed = {path: value for path, value in now.items() if path not in known or known[path] != value}
+        tab.typed.clear()
         found = [asdict(track) for track in tracks(session)]
         if state != before or changed or found != keys:
             rest = ({"values": changed} if changed else {}) | ({"tracks": found} if found != keys else {})

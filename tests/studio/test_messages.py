@@ -17,7 +17,7 @@ pytest.importorskip("starlette", reason="needs the extra studio")
 
 from clsco.studio.moving import Pointer
 from clsco.studio.preview import Preview
-from clsco.studio.server import Studio, Tab
+from clsco.studio.server import Studio, Tab, _tell
 from clsco.studio.session import Document
 from tests.studio.test_preview import Renderer
 
@@ -146,6 +146,24 @@ def test_what_cannot_be_read_is_said(said: Said, text: str) -> None:
     asyncio.run(said.hear(text))
     assert len(said.errors) == 1
     assert "message: must be JSON" in said.errors[0]
+
+
+def test_a_box_hears_of_an_undo_that_comes_right_after_what_was_typed(said: Said) -> None:
+    path = "object.0.distance"
+
+    async def talk() -> None:
+        telling = asyncio.create_task(_tell(said.tab, Preview(said.tab.session, Renderer(), said.send)))
+        await said.hear(json.dumps({"watch": [path]}))
+        await asyncio.sleep(0.1)
+        for each in ({"path": path, "value": 300.0}, {"do": "undo"}):
+            await said.hear(json.dumps(each))
+        said.told.clear()
+        said.tab.told.set()
+        await asyncio.sleep(0.1)
+        telling.cancel()
+
+    asyncio.run(talk())
+    assert [each["values"] for each in said.told if "values" in each] == [{path: 250.0}]
 
 
 @pytest.mark.parametrize("link", range(len(LINKS)))
