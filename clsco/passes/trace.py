@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 import pyopencl as cl
 
-from clsco.constants import MERGED_SIDE, STATISTIC_SLOTS, STATISTIC_SMALLEST
+from clsco.constants import MERGED_SIDE, STATISTIC_SLOTS, STATISTIC_SMALLEST, TAP_LANES
 from clsco.opencl.buffers import allocate, download, upload
 from clsco.opencl.program import build
 from clsco.opencl.session import Session
@@ -19,7 +19,7 @@ from clsco.optics.quadrics import EVERYWHERE
 from clsco.optics.still import Window
 from clsco.optics.visibility import OcclusionGroup
 from clsco.passes.bend import Bends
-from clsco.passes.blur import PIXELS, Image, Sources, Target
+from clsco.passes.blur import BLOCKS, PIXELS, Image, Sources, Target
 from clsco.passes.pack import exposure_struct, group_struct, lens_struct
 from clsco.passes.placed import Moment, Part, PlacedScene
 from clsco.plan.buffers import STATISTICS, Sizes, hit_buffers
@@ -202,26 +202,23 @@ class Tracer:
         slots, source = np.int32(plan.slots), buffers["source"]
         cl.enqueue_fill_buffer(self.target.session.queue, statistics, np.zeros(1, np.int32), 4 * STATISTIC_SLOTS, 4)
         marks = (at.grid, sources.label, slots, source, buffers["pixels"], statistics)
-        self._per_pixel("mark_silhouettes", at, window, *marks)
+        left, top, right, bottom = window
+        runs, origin = (-(-right // TAP_LANES) - left // TAP_LANES, bottom - top), (left // TAP_LANES, top)
+        self.target.run("mark_silhouettes", runs, BLOCKS, at.events, *marks, origin=origin)
         if at.first and plan.spec.occluders:
             self._check_room()
         subs = buffers["sub_source"], buffers["sub_value"]
         labels, depth = buffers["sub_label"], buffers["sub_depth"]
-        head, size, run = self._head(at), (plan.slots * plan.silhouettes**2,), self.target.run
+        head, run = self._head(at), self.target.run
         grid, _, surfaces, group, _ = head
-        slotted = (*head, *self._appearance(at), buffers["pixels"], slots)
+        slotted = (*head, *self._appearance(at), buffers["pixels"], slots, source, *subs)
         labeled = (grid, surfaces, group, buffers["pixels"], slots, labels, depth, statistics)
-        run("label_subpixels", size, PIXELS[:1], at.events, *labeled)
-        covered = (grid, surfaces, buffers["pixels"], slots, source, labels, subs[0], statistics)
-        run("cover_outlines", (plan.slots,), PIXELS[:1], at.events, *covered)
-        exposure = self._exposure(at)
-        centers = (source,) if exposure else ()
-        traced = (*slotted, *subs, labels, depth, statistics, *centers, *exposure)
-        run("trace_subpixels", size, PIXELS[:1], at.events, *traced)
+        run("label_subpixels", (plan.slots,), PIXELS[:1], at.events, *labeled)
+        traced = (*slotted, labels, depth, statistics, *self._exposure(at))
+        run("trace_subpixels", (plan.slots,), PIXELS[:1], at.events, *traced)
         value = sources.value
         if "sharper" in buffers:
-            detailed = (*slotted, *subs, depth, statistics, *centers)
-            run("trace_detail", (plan.slots,), PIXELS[:1], at.events, *detailed)
+            run("trace_detail", (plan.slots,), PIXELS[:1], at.events, *slotted, depth, statistics)
             value = buffers["sharper"]
             self._per_pixel("sharpen", at, window, at.grid, sources.value, buffers["share"], source, value)
         found = replace(
@@ -254,13 +251,18 @@ class Tracer:
         self._per_pixel("pinhole", at, whole_grid(at), *head, *out)
         return Image(value, (coc, valid))
 
+    @cached_property
+    def _built(self) -> Hashable:
+        """What of the kernels hits depend on."""
+        features = self.plan.features()
+        return *(features[name] for name in ("CHANNELS", "MOVED", "FILTER", "TEXTURED", "LIT")), self.scene.real
+
     def _key(self, at: Moment) -> HitKey:
         """All that what rays hit depends on: where they are, and what they may meet."""
-        sample, features = at.sample, self.plan.features()
+        sample = at.sample
         members = [k for k in range(len(sample.placed)) if at.group.members >> k & 1]
-        built = tuple(features[name] for name in ("CHANNELS", "MOVED", "FILTER", "TEXTURED", "LIT")), self.scene.real
         light = tuple(each.tobytes() for each in sample.light)
-        cast = (at.grid.tobytes(), sample.packed[members].tobytes(), light, tuple(members), built)
+        cast = (at.grid.tobytes(), sample.packed[members].tobytes(), light, tuple(members), self._built)
         maps = self.scene.packed_maps.tobytes() if self.plan.mapped else b""
         return HitKey(at.group, (cast, maps), self.scene.content)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,12 +64,16 @@ def check_keyframes(scene: Scene) -> None:
         raise SceneError(faults)
 
 
+@lru_cache(maxsize=8)
 def _grid(camera: Camera, guard: int) -> Slopes:
     """Slopes (GRID, GRID) of rays over frame and guard band, the outermost pixels included."""
     columns, rows = camera.frame_size
     x = np.linspace(-0.5 * (columns - 1) - guard, 0.5 * (columns - 1) + guard, GRID)
     y = np.linspace(-0.5 * (rows - 1) - guard, 0.5 * (rows - 1) + guard, GRID)
-    return slopes_at(camera, *np.meshgrid(x, y))
+    found = slopes_at(camera, *np.meshgrid(x, y))
+    for each in found:
+        each.flags.writeable = False
+    return found
 
 
 def _slopes(cameras: Sequence[Camera], guard: int) -> list[Slopes]:

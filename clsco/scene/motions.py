@@ -124,6 +124,8 @@ class ObjectMotion(Strict):
     @property
     def moves(self) -> bool:
         """True if any component of a velocity, an acceleration or a keyframe differs from 0."""
+        if not self.model_fields_set:  # a frame asks dozens of times
+            return False
         shifts = (key.position for key in self.keyframe or ())
         return any(map(any, (self.velocity, self.acceleration or NONE, *shifts))) or any(self.turns)
 

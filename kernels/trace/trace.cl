@@ -212,47 +212,39 @@ __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *su
 }
 
 #if SUBPIXELS
-// Gives a slot to every pixel within 2 px of a change of label, and to those whose texture is DETAILED or FINE. Slots
-// come in any order; what is in them does not. In: label. Out: marks of source, pixels (slots): index p of the pixel,
-// of one that is only DETAILED -1 - 2 p, that is only FINE -2 - 2 p; statistics.
+// Gives a slot to every pixel within 2 px of a change of label, and to those whose texture is DETAILED or FINE, run by
+// run of TAP_LANES pixels. Slots come in any order; what is in them does not. In: label. Out: marks of source, pixels
+// (slots): index p of the pixel, of one that is only DETAILED -1 - 2 p, that is only FINE -2 - 2 p; statistics.
 __kernel void mark_silhouettes(const grid_t grid, __global const uchar *label, const int capacity,
                                __global float *source, __global int *pixels, __global int *statistics)
 {
-    const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= grid.width || y >= grid.height)
+    const int begin = get_global_id(0) * TAP_LANES, y = get_global_id(1);
+    if (begin >= grid.width || y >= grid.height)
         return;
-    const int at = y * grid.width + x;
+    const bool alike = has_one_label(grid, label, begin, y);
+    if (alike && !TEXTURED)
+        return;
+    __global float *marks = MARKS(source, grid.height * grid.width);
+    for (int x = begin; x < MIN(begin + TAP_LANES, grid.width); ++x) {
+        const int at = y * grid.width + x;
 #if DIVIDED
-    if (all_left_out(grid, source, x, y))
-        return;
+        if (all_left_out(grid, source, x, y))
+            continue;
 #endif
-    const uchar own = label[at];
-    bool differs = false, detailed = false, fine = false;
+        bool detailed = false, fine = false;
 #if TEXTURED
-    const int mark = as_int(MARKS(source, grid.height * grid.width)[at]);
-    fine = mark == FINE;
-    detailed = fine || mark == DETAILED;
+        fine = as_int(marks[at]) == FINE;
+        detailed = fine || as_int(marks[at]) == DETAILED;
 #endif
-    if (x >= 2 && x < grid.width - 2 && y >= 2 && y < grid.height - 2) {
-        // Five labels of a row at a time, as two ints that overlap.
-        uint other = 0;
-        for (int i = -2; i <= 2; ++i) {
-            __global const uchar *line = label + at + i * grid.width - 2;
-            other |= (LOAD_FOUR_BYTES(line) ^ own * 0x01010101u) | (LOAD_FOUR_BYTES(line + 1) ^ own * 0x01010101u);
-        }
-        differs = other != 0;
-    } else {
-        for (int i = MAX(y - 2, 0); i <= MIN(y + 2, grid.height - 1); ++i)
-            for (int j = MAX(x - 2, 0); j <= MIN(x + 2, grid.width - 1); ++j)
-                differs |= label[i * grid.width + j] != own;
+        const bool differs = !alike && is_at_silhouette(grid, label, x, y);
+        if (!differs && !detailed)
+            continue;
+        const int slot = atomic_inc(statistics + STATISTIC_SLOTS);
+        if (slot >= capacity)
+            continue;
+        pixels[slot] = differs ? at : -1 - 2 * at - fine;
+        marks[at] = as_float(slot);
     }
-    if (!differs && !detailed)
-        return;
-    const int slot = atomic_inc(statistics + STATISTIC_SLOTS);
-    if (slot >= capacity)
-        return;
-    pixels[slot] = differs ? at : -1 - 2 * at - fine;
-    MARKS(source, grid.height * grid.width)[at] = as_float(slot);
 }
 
 // The ray through a cell of a pixel of the padded grid, and right and down of its middle by cells.
@@ -270,117 +262,100 @@ __kernel void label_subpixels(const grid_t grid, __constant surface_t *surfaces,
                               __global const int *pixels, const int capacity, __global uchar *sub_label,
                               __global real *sub_depth, __global const int *statistics)
 {
-    const int id = get_global_id(0), each = SUBPIXELS * SUBPIXELS;
-    const int slot = id / each;
-    if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] < 0)
-        return;
-    uchar root;
-    int object;
-    const real3 ray = cell_ray(grid, pixels[slot], id % each, 0, 0);
-    sub_depth[id] = nearest_surface(surfaces, group, ray, &root, &object);
-    sub_label[id] = root;
-}
-
-// Coverage of these cells where an outline is beside them, see outline.clh. In: marks of source, sub_label. Out:
-// sub_source (cells covered, and right and down of the middle by cells, where the source is taken).
-__kernel void cover_outlines(const grid_t grid, __constant surface_t *surfaces, __global const int *pixels,
-                             const int capacity, __global float *source, __global const uchar *sub_label,
-                             __global float4 *sub_source, __global const int *statistics)
-{
     const int slot = get_global_id(0), each = SUBPIXELS * SUBPIXELS;
     if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] < 0)
         return;
-    for (int sub = 0; sub < each; ++sub)
-        sub_source[slot * each + sub] = (float4)(1, 0, 0, 0);
-    uchar labels[CELLS_AROUND * CELLS_AROUND];
-    __global const float *marks = MARKS(source, grid.height * grid.width);
-    if (!labels_around(grid, marks, pixels, sub_label, slot, labels))
-        return;
-    coverage_t found;
-    const int row = FRAME_ROW(grid, pixels[slot] / grid.width), column = pixels[slot] % grid.width - grid.guard;
-    cell_coverage(grid, surfaces, row, column, labels, &found);
+    const int pixel = pixels[slot];
     for (int sub = 0; sub < each; ++sub) {
-        const int cell = (sub / SUBPIXELS + 1) * CELLS_AROUND + sub % SUBPIXELS + 1;
-        if (labels[cell] != 0)
-            sub_source[slot * each + sub] =
-                (float4)(found.covered[cell], (float)found.right[cell], (float)found.down[cell], 0);
+        uchar root;
+        int object;
+        const real3 ray = cell_ray(grid, pixel, sub, 0, 0);
+        sub_depth[slot * each + sub] = nearest_surface(surfaces, group, ray, &root, &object);
+        sub_label[slot * each + sub] = root;
     }
 }
 
-// Point sources of these cells. In: sub_label, sub_depth. In and out: sub_source, the coverage, and then float4
-// (coordinate, tilt right, tilt down, WHOLE ... PARTLY_LIMB). Out: sub_value float (CHANNELS, slots, SUBPIXELS^2).
+// Point sources of these cells, of the part that their surfaces cover where an outline is beside them, see outline.clh.
+// In: source, sub_label, sub_depth. Out: sub_source float4 (coordinate, tilt right, tilt down, WHOLE ... PARTLY_LIMB),
+// sub_value float (CHANNELS, slots, SUBPIXELS^2).
 __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
                               const psf_t psf,
-                              __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
-                              __global const int *pixels, const int capacity, __global float4 *sub_source,
+                              __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global const int *pixels,
+                              const int capacity, __global const float *source, __global float4 *sub_source,
                               __global float *sub_value, __global const uchar *sub_label,
-                              __global const real *sub_depth, __global int *statistics
-#if DIVIDED
-                              , __global const float *centers
-#endif
-                              OF_EXPOSURE
-)
+                              __global const real *sub_depth, __global int *statistics OF_EXPOSURE)
 {
-    const int id = get_global_id(0), each = SUBPIXELS * SUBPIXELS;
-    const int slot = id / each, sub = id % each;
-    if (id == 0)
+    const int slot = get_global_id(0), each = SUBPIXELS * SUBPIXELS;
+    if (slot == 0)
         atomic_max(statistics + STATISTIC_MOST_SLOTS, statistics[STATISTIC_SLOTS]);
     if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] < 0)
         return;
-    const float4 cover = sub_source[id];
-    const real3 middle = cell_ray(grid, pixels[slot], sub, 0, 0);
-    const real depth = sub_depth[id];
-    uchar root = sub_label[id];
+    const int pixel = pixels[slot], row = FRAME_ROW(grid, pixel / grid.width), column = pixel % grid.width - grid.guard;
+    uchar labels[CELLS_AROUND * CELLS_AROUND];
+    coverage_t found;
+    const bool outlined = labels_around(grid, MARKS(source, grid.height * grid.width), pixels, sub_label, slot, labels);
+    if (outlined)
+        cell_coverage(grid, surfaces, row, column, labels, &found);
 #if DIVIDED
     // Sources of a pixel that is not still are not: they may be there at some time samples alone.
-    const bool pixel_still = (centers[pixels[slot]] <= ELSEWHERE) != exposure.still;
-    const int hit = root ? (root - 1) / 2 : -1;
-    const bool still = pixel_still && is_still(grid, lens, surfaces, group, psf, exposure, places, middle, depth, hit,
-                                               MOVING_MARGIN);
-    if (!still)
-        check_window(grid, exposure, pixels[slot], statistics);
-    if (still != exposure.still) {
-        sub_source[id] = (float4)(ELSEWHERE, 0, 0, as_float(WHOLE));
-        return;
-    }
+    const bool pixel_still = (source[pixel] <= ELSEWHERE) != exposure.still;
 #endif
-    real3 ray = middle;
-    real w = depth;
-    if (cover.y != 0 || cover.z != 0) {
-        const real3 moved = cell_ray(grid, pixels[slot], sub, cover.y, cover.z);
-        uchar there;
-        int object;
-        const real found = nearest_surface(surfaces, group, moved, &there, &object);
-        // Beside a corner it may be another surface.
-        ray = there == root ? moved : ray;
-        w = there == root ? found : w;
+    for (int sub = 0; sub < each; ++sub) {
+        const int id = slot * each + sub, cell = (sub / SUBPIXELS + 1) * CELLS_AROUND + sub % SUBPIXELS + 1;
+        const real3 middle = cell_ray(grid, pixel, sub, 0, 0);
+        const real depth = sub_depth[id];
+        uchar root = sub_label[id];
+#if DIVIDED
+        const int hit = root ? (root - 1) / 2 : -1;
+        const bool still = pixel_still && is_still(grid, lens, surfaces, group, psf, exposure, places, middle, depth,
+                                                   hit, MOVING_MARGIN);
+        if (!still)
+            check_window(grid, exposure, pixel, statistics);
+        if (still != exposure.still) {
+            sub_source[id] = (float4)(ELSEWHERE, 0, 0, as_float(WHOLE));
+            continue;
+        }
+#endif
+        real3 ray = middle;
+        real w = depth;
+        float covered = 1;
+        float2 aside = 0;
+        if (outlined && root != 0) {
+            aside = (float2)((float)found.right[cell], (float)found.down[cell]);
+            covered = found.covered[cell];
+            if (aside.x != 0 || aside.y != 0) {
+                const real3 moved = cell_ray(grid, pixel, sub, aside.x, aside.y);
+                uchar there;
+                int object;
+                const real moved_w = nearest_surface(surfaces, group, moved, &there, &object);
+                // Beside a corner it may be another surface.
+                ray = there == root ? moved : ray;
+                w = there == root ? moved_w : w;
+            }
+        }
+        take_radiance(grid, surfaces, ray, w, root, row, column, SUBPIXELS, covered / each, texture TEXTURE_MAPS LIGHT,
+                      sub_value + id, capacity * each);
+        // The lens is tested from the middle of the cell, as by the blur.
+        const float4 record = source_record(grid, lens, surfaces, group, psf, ray, bend_along(grid, lens, ray), w,
+                                            middle, bend_along(grid, lens, middle), depth, 1, &root, statistics);
+        sub_source[id] = with_limb(grid, surfaces, sub_label[id], ray, aside, record);
     }
-    const int row = FRAME_ROW(grid, pixels[slot] / grid.width), column = pixels[slot] % grid.width - grid.guard;
-    take_radiance(grid, surfaces, ray, w, root, row, column, SUBPIXELS, cover.x / each, texture TEXTURE_MAPS LIGHT,
-                  sub_value + id, capacity * each);
-    // The lens is tested from the middle of the cell, as by the blur.
-    const float4 record = source_record(grid, lens, surfaces, group, psf, ray, bend_along(grid, lens, ray), w, middle,
-                                        bend_along(grid, lens, middle), depth, 1, &root, statistics);
-    sub_source[id] = with_limb(grid, surfaces, sub_label[id], ray, cover.yz, record);
 }
 
 #if TEXTURED
 // The same of the pixels that are marked for their textures alone, see detail.clh.
 __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
                            const psf_t psf, __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
-                           __global const int *pixels, const int capacity, __global float4 *sub_source,
-                           __global float *sub_value, __global real *sub_depth, __global int *statistics
-#if DIVIDED
-                           , __global const float *centers
-#endif
-)
+                           __global const int *pixels, const int capacity, __global const float *source,
+                           __global float4 *sub_source, __global float *sub_value, __global real *sub_depth,
+                           __global int *statistics)
 {
     const int slot = get_global_id(0), each = SUBPIXELS * SUBPIXELS;
     if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] >= 0)
         return;
     const int code = -1 - pixels[slot], at = code / 2, fine = code & 1, parts = fine ? FINE_PARTS : FEW_PARTS;
 #if DIVIDED
-    if (centers[at] <= ELSEWHERE) {
+    if (source[at] <= ELSEWHERE) {
         for (int sub = 0; sub < each; ++sub)
             sub_source[slot * each + sub] = (float4)(ELSEWHERE, 0, 0, as_float(WHOLE));
         return;

@@ -31,7 +31,6 @@ HEADERS = sorted(
 WITHOUT_TWIN = {
     "trace": {
         "aim": "part of trace, which casts for one lens",
-        "cover_outlines": "part of trace_subpixels",
         "label_subpixels": "part of trace_subpixels",
         "pinhole": "trace of all objects, with nothing in their way",
         "trace_detail": "part of trace_subpixels",
@@ -46,7 +45,11 @@ WITHOUT_TWIN = {
     "convolve": dict.fromkeys(("sum_down", "sum_across"), "sums over rectangles, of which the reference has no need"),
     "estimate": {"use_neighbors": "counts them, as the reference does where it needs to"},
     "sources": dict.fromkeys(("get_source", "put_source"), "where the planes of a record are"),
-    "outline": {"with_limb": "the last lines of _covering"},
+    "outline": {
+        "with_limb": "the last lines of _covering",
+        "has_one_label": "the same of eight pixels at once",
+        "is_at_silhouette": "mark_silhouettes, for all pixels at once",
+    },
     "occluder": dict.fromkeys(("limited_part", "inside_outline"), "a part of occluded_part"),
     "visibility_test": {
         "shared_cells": "free_share, which the device shortens where no two edges meet",

@@ -221,8 +221,8 @@ def traced(
     run(session, program, "aim", grid, local, **{name: each for name, each in given.items() if name != "value"})
     if each:
         run(session, program, "mark_silhouettes", grid, local, **given)
-        for name, count in (("label_subpixels", each), ("cover_outlines", 1), ("trace_subpixels", each)):
-            run(session, program, name, (capacity * count,), (local[0] * local[1],), **given)
+        for name in ("label_subpixels", "trace_subpixels"):
+            run(session, program, name, (capacity,), (local[0] * local[1],), **given)
     found = Traced(
         plan,
         download(session, given["label"], shape, np.uint8) if each else np.zeros(shape, np.uint8),

@@ -260,7 +260,7 @@ def test_passes_that_a_scene_has_no_use_for_are_not_run() -> None:
     assert passes(sharp) == {"cast", "aim"}
     assert passes(scene({"shape": "plane", "distance": 260.0})) == {"cast", "aim", "convolve"}
     assert passes(scene({"shape": "plane", "slope_x": 1.0})) == {"cast", "aim", "gather"}
-    finer = {"mark_silhouettes", "label_subpixels", "cover_outlines", "trace_subpixels"}
+    finer = {"mark_silhouettes", "label_subpixels", "trace_subpixels"}
     assert passes(scene(BALL)) == {"cast", "aim", "gather"} | finer
     forward = passes(scene({**BALL, "motion": GOING}, motion={"warp": "forward"}))
     assert not forward & ({"cast", "aim"} | finer)
