@@ -253,7 +253,7 @@ class Tracer:
 
     @cached_property
     def _built(self) -> Hashable:
-        """What of the kernels hits depend on."""
+        """Features of the kernels that hits depend on."""
         features = self.plan.features()
         return *(features[name] for name in ("CHANNELS", "MOVED", "FILTER", "TEXTURED", "LIT")), self.scene.real
 
@@ -281,8 +281,11 @@ class Tracer:
         return part.exposed.window(at.group, plan.scene.camera, plan.psf.extent, plan.guard_px, *rows)
 
     def _window(self, at: Moment) -> Window | None:
-        """Part of the grid whose sources are made."""
-        return whole_grid(at) if at.part is None or at.part.still else self._changed(at, at.part)
+        """Part of the grid whose sources are made; from whole groups of pixels on, so that all passes pad it alike."""
+        if at.part is None or at.part.still:
+            return whole_grid(at)
+        found = self._changed(at, at.part)
+        return None if found is None else (found[0] - found[0] % PIXELS[0], *found[1:])
 
     def _exposure(self, at: Moment, every: bool = False) -> tuple[Any, ...]:
         """Kernel arguments of a part of an exposure; every: of rays that other lenses share."""
