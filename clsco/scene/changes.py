@@ -165,7 +165,8 @@ def given(value: Any) -> Any:
     """
     if isinstance(value, BaseModel):
         fields = type(value).model_fields
-        names = [name for name in fields if name in value.model_fields_set or name == "shape"]
+        kept = value.model_fields_set - {name for name, field in fields.items() if field.exclude}
+        names = [name for name in fields if name in kept or name == "shape"]
         found = {fields[name].serialization_alias or name: getattr(value, name) for name in names}
         return {key: given(entry) for key, entry in found.items() if entry is not None}
     if isinstance(value, Mapping):

@@ -151,6 +151,7 @@ def test_distortion_is_a_term_of_the_wavefront() -> None:
     unit = camera.pixel_pitch / camera.normalization_distance
     corner = 0.5 * np.hypot(47.0, 31.0)
     assert k1 * (corner * unit) ** 3 / unit == pytest.approx(2.0 * diffraction_unit(camera, 2500.0) * -2.0)
+    assert wanted.replace("psf.seidel.W311", -2.0) == wanted
     same = scene_from({"camera": wide, "lens": {"distortion": [k1, 0.0, 0.0]}}, TILTED)
     (frame,), (expected,) = clsco.render(wanted), clsco.render(same)
     assert (frame.color == expected.color).all()
