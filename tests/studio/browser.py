@@ -74,11 +74,10 @@ def chromium() -> Iterator[Any]:
 
 def _wait_for(page: Any, expression: str, *, arg: Any = None, timeout: float = 30000.0) -> None:
     """Wait until an expression is true: as Playwright's own, which needs a policy that lets strings be evaluated."""
-    from playwright.sync_api import Error
-
+    error = pytest.importorskip("playwright.sync_api").Error
     end = time.monotonic() + timeout / 1000.0
     while time.monotonic() < end:
-        with suppress(Error):  # while a page is loaded
+        with suppress(error):  # while a page is loaded
             if page.evaluate(expression, arg):
                 return
         page.wait_for_timeout(20)
