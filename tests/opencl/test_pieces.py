@@ -122,10 +122,10 @@ def interrupted(after: float) -> Iterator[list[float]]:
 @pytest.fixture
 def warm() -> None:
     """Kernels are compiled to their end, whatever comes meanwhile."""
-    narrow = WIDE | {"camera": WIDE["camera"] | {"f_number": 11.0}}
-    clsco.render_frame(narrow, truth=())
+    part = LONG | {"camera": LONG["camera"] | {"resolution": (160, 120)}}  # as wide a blur has the same kernels
+    clsco.render_frame(part, truth=())
     with clsco.Live() as live:
-        live.render(narrow, truth=())
+        live.render(part, truth=())
 
 
 @pytest.mark.usefixtures("warm")
