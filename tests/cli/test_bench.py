@@ -89,6 +89,7 @@ def measured(session: Session, steps: list[int]) -> Bench:
     return measure.run(SMALL, session.device, [], lambda: steps.append(1))
 
 
+@pytest.mark.slow
 def test_plots_show_the_largest_size_that_is_whole(measured: Bench) -> None:
     assert report._size(measured) == 40
     rows = [row for row in measured.rows if row.size == 24]
@@ -105,6 +106,7 @@ def test_gray_images_as_well(session: Session, precision: Precision) -> None:
     test_figures_of_a_row_belong_together(found)
 
 
+@pytest.mark.slow
 @pytest.mark.processor  # which has all methods
 def test_every_case_has_a_row(measured: Bench, steps: list[int], session: Session) -> None:
     cases = grid_cases(SMALL, has_fp64=True)
@@ -120,6 +122,7 @@ def test_every_case_has_a_row(measured: Bench, steps: list[int], session: Sessio
     assert len(steps) == measure.steps(SMALL, session.device, []) == 3 * len(cases)
 
 
+@pytest.mark.slow
 def test_every_method_is_close_to_the_reference(measured: Bench) -> None:
     for row in measured.rows:
         assert 0.0 <= row.rms_error <= row.largest_error < FIGURE, row
@@ -128,6 +131,7 @@ def test_every_method_is_close_to_the_reference(measured: Bench) -> None:
     assert worst.largest_error > 0.0
 
 
+@pytest.mark.slow
 def test_figures_of_a_row_belong_together(measured: Bench) -> None:
     for row in measured.rows:
         assert row.device_ns is not None
@@ -257,6 +261,7 @@ def test_the_front_is_what_nothing_beats() -> None:
             assert any(expected) == (count > 0)
 
 
+@pytest.mark.slow
 def test_each_task_has_a_front_of_its_own(measured: Bench) -> None:
     tasks = {row.task for row in measured.rows}
     assert len(tasks) == 2 * 2 * len(PSFS)
@@ -294,6 +299,7 @@ def test_the_crop_lies_in_the_image_and_holds_an_edge() -> None:
     assert np.abs(np.diff(radii, axis=1)).max() > 10.0
 
 
+@pytest.mark.slow
 def test_files_hold_all_rows(measured: Bench, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     report.write(tmp_path, measured)
@@ -311,6 +317,7 @@ def test_files_hold_all_rows(measured: Bench, tmp_path: Path) -> None:
         assert (line["method"], line["psf"]) == (wanted.method, wanted.psf)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("failure", [OSError("disk full"), RuntimeError("no such font")])
 def test_nothing_is_left_when_a_plot_fails(
     measured: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failure: Exception

@@ -56,7 +56,7 @@ def run(*words: str | Path) -> Result:
     ("name", "out", "dtype", "channels"),
     [
         pytest.param("image.png", "filled.png", np.uint8, 1, marks=pytest.mark.slow),
-        ("image.png", "filled.tif", np.uint16, 3),
+        pytest.param("image.png", "filled.tif", np.uint16, 3, marks=pytest.mark.slow),
         pytest.param("image.tif", "filled.png", np.uint8, 3, marks=pytest.mark.slow),
         ("image.tif", "filled.tif", np.float32, 3),
         ("image.exr", "filled.exr", np.float32, 3),

@@ -79,6 +79,7 @@ def test_the_light_of_the_border_is_lost_and_that_beside_the_frame_comes_in() ->
     assert clsco.response(scene, 0, 5).sum() < 0.8
 
 
+@pytest.mark.slow
 def test_a_response_has_the_way_of_its_source_and_none_of_the_texture() -> None:
     scene = SCENES["moving"].replace("camera.aperture_diameter", 0.5)
     moved = clsco.response(scene, 7, 5)

@@ -89,7 +89,11 @@ def test_images_of_every_kind_are_those_of_the_reference(shape: tuple[int, ...],
         assert (clsco.inpaint(hidden, missing, **THESIS) == clsco.inpaint(image, missing, **THESIS)).all()
 
 
-@pytest.mark.parametrize("shape", [(1, 2), (2, 1), (1, 40), (40, 1), (2, 2, 1), (3, 3, 16), (8, 70, 2), (5, 600)])
+@pytest.mark.parametrize(
+    "shape",
+    [(1, 2), (2, 1), (1, 40), (40, 1), (2, 2, 1), pytest.param((3, 3, 16), marks=pytest.mark.slow),
+     pytest.param((8, 70, 2), marks=pytest.mark.slow), (5, 600)],
+)  # fmt: skip
 def test_images_of_every_size(shape: tuple[int, ...]) -> None:
     missing = damage(shape)
     missing[0, 0] = True

@@ -40,7 +40,7 @@ def scene(*items: dict[str, Any], sections: dict[str, Any] | None = None, **sequ
 
 
 @pytest.mark.parametrize("scan", mostly_slow(SCANS, ["left_to_right"]))
-@pytest.mark.parametrize("sections", [{}, {"stereo": {"baseline": 20.0, "toe_in": 2.0}}])
+@pytest.mark.parametrize("sections", mostly_slow([{}, {"stereo": {"baseline": 20.0, "toe_in": 2.0}}], [{}]))
 def test_every_output_agrees(scan: str, sections: dict[str, Any]) -> None:
     wanted = scene(scan=scan, sections=sections)
     for frame, exact in zip(clsco.render(wanted, precision="double"), reference.render(wanted), strict=True):

@@ -255,7 +255,7 @@ WHITE: dict[str, tuple[list[dict[str, Any]], dict[str, Any], float, float]] = {
 }
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n != "ball")) for n in WHITE])
+@pytest.mark.parametrize("name", mostly_slow(WHITE, []))
 def test_white_before_white_is_white(tmp_path: Path, name: str) -> None:
     """Whatever an object takes away of the wall's light it gives itself: the parts of the lens add up to 1.
 

@@ -89,6 +89,7 @@ def radii_of(frame: clsco.Frame) -> NDArray[np.float32]:
     return frame.blur_radius
 
 
+@pytest.mark.slow
 def test_one_color_is_that_of_its_lens_alone() -> None:
     """Red of a lens with longitudinal color is red of a thin lens with red's focal length, and the same opening."""
     found, wanted = clsco.render_frame(SCENES["axial"]), SCENES["axial"].replace("lens", {})

@@ -90,6 +90,7 @@ def test_a_side_of_a_box_is_a_card_with_its_letter(side: str) -> None:
     np.testing.assert_allclose(found.uv, wanted.uv, rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_turning_box_shows_its_sides_one_after_the_other() -> None:
     """A quarter turn per frame: front, right, back, left."""
     sequence = {"frames": 4, "interval": 1.0, "shutter": 1e-9, "samples": 1}

@@ -130,7 +130,7 @@ CARDS = [CARD | {"bounds": [[-5.0, 4.0], [-75.0 + k, 75.0], [-1.0, 1.0]], "dista
     ("method", "sections"),
     [
         ("gather", {"object": [*CARDS, FLOOR]}),
-        ("gather", {"object": [BALL, WALL], "sequence": {"samples": 2}}),
+        pytest.param("gather", {"object": [BALL, WALL], "sequence": {"samples": 2}}, marks=pytest.mark.slow),
         pytest.param("scatter", {"object": [*CARDS, FLOOR], "psf": {"model": "gaussian"}}, marks=pytest.mark.slow),
         pytest.param("gather", {"object": [*CARDS, WALL], "psf": {"border": "renormalize"}}, marks=pytest.mark.slow),
     ],

@@ -47,7 +47,7 @@ def grid(half: int) -> tuple[Array, Array]:
 
 
 @pytest.mark.parametrize("edge", mostly_slow(["integrated", "area"], ["integrated"]))
-@pytest.mark.parametrize("name", mostly_slow(OPENINGS, ["bulging", "concave", "ellipse", "heart, narrow"]))
+@pytest.mark.parametrize("name", mostly_slow(OPENINGS, ["bulging", "heart, narrow"]))
 def test_no_light_is_lost(name: str, edge: str) -> None:
     psf = opening(name, edge)
     for radius in (1e-9, 1e-4, 0.3, 1.0, -7.3, 40.0):
