@@ -138,7 +138,7 @@ def scene_workspace(plan: Plan, lights: Sequence[Light], hits: Hits | None, grid
     if plan.color and plan.scene.lens is not None and plan.scene.darkens:
         from clsco.passes.vignetting import Vignetting
 
-        runs |= _vignetting_runs(Vignetting(session, plan.scene.lens.vignetting, plan.colors))
+        runs |= _vignetting_runs(Vignetting(session, plan.scene.lens.vignetting, plan.colors, plan.rows * plan.columns))
     if plan.color and plan.averages:
         runs |= _exposure_runs(FrameSum(session, sum_buffers(plan.grid), plan.scene.sequence.by_columns))
     if plan.sensor_model is not None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.constants import SUMMED_PIXELS
-from clsco.opencl.buffers import upload_cached
+from clsco.opencl.buffers import Refilled
 from clsco.opencl.program import build
 from clsco.opencl.session import Session
 from clsco.optics.vignetting import throughput
@@ -36,21 +36,28 @@ class Vignetting:
         Key of the scene.
     colors : int
         Channels of light, the first ones of a plane; coverage stays as it is.
+    pixels : int
+        Number of those of the frame.
 
     Notes
     -----
     Validated against `clsco.reference.blur.vignetting`.
     """
 
-    def __init__(self, session: Session, kind: Kind, colors: int) -> None:
+    def __init__(self, session: Session, kind: Kind, colors: int, pixels: int) -> None:
         program = build(session, ["blur/vignetting.cl"], FEATURES, structs("float"), "float")
         self.target, self.kind, self.colors = Target(session, program, "float"), kind, colors
+        self._buffer = Refilled(session, 4 * pixels)  # the kernels of the time sample before may still read it
+        self._filled: NDArray[np.float32] | None = None
         self.local = (1, 1) if session.device.kind == "cpu" else BLOCKS  # as of `FrameSum`
 
     def darken(self, plane: Plane, camera: Camera, top: int, events: Events) -> Plane:
         """Darken a plane of the frame of a camera, whose first row is `top`."""
-        given = upload_cached(self.target.session, _share(camera, self.kind), "vignetting")
+        share = _share(camera, self.kind)
+        if share is not self._filled:
+            self._buffer.fill(share)
+            self._filled = share
         head = (np.int32(n) for n in (plane.rows, plane.columns, self.colors))
         size = (-(-plane.columns // SUMMED_PIXELS), plane.rows)
-        self.target.run("vignette", size, self.local, events, *head, *plane.layout, given, np.int32(top))
+        self.target.run("vignette", size, self.local, events, *head, *plane.layout, self._buffer.buffer, np.int32(top))
         return plane

@@ -67,17 +67,18 @@ class Addresses:
 
     async def share(self, request: Request) -> JSONResponse:
         """Go to the scene of a link, which is the fragment of the page's address."""
+        content = await request.body()  # before any answer, or a connection with what is not read yet is reset
         session = self._session(request)
         try:
-            session.load_share((await request.body()).decode("ascii", "replace"))
+            session.load_share(content.decode("ascii", "replace"))
         except SceneError as error:
             return _refused("\n".join(error.messages))
         return JSONResponse({})
 
     async def texture(self, request: Request) -> JSONResponse:
         """Keep an image that was dropped, under a name made of its content, and say what it is called."""
-        root, kind = self._session(request).root, request.query_params.get("kind", "")
         content = await request.body()  # the guard bounds it
+        root, kind = self._session(request).root, request.query_params.get("kind", "")
         try:
             return JSONResponse({"name": await asyncio.to_thread(keep_image, root, content, kind)})
         except ClscoError as error:
@@ -134,9 +135,10 @@ class Addresses:
 
     async def paint(self, request: Request) -> JSONResponse:
         """Take a mask as runs, or add the pixels of a color to it; the guard bounds the request."""
+        content = await request.body()
         inpainting = inpainting_of(self._session(request))
         try:
-            match json.loads(await request.body()):
+            match json.loads(content):
                 case {"columns": int(columns), "rows": int(rows), "runs": list(runs)}:
                     inpainting.paint(columns, rows, runs)
                 case {"column": int(column), "row": int(row), "tolerance": int() | float() as tolerance, **rest}:

@@ -182,7 +182,11 @@ def test_device_against_reference(number: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("number", range(0, COUNT, 4))
 def test_strips_have_the_bits_of_the_whole_frame(number: int) -> None:
-    wanted = drawn(number).replace("camera.resolution", [24, 3 * BAND])
+    drawn_scene = drawn(number)
+    wanted = drawn_scene.replace("camera.resolution", [24, 3 * BAND])
+    if wanted.lens is not None:  # the edge of a frame that is so much higher is bent as that of the drawn one
+        shrunk = (drawn_scene.camera.frame_size[1] / (3 * BAND)) ** 2
+        wanted = wanted.replace("lens.field_curvature", shrunk * wanted.lens.field_curvature)
     method = method_of(number, wanted)
     (whole,) = rendered(wanted, method=method, truth=())
     (cut,) = rendered(wanted, method=method, truth=(), memory=memory_for(wanted, BAND, (), method))
