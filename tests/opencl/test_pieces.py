@@ -41,7 +41,6 @@ LONG: dict[str, Any] = WIDE | {"camera": WIDE["camera"] | {"resolution": (2560, 
 SMALL: dict[str, Any] = WIDE | {"camera": WIDE["camera"] | {"resolution": (60, 45), "pixel_pitch": 0.04}}
 MOMENT = 2.0  # s of a piece
 SOON = 8.0  # s of waiting, on a machine that may have other work to do
-AGAIN = 3.0  # s, after which the user hits the keys again: what is raised in a destructor is lost
 
 
 def rows(seed: int, *shape: int) -> np.ndarray[Any, Any]:
@@ -97,33 +96,29 @@ def test_pieces_have_the_bits_of_the_whole(name: str, counted: list[float], monk
 
 @contextmanager
 def interrupted(after: float) -> Iterator[list[float]]:
-    """SIGINT after so many seconds, and again; gives when it came, and checks that KeyboardInterrupt does soon after.
+    """SIGINT after so many seconds; gives when it came, and checks that KeyboardInterrupt does soon after.
 
     The collector rests meanwhile: hypothesis times it by a callback, and what is raised there is lost.
     """
     came: list[float] = []
 
-    ended = threading.Event()
-
     def interrupt() -> None:
         came.append(time.perf_counter())
-        while not ended.is_set():
-            os.kill(os.getpid(), signal.SIGINT)
-            ended.wait(AGAIN)
+        os.kill(os.getpid(), signal.SIGINT)
 
     timer = threading.Timer(after, interrupt)
+    given = signal.signal(signal.SIGINT, signal.default_int_handler)  # which shells ignore for what they run in the background
     gc.disable()
     timer.start()
     try:
         with pytest.raises(KeyboardInterrupt):
             yield came
-        ended.set()
         assert time.perf_counter() - came[0] < SOON
     finally:
-        ended.set()
         gc.enable()
         timer.cancel()
         timer.join()
+        signal.signal(signal.SIGINT, given)
 
 
 @pytest.fixture
