@@ -107,7 +107,7 @@ def interrupted(after: float) -> Iterator[list[float]]:
         os.kill(os.getpid(), signal.SIGINT)
 
     timer = threading.Timer(after, interrupt)
-    given = signal.signal(signal.SIGINT, signal.default_int_handler)  # which shells ignore for what they run in the background
+    given = signal.signal(signal.SIGINT, signal.default_int_handler)  # shells ignore it behind an &
     gc.disable()
     timer.start()
     try:
