@@ -83,7 +83,10 @@ OF_LINES = ("flow", "disparity", "occluded", "flow_backward", "flow_occluded")
 
 
 def ray_truth(scene: Scene, wanted: Collection[str], is_forward: bool) -> tuple[str, ...]:
-    """Outputs of ground truth that rays are asked for, from which those that are `wanted` follow."""
+    """Outputs of ground truth that rays are asked for; the host makes of them those that are `wanted`.
+
+    is_forward: a forward warp makes its own focused image.
+    """
     asked = {*wanted}
     if asked and any(item.is_background for item in scene.objects):
         asked.add("object_id")
