@@ -120,7 +120,7 @@ def test_a_scheduler_that_goes_away_ends_the_command(cluster: Cluster, tmp_path:
         if sum(counted) == 20:
             cluster.scheduler.kill()
 
-    with pytest.raises(ClscoError, match="must be there until the set is made, which --resume goes on with"):
+    with pytest.raises(ClscoError, match="must be there until the set is made, which may be resumed"):
         run_cluster(job, range(1000), cluster.address, advance)
     with pytest.raises(ClscoError, match="must be the address of a scheduler; got nonsense"):
         run_cluster(job, range(1), "nonsense", advance)

@@ -158,11 +158,11 @@ def grid_cases(grid: BenchGrid, has_fp64: bool, peers: Sequence[Peer] = ()) -> l
 
 
 def radius_map(side: int, largest: float) -> Array:
-    """Signed radii (side, side) in px of a sphere before a tilted plane."""
+    """Signed radii (side, side) in px of a sphere before a tilted plane, float32: of both precisions the same discs."""
     i, j = np.mgrid[0:side, 0:side] / (side - 1.0) - 0.5
     plane = largest * (0.7 + 0.6 * j)
     ball = 1.0 - np.sqrt(np.maximum(1.0 - (np.hypot(i, j) / 0.4) ** 2, 0.0))
-    return np.where(np.hypot(i, j) < 0.4, 0.3 * largest * ball, plane)
+    return np.where(np.hypot(i, j) < 0.4, 0.3 * largest * ball, plane).astype(np.float32)
 
 
 @lru_cache(maxsize=2)
