@@ -113,7 +113,7 @@ class Renderer:
         if self.plan.divided:
             film.parts = self.scene.parts(film.times)
         for number in range(len(film.steps)) if len(self.plan.strips) > 1 else ():
-            strips = (self._moment(film, strip, number) for strip in self.plan.strips)
+            strips = (self._moment(film, strip, number) for strip, counts in film.parts_of.items() if number in counts)
             film.bounds[number] = self.space.find_layers(self.plan.passes, strips)
         return film
 

@@ -28,6 +28,7 @@ MOVING = BALL | {"motion": GOING}
 SCANS = ("top_to_bottom", "bottom_to_top", "left_to_right", "right_to_left")
 OPEN = {"samples": 2, "shutter": 0.3, "readout": 0.6}
 LAYERED = {"psf": PLAIN | {"occlusion": "layered"}}
+COLORED = {"lens": {"axial": [0.02, 0.0, -0.02]}}
 FLAT = {"psf": PLAIN | {"occlusion": "none"}}
 
 
@@ -91,9 +92,14 @@ def test_only_rows_that_are_open_are_rendered(monkeypatch: pytest.MonkeyPatch) -
     np.testing.assert_allclose(narrow.color, whole.color, atol=1.2e-7)  # of bands that end sooner
 
 
-@pytest.mark.parametrize("scan", ["top_to_bottom", "right_to_left"])
-def test_strips_have_the_bits_of_the_frame(scan: str) -> None:
-    wanted = scene(scan=scan)
+@pytest.mark.parametrize(
+    ("scan", "sections", "readout"),
+    [("top_to_bottom", None, 0.6), ("right_to_left", None, 0.6), ("top_to_bottom", COLORED, 2.0)],
+    ids=["rows", "columns", "colors"],
+)
+def test_strips_have_the_bits_of_the_frame(scan: str, sections: dict[str, Any] | None, readout: float) -> None:
+    """Strips in which a time sample is not open have no part of it."""
+    wanted = scene(scan=scan, sections=sections, readout=readout)
     (whole,) = clsco.render(wanted, truth=())
     memory = device_bytes(prepare(wanted, Request(()), choose()).plan) - 1
     (tight,) = clsco.render(wanted, truth=(), memory=memory)
