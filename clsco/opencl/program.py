@@ -117,7 +117,7 @@ def build(
     options.append(f"-DVECTOR_WIDTH={device.vector_width}")
     if device.correctly_rounded:
         options.append("-cl-fp32-correctly-rounded-divide-sqrt")
-    key = "\n".join([*options, text])
+    key = *options, text
     with session.lock:
         if key not in session.programs:
             session.doing(f"compiling {', '.join(sources)}")
@@ -219,6 +219,12 @@ def program_text(
             lines += [f'#line 1 "{source}"', _read(kernels, source)]
         except FileNotFoundError as error:
             raise KernelError(f"kernels: must hold every file that is asked for; got no {source}") from error
+    return _joined(tuple(lines))
+
+
+@lru_cache(maxsize=32)
+def _joined(lines: tuple[str, ...]) -> str:
+    """A text in one piece: the same object each time, which as a key is hashed and compared once."""
     return "\n".join(lines)
 
 

@@ -153,6 +153,8 @@ def keyframe_at(motion: ObjectMotion, time: float, rotation: str) -> Keyframe:
 
 def _turned(degrees: NDArray[np.float64], rotation: str) -> NDArray[np.float64]:
     """Rotation (3, 3) by angles in deg, in the axes of the camera."""
+    if not degrees.any():
+        return np.eye(3)
     if rotation == "axis":
         length = float(np.linalg.norm(degrees))
         angles = degrees * (np.radians(np.fmod(length, 360.0)) / length) if length > 0 else np.zeros(3)

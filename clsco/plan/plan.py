@@ -48,7 +48,7 @@ from clsco.plan.features import curvature_of, shape_features
 from clsco.plan.image import blur_passes, light_of, named, strips_of
 from clsco.plan.methods import MANY_RADII, Blur, BlurSpec, check_shape, occluder_room
 from clsco.plan.passes import Kind, Parameters, Pass
-from clsco.plan.predict import Maps, Prediction, displaced, is_static_map, predict
+from clsco.plan.predict import Maps, Prediction, displaced, is_static_map, predict, slopes_where
 from clsco.plan.request import Request
 from clsco.plan.sensor import sensor_pass
 from clsco.plan.vignetting import vignetting_pass
@@ -405,12 +405,12 @@ def _is_apart(scene: Scene, channels: int) -> bool:
 def _predicted_taps(plan: Plan, predicted: Prediction) -> float:
     """Weights per frame, by inverse depths at some of its pixels."""
     w, middle = predicted.nearest, predicted.times[len(predicted.times) // 2]
-    slopes = (np.broadcast_to(slope, w.shape)[w > 0] for slope in predicted.slopes)
-    seen = np.abs(lens_at(plan.scene, middle).image_radius(w[w > 0], *slopes))
+    hit = w > 0
+    seen = np.abs(lens_at(plan.scene, middle).image_radius(w[hit], *slopes_where(hit, plan.scene, predicted.slopes)))
     if not seen.size:
         return 0.0
     lit = plan.psf.blended * np.pi * (seen * plan.psf.extent + plan.psf.pupil.margin + 0.7) ** 2
-    return float((w > 0).mean() * plan.width * plan.height * plan.repeats * lit.mean())
+    return float(hit.mean() * plan.width * plan.height * plan.repeats * lit.mean())
 
 
 def _passes(plan: Plan) -> tuple[Pass, ...]:

@@ -252,6 +252,14 @@ def _widest(scene: Scene, time: float) -> Camera:
     return colored(camera, scene.lens, int(np.argmin(scene.lens.lateral)))
 
 
+def slopes_where(hit: NDArray[np.bool_], scene: Scene, slopes: Slopes) -> tuple[Array | float, Array | float]:
+    """Slopes (n,) of rays (..., GRID, GRID) that hit something, or 0 where a lens blurs alike all over the frame."""
+    if not scene.blurs_unevenly:
+        return 0.0, 0.0
+    x, y = (np.broadcast_to(slope, hit.shape)[hit] for slope in slopes)
+    return x, y
+
+
 def _radii(scene: Scene, lenses: Sequence[Sequence[LensOptics]], w: Array, rays: Sequence[Slopes]) -> Array:
     """Blur radii (n,) in px of `Prediction.w` for the lenses of each time: of a lens that stays all times at once."""
     if scene.blurs_unevenly and is_static_map(scene):  # extreme depths may be anywhere
@@ -262,8 +270,8 @@ def _radii(scene: Scene, lenses: Sequence[Sequence[LensOptics]], w: Array, rays:
     for time, of_colors, slopes in zip(times, lenses, rays, strict=False):
         _check_curvature(scene, of_colors[0], slopes)
         hit = w[:, time] > 0
-        x, y = (np.broadcast_to(slope, hit.shape)[hit] if scene.blurs_unevenly else 0.0 for slope in slopes)
-        found += [lens.image_radius(w[:, time][hit], x, y) for lens in of_colors]
+        seen = slopes_where(hit, scene, slopes)
+        found += [lens.image_radius(w[:, time][hit], *seen) for lens in of_colors]
     return np.concatenate(found)
 
 
@@ -274,6 +282,7 @@ def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
     times = sequence_times(scene)
     poses, cameras, guard = [poses_at(scene, t, eye) for t in times], [_widest(scene, t) for t in times], 0
     samples, lenses = [*zip(cameras, poses, strict=True)], [lenses_at(scene, t) for t in times]
+    constant = constant_blur(scene)
     keeps = scene.is_analytic and not (scene.moves and (scene.lens_moves or scene.shifts_colors))
     seen = without_lens(scene) if keeps else None
     for _ in range(CASTS):  # each time with the guard band that the time before asked for
@@ -288,7 +297,7 @@ def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
             if abs(float(lenses[0][0].blur_radius(1.0 / nearest))) <= LARGEST_BLUR:
                 why = f"of what is {1.0 / float(w[w > 0].min()):.4g} mm away"
             raise SceneError(f"camera: {rule}; got {largest:.4g} px ({why})")
-        if not constant_blur(scene):  # rays between those of the grid
+        if not constant:  # rays between those of the grid
             smallest, largest = max(0.0, 0.9 * smallest - 1.0), 1.1 * largest + 1.0
         covered, guard = guard, guard_band(psf, scene.psf.border, largest)
         if guard <= covered:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from typing import NamedTuple
 
 from clsco.cache import Cache
 
@@ -57,3 +58,18 @@ def test_what_is_forgotten_is_made_again() -> None:
     cache.forget("key")
     cache.forget("key")
     assert (cache.bytes, get()) == (0, 2)
+
+
+def test_keys_are_hashed_once_a_request() -> None:
+    hashed = list[int]()
+
+    class Key(NamedTuple):
+        number: int
+
+        def __hash__(self) -> int:
+            hashed.append(self.number)
+            return 5  # as that of any other
+
+    cache = Cache(10)
+    found = [cache.get(Key(number), lambda number=number: number, lambda _: 4) for number in (1, 2, 1)]  # type: ignore[misc]
+    assert (found, hashed) == ([1, 2, 1], [1, 2, 1])

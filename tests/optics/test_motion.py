@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 from math import cos, pi, radians, sin
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from clsco.optics.motion import Pose, eye_pose, pose_at, poses_at, rest_center, rest_poses, rotation_matrix
+from clsco.optics.motion import (
+    TOWARDS_CAMERA,
+    Pose,
+    eye_pose,
+    pose_at,
+    poses_at,
+    rest_center,
+    rest_poses,
+    rotation_matrix,
+)
 from clsco.scene.model import (
     AnyShape,
     CameraMotion,
@@ -308,6 +317,12 @@ def test_a_pair_moves_as_one() -> None:
 
     for found, expected in zip(relative(1.3), relative(0.0), strict=True):
         np.testing.assert_allclose(found, expected, atol=1e-13)
+
+
+@pytest.mark.parametrize("rotation", ["euler", "axis"])
+def test_what_does_not_turn_has_the_bits_of_a_turn_by_nothing(rotation: Literal["euler", "axis"]) -> None:
+    turned = TOWARDS_CAMERA @ rotation_matrix(np.zeros(3), rotation) @ TOWARDS_CAMERA
+    assert pose_at(ObjectMotion(velocity=(1.0, 0.0, 0.0)), 2.0, rotation).rotation.tobytes() == turned.tobytes()
 
 
 def test_textures_belong_to_the_camera_that_is_neither_moved_nor_turned() -> None:
