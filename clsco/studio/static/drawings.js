@@ -1,12 +1,13 @@
 // Small drawings beside the keys of shutter, aperture and PSF: what these do, as the renderer has it. Asked for while one is in sight.
 
-import { all, on, studio } from "./shared.js";
+import { all, studio } from "./shared.js";
 
 const GAP = 4; // px between plots
 
 /** @type {{ curve: number[], side: number, pupil: string, spreads: string[][] } | null} */
 let latest = null;
-let isAsked = false;
+/** @type {Set<any>} */
+const inSight = new Set(); // canvases
 
 const plot = (context, text, side, left, top, size) => { // light on dark; square roots, so that what is dim is seen
   const codes = atob(text), image = new ImageData(side, side), small = new OffscreenCanvas(side, side);
@@ -35,10 +36,8 @@ const DRAW = {
 };
 
 const draw = () => {
-  const found = all("canvas[data-drawing]"), isWanted = found.some((canvas) => canvas.offsetParent !== null);
-  if (isWanted !== isAsked) studio.send({ drawings: isAsked = isWanted });
   if (latest === null) return;
-  for (const canvas of found) {
+  for (const canvas of inSight) {
     const context = canvas.getContext("2d");
     context.fillStyle = "#101113";
     context.fillRect(0, 0, canvas.width, canvas.height);
@@ -46,15 +45,27 @@ const draw = () => {
   }
 };
 
-studio.hearing.push((said) => {
-  if (said.lens && isAsked && latest === null) isAsked = false; // a socket that was opened anew is asked again
-  if (said.drawings) latest = said.drawings;
+/** Asks for them, or for no more. */
+studio.wantsDrawings = () => studio.send({ drawings: inSight.size > 0 });
+
+const seen = new IntersectionObserver((changes) => {
+  const before = inSight.size > 0;
+  for (const { target, isIntersecting } of changes) inSight[isIntersecting ? "add" : "delete"](target);
+  if (before !== inSight.size > 0) studio.wantsDrawings();
   draw();
 });
 
+studio.hearing.push((said) => {
+  if (!said.drawings) return;
+  latest = said.drawings;
+  draw();
+});
+
+const observe = () => { for (const canvas of all("canvas[data-drawing]")) seen.observe(canvas); };
+
 studio.parts.push(() => {
-  on("toggle", draw, { capture: true });
+  observe();
   new MutationObserver((changes) => {
-    if (changes.some((change) => [...change.addedNodes].some((node) => node instanceof Element && node.querySelector("[data-drawing]")))) draw();
+    if (changes.some((change) => [...change.addedNodes].some((node) => node instanceof Element && node.querySelector("[data-drawing]")))) observe();
   }).observe(document.body, { childList: true, subtree: true });
 });

@@ -1,14 +1,16 @@
 // Scenes as files: the name in the header with a mark for what is not saved, lists of pictures, and Enter in dialogs.
 
-import { all, on, one, studio } from "./shared.js";
+import { all, on, one, reword, studio } from "./shared.js";
 
 studio.hearing.push((said) => {
   if (!("saved" in said)) return;
   const name = said.file || "no file yet", place = one("#file");
-  place.textContent = said.saved ? name : `${name} ●`;
+  const title = said.title ? `${said.title} · clsco studio` : "clsco studio", shown = said.saved ? title : `● ${title}`;
+  reword(one("#title"), said.title || "untitled");
+  reword(place, said.saved ? name : `${name} ●`);
   place.title = said.saved ? "As it is saved" : "Changed since it was saved";
   place.setAttribute("aria-label", said.saved ? name : `${name}, not saved`);
-  if (!said.saved) document.title = `● ${document.title.replace(/^● /, "")}`;
+  if (document.title !== shown) document.title = shown;
 });
 
 /** Leaves what has all words, in its name or its group's. */

@@ -6,7 +6,7 @@ import "./narrow.js";
 import "./tour.js";
 import { RUNG } from "./protocol.js";
 import { brief } from "./scales.js";
-import { on, one, problem, studio } from "./shared.js";
+import { on, one, problem, reword, studio } from "./shared.js";
 
 const BAR = 140; // px that a scale bar has at most
 const PEAK = 40; // codes by which a pixel differs from the mean of those around it, where it is in focus
@@ -137,7 +137,7 @@ const measured = () => {
   const power = 10 ** Math.floor(Math.log10(most)), long = power * ([5, 2, 1].find((factor) => factor * power <= most) ?? 1);
   one("#scale-line").style.width = `${(long / perPixel) * viewport.scale}px`;
   const angle = (count) => brief(Number((2 * Math.atan((count * lens.pitch) / 2 / lens.scale) / DEGREE).toPrecision(3)));
-  one("#scale-about").textContent = `${brief(long)} mm in focus; field ${angle(canvas.width)}° × ${angle(canvas.height)}°`;
+  reword(one("#scale-about"), `${brief(long)} mm in focus; field ${angle(canvas.width)}° × ${angle(canvas.height)}°`);
 };
 
 // ---- this picture, as it is shown -------------------------------------------------------------------------------------

@@ -1,7 +1,7 @@
 // The strip above the picture: what the lens has in focus, and the lens drawn small.
 
 import { brief, placeOf } from "./scales.js";
-import { all, one, studio } from "./shared.js";
+import { all, one, reword, studio } from "./shared.js";
 
 const GLASS = 78, AXIS = 15; // px in the drawing
 const inverse = (distance) => (distance === null ? 0 : 1 / distance); // null: infinite
@@ -35,7 +35,7 @@ studio.hearing.push(({ lens }) => {
   if (!lens) return;
   studio.lens = lens;
   const depth = lens.far === null ? "to infinity" : `${brief(Number((lens.far - lens.near).toPrecision(3)))} mm deep`;
-  one("#in-focus").textContent = `sharp ${distance(lens.near)} – ${distance(lens.far)} mm, ${depth}`;
+  reword(one("#in-focus"), `sharp ${distance(lens.near)} – ${distance(lens.far)} mm, ${depth}`);
   for (const slider of all('input[type=range][data-path="camera.focus_distance"]')) { // its ends follow the focal length
     [slider.min, slider.max] = lens.ends.map((end) => placeOf(slider, end));
     slider.dataset.step = String((Number(slider.max) - Number(slider.min)) / 200);

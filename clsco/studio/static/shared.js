@@ -23,6 +23,9 @@ export const on = (kind, handle, options) => {
   document.addEventListener(kind, (event) => { handle(event, event.target); }, options);
 };
 
+/** Gives an element its text; one that has it is not laid out again. */
+export const reword = (element, text) => { if (element.textContent !== text) element.textContent = text; };
+
 /** What went wrong, in words. @returns {string} */
 export const problem = (error) => error instanceof Error ? error.message : String(error);
 

@@ -4,7 +4,7 @@
 import { colored } from "./colors.js";
 import { ENCODING, RUNG, VIEWS, opened } from "./protocol.js";
 import { brief, full, placeOf, valueAt } from "./scales.js";
-import { all, on, one, problem, studio } from "./shared.js";
+import { all, on, one, problem, reword, studio } from "./shared.js";
 import { Viewport } from "./viewport.js";
 
 import "./badge.js";
@@ -22,6 +22,7 @@ import "./files.js";
 import "./forms.js";
 import "./brush.js";
 
+const FRAME = 12; // ms between changes that are sent at once
 const ECHO = 300; // ms in which the server answers a change
 const NUMBERS_FROM = 24; // CSS px per pixel of the image
 
@@ -48,6 +49,7 @@ const connect = () => {
     send({ view: studio.view });
     send(studio.wanted());
     studio.opened();
+    studio.wantsDrawings();
   };
   socket.onmessage = (event) => received(event.data);
   socket.onclose = ({ code }) => {
@@ -131,7 +133,7 @@ const paint = (picture, image) => {
   studio.revision = picture.revision;
   studio.rung = picture.rung;
   studio.badge(picture);
-  one("#size").textContent = `${columns} × ${rows} px`;
+  reword(one("#size"), `${columns} × ${rows} px`);
   studio.done();
   studio.compare();
   legend(picture.legend);
@@ -143,9 +145,7 @@ const paint = (picture, image) => {
 const legend = (about) => {
   one("#legend").hidden = about === undefined;
   if (about === undefined) return;
-  one("#legend-least").textContent = about.least;
-  one("#legend-most").textContent = about.most;
-  one("#legend-about").textContent = about.about;
+  for (const name of ["least", "most", "about"]) reword(one(`#legend-${name}`), about[name]);
   const bar = one("#legend-bar"), context = bar.getContext("2d");
   const pixels = context.createImageData(bar.width, 1);
   for (let x = 0; x < bar.width; x += 1) pixels.data.set([...about.color(x / (bar.width - 1)), 255], 4 * x);
@@ -159,15 +159,17 @@ const placed = () => {
     each.style.transform = `translate(${left}px, ${top}px) scale(${scale})`;
     each.style.imageRendering = scale >= 1.5 ? "pixelated" : "auto";
   }
-  one("#zoom").textContent = `${Math.round(scale * devicePixelRatio * 100)} %`;
-  over();
+  reword(one("#zoom"), `${Math.round(scale * devicePixelRatio * 100)} %`);
+  awaitsOver ||= requestAnimationFrame(over);
 };
 
 const viewport = new Viewport(() => one("#stage"), () => [one("#canvas").width, one("#canvas").height], placed);
 studio.viewport = viewport;
 
-const over = () => { // what is drawn over the picture
-  const canvas = one("#over"), { width, height } = viewport.box(), context = canvas.getContext("2d");
+let awaitsOver = 0, stage = { width: 0, height: 0 }; // its size, which is not asked for while much changes
+const over = () => { // what is drawn over the picture, once before it is shown
+  awaitsOver = 0;
+  const canvas = one("#over"), { width, height } = stage, context = canvas.getContext("2d");
   [canvas.width, canvas.height] = [width, height];
   for (const draw of studio.overlays) draw(context, viewport.place);
   if (viewport.scale >= NUMBERS_FROM) numbers(context, width, height);
@@ -198,7 +200,10 @@ const pointing = () => {
   one("#stage").addEventListener("dblclick", () => viewport.fit());
   one("#fit").addEventListener("click", () => viewport.fit());
   one("#actual").addEventListener("click", () => viewport.zoom(1 / devicePixelRatio / viewport.scale));
-  new ResizeObserver(() => viewport.refit()).observe(one("#stage"));
+  new ResizeObserver(([{ contentRect }]) => {
+    stage = contentRect;
+    viewport.refit();
+  }).observe(one("#stage"));
 };
 
 // ---- controls ---------------------------------------------------------------------------------------------------
@@ -206,9 +211,10 @@ let drag = 0;
 /** @type {{ path: string, before: any, at: number } | null} of the control, and its value before it */
 let dragged = null;
 const waiting = new Map(); // values not yet sent, by path: the latest wins
-let watched = "";
+let watched = "", flushed = 0;
 
 const flush = () => {
+  flushed = performance.now();
   for (const [path, [value, number]] of waiting) {
     send({ path, value, drag: number, count: studio.changes(path) });
     studio.sent.set(path, value);
@@ -218,7 +224,7 @@ const flush = () => {
 studio.flush = flush;
 
 const put = (path, value) => {
-  if (!waiting.size) requestAnimationFrame(flush);
+  if (!waiting.size) (performance.now() - flushed > FRAME ? queueMicrotask : requestAnimationFrame)(flush);
   waiting.set(path, [value, drag]);
 };
 studio.put = put;
@@ -308,17 +314,22 @@ const watch = () => { // tell the server which keys are on the page, so that it 
   send({ watch: paths });
 };
 
-const mark = () => {
-  for (const control of all("[data-path]")) {
-    const fault = studio.faults[control.dataset.path];
-    control.toggleAttribute("data-faulty", fault !== undefined);
-    if (fault === undefined) control.removeAttribute("aria-invalid");
-    else control.setAttribute("aria-invalid", "true");
+const mark = () => { // hardly any control is at fault: the others are not touched
+  for (const control of all("[data-faulty]")) {
+    if (control.dataset.path in studio.faults) continue;
+    control.removeAttribute("data-faulty");
+    control.removeAttribute("aria-invalid");
   }
-  for (const place of all("[data-fault]")) {
-    const fault = studio.faults[place.dataset.fault];
-    place.textContent = fault ?? "";
-    place.hidden = fault === undefined;
+  for (const place of all("[data-fault]:not([hidden])")) place.hidden = !(place.dataset.fault in studio.faults);
+  for (const [path, fault] of Object.entries(studio.faults)) {
+    for (const control of sameKey(path)) {
+      control.setAttribute("data-faulty", "");
+      control.setAttribute("aria-invalid", "true");
+    }
+    for (const place of all(`[data-fault="${CSS.escape(path)}"]`)) {
+      reword(place, fault);
+      place.hidden = false;
+    }
   }
 };
 
@@ -337,16 +348,12 @@ const idle = () => {
 
 const told = (said) => {
   if (said.error) { fail(said.error); studio.notInspected(); }
-  if (said.about) one("#plan").textContent = said.about.plan;
+  if (said.about) reword(one("#plan"), said.about.plan);
   if (said.values) valued(said.values);
   if ("moves" in said) studio.values.moves = said.moves;
   if (said.faults) { studio.faults = said.faults; mark(); }
   if (said.values || "moves" in said) idle();
   if ("undo" in said) { one("#undo").disabled = !said.undo; one("#redo").disabled = !said.redo; }
-  if ("title" in said) {
-    document.title = said.title ? `${said.title} · clsco studio` : "clsco studio";
-    one("#title").textContent = said.title || "untitled";
-  }
   for (const hear of studio.hearing) hear(said);
 };
 
@@ -402,7 +409,10 @@ const controls = () => {
       if (element) act(element.dataset[name]);
     }
   });
-  new MutationObserver(() => requestAnimationFrame(watch)).observe(document.body, { childList: true, subtree: true });
+  const isElement = (node) => node instanceof Element; // words come and go all the time
+  new MutationObserver((changes) => {
+    if (changes.some(({ addedNodes, removedNodes }) => [...addedNodes, ...removedNodes].some(isElement))) requestAnimationFrame(watch);
+  }).observe(document.body, { childList: true, subtree: true });
 };
 
 // ---- views ------------------------------------------------------------------------------------------------------
