@@ -19,6 +19,7 @@ MOST_SAMPLES = 3
 ROLLING_SHARES = 16  # of the readout, of which a row is open for one at least
 LEAST = 5  # eighths; where fewer come in time, more is left out
 WORTH = 1.5  # times what the smallest picture takes, which a larger one is worth
+CLIMB = 1.01  # eighths beyond the largest one that was measured lately: times of a busy machine tell little of more
 OCCLUSION, MOTION = "occlusion", "motion"
 WAYS: tuple[tuple[str, ...], ...] = ((), (OCCLUSION,), (OCCLUSION, MOTION))  # what is left out, in this order
 MOST_FIXED, SMALL_FIXED = 0.9, 0.8  # of the time of pictures of one size, of the smallest, that is not due to pixels
@@ -50,8 +51,9 @@ class Ladder:
     def eighths(self, work: float) -> int:
         """Side of the picture in eighths of the full one, whose number of pixels times time samples is `work`."""
         most = max(BUDGET, WORTH * self.predicted(work, 1))
-        fitting = (size for size in range(EIGHTHS, 1, -1) if self.predicted(work, size) <= most)
-        return next(fitting, 1)
+        largest = EIGHTHS * (max((pixels for pixels, _ in self._latest), default=work) / work) ** 0.5 + CLIMB
+        known = (size for size in range(EIGHTHS, 1, -1) if size <= largest)
+        return next((size for size in known if self.predicted(work, size) <= most), 1)
 
     def predicted(self, work: float, eighths: int) -> float:
         """Time of a picture of this size, s."""
@@ -70,7 +72,7 @@ class Ladder:
         spread = np.average((pixels - middle) ** 2, weights=weights)
         if spread > (LEAST_SPREAD * middle) ** 2:
             slope = np.average((pixels - middle) * (times - mean), weights=weights) / spread
-            slope = min(max(slope, 0.0), mean / middle)
+            slope = min(max(slope, (mean - times.min()) / middle), mean / middle)  # every picture takes the fixed part
         else:
             fixed = max(self.fixed, SMALL_FIXED * mean) if eighths == 1 else self.fixed
             least = min(fixed, MOST_FIXED * mean)

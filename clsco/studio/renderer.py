@@ -22,7 +22,7 @@ from clsco.studio.ladder import Ladders, coarser, unblurred, ways_of, work_of
 from clsco.studio.pictures import DRAGGING, EXACT, IMAGES, LOSSY, UNBLURRED, ViewPicture
 
 TICK = 0.5  # s between words of what takes long
-REHEARSED = (2, 2, 4, 4)  # eighths of the pictures that are tried ahead; the first are compiled for
+REHEARSED = (2, 4)  # eighths of the pictures that are tried ahead, twice: for the first of a size much is made
 PATIENCE = 1.0  # s that one of these may take
 SILENCE = 30.0  # s without one, after which the process is given up: it is stopped, or its driver hangs
 
@@ -387,16 +387,17 @@ class _RenderWorker:
         self._send(number, self._coarse_picture(job, size, way, eighths))
 
     def _coarse_picture(
-        self, job: PictureJob, size: tuple[int, int], way: tuple[str, ...], eighths: int
+        self, job: PictureJob, size: tuple[int, int], way: tuple[str, ...], eighths: int, learns: bool = True
     ) -> ViewPicture:
-        """Render a preview, and learn how long it takes."""
+        """Render a preview, and learn how long that takes."""
         from clsco.studio.pictures import picture_of, truth_of
 
         wanted, start = _needed(job), time.perf_counter()
         scene = coarser(wanted, size, eighths, way)
         frame = self._frame(scene, job, truth_of(job.view))
         picture = picture_of(frame, scene, job.view, DRAGGING, size, time.perf_counter() - start)
-        self._ladders_of(job).of[way].measured(work_of(wanted, size, way), eighths, time.perf_counter() - start)
+        if learns:
+            self._ladders_of(job).of[way].measured(work_of(wanted, size, way), eighths, time.perf_counter() - start)
         return replace(picture, left_out=tuple(set(way) & set(chain(*ways_of(wanted)))))
 
     def _rehearse(self, job: PictureJob) -> None:
@@ -408,7 +409,8 @@ class _RenderWorker:
                 ladder.bounded(work, job.took)
             for eighths in REHEARSED:
                 if ladder.predicted(work, eighths) <= PATIENCE:
-                    self._coarse_picture(job, size, way, eighths)
+                    for learns in (False, True):
+                        self._coarse_picture(job, size, way, eighths, learns)
 
     def _drawings(self, scene: Scene) -> dict[str, Any]:
         from clsco.plan.prepare import with_resolution

@@ -9,11 +9,8 @@ from contextlib import aclosing, suppress
 from dataclasses import dataclass, field
 from typing import Any
 
-import pytest
-
 from clsco import Scene, parse_scene
 from clsco.errors import CanceledError, ClscoError, SceneError
-from clsco.studio.ladder import BUDGET, OCCLUSION, WAYS, Ladder, Ladders, coarser, ways_of, work_of
 from clsco.studio.pictures import DRAGGING, EXACT, HEADER, LOSSY, MESSAGE, PINNED, REFERENCE, STACKED, ViewPicture
 from clsco.studio.preview import MEASURE, MOST_UNSEEN, REST, Preview
 from clsco.studio.renderer import PictureJob, Question, RendererEndedError, RenderProgress, Watch
@@ -424,75 +421,3 @@ def test_a_renderer_that_ends_is_asked_again_but_not_for_ever() -> None:
     assert browser.said == [{"error": ["ended"]}]
     _, _, browser = played(play, ends=[SceneError("scene: must fit; got none")])  # which pictures report
     assert browser.said == []
-
-
-@pytest.mark.parametrize("fixed", [0.001, 0.012])
-def test_the_ladder_keeps_to_its_budget(fixed: float) -> None:
-    ladder, work = Ladder(), 512.0 * 512.0
-    for seconds_full in (0.010, 0.070, 0.250):
-        for _ in range(30):
-            size = ladder.eighths(work)
-            ladder.measured(work, size, fixed + seconds_full * (size / 8) ** 2)
-        assert ladder.predicted(work, size) == pytest.approx(fixed + seconds_full * (size / 8) ** 2, rel=0.05)
-        assert ladder.predicted(work, size) <= BUDGET
-        assert size == 8 or ladder.predicted(work, size + 1) > BUDGET
-    assert size == 2
-
-
-def test_the_ladder_believes_a_stall_the_third_time() -> None:
-    ladder, work = Ladder(), 1e5
-    ladder.measured(work, 8, 0.020)
-    for _ in range(2):
-        ladder.measured(work, 8, 2.0)  # a compilation
-        assert ladder.eighths(work) == 8
-    ladder.measured(work, 8, 2.0)
-    assert ladder.eighths(work) < 8
-
-
-def test_more_is_left_out_where_the_budget_needs_it() -> None:
-    ladders, size, known = Ladders(), (512, 512), scene().replace("object.0.motion.velocity", [5.0, 0.0, 0.0])
-    work, still = work_of(known, size), work_of(known, size, WAYS[2])
-    assert (work, still) == (3 * 512 * 512, 512 * 512)
-    for way in WAYS:
-        ladders.of[way].measured(work_of(known, size, way), 8, 0.5 * BUDGET)
-    assert ladders.choose(known, size) == ((), 8)
-    for way in WAYS[:2]:
-        for _ in range(30):
-            ladders.of[way].measured(work, 8, 3.75 * BUDGET)
-        assert ladders.choose(known, size)[0] == WAYS[WAYS.index(way) + 1]
-    assert ladders.choose(known, size) == (WAYS[2], 8)
-    coarse = coarser(known, (64, 48), 8, WAYS[2])
-    assert (coarse.psf.occlusion, coarse.sequence.samples) == ("none", 1)
-    assert coarser(known, (64, 48), 8).psf.occlusion == known.psf.occlusion
-    ladders.of[()].bounded(work, 0.9 * BUDGET)  # an exact frame came in time
-    assert ladders.choose(known, size)[0] == ()
-
-
-def test_nothing_is_left_out_that_is_not_there() -> None:
-    known = scene()
-    assert ways_of(known) == [(), (OCCLUSION,)]
-    assert ways_of(known.replace("psf.occlusion", "none")) == [()]
-    moving = known.replace("object.0.motion.velocity", [5.0, 0.0, 0.0])
-    assert ways_of(moving) == list(WAYS)
-    assert ways_of(moving.replace("psf.occlusion", "none")) == [(), WAYS[2]]
-    assert ways_of(moving.replace("sequence.samples", 1)) == [(), (OCCLUSION,)]
-
-
-def test_a_small_picture_that_gains_nothing_is_not_taken() -> None:
-    """If the time of every picture is beyond the budget, larger ones cost hardly more."""
-    ladder, work = Ladder(), 512.0 * 512.0
-    for _ in range(30):
-        size = ladder.eighths(work)
-        ladder.measured(work, size, 2.0 * BUDGET + 0.040 * (size / 8) ** 2)
-    assert size >= 5
-
-
-@pytest.mark.parametrize("eighths", [1, 3, 8])
-def test_coarser_scenes_have_the_same_field_of_view(eighths: int) -> None:
-    full = scene(pixel_pitch=0.02).replace("object.0.motion.velocity", [5.0, 0.0, 0.0])
-    small = coarser(full, (64, 48), eighths)
-    assert small.camera.resolution == (8 * eighths, 6 * eighths)
-    assert small.camera.pixel_pitch * 8 * eighths == pytest.approx(0.02 * 64)
-    assert small.psf.silhouette_samples == 1
-    assert small.sequence.samples == 3
-    assert work_of(full, (64, 48)) == 3 * 64 * 48

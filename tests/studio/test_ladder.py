@@ -1,0 +1,91 @@
+"""Previews: how small they are, and what they leave out."""
+
+from __future__ import annotations
+
+import pytest
+
+from clsco.studio.ladder import BUDGET, OCCLUSION, WAYS, Ladder, Ladders, coarser, ways_of, work_of
+from tests.studio.test_preview import scene
+
+
+@pytest.mark.parametrize("fixed", [0.001, 0.012])
+def test_the_ladder_keeps_to_its_budget(fixed: float) -> None:
+    ladder, work = Ladder(), 512.0 * 512.0
+    for seconds_full in (0.010, 0.070, 0.250):
+        for _ in range(30):
+            size = ladder.eighths(work)
+            ladder.measured(work, size, fixed + seconds_full * (size / 8) ** 2)
+        assert ladder.predicted(work, size) == pytest.approx(fixed + seconds_full * (size / 8) ** 2, rel=0.05)
+        assert ladder.predicted(work, size) <= BUDGET
+        assert size == 8 or ladder.predicted(work, size + 1) > BUDGET
+    assert size == 2
+
+
+def test_the_ladder_believes_a_stall_the_third_time() -> None:
+    ladder, work = Ladder(), 1e5
+    ladder.measured(work, 8, 0.020)
+    for _ in range(2):
+        ladder.measured(work, 8, 2.0)  # a compilation
+        assert ladder.eighths(work) == 8
+    ladder.measured(work, 8, 2.0)
+    assert ladder.eighths(work) < 8
+
+
+def test_the_ladder_climbs_step_by_step_and_not_on_noise() -> None:
+    """Where small pictures happen to take as long as larger ones, the largest that fits is not thereby known."""
+    ladder, work = Ladder(), 512.0 * 512.0
+    for size, seconds in ((4, 0.127), (4, 0.132), (3, 0.350)):
+        ladder.measured(work, size, seconds)
+    assert ladder.eighths(work) <= 2
+    ladder = Ladder()
+    ladder.measured(work, 4, 0.001)
+    assert ladder.eighths(work) == 5
+
+
+def test_more_is_left_out_where_the_budget_needs_it() -> None:
+    ladders, size, known = Ladders(), (512, 512), scene().replace("object.0.motion.velocity", [5.0, 0.0, 0.0])
+    work, still = work_of(known, size), work_of(known, size, WAYS[2])
+    assert (work, still) == (3 * 512 * 512, 512 * 512)
+    for way in WAYS:
+        ladders.of[way].measured(work_of(known, size, way), 8, 0.5 * BUDGET)
+    assert ladders.choose(known, size) == ((), 8)
+    for way in WAYS[:2]:
+        for _ in range(30):
+            ladders.of[way].measured(work, 8, 3.75 * BUDGET)
+        assert ladders.choose(known, size)[0] == WAYS[WAYS.index(way) + 1]
+    assert ladders.choose(known, size) == (WAYS[2], 8)
+    coarse = coarser(known, (64, 48), 8, WAYS[2])
+    assert (coarse.psf.occlusion, coarse.sequence.samples) == ("none", 1)
+    assert coarser(known, (64, 48), 8).psf.occlusion == known.psf.occlusion
+    ladders.of[()].bounded(work, 0.9 * BUDGET)  # an exact frame came in time
+    assert ladders.choose(known, size)[0] == ()
+
+
+def test_nothing_is_left_out_that_is_not_there() -> None:
+    known = scene()
+    assert ways_of(known) == [(), (OCCLUSION,)]
+    assert ways_of(known.replace("psf.occlusion", "none")) == [()]
+    moving = known.replace("object.0.motion.velocity", [5.0, 0.0, 0.0])
+    assert ways_of(moving) == list(WAYS)
+    assert ways_of(moving.replace("psf.occlusion", "none")) == [(), WAYS[2]]
+    assert ways_of(moving.replace("sequence.samples", 1)) == [(), (OCCLUSION,)]
+
+
+def test_a_small_picture_that_gains_nothing_is_not_taken() -> None:
+    """If the time of every picture is beyond the budget, larger ones cost hardly more."""
+    ladder, work = Ladder(), 512.0 * 512.0
+    for _ in range(30):
+        size = ladder.eighths(work)
+        ladder.measured(work, size, 2.0 * BUDGET + 0.040 * (size / 8) ** 2)
+    assert size >= 5
+
+
+@pytest.mark.parametrize("eighths", [1, 3, 8])
+def test_coarser_scenes_have_the_same_field_of_view(eighths: int) -> None:
+    full = scene(pixel_pitch=0.02).replace("object.0.motion.velocity", [5.0, 0.0, 0.0])
+    small = coarser(full, (64, 48), eighths)
+    assert small.camera.resolution == (8 * eighths, 6 * eighths)
+    assert small.camera.pixel_pitch * 8 * eighths == pytest.approx(0.02 * 64)
+    assert small.psf.silhouette_samples == 1
+    assert small.sequence.samples == 3
+    assert work_of(full, (64, 48)) == 3 * 64 * 48
