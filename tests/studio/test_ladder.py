@@ -32,7 +32,7 @@ def test_the_ladder_believes_a_stall_the_third_time() -> None:
 
 
 def test_the_ladder_climbs_step_by_step_and_not_on_noise() -> None:
-    """Where small pictures happen to take as long as larger ones, the largest that fits is not thereby known."""
+    """Small pictures that happen to take as long as larger ones do not tell that the largest one fits."""
     ladder, work = Ladder(), 512.0 * 512.0
     for size, seconds in ((4, 0.127), (4, 0.132), (3, 0.350)):
         ladder.measured(work, size, seconds)
