@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Self
 
 import numpy as np
@@ -61,8 +61,13 @@ class Distortion:
         """The distortion of a scene's lens, None for none."""
         if lens is None or not lens.distorts:
             return None
-        p1, p2 = lens.tangential
-        return cls(lens.radial, (-p1, p2))
+        return cls._known(tuple(lens.radial), tuple(lens.tangential))
+
+    @classmethod
+    @lru_cache(maxsize=64)
+    def _known(cls, radial: tuple[float, float, float], tangential: tuple[float, float]) -> Self:
+        """The distortion of coefficients as OpenCV has them: the same one for each frame, which knows its `reach`."""
+        return cls(radial, (-tangential[0], tangential[1]))
 
     @cached_property
     def reach(self) -> float:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
 from clsco.inputs.pupils import scene_point_spread
-from clsco.optics.distortion import distortion_of
+from clsco.optics.distortion import DistortedCamera
 from clsco.optics.lens_path import reference_camera
 from clsco.optics.motion import Eye
 from clsco.optics.point_spread import PointSpread
@@ -35,8 +36,11 @@ def ellipticity_of(scene: Scene) -> float:
     """Largest distance over the frame between the rims of ellipses and of the discs of their areas, over R; 0 without
     distortion."""
     camera = reference_camera(scene)
-    if (distortion := distortion_of(camera)) is None:
-        return 0.0
+    return _ellipticity(camera) if isinstance(camera, DistortedCamera) else 0.0
+
+
+@lru_cache(maxsize=16)
+def _ellipticity(camera: DistortedCamera) -> float:
     columns, rows = camera.frame_size
     x, y = ray_slopes(camera, np.linspace(0.0, rows - 1.0, PLACES)[:, None], np.linspace(0.0, columns - 1.0, PLACES))
-    return float(distortion.ellipticity(x, y).max())
+    return float(camera.distortion.ellipticity(x, y).max())
