@@ -185,7 +185,7 @@ def _hits(plan: Plan, view: View, group: OcclusionGroup, lattice: Lattice) -> Hi
         points = Points(rays[near], w[near], size, 0 * size, 0 * size, 1.0, gradient[near])
         division = division_of(size, plan.psf.extent, points.width, points.gradient)
         cut = bounds[k] is not None and bool(surface.canonical.q.any())
-        found, edge, _ = meet_occluder(view.lens, surface, None if many and cut else bounds[k], points, division, own)
+        found, edge, *_ = meet_occluder(view.lens, surface, None if many and cut else bounds[k], points, division, own)
         label[near] ^= edge.astype(np.uint8) << 7
         state[near] = np.maximum(state[near], found)
         tests[near] += 1.0

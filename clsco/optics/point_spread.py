@@ -152,6 +152,11 @@ class PointSpread:
         return self.pupil.uniform
 
     @property
+    def shares_lens(self) -> bool:
+        """Parts of a pixel may be tested together for what hides the lens (kernels/trace/detail.clh)."""
+        return not (self.rims or self.diffracted)
+
+    @property
     def has_runs(self) -> bool:
         """Taps of a general shape that are all open have one weight, of which columns of a blur have runs."""
         return self.layout == "general" and not self.diffracted

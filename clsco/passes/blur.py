@@ -55,6 +55,7 @@ PLAIN = dict.fromkeys(
         "LIMITED",
         "CURVED",
         "MERGED",
+        "SHARED",
     ),
     0,
 )
@@ -95,6 +96,7 @@ def blur_features(spec: BlurSpec, channels: int, fp64: bool, maps: Maps) -> dict
             "LIMITED": int(spec.limited),
             "CURVED": spec.curved,
             "MERGED": int(spec.merged > 0.0),
+            "SHARED": int(spec.shared),
             "GATHER": int(method == "gather"),
             "BY_ROWS": int(scratch == "rows"),
             "BY_COLUMNS": int(scratch == "columns"),

@@ -58,6 +58,8 @@ class BlurSpec:
         Feature CURVED, where visibility tests need radii.
     merged : float
         |R| in px from which on sources that are hidden in part may be merged; 0 for none.
+    shared : bool
+        Sub-pixel sources of fine textures may see the lens from the middle of their pixel.
     """
 
     psf: PointSpread
@@ -73,6 +75,7 @@ class BlurSpec:
     layered: bool = False
     curved: int = 0
     merged: float = 0.0
+    shared: bool = False
 
     @property
     def marked(self) -> bool:

@@ -258,7 +258,7 @@ class Plan:
             self.psf, self.blur, self.smallest_blur, self.largest_blur, self.silhouettes, self.tilt,
             occluders=room, limited=room > 0 and self._shapes["NAPPE"] > 0, border=self.scene.psf.border,
             layered=self.occlusion == "layered", curved=curvature_of(self.scene) if room or self.psf.stretched else 0,
-            merged=self.merged,
+            merged=self.merged, shared=room > 0 and self.mapped > 0 and self.silhouettes > 0 and self.psf.shares_lens,
         )  # fmt: skip
 
     @cached_property
@@ -328,6 +328,7 @@ class Plan:
             "SUBPIXELS": self.silhouettes,
             "CURVED": curvature_of(scene),
             "MERGED": int(spec.merged > 0.0),
+            "SHARED": int(spec.shared),
             **{name: psf[name] for name in ("SAMPLED", "GENERAL", "EDGES", "RIMS", "WAVES", "ELLIPSES")},
         }
 

@@ -87,9 +87,17 @@ __kernel void scatter(const grid_t grid, const psf_t psf, __global const float *
 #if OCCLUDED
             visibility_t seen;
             const visibility_t *visibility = IS_PARTLY(as_int(p.w)) ? &seen : 0;
+            const real sub_row = grid.top + row + spread.oy, sub_column = column + spread.ox;
+#if SHARED
+            if (as_int(p.w) == PARTLY_SHARED) {
+                visibility = &seen;
+                pixel_visibility(grid, lens, surfaces, group, psf, grid.top + row, column, depth[at], s, &seen);
+                shared_visibility(grid, lens, psf, lens_cells, sub_row, sub_column, sub_depth[id], spread, &seen);
+            } else
+#endif
             if (visibility)
-                source_visibility(grid, lens, surfaces, group, psf, lens_cells, grid.top + row + spread.oy,
-                                  column + spread.ox, sub_depth[id], spread, &p, (real)1 / SUBPIXELS, &seen);
+                source_visibility(grid, lens, surfaces, group, psf, lens_cells, sub_row, sub_column, sub_depth[id],
+                                  spread, &p, (real)1 / SUBPIXELS, &seen);
 #endif
             for (int k = 0; k < CHANNELS; ++k)
                 scatter_source(grid, spread, p, sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id], scale, row,

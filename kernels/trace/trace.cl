@@ -375,7 +375,15 @@ __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surf
     real spread;
     const float2 tilt = TILT ? pixel_tilt(gradient, middle, &spread) : (float2)(0, 0);
     const division_t division = division_of(middle, psf.lens_extent, 1, tilt);
-    bool partly = check_visibility(here, surfaces, group, ray, w, division, 0, &edge) == PARTLY;
+#if SHARED
+    visibility_t visibility;
+    const int seen = check_visibility(here, surfaces, group, ray, w, division, &visibility, &edge);
+    const bool shared = is_shared(middle, psf.lens_extent, gradient) && visibility.nearest >= SHARED_PLACE;
+#else
+    const int seen = check_visibility(here, surfaces, group, ray, w, division, 0, &edge);
+    const bool shared = false;
+#endif
+    bool partly = seen == PARTLY;
 #if RIMS
     partly |= meet_rims(here, psf, ray, w, middle, division, 0) != CLEAR;
 #endif
@@ -400,16 +408,19 @@ __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surf
 #else
         sub_depth[id] = w + grid.step * (right * slope.x - down * slope.y);
 #endif
-        if (partly) {
+        if (shared) {
+            record.x = seen == HIDDEN ? -1 : record.x;
+            record.w = as_float(partly ? PARTLY_SHARED : WHOLE);
+        } else if (partly) {
             const real3 towards = pixel_ray(grid, row + down, column + right);
             const division_t own = division_of(radius, psf.lens_extent, (real)1 / SUBPIXELS, record.yz);
             const lens_t there = lens_along(grid, lens, towards);
-            int seen = check_visibility(there, surfaces, group, towards, sub_depth[id], own, 0, &edge);
+            int own_seen = check_visibility(there, surfaces, group, towards, sub_depth[id], own, 0, &edge);
 #if RIMS
-            seen = MAX(seen, meet_rims(there, psf, towards, sub_depth[id], radius, own, 0));
+            own_seen = MAX(own_seen, meet_rims(there, psf, towards, sub_depth[id], radius, own, 0));
 #endif
-            record.x = seen == HIDDEN ? -1 : record.x;
-            record.w = as_float(seen == PARTLY ? PARTLY_OCCLUDED : WHOLE);
+            record.x = own_seen == HIDDEN ? -1 : record.x;
+            record.w = as_float(own_seen == PARTLY ? PARTLY_OCCLUDED : WHOLE);
         }
 #endif
         sub_source[id] = record;

@@ -55,6 +55,8 @@ WITHOUT_TWIN = {
         "shared_cells": "free_share, which the device shortens where no two edges meet",
         "move_inwards": "the first lines of tap_share",
         "narrow_share": "the first lines of tap_share",
+        "see_cells": "cell_visibility, before any tap",
+        "weigh_cells": "the last lines of tap_share",
     },
     "psf": dict.fromkeys(
         ("pixel_spread", "subpixel_spread", "rim_of", "tap", "source_visibility"),
@@ -65,6 +67,7 @@ WITHOUT_TWIN = {
         "clsco.optics.ellipses",
     )
     | dict.fromkeys(("source_width", "light_of"), "of merged sources, as merge.cl")
+    | dict.fromkeys(("pixel_visibility", "shared_visibility"), "_from_middles of trace.py")
     | {"find_cell": "SeidelField.blend, which the reference calls"},
     "vectors": dict.fromkeys(("weights", "sums_of", "any_of"), "lanes of a vector"),
     "footprint": {

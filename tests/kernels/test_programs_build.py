@@ -63,11 +63,12 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     TRACE_FILES: GEOMETRY
     | dict.fromkeys(("MOVED", "TILT", "OCCLUDED", "LIMITED", "GATHER", "DIVIDED"), ON_OR_OFF)
     | {"SUBPIXELS": (0, 4, 2, 3), "TEXTURED": (0, 2, 1), "LIT": (0, 1, 3), "EDGES": (0,), "RIMS": (0, 2)}
-    | {"WAVES": (0, 0, 1), "MERGED": ON_OR_OFF, "ELLIPSES": ON_OR_OFF},
+    | {"WAVES": (0, 0, 1), "MERGED": ON_OR_OFF, "ELLIPSES": ON_OR_OFF, "SHARED": ON_OR_OFF},
     GATHER: dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(BLUR, ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BY_COLUMNS": (0, 0, 1), "CURVED": (0, 3, 1, 2, 4, 7)}
     | {"GATHER": (1,), "SPANS": ON_OR_OFF, "RING": (0, 0, 1), "MERGED": ON_OR_OFF, "ELLIPSES": ON_OR_OFF}
+    | {"SHARED": ON_OR_OFF}
     | ROOMS
     | {"PREPARE": (0, 1, 2)}
     | GENERAL,
@@ -75,7 +76,7 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     | dict.fromkeys(BLUR, ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "CURVED": (0, 3, 1, 2, 4, 7)}
     | dict.fromkeys(("GATHER", "BY_ROWS", "BY_COLUMNS", "RING"), (0,))
-    | {"ELLIPSES": ON_OR_OFF}
+    | {"ELLIPSES": ON_OR_OFF, "SHARED": ON_OR_OFF}
     | ROOMS
     | {"PREPARE": (0, 1, 2)}
     | GENERAL,
@@ -144,7 +145,7 @@ def variants(features: dict[str, tuple[int, ...]]) -> list[dict[str, int]]:
     others = [on | {name: value} for name, values in features.items() for value in values if value != on[name]]
     none = dict.fromkeys(NOT_BY_COLUMNS, 0)
     alone = dict.fromkeys((*NOT_BY_COLUMNS, "SEPARABLE", "SAMPLED", "BY_COLUMNS"), 0)
-    smooth = {**dict.fromkeys(("BY_ROWS", "DISC", "SEPARABLE", "SAMPLED", "SPANS"), 0), "BY_COLUMNS": 1}
+    smooth = {**dict.fromkeys(("BY_ROWS", "DISC", "SEPARABLE", "SAMPLED", "SPANS", "SHARED"), 0), "BY_COLUMNS": 1}
     others = [one | {k: v for k, v in smooth.items() if k in one} if one.get("WAVES") else one for one in others]
     others = [one | {"GENERAL": 1} if one.get("EDGES") or one.get("FIELD") else one for one in others]
     others = [one | {"BY_COLUMNS": 1, "SEPARABLE": 0} if one.get("RING") else one for one in others]

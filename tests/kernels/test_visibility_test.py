@@ -155,7 +155,7 @@ def test_a_lens_larger_than_the_aperture_through_its_cells(session: Session, run
     there = np.ones(count, dtype=bool)
     x, y = offset.T
     lean, limb = np.tile([0.03125, -0.25], (count, 1)), np.arange(count) % 2 == 1
-    lens = extent, point_spread(psf).lens_cells(), none[:0, :3], lean, limb
+    lens = extent, point_spread(psf).lens_cells(), none[:0, :3], lean, limb, zero
     visibility = Visibility(np.arange(count), radius, ~there, x, y, ((there, edge),), *lens)
     cells = cell_visibility(visibility)
     taps = range(-7, 8)

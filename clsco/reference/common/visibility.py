@@ -66,7 +66,7 @@ def _limits(surface: PlacedSurface, bounds: Bounds | None, w: Array, rays: Array
 @dataclass(frozen=True, eq=False)
 class Points:
     """Surface points of visibility tests: rays (N, 3), inverse depth w (N,) in 1/mm, signed blur radius (N,) in px,
-    place x, y (N,) of the source in its pixel, px, the width of all sources, px, and the gradient (N, 2) of the blur
+    place x, y (N,) of the source in its pixel, px, the width of the sources, px, and the gradient (N, 2) of the blur
     radius, px per px, right and down, 0 where the tilt of surfaces does not count; limb (N,): at a limb."""
 
     rays: Array
@@ -74,7 +74,7 @@ class Points:
     radius: Array
     x: Array
     y: Array
-    width: float
+    width: Array | float
     gradient: Array
     limb: Mask | bool = False
 
@@ -90,7 +90,7 @@ class Division:
     cells: Array
     blur: Array
     extent: float
-    width: float
+    width: Array | float
     wide: Mask
     gradient: Array
 
@@ -100,7 +100,7 @@ class Division:
         return np.asarray(self.extent * np.abs(self.cells) + 1.5)
 
 
-def division_of(radius: Array, extent: float, width: float, gradient: Array) -> Division:
+def division_of(radius: Array, extent: float, width: Array | float, gradient: Array) -> Division:
     """Cells for sources of blur radius (N,) px."""
     blur = np.abs(radius) * extent
     wide = blur >= WIDE_LENS
@@ -306,12 +306,12 @@ def out_of_the_way(lens: Lens, surface: PlacedSurface, rays: Array, w: Array, ex
 
 def meet_occluder(
     lens: Lens, surface: PlacedSurface, bounds: Bounds | None, points: Points, division: Division, own: bool = False
-) -> tuple[NDArray[np.uint8], Mask, Occluder]:
+) -> tuple[NDArray[np.uint8], Mask, Occluder, Array]:
     """Find how a surface hides the lens from N points.
 
     own: the points are on the surface itself, of which another part may be between them and the lens. Returns whether
     the lens is CLEAR, PARTLY or all HIDDEN (N,), which points are on the surface's other side than the lens or near an
-    outline of it that has hardly any width (N,), and what is to be tested per tap.
+    outline of it that has hardly any width (N,), what is to be tested per tap, and `crossing_place` (N,).
     """
     rays, w = points.rays, points.w
     far = out_of_the_way(lens, surface, rays, w, division.extent)
@@ -326,13 +326,13 @@ def meet_occluder(
             disc = disc_outline(surface, e, points, soft, division.most)
             state = np.select([far | ~e.once | disc.clear, disc.hidden], [CLEAR, HIDDEN], PARTLY)
             occluder = replace(_planar((), (), w.size), h=disc.h, root=disc.root, f=disc.f)
-            return state.astype(np.uint8), (e.F < 0) & ~far, occluder
+            return state.astype(np.uint8), (e.F < 0) & ~far, occluder, place
         if e.flat:
             l = surface.canonical.l  # noqa: E741
             change = (float(l @ surface.offset), e.along_x @ l, e.along_y @ l)
             state, limits, needed = flatten_limits(lens, limits, e.linear, change, division)
             state = np.where(e.once & ~far, state, CLEAR)
-            return state.astype(np.uint8), (e.F < 0) & ~far, _planar(limits, needed, w.size)
+            return state.astype(np.uint8), (e.F < 0) & ~far, _planar(limits, needed, w.size), place
         slopes = slopes_of(surface, e, w, d)
         outline = outline_of(e, slopes, soft, division.most)
         occluder = keep_equation(e, slopes, soft, outline, limits)
@@ -344,7 +344,7 @@ def meet_occluder(
         all_hidden, needed = hides_all(occluder, division.most)
         state = np.where(~clear & all_hidden, HIDDEN, state)
         occluder = replace(occluder, needed=needed)
-    return state.astype(np.uint8), edge, occluder
+    return state.astype(np.uint8), edge, occluder, place
 
 
 def flatten_limits(
@@ -425,10 +425,10 @@ class Visibility:
 
     row: (sources,) where a source is in the other arrays, -1 if nothing hides it or all is hidden. Of the M others:
     radius px; wide; x, y: place of the source in its pixel, px; occluders: per surface which of them it concerns, and
-    how. extent: of the lens in lens radii; cells: weights (L, L) of its cells;
-    mask: straight edges (n, 3) of the lens, none where it is round; lean (M, 2): change of the tilt per cell of a
-    narrow lens, part of which is behind the surface, else 0; limb (M,): at a limb; circles: rims that cut its
-    light; waves: light goes beyond the rim; round: the rim is a circle.
+    how. extent: of the lens in lens radii; cells: weights (L, L) of its cells; mask: straight edges (n, 3) of the lens,
+    none where it is round; lean (M, 2): change of the tilt per cell of a narrow lens, part of which is behind the
+    surface, else 0; limb (M,): at a limb; nearest (M,): least `crossing_place` of what hides it in part; circles: rims
+    that cut its light; waves: light goes beyond the rim; round: the rim is a circle.
     """
 
     row: NDArray[np.int64]
@@ -442,6 +442,7 @@ class Visibility:
     mask: Array
     lean: Array
     limb: Mask
+    nearest: Array
     circles: tuple[Circle, ...] = ()
     waves: bool = False
     round: bool = True
@@ -456,8 +457,8 @@ class Visibility:
         new = np.where(row >= 0, np.cumsum(row >= 0) - 1, -1)
         return Visibility(
             new, self.radius[there], self.wide[there], self.x[there], self.y[there], occluders, self.extent, self.cells,
-            self.mask, self.lean[there], self.limb[there], tuple(circle.of(there) for circle in self.circles),
-            self.waves, self.round,
+            self.mask, self.lean[there], self.limb[there], self.nearest[there],
+            tuple(circle.of(there) for circle in self.circles), self.waves, self.round,
         )  # fmt: skip
 
 
@@ -474,12 +475,12 @@ def check_visibility(
     lens = along_rays(lens, points.rays)
     division = division_of(points.radius, psf.extent, points.width, points.gradient)
     state, edge = np.full(points.w.shape, CLEAR), np.zeros(points.w.shape, dtype=bool)
-    found = []
+    found, nearest = [], np.full(points.w.shape, np.inf)
     for k, surface in enumerate(surfaces):
         # The near one of two roots has nothing of its own surface before it.
-        front = k == group.own and group.root == (2 if surface.constant < 0 else 1)
-        if group.occluders >> k & 1 and not front:
-            one, changes, occluder = meet_occluder(lens, surface, bounds[k], points, division, k == group.own)
+        if group.occluders >> k & 1 and not (k == group.own and group.root == (2 if surface.constant < 0 else 1)):
+            one, changes, occluder, place = meet_occluder(lens, surface, bounds[k], points, division, k == group.own)
+            nearest = np.where(one == PARTLY, np.minimum(nearest, place), nearest)
             state, edge = np.maximum(state, one), edge ^ changes
             found.append((one == PARTLY, occluder))
     cut, circles = meet_rims(lens, psf, points, division)
@@ -488,13 +489,12 @@ def check_visibility(
     row = np.where(partly, np.cumsum(partly) - 1, -1)
     occluders = tuple((mask[partly], occluder.of(mask & partly)) for mask, occluder in found)
     # What is hidden and what the tilt ends go together: both are parts of the lens behind a surface seen edge-on.
-    steep = np.hypot(*division.gradient.T) * division.extent > 1.0
-    leans = steep & ~division.wide & (division.width < 1.0)
+    leans = (np.hypot(*division.gradient.T) * division.extent > 1.0) & ~division.wide & (division.width < 1.0)
     lean = np.where(leans[:, None], division.gradient, 0.0) / division.cells[:, None]
     limb = np.broadcast_to(points.limb, partly.shape)
     return state, edge, Visibility(
         row, points.radius[partly], division.wide[partly], points.x[partly], points.y[partly], occluders,
         division.extent, psf.lens_cells(), np.array(psf.pupil.edges).reshape(-1, 3),
-        lean[partly], limb[partly], tuple(circle.of(partly) for circle in circles), psf.diffracted,
+        lean[partly], limb[partly], nearest[partly], tuple(circle.of(partly) for circle in circles), psf.diffracted,
         not (psf.signed or psf.diffracted or psf.pupil.edges),
     )  # fmt: skip

@@ -6,10 +6,12 @@ The formulas stand at the head of kernels/trace/detail.clh.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsco.constants import MAP_TRIPLANAR
 from clsco.optics.quadrics import PlacedSurface
 from clsco.reference.common.geometry import Array
+from clsco.reference.common.visibility import WIDE_LENS
 from clsco.reference.trace.footprint import footprint_of, mean_texture, sharpening
 from clsco.reference.trace.mapping import (
     Mapped,
@@ -25,6 +27,7 @@ from clsco.reference.trace.mapping import (
 from clsco.scene.model import Camera
 
 REACHING = 2.0
+SHARED_PLACE = 10.0  # px per lens radius: of nearer occluders sources of one pixel see different edges
 
 
 def detailed_texture(
@@ -59,3 +62,13 @@ def detailed_texture(
         value += share * (2.0 * own - mean[:, :-2, 1:-1] - mean[:, 2:, 1:-1])
         values[here] += shares[here, axis, None, None, None] * value
     return values
+
+
+def is_shared(radius: Array, extent: float, gradient: Array) -> NDArray[np.bool_]:
+    """True (N,) if all sub-pixel sources of one surface in a pixel see the lens as its middle does: their blur radius
+    changes little, and the lens is not wide for any of them.
+
+    radius (N,), px, and gradient (N, 2) of the pixel, px per px.
+    """
+    most = (np.abs(radius) + 0.5 * np.abs(gradient).sum(axis=-1)) * extent
+    return np.asarray((most < WIDE_LENS) & (np.hypot(*gradient.T) * extent <= 1.0))

@@ -37,7 +37,7 @@ from clsco.reference.common.geometry import (
     tilt_slope,
 )
 from clsco.reference.common.visibility import HIDDEN, Points, Visibility, check_visibility
-from clsco.reference.trace.detail import detailed_texture
+from clsco.reference.trace.detail import SHARED_PLACE, detailed_texture, is_shared
 from clsco.reference.trace.footprint import parts_of, sharpening, surface_texture
 from clsco.reference.trace.light import shade
 from clsco.reference.trace.mapping import MappedTexture
@@ -248,15 +248,13 @@ def trace(view: View, group: OcclusionGroup, guard: int) -> Sources:
     if group.occluders or view.psf.rims:
         rays = pixel_ray(scene.camera, row, column)[lit]
         here, radius = np.zeros(len(rays)), hit.radius[lit]
-        tilt, _ = pixel_tilt(hit.gradient[lit], radius, view.psf.diffracted)
-        size = np.maximum(np.abs(radius), np.minimum(2.0 * np.abs(radius), 1.0)) * np.where(radius < 0.0, -1.0, 1.0)
         state, edge, seen = check_visibility(
             view.lens,
             view.surfaces,
             bounds,
             group,
             view.psf,
-            Points(rays, hit.w[lit], radius, here, here, 1.0, tilt * size[:, None] * scene.psf.tilt),
+            Points(rays, hit.w[lit], radius, here, here, 1.0, _tilted(view, radius, hit.gradient[lit])),
         )
         label[lit] |= edge.astype(np.uint8) << 7
         number = np.full(lit.size, -1)
@@ -276,6 +274,13 @@ def trace(view: View, group: OcclusionGroup, guard: int) -> Sources:
         np.where(lit, hit.share, 0.0),
         *_ellipses(view, row, column, None if visibility is None else visibility.row),
     )
+
+
+def _tilted(view: View, radius: Array, gradient: Array) -> Array:
+    """Gradient (N, 2) of the blur radius of whole pixels, as far as the tilt counts, for visibility tests."""
+    tilt, _ = pixel_tilt(gradient, radius, view.psf.diffracted)
+    size = np.maximum(np.abs(radius), np.minimum(2.0 * np.abs(radius), 1.0)) * np.where(radius < 0.0, -1.0, 1.0)
+    return np.asarray(tilt * size[:, None] * view.scene.psf.tilt)
 
 
 def _ellipses(
@@ -365,14 +370,38 @@ def trace_subpixels(
         # Records have the gradient over the radius of what is covered.
         size = np.maximum(np.abs(lens_radius), SMALLEST_RADIUS) * np.where(lens_radius < 0.0, -1.0, 1.0)
         tilted = tilt_slope(hit.gradient, hit.radius, view.psf.diffracted) * size[..., None]
-        state, _, visibility = check_visibility(
-            view.lens, view.surfaces, bounds, group, view.psf,
-            Points(rays, hit.w[lit], lens_radius[lit], x, y, 1.0 / samples, tilted[lit] * scene.psf.tilt, limb[lit]),
-        )  # fmt: skip
+        points = Points(
+            rays, hit.w[lit], lens_radius[lit], x, y, 1.0 / samples, tilted[lit] * scene.psf.tilt, limb[lit]
+        )
+        if sources is not None and cut.any() and view.psf.shares_lens:
+            points = _from_middles(view, points, sources, (row, column), cut, lit, guard)
+        state, _, visibility = check_visibility(view.lens, view.surfaces, bounds, group, view.psf, points)
         seen = state != HIDDEN
         lit[lit] = seen
         visibility = visibility.of(seen)
     return SubpixelSources(row, column, lit, hit.radius, hit.gradient, hit.radiance, visibility, limb)
+
+
+def _from_middles(
+    view: View, points: Points, sources: Sources, pixel: tuple[NDArray[np.intp], NDArray[np.intp]],
+    cut: NDArray[np.intp], lit: NDArray[np.bool_], guard: int,
+) -> Points:  # fmt: skip
+    """Points of which those in pixels that are cut into parts are the middles of these, where `is_shared`.
+
+    pixel: rows and columns (M,); cut: parts (M,) per axis; lit: (M, S, S), where `points` are.
+    """
+    radius, gradient = sources.radius[pixel], sources.gradient[pixel]
+    shared = (cut > 0) & is_shared(radius, view.psf.extent, gradient)
+    assert sources.visibility is not None
+    partly = sources.visibility.row.reshape(sources.lit.shape)[pixel]
+    nearest = np.append(sources.visibility.nearest, np.inf)[partly]
+    shared &= nearest >= SHARED_PLACE
+    slot = np.nonzero(lit)[0]
+    own, middle = shared[slot], slot[shared[slot]]
+    rays, w, tilted = points.rays.copy(), points.w.copy(), points.gradient.copy()
+    rays[own] = pixel_ray(view.scene.camera, pixel[0] - guard, pixel[1] - guard)[middle]
+    w[own], tilted[own] = sources.inverse_depth[pixel][middle], _tilted(view, radius, gradient)[middle]
+    return replace(points, rays=rays, w=w, gradient=tilted, width=np.where(own, 1.0, points.width))
 
 
 def _covering(

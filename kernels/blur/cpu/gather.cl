@@ -207,6 +207,10 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
 #if SUBPIXELS
         const int slot = as_int(s.w);
         if (slot >= 0) {
+#if OCCLUDED && SHARED
+            visibility_t shared;
+            bool looked = false;
+#endif
             for (int sub = 0; sub < SUBPIXELS * SUBPIXELS; ++sub) {
                 const int id = slot * SUBPIXELS * SUBPIXELS + sub;
                 float4 p = sub_source[id];
@@ -218,6 +222,22 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
                 const int up = MIN(half_width, y - first), down = MIN(half_width, end - 1 - y);
                 const int vectors = MAX(up + down + 1, 0) * (spread.lanes / TAP_LANES);
                 left -= CHANNELS * vectors;
+#if OCCLUDED && SHARED
+                if (as_int(p.w) == PARTLY_SHARED) {
+                    left -= (looked ? 0 : HIDDEN_WORK) + HIDDEN_TAPS * vectors;
+                    if (!looked)
+                        pixel_visibility(grid, lens, surfaces, group, psf, grid.top + y, x - grid.guard, depth[at], s,
+                                         &shared);
+                    looked = true;
+                    shared_visibility(grid, lens, psf, lens_cells, grid.top + y + spread.oy,
+                                      x - grid.guard + spread.ox, sub_depth[id], spread, &shared);
+                    float light[CHANNELS];
+                    for (int k = 0; k < CHANNELS; ++k)
+                        light[k] = sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id];
+                    add_occluded_rows(spread, &shared, up, down, light, p, out - half_width, apart, pitch);
+                    continue;
+                }
+#endif
 #if OCCLUDED
                 if (IS_PARTLY(as_int(p.w))) {
                     left -= HIDDEN_WORK + HIDDEN_TAPS * vectors;
