@@ -206,6 +206,7 @@ OTHERWISE = {
     "is_at_limb": "SUBPIXELS is a feature",
     "passes_between": "the device has the ray through the middle",
     "share_square": "a coverage_t is changed in place",
+    "place_of_source": "one cell after the other, given by its label",
     "project": "a camera of another time has another slope between rays",
     "occluded_among": "objects and their bounds are in surface_t",
 }

@@ -29,6 +29,10 @@ Engine = Literal["device", "reference"]
 def light(item: dict[str, Any], samples: int, engine: Engine) -> NDArray[np.float64]:
     """Image (SIDE, SIDE) of a white thing that is blurred a little."""
     made = scene_from({"camera": CAMERA, "psf": {"silhouette_samples": samples}}, {**item, "texture": "#ffffff"})
+    return rendered(made, engine)
+
+
+def rendered(made: clsco.Scene, engine: Engine) -> NDArray[np.float64]:
     frame = next(iter(clsco.reference.render(made))) if engine == "reference" else clsco.render_frame(made, truth=())
     return np.asarray(frame.color, np.float64).reshape(SIDE, SIDE)
 
@@ -48,6 +52,32 @@ def test_light_beside_a_straight_edge(angle: float, upright: bool, samples: int,
         found = light(card, samples, engine).sum(axis=1 if upright else 0)[MIDDLE]
         expected = 0.5 * SIDE + (offset if upright else -offset) + at * math.tan(math.radians(angle))
         np.testing.assert_allclose(found, expected, atol=0.015)
+
+
+@pytest.mark.parametrize("engine", ["device", "reference"])
+@pytest.mark.parametrize("upright", [True, False])
+def test_radiance_beside_a_straight_edge(upright: bool, engine: Engine) -> None:
+    """Radiance falls from 1 to 0 along a card that ends anywhere between cells: the light is its integral."""
+    end = 24.0  # px from the card's middle to its end
+    ramp = np.linspace(1.0, 0.0, 257)[:-1] - 0.5 / 256
+    texture = np.tile(ramp, (256, 1)).astype(np.float32)
+    for offset in (0.03, 0.1, 0.16, 0.22):
+        center = [offset - end, 0.0] if upright else [0.0, end - offset]  # px right and up
+        card = {
+            "shape": "rectangle",
+            "center": [*(STEP * DISTANCE * np.array(center)), DISTANCE],
+            "size": [2 * end * STEP * DISTANCE] * 2,
+            "texture": texture if upright else texture.T.copy(),
+            "texture_mapping": "surface",
+        }
+        made = scene_from({"camera": CAMERA | {"focus_distance": DISTANCE}}, card)
+        frame = (
+            next(iter(clsco.reference.render(made))) if engine == "reference" else clsco.render_frame(made, truth=())
+        )
+        found = np.asarray(frame.color, np.float64)[MIDDLE if upright else slice(None)]
+        found = found.sum(axis=1) if upright else found.sum(axis=0)[MIDDLE]
+        seen = 0.5 * SIDE + offset
+        np.testing.assert_allclose(found, seen * seen / (4 * end), atol=1e-4)
 
 
 @pytest.mark.parametrize("engine", ["device", "reference"])

@@ -79,6 +79,11 @@ def passes_between(
     return found
 
 
+def is_curved(surface: PlacedSurface) -> bool:
+    """True of a surface that is no plane."""
+    return bool(surface.canonical.q.any())
+
+
 def is_at_limb(camera: Camera, surfaces: Sequence[PlacedSurface], label: int, rays: Array, samples: int) -> Array:
     """True (n,) of rays (n, 3) that hit the front of a curved surface less than half a cell from where it turns away
     from the lens, by the discriminant and its slopes.
@@ -86,7 +91,7 @@ def is_at_limb(camera: Camera, surfaces: Sequence[PlacedSurface], label: int, ra
     label: of the root and its object; samples: cells of a pixel, per axis.
     """
     surface = surfaces[(label - 1) // 2]
-    if not surface.canonical.q.any() or (label % 2 == 1) != (surface.constant > 0.0):
+    if not is_curved(surface) or (label % 2 == 1) != (surface.constant > 0.0):
         return np.zeros(len(rays), dtype=bool)
     here = quarter_discriminant(surface, turned(surface.turn, rays))
     steps = ray_step(camera) / samples * np.eye(3)[:2]
@@ -172,10 +177,22 @@ def crossing_between(
     return found
 
 
-def share_square(found: Coverage, i: int, j: int, top: Array, bottom: Array, left: Array, right: Array) -> None:
+def place_of_source(curved: NDArray[np.bool_], more: Array, inwards: int) -> Array:
+    """Places (n,) at which the sources of cells are taken, cells from their middles on.
+
+    curved: (n,), of the surface of the cell; more: (n,), of the outline, from halfway to the next cell on; inwards: -1
+    for the cell in front of it, 1 for that behind.
+    """
+    return np.where(curved, 0.75 * more - inwards * 0.25, 0.5 * more)
+
+
+def share_square(
+    found: Coverage, curved: NDArray[np.bool_], i: int, j: int, top: Array, bottom: Array, left: Array, right: Array
+) -> None:
     """Give what is more than their quarters of squares (n,) between four cells to the cells of one surface.
 
-    i, j: the upper left one; top, bottom, left, right: (n,), where an outline crosses the sides, two of them.
+    curved: (n, S + 2, S + 2), of the surfaces of cells; i, j: the upper left one; top, bottom, left, right: (n,), where
+    an outline crosses the sides, two of them.
     """
     sides = {
         ((i, j), (i, j + 1)): top,
@@ -188,7 +205,8 @@ def share_square(found: Coverage, i: int, j: int, top: Array, bottom: Array, lef
         moved = found.right if first[0] == second[0] else found.down
         for cell, sign in ((first, 1.0), (second, -1.0)):
             there, more = place >= 0.0, place - 0.5
-            moved[:, *cell] += np.where(there, np.where(straight, 0.5, 0.25) * (0.75 * more + sign * 0.25), 0.0)
+            taken = place_of_source(curved[:, *cell], more, -int(sign))
+            moved[:, *cell] += np.where(there, np.where(straight, 0.5, 0.25) * taken, 0.0)
             found.covered[:, *cell] += np.where(there & straight, sign * 0.5 * more, 0.0)
     # One corner against three.
     for row, across in enumerate((top, bottom)):
@@ -214,6 +232,8 @@ def cell_coverage(
     )
     across, along = across.reshape(-1, side, side - 1), along.reshape(-1, side - 1, side)
     found = Coverage(np.ones(label.shape), np.zeros(label.shape), np.zeros(label.shape))
+    of_labels = [False, *(is_curved(surface) for surface in surfaces for _ in range(2))]
+    curved = np.array(of_labels + [False] * (UNMARKED + 1 - len(of_labels)))[label]
     for i in range(side - 1):
         for j in range(side - 1):
             edges = np.stack([across[:, i, j], across[:, i + 1, j], along[:, i, j], along[:, i, j + 1]])
@@ -221,5 +241,5 @@ def cell_coverage(
             # Three surfaces, or two outlines, leave the quarters as they are.
             usable = marked & ((edges >= 0.0).sum(axis=0) == 2)
             if usable.any():
-                share_square(found, i, j, *np.where(usable, edges, -1.0))
+                share_square(found, curved, i, j, *np.where(usable, edges, -1.0))
     return found
