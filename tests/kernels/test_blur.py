@@ -217,8 +217,8 @@ def test_same_bits_again_and_in_other_groups(session: Session, method: Blur, mon
     assert blurred(session, given, method).tobytes() == first
     for local in ((1, 1), (3, 5), (16, 4)):
 
-        def other(session: Any, kernel: Any, size: Any, usual: Any, *args: Any, local: Any = local) -> Any:
-            return launch(session, kernel, size, local[: len(usual)], *args)
+        def other(session: Any, kernel: Any, size: Any, usual: Any, *args: Any, local: Any = local, **how: Any) -> Any:
+            return launch(session, kernel, size, local[: len(usual)], *args, **how)
 
         monkeypatch.setattr(spread, "launch", other)
         assert blurred(session, given, method).tobytes() == first, local

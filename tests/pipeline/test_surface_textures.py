@@ -188,6 +188,17 @@ def test_uv_is_where_the_texture_is_taken_from() -> None:
     assert frame.uv is None  # of projected textures alone
 
 
+@pytest.mark.parametrize("size", mostly_slow([1e-6, 1e-2, 0.1], [1e-2]))
+def test_means_of_thousands_of_texels_of_one_color_are_that_color(size: float) -> None:
+    """A pixel sees up to 10^10 texels, more than cells have room for; sums in single precision must not drift."""
+    tiny = TUBE | {"texture": np.full((1, 1), 0.7, np.float32), "texture_size": size, "rotation": [20.0, 30.0, 10.0]}
+    (frame,) = rendered(scene(tiny, psf=PLAIN))
+    assert frame.sharp is not None and frame.depth is not None
+    seen = frame.sharp[np.isfinite(frame.depth)]
+    assert len(seen) > 300
+    np.testing.assert_allclose(seen, 0.7, rtol=3e-6)
+
+
 def test_what_needs_it_alone_gets_it() -> None:
     for items, expected in (((WALL,), 0), ((CARD, WALL), 1), ((BALL, WALL), 2)):
         plan = plan_of(*items)

@@ -206,7 +206,8 @@ def _mean_of_kind(
     own = [tuple(change / cells for change in side) for side, cells in ((right, cells_x), (down, cells_y))]
     own = [(np.zeros_like(x), np.zeros_like(y)) if bent else (x, y) for x, y in own]
     width_x, width_y = (np.clip(np.hypot(*side), 1.0 / NARROWEST, MOST_CELL) for side in zip(*own, strict=True))
-    skew = sum(x * y for x, y in own) / 12.0
+    most = width_x * width_y  # the skew has no more, unless cells are cut to MOST_CELL
+    skew = np.clip(sum(x * y for x, y in own), -most, most) / 12.0
     for b in (np.arange(cells_y) + 0.5) / cells_y - 0.5 + shift[1]:
         for a in (np.arange(cells_x) + 0.5) / cells_x - 0.5 + shift[0]:
             at = center
