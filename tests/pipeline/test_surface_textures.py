@@ -193,7 +193,8 @@ def test_means_of_thousands_of_texels_of_one_color_are_that_color(size: float) -
     """A pixel sees up to 10^10 texels, more than cells have room for; sums in single precision must not drift."""
     tiny = TUBE | {"texture": np.full((1, 1), 0.7, np.float32), "texture_size": size, "rotation": [20.0, 30.0, 10.0]}
     (frame,) = rendered(scene(tiny, psf=PLAIN))
-    assert frame.sharp is not None and frame.depth is not None
+    assert frame.sharp is not None
+    assert frame.depth is not None
     seen = frame.sharp[np.isfinite(frame.depth)]
     assert len(seen) > 300
     np.testing.assert_allclose(seen, 0.7, rtol=3e-6)
