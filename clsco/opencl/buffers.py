@@ -57,6 +57,7 @@ def upload_cached(session: Session, array: NDArray[Any], place: Hashable) -> cl.
         buffer, owner = session.cache.get(key, lambda: (upload(session, array), array), lambda pair: pair[1].nbytes)
         if owner is array:
             return buffer
+        session.queue.finish()  # kernels that were launched with the other array may still read it in place
         session.cache.forget(key)
     return upload(session, array)  # another thread works with another array of the same place
 

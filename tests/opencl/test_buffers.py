@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
+import threading
 
-from clsco.opencl.buffers import download, upload_cached
+import numpy as np
+import pyopencl as cl
+
+from clsco.opencl.buffers import download, empty, upload_cached
 from clsco.opencl.session import Session
 
 
@@ -21,3 +24,15 @@ def test_an_array_takes_the_place_of_an_earlier_one(session: Session) -> None:
         np.testing.assert_array_equal(download(own, buffer, array.shape, np.float32), array)
     assert upload_cached(own, first, "table") is not buffers[0]
     assert upload_cached(own, other, "another") is buffers[1]
+
+
+def test_an_array_stays_until_commands_have_read_it(session: Session) -> None:
+    own, begins = session.with_cache(2**20), cl.UserEvent(session.context)
+    first, second = np.arange(1000, dtype=np.float32), np.arange(2000, dtype=np.float32)
+    out, buffer = empty(own, first.nbytes), upload_cached(own, first, "table")
+    copied = cl.enqueue_copy(own.queue, out, buffer, wait_for=[begins])
+    go_on = threading.Timer(0.2, begins.set_status, [cl.command_execution_status.COMPLETE])
+    go_on.start()
+    upload_cached(own, second, "table")
+    assert copied.command_execution_status == cl.command_execution_status.COMPLETE
+    go_on.join()
