@@ -147,6 +147,7 @@ def variants(features: dict[str, tuple[int, ...]]) -> list[dict[str, int]]:
     alone = dict.fromkeys((*NOT_BY_COLUMNS, "SEPARABLE", "SAMPLED", "BY_COLUMNS"), 0)
     smooth = {**dict.fromkeys(("BY_ROWS", "DISC", "SEPARABLE", "SAMPLED", "SPANS", "SHARED"), 0), "BY_COLUMNS": 1}
     others = [one | {k: v for k, v in smooth.items() if k in one} if one.get("WAVES") else one for one in others]
+    others = [one | {"SPANS": 0} if one.get("SPANS") and not one["OCCLUDED"] else one for one in others]
     others = [one | {"GENERAL": 1} if one.get("EDGES") or one.get("FIELD") else one for one in others]
     others = [one | {"BY_COLUMNS": 1, "SEPARABLE": 0} if one.get("RING") else one for one in others]
     others = [one | dict.fromkeys(alone.keys() & one.keys(), 0) if one.get("GENERAL") else one for one in others]
