@@ -21,7 +21,7 @@ from clsco.reference.common.geometry import Array, pixel_ray, solve_quadric
 from clsco.reference.inpainting.fill import Method, fill_objects
 from clsco.reference.inpainting.neighbors import Mask
 from clsco.reference.trace.trace import padded_grid
-from clsco.reference.warp.warp import extend_border, nearest_pixel, reproject_rest
+from clsco.reference.warp.warp import extend_border, fill_entered, nearest_pixel, reproject_rest
 from clsco.scene.model import DepthMap, Object, ObjectMotion, Plane, Sphere
 from tests.kernels.conftest import gray
 
@@ -93,7 +93,10 @@ def test_filled_warp_is_its_twin(
     warp = case.forward(session)
     done = warp.warp(warp.scene.posed(case.poses), [])
     assert done.object is not None
-    filled, valid = bordered(case, filled, new.known | (status == 1))
+    valid = new.known | (status == 1)
+    filled, objects, known = fill_entered(filled, objects, valid, new.entered, case.guard)
+    status, valid = np.where(known & ~valid, 1, status), known
+    filled, valid = bordered(case, filled, valid)
     assert (download(session, done.valid, case.shape, np.bool_) == valid).all()
     assert done.counters == asdict(report)
     assert (download(session, done.status, case.shape, np.uint8) == status).all()
