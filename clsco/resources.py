@@ -1,5 +1,5 @@
-"""Resources of the machine: folders that are shipped, those of the user's cache, temporary ones; processors; and
-regular files, opened so that no link, pipe or device can stand in for one."""
+"""Resources of the machine: folders that are shipped, those of the user's cache, temporary ones; processes, processors;
+and regular files, opened so that no link, pipe or device can stand in for one."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from typing import Literal
 
 _HOST = hashlib.sha256(platform.node().encode()).hexdigest()[:8]
 _RUN = secrets.token_hex(4)  # differs from that of an earlier process of the same number
+PROC = Path("/proc")  # where Linux tells of its processes
 ABANDONED_S = 24 * 3600.0  # a temporary folder of another machine that has not changed for so long is left over
 
 # Opening a pipe would block for ever without the second; neither is there on Windows.
@@ -223,23 +224,69 @@ def remove_left(folder: Path, prefix: str = "") -> None:
             elif int(process) == os.getpid():
                 left = run != _RUN
             else:
-                left = _is_gone(int(process))
+                left = process_is_gone(int(process))
             if left and path.is_dir() and not path.is_symlink():
                 shutil.rmtree(path, ignore_errors=True)
             elif left:
                 path.unlink()
 
 
-def _is_gone(process: int) -> bool:
+def process_began(process: int) -> float | None:
+    """Start of a process, for comparison with others of this machine; None where no such process runs, any more.
+
+    Linux tells it in ticks since its own start, which no change of the clock moves (proc(5)); on other systems psutil
+    does, in seconds of the clock.
+    """
+    if not (PROC / "self").exists():
+        return _began_by_psutil(process)
+    try:
+        fields = _stat(process)
+    except OSError:
+        return None
+    return None if fields[0] in ("Z", "X") else float(fields[19])
+
+
+def process_is_gone(process: int) -> bool:
     """Test whether a process of this machine has ended, also where nobody has asked yet how."""
     try:
         os.kill(process, 0)
-        with open(f"/proc/{process}/stat", "rb") as file:
-            return file.read().rpartition(b")")[2].split()[0] in (b"Z", b"X")
     except ProcessLookupError:
         return True
-    except OSError:  # somebody else's, or on a system without /proc
+    except OSError:  # somebody else's
         return False
+    return process_began(process) is None
+
+
+def group_runs(group: int) -> bool:
+    """Test whether a process of a group runs."""
+    for process in _processes():
+        with suppress(OSError):
+            if os.getpgid(process) == group and process_began(process) is not None:
+                return True
+    return False
+
+
+def _stat(process: int) -> list[str]:
+    """Fields of a process that Linux tells, from its state on; raises OSError where there is none."""
+    return (PROC / str(process) / "stat").read_text("utf-8", "replace").rpartition(")")[2].split()
+
+
+def _processes() -> list[int]:
+    if (PROC / "self").exists():
+        return [int(path.name) for path in PROC.glob("[0-9]*")]
+    import psutil
+
+    return list(psutil.pids())
+
+
+def _began_by_psutil(process: int) -> float | None:
+    import psutil
+
+    try:
+        found = psutil.Process(process)
+        return None if found.status() in (psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD) else float(found.create_time())
+    except psutil.NoSuchProcess:
+        return None
 
 
 def _now(folder: Path) -> float:

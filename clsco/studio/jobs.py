@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Literal
 
 from clsco.errors import ClscoError
-from clsco.resources import remove_left
+from clsco.resources import group_runs, process_began, remove_left
 from clsco.studio.session import StateFolder
 
 LIST = "jobs.json"
@@ -77,7 +77,7 @@ class CommandJob:
     began: float = 0.0
     ended: float = 0.0
     process: int = 0
-    process_began: int = 0
+    process_began: float = 0.0
     message: str = ""
 
     @property
@@ -237,7 +237,9 @@ class Jobs:
         self._processes[job.number] = process
         now = time.time()
         self._put(
-            replace(job, status="running", began=now, process=process.pid, process_began=_began(process.pid) or 0)
+            replace(
+                job, status="running", began=now, process=process.pid, process_began=process_began(process.pid) or 0.0
+            )
         )
 
     def _look_at(self, job: CommandJob) -> bool:
@@ -245,9 +247,9 @@ class Jobs:
         process = self._processes.get(job.number)
         if process is not None:
             process.poll()  # so that it does not stay as a zombie
-        is_alive = _began(job.process) == job.process_began and (process is None or process.returncode is None)
+        is_alive = process_began(job.process) == job.process_began and (process is None or process.returncode is None)
         if process is not None:  # the shell may end before the command, if it is killed
-            is_alive = is_alive or _has_group(job.process)
+            is_alive = is_alive or group_runs(job.process)
         since = self._canceled.get(job.number)
         if is_alive and since is not None and time.monotonic() - since > GRACE:
             _signal(job, signal.SIGKILL, process is not None)
@@ -336,28 +338,9 @@ def _read(state: StateFolder) -> list[CommandJob]:
         return []
 
 
-def _began(process: int) -> int | None:
-    """Start time of a process, in the clock's ticks since the system's; None where no such process runs."""
-    try:
-        fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
-    except OSError:
-        return None
-    return None if fields[0] == "Z" else int(fields[19])
-
-
-def _has_group(group: int) -> bool:
-    """True if a process of a group runs."""
-    for place in Path("/proc").glob("[0-9]*/stat"):
-        with contextlib.suppress(OSError):
-            fields = place.read_text().rpartition(")")[2].split()
-            if int(fields[2]) == group and fields[0] != "Z":
-                return True
-    return False
-
-
 def _signal(job: CommandJob, number: signal.Signals, is_ours: bool) -> None:
     """Send a signal to the group of a job's command, if that is still the one; is_ours: this process began it."""
-    if job.process and (_began(job.process) == job.process_began or (is_ours and _has_group(job.process))):
+    if job.process and (process_began(job.process) == job.process_began or (is_ours and group_runs(job.process))):
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(job.process, number)
 

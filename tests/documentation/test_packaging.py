@@ -23,7 +23,8 @@ def test_the_recipe_says_what_the_package_says() -> None:
     run = recipe.split("  run:\n")[1].split("\n\n")[0]
     wanted = {
         f"python {PROJECT['requires-python']}",
-        *(re.sub(r"(>=)", r" \1", one) for one in PROJECT["dependencies"]),
+        # One package for all systems has what any of them needs.
+        *(re.sub(r"(>=)", r" \1", one.split(";")[0]) for one in PROJECT["dependencies"]),
     }
     assert set(re.findall(r"- (.+)", run)) == wanted
 
