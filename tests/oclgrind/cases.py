@@ -442,6 +442,17 @@ def tolerant_cases() -> Iterator[Case]:
     yield Case("merged", {}, merged)
 
 
+def shared_cases() -> Iterator[Case]:
+    """A fine texture in focus behind a wire far in front: the parts of a pixel share what hides the lens."""
+    camera = Camera(resolution=(5, 4), pixel_pitch=0.1, aperture_diameter=20.0, focus_distance=250.0)
+    image = np.random.default_rng(5).random((25, 40)).astype(np.float32)
+    roof = Plane(distance=250.0, slope_x=0.2, texture=image, texture_mapping="surface", texture_size=(12.0,))
+    wire = Cylinder(center=(-1.0, 0.0, 90.0), radius=0.35, axis=(0.3, 1.0, 0.0))
+    scene = Scene(camera=camera, objects=(roof, wire), psf=Psf(silhouette_samples=2))
+    assert make_plan(scene, 1).features()["SHARED"]
+    yield Case("shared", {}, partial(through_a_lens, scene))
+
+
 def fault_cases() -> Iterator[Case]:
     """Cases that faults are planted in: few work-items, of which some have nothing to do."""
     rng = np.random.default_rng(7)
@@ -466,5 +477,7 @@ def all_cases() -> Iterator[Case]:
     yield from lens_cases()
     yield from field_cases()
     yield from tolerant_cases()
+    if EVERY == 1:  # minutes
+        yield from shared_cases()
     for cases in (image_cases, inpainting_cases, scene_cases):
         yield from islice(cases(), 0, None, EVERY)
