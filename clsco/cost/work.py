@@ -251,7 +251,7 @@ def _of_part(
     total, (made, cast) = lattice.total, part
     found = {"trace": _of_rays(plan, group, hits.number, lattice, cast)}
     found["trace"] |= {"test": total(cast * hits.tests), "cut test": total(cast * hits.cuts)}
-    finer = np.zeros(hits.w.shape)
+    finer = alike = np.zeros(hits.w.shape)
     if plan.silhouettes:
         marked, rays = cast * _near_silhouettes(hits.label, lattice), plan.silhouettes**2
         detailed = cast * (1.0 - marked) * (_parts(plan, view, hits) > 0)
@@ -263,9 +263,9 @@ def _of_part(
             "sub-pixel test": rays * total(made * marked * hits.tests),
             "detail": total(detailed * images),
         }
-        finer = np.maximum(marked, detailed)
+        finer, alike = np.maximum(marked, detailed), np.where(detailed > marked, detailed, 0.0)
     lit = made & (hits.w > 0.0) & (hits.state != HIDDEN)
-    found["blur"] = _of_blur(plan, lattice, hits.radius, lit, finer, hits)
+    found["blur"] = _of_blur(plan, lattice, hits.radius, lit, finer, hits, alike)
     return found
 
 
@@ -354,9 +354,14 @@ def _of_truth(plan: Plan) -> Work:
 
 
 def _of_blur(
-    plan: Plan, lattice: Lattice, radius: Array, lit: NDArray[np.bool_], finer: Array, hits: Hits | None = None
-) -> Work:
-    """Work of the blur of sources (n, m) of signed radii in px; finer: the share with sub-pixel sources."""
+    plan: Plan, lattice: Lattice, radius: Array, lit: NDArray[np.bool_], finer: Array, hits: Hits | None = None,
+    alike: Array | float = 0.0,
+) -> Work:  # fmt: skip
+    """Work of the blur of sources (n, m) of signed radii in px.
+
+    finer: the share with sub-pixel sources; alike: that of which those are of one surface, which may share what hides
+    the lens.
+    """
     if plan.blur == "none":
         return {}
     psf, channels, total = plan.psf, plan.channels, lattice.total
@@ -383,7 +388,8 @@ def _of_blur(
         narrow, edges = size * psf.extent < WIDE_LENS, hits.edges + hits.rims
         columns = partly & ~narrow & (hits.edges == 0) & (psf.layout == "symmetric") & plan.device.has_fp64
         one, fine = (lit & partly & ~columns) * (1.0 - finer), (lit & partly) * finer * subs
-        met, across = one * visits + fine * fine_visits, ~narrow * (one * rows + fine * fine_rows)
+        once = (lit & partly & narrow) * alike * (subs - 1) * plan.spec.shared
+        met, across = one * visits + (fine - once) * fine_visits, ~narrow * (one * rows + fine * fine_rows)
         tested = 0.0 * size if has_spans(plan.spec, plan.device.has_fp64) else ~narrow * (one * taps + fine * fine_taps)
         found |= {
             "rim row": total(lit * columns * (1.0 - finer) * visits * rows),
