@@ -285,6 +285,7 @@ def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
     constant = constant_blur(scene)
     keeps = scene.is_analytic and not (scene.moves and (scene.lens_moves or scene.shifts_colors))
     seen = without_lens(scene) if keeps else None
+    more = np.inf
     for _ in range(CASTS):  # each time with the guard band that the time before asked for
         _check_fold(scene, cameras, guard)
         w = _inverse_depths(scene, samples, maps, guard) if seen is None else _kept_depths(seen, eye, guard)
@@ -300,7 +301,8 @@ def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
         if not constant:  # rays between those of the grid
             smallest, largest = max(0.0, 0.9 * smallest - 1.0), 1.1 * largest + 1.0
         covered, guard = guard, guard_band(psf, scene.psf.border, largest)
-        if guard <= covered:
+        before, more = more, guard - covered
+        if more <= 0 or more >= 2 * before:  # wide enough, or of a surface that no band is wide enough for
             break
     _check_fold(scene, cameras, guard)
     return Prediction(times, poses, w, rays[len(times) // 2], smallest, largest, guard)

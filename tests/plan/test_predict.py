@@ -12,6 +12,7 @@ from clsco.errors import SceneError
 from clsco.optics.lens import LARGEST_BLUR, blur_radius
 from clsco.optics.lens_path import reference_camera
 from clsco.optics.motion import poses_at
+from clsco.optics.point_spread import point_spread
 from clsco.plan.larger import widened
 from clsco.plan.plan import make_plan
 from clsco.plan.predict import _inverse_depths, _moved_map, predict
@@ -61,6 +62,14 @@ def test_rays_are_cast_anew_until_the_guard_band_is_wide_enough() -> None:
     again = _inverse_depths(given.scene, [(reference_camera(given.scene), seen.poses[0])], (None,), seen.guard)
     assert given.guard_px == seen.guard > 0
     assert seen.largest > np.abs(blur_radius(given.scene.camera, again[again > 0])).max()
+
+
+def test_what_comes_ever_nearer_beside_the_frame_is_followed_no_further() -> None:
+    """Of a wall into the lens each band asks for one more than twice as wide: to 34 + 2.5 times its width, in px."""
+    wall = Plane(distance=40.0, slope_x=5.7)
+    given = scene_of(wall, size=(24, 24), camera={"pixel_pitch": 0.21, "aperture_diameter": 35.0})
+    seen = predict(given, point_spread(given.psf), "left", (None,))
+    assert 200.0 < seen.largest < LARGEST_BLUR
 
 
 def test_radii_are_predicted_to_the_end_of_the_last_exposure() -> None:
