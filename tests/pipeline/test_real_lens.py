@@ -13,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 import clsco
+from clsco.cli.check import compare_frames
 from clsco.constants import BAND
 from clsco.optics.lens import Lens
 from clsco.optics.vignetting import throughput
@@ -75,7 +76,12 @@ FAST = ("lateral", "in focus")
 
 @pytest.mark.parametrize("name", mostly_slow(SCENES, FAST))
 def test_device_against_reference(name: str) -> None:
-    assert_agree(rendered(SCENES[name]), reference_frames(SCENES[name]))
+    if SCENES[name].sensor is None:
+        assert_agree(rendered(SCENES[name]), reference_frames(SCENES[name]))
+        return
+    for checked in compare_frames(SCENES[name], None, None):  # a code changes with the last bit of its light
+        assert {difference.output for difference in checked.differences} > {"color", "electrons", "raw"}
+        assert [difference for difference in checked.differences if not difference.agrees] == []
 
 
 @pytest.mark.parametrize("how", mostly_slow(["static", "moving", "zoom", "lateral"], []))
