@@ -30,7 +30,6 @@ Sample = tuple[Camera, tuple[Pose, ...]]
 """The camera and all objects at a time."""
 LEAST_DISTANCE = 0.1  # of a curved image from the lens, in sensor distances
 GRID = 65  # rays per axis that predict the range of the blur radius
-CASTS = 4  # most times that they are cast: what a wider guard band sees may ask for a wider one
 # Keys of the camera that change what a lens makes of a hit, and not what a ray hits.
 LENS_KEYS = ("f_number", "aperture_diameter", "focus_distance", "sensor_distance")
 _DEPTHS = Cache(32 << 20)  # bytes
@@ -285,8 +284,7 @@ def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
     constant = constant_blur(scene)
     keeps = scene.is_analytic and not (scene.moves and (scene.lens_moves or scene.shifts_colors))
     seen = without_lens(scene) if keeps else None
-    more = np.inf
-    for _ in range(CASTS):  # each time with the guard band that the time before asked for
+    for _ in range(2):  # the second time with the guard band that the first asked for
         _check_fold(scene, cameras, guard)
         w = _inverse_depths(scene, samples, maps, guard) if seen is None else _kept_depths(seen, eye, guard)
         rays = _slopes(cameras, guard)
@@ -300,9 +298,6 @@ def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
             raise SceneError(f"camera: {rule}; got {largest:.4g} px ({why})")
         if not constant:  # rays between those of the grid
             smallest, largest = max(0.0, 0.9 * smallest - 1.0), 1.1 * largest + 1.0
-        covered, guard = guard, guard_band(psf, scene.psf.border, largest)
-        before, more = more, guard - covered
-        if more <= 0 or more >= 2 * before:  # wide enough, or of a surface that no band is wide enough for
-            break
+        guard = guard_band(psf, scene.psf.border, largest)
     _check_fold(scene, cameras, guard)
     return Prediction(times, poses, w, rays[len(times) // 2], smallest, largest, guard)

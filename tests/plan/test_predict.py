@@ -10,13 +10,11 @@ import pytest
 
 from clsco.errors import SceneError
 from clsco.optics.lens import LARGEST_BLUR, blur_radius
-from clsco.optics.lens_path import reference_camera
 from clsco.optics.motion import poses_at
-from clsco.optics.point_spread import point_spread
 from clsco.plan.larger import widened
 from clsco.plan.plan import make_plan
-from clsco.plan.predict import _inverse_depths, _moved_map, predict
-from clsco.scene.model import Cylinder, DepthMap, ObjectMotion, Plane, Psf, Scene, Sequence, Sphere
+from clsco.plan.predict import _moved_map
+from clsco.scene.model import DepthMap, ObjectMotion, Plane, Psf, Scene, Sequence, Sphere
 from tests.scenes import plan_of, scene_of
 
 STEP = 0.01 / 20.0  # slope between the rays of neighbors: pixel pitch over normalization distance
@@ -51,25 +49,6 @@ def test_radii_are_predicted_out_to_the_surface_that_lights_the_frame_from_outsi
     outside = at(31.5 + edge)
     assert outside > 1.3 * edge + 1.0
     assert make_plan(blurred, 1).largest_blur >= outside
-
-
-def test_rays_are_cast_anew_until_the_guard_band_is_wide_enough() -> None:
-    """A rod comes so near beside a high frame that each band shows it larger, and asks for a wider one."""
-    rod = Cylinder(center=(-0.7, -6.8, 192.8), radius=1.4, axis=(-0.15, -0.37, -0.42))
-    camera = {"pixel_pitch": 0.21, "aperture_diameter": 35.0, "focus_distance": 230.0}
-    given = plan_of(rod, size=(24, 192), camera=camera)
-    seen = predict(given.scene, given.psf, "left", (None,))
-    again = _inverse_depths(given.scene, [(reference_camera(given.scene), seen.poses[0])], (None,), seen.guard)
-    assert given.guard_px == seen.guard > 0
-    assert seen.largest > np.abs(blur_radius(given.scene.camera, again[again > 0])).max()
-
-
-def test_what_comes_ever_nearer_beside_the_frame_is_followed_no_further() -> None:
-    """Of a wall into the lens each band asks for one more than twice as wide: to 34 + 2.5 times its width, in px."""
-    wall = Plane(distance=40.0, slope_x=5.7)
-    given = scene_of(wall, size=(24, 24), camera={"pixel_pitch": 0.21, "aperture_diameter": 35.0})
-    seen = predict(given, point_spread(given.psf), "left", (None,))
-    assert 200.0 < seen.largest < LARGEST_BLUR
 
 
 def test_radii_are_predicted_to_the_end_of_the_last_exposure() -> None:
