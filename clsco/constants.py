@@ -63,6 +63,7 @@ MERGED_SIDE = 3  # pixels along an axis that one source stands for, an odd numbe
 
 # Visibility (kernels/common/visibility.clh).
 LENS_CELLS = 8  # cells of the lens per half axis, where it is tested on a grid of its own
+SHARED_PLACE = 10.0  # px per lens radius: of nearer occluders the parts of one pixel see different edges
 
 # Tables of weights (kernels/common/psf.clh, kernels/blur/cpu).
 TAP_LANES = 8  # floats in a vector of taps; rows of weights fill whole ones

@@ -27,7 +27,6 @@ from clsco.reference.trace.mapping import (
 from clsco.scene.model import Camera
 
 REACHING = 2.0
-SHARED_PLACE = 10.0  # px per lens radius: of nearer occluders sources of one pixel see different edges
 
 
 def detailed_texture(

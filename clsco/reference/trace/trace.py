@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.constants import SHARED_PLACE
 from clsco.inputs.pupils import scene_point_spread
 from clsco.optics.ellipses import DISC, shape_of
 from clsco.optics.lens import Lens, ray_step
@@ -37,7 +38,7 @@ from clsco.reference.common.geometry import (
     tilt_slope,
 )
 from clsco.reference.common.visibility import HIDDEN, Points, Visibility, check_visibility
-from clsco.reference.trace.detail import SHARED_PLACE, detailed_texture, is_shared
+from clsco.reference.trace.detail import detailed_texture, is_shared
 from clsco.reference.trace.footprint import parts_of, sharpening, surface_texture
 from clsco.reference.trace.light import shade
 from clsco.reference.trace.mapping import MappedTexture
