@@ -7,20 +7,25 @@ const ARM = 36; // px between the two
 const EDGE = "#141517", COLOR = "#9fd4ff";
 /** @typedef {[number, number]} Point */
 
-/** @type {{ middle: Point, on: Point } | null} */
+/** @typedef {{ middle: Point, on: Point }} Grip */
+/** @type {Grip | null} */
 let grip = null; // pixels of the frame: the middle of what is seen of the object, and the nearest that shows it
+/** @type {{ grip: Grip, by: Point } | null} */
+let seen = null; // that of a picture that came while the object is held, and by how much it was dragged then
 
 /** @param {(at: number) => boolean} isIn the object, by the number of a pixel */
 studio.grips = (isIn, width, height) => {
   let count = 0, x = 0, y = 0;
   for (let at = 0; at < width * height; at += 1) if (isIn(at)) { count += 1; x += at % width; y += Math.floor(at / width); }
-  if (!count) { grip = null; return; }
+  if (!count) { grip = seen = null; return; }
   const middle = /** @type {Point} */ ([x / count, y / count]), away = (at) => Math.hypot(at % width - middle[0], Math.floor(at / width) - middle[1]);
   let best = -1;
   for (let at = 0; at < width * height; at += 1) if (isIn(at) && (best < 0 || away(at) < away(best))) best = at;
-  grip = { middle, on: [best % width, Math.floor(best / width)] };
+  const found = /** @type {Grip} */ ({ middle, on: [best % width, Math.floor(best / width)] }), by = /** @type {Point} */ (studio.heldBy().across);
+  if (by[0] || by[1]) seen = { grip: found, by }; // the handles go with the pointer
+  else [grip, seen] = [found, null];
 };
-studio.releases = () => { grip = null; };
+studio.releases = () => { grip = seen = null; };
 
 /** Where they are on the stage, with the object that is held. @returns {{ across: Point, along: Point } | null} */
 const places = () => {
@@ -38,7 +43,10 @@ studio.handleAt = (x, y) => {
 };
 
 studio.dropped = ([across, down]) => { // the object is let go there, px of the frame away
-  if (grip !== null) grip.middle = [grip.middle[0] + across, grip.middle[1] + down];
+  const by = studio.heldBy().across;
+  if (seen !== null && seen.by[0] === by[0] && seen.by[1] === by[1]) grip = seen.grip;
+  else if (grip !== null) grip.middle = [grip.middle[0] + across, grip.middle[1] + down];
+  seen = null;
 };
 
 const drawn = (context, [x, y], arms) => { // a ring with arrows in it
