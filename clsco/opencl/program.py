@@ -8,10 +8,8 @@ import time
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from functools import cache, lru_cache
-from importlib.resources.abc import Traversable
+from functools import cache
 from math import prod
-from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -85,7 +83,8 @@ def build(
     structs: Mapping[str, np.dtype[Any]],
     real: Literal["double", "float"],
 ) -> Program:
-    """Build kernel files, after the shared headers, into a program; the same request gives the same program.
+    """Build kernel files, after the shared headers, into a program; the same request gives the same program, although
+    files have changed since.
 
     sources: names of files in kernels/, such as "trace/trace.cl". features: NAME -> small integer or bool, given to
     the compiler as -DNAME=value; structure only, since each set of values is compiled anew. structs: C name
@@ -97,6 +96,21 @@ def build(
     result).
     Raises KernelError with the compiler's log, DeviceError where `real` is double and the device has none.
     """
+    request = folder("kernels"), tuple(sources), tuple(features.items()), tuple(structs.items()), real
+    with session.lock:
+        if request not in session.programs:
+            session.programs[request] = _program(session, sources, features, structs, real)
+        return session.programs[request]
+
+
+def _program(
+    session: Session,
+    sources: Sequence[str],
+    features: Mapping[str, int | bool],
+    structs: Mapping[str, np.dtype[Any]],
+    real: Literal["double", "float"],
+) -> Program:
+    """See `build`."""
     device = session.device
     if real == "double" and not device.has_fp64:
         raise DeviceError(f"precision: double needs a device with fp64, use single; got {device}")
@@ -117,13 +131,9 @@ def build(
     options.append(f"-DVECTOR_WIDTH={device.vector_width}")
     if device.correctly_rounded:
         options.append("-cl-fp32-correctly-rounded-divide-sqrt")
-    key = *options, text
-    with session.lock:
-        if key not in session.programs:
-            session.doing(f"compiling {', '.join(sources)}")
-            with session.compiling():
-                session.programs[key] = _built(session, ", ".join(sources), text, options)
-        return session.programs[key]
+    session.doing(f"compiling {', '.join(sources)}")
+    with session.compiling():
+        return _built(session, ", ".join(sources), text, options)
 
 
 def kernel(program: Program, name: str) -> cl.Kernel:
@@ -212,40 +222,14 @@ def program_text(
     lines += [f"#define HAS_FP64 {int(has_fp64)}", f"#define HAS_INT64_ATOMICS {int(has_int64_atomics)}"]
     lines.append(f"#define REAL_IS_DOUBLE {int(real == 'double')}")
     lines += [f"typedef {real}{width} real{width};" for width in ("", 2, 3, 4, 8, 16)]
-    lines.append(_struct_texts(tuple(structs.items())))
+    lines += [struct_text(name, dtype, structs) for name, dtype in structs.items()]
     kernels = folder("kernels")
     for source in sources:
         try:
-            lines += [f'#line 1 "{source}"', _read(kernels, source)]
+            lines += [f'#line 1 "{source}"', (kernels / source).read_text("utf-8")]
         except FileNotFoundError as error:
             raise KernelError(f"kernels: must hold every file that is asked for; got no {source}") from error
-    return _joined(tuple(lines))
-
-
-@lru_cache(maxsize=32)
-def _joined(lines: tuple[str, ...]) -> str:
-    """A text in one piece: the same object each time, which as a key is hashed and compared once."""
     return "\n".join(lines)
-
-
-def _read(kernels: Traversable, source: str) -> str:
-    """The text of a file, read once while it does not change."""
-    if not isinstance(kernels, Path):
-        return (kernels / source).read_text("utf-8")
-    path = f"{kernels}/{source}"
-    found = os.stat(path)  # noqa: PTH116  some 30 a render, and paths take ten times as long
-    return _text_of(path, found.st_mtime_ns, found.st_size)
-
-
-@lru_cache(maxsize=64)
-def _text_of(path: str, *_: int) -> str:
-    return Path(path).read_text("utf-8")
-
-
-@lru_cache(maxsize=8)
-def _struct_texts(items: tuple[tuple[str, np.dtype[Any]], ...]) -> str:
-    structs = dict(items)
-    return "\n".join(struct_text(name, dtype, structs) for name, dtype in items)
 
 
 def struct_text(name: str, dtype: np.dtype[Any], structs: Mapping[str, np.dtype[Any]]) -> str:

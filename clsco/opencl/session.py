@@ -76,7 +76,7 @@ class Session:
         self.progress: Progress | None = None
         """Progress for another thread to look at. The host then runs ahead of the device by one time sample at most."""
         self.programs: dict[Hashable, Program] = {}
-        """Programs that `program.build` has built here, by text and options, and by the features that gave these."""
+        """Programs that `program.build` has built here, by its arguments."""
         self.compiled: set[tuple[cl.Kernel, tuple[int, ...], bool, bool]] = set()
         """Kernels and launch shapes that the driver has compiled already, kept by `program.launch`."""
         self.pace = Pace()

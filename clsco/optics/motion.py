@@ -40,6 +40,11 @@ class Pose:
     shift: NDArray[np.float64]
 
 
+UNTURNED, UNMOVED = np.eye(3), np.zeros(3)
+UNTURNED.flags.writeable = UNMOVED.flags.writeable = False
+AT_REST = Pose(UNTURNED, UNMOVED)
+
+
 def rotation_matrix(angles: NDArray[np.float64], rotation: str) -> NDArray[np.float64]:
     """Rotation matrix in the object's frame.
 
@@ -105,6 +110,8 @@ def pose_at(motion: ObjectMotion, time: float, rotation: str) -> Pose:
     of the vector, whose axis stays where the acceleration is along the angular velocity. Keyframes that turn about one
     axis alone have a path of their angle, with whole turns; others one of orientations.
     """
+    if not motion.model_fields_set:
+        return AT_REST
     if motion.keyframe is None:
         degrees = _accelerated(motion.angular_velocity, motion.angular_acceleration, time)
         return Pose(_turned(degrees, rotation), _accelerated(motion.velocity, motion.acceleration, time))
@@ -154,7 +161,7 @@ def keyframe_at(motion: ObjectMotion, time: float, rotation: str) -> Keyframe:
 def _turned(degrees: NDArray[np.float64], rotation: str) -> NDArray[np.float64]:
     """Rotation (3, 3) by angles in deg, in the axes of the camera."""
     if not degrees.any():
-        return np.eye(3)
+        return UNTURNED
     if rotation == "axis":
         length = float(np.linalg.norm(degrees))
         angles = degrees * (np.radians(np.fmod(length, 360.0)) / length) if length > 0 else np.zeros(3)
@@ -284,7 +291,7 @@ def _shake_waves(seed: int, band: tuple[float, float]) -> tuple[tuple[tuple[floa
 
 def rest_poses(scene: Scene) -> tuple[Pose, ...]:
     """Reference poses of all objects, those that their textures belong to: neither moved nor turned."""
-    return (Pose(np.eye(3), np.zeros(3)),) * len(scene.objects)
+    return (AT_REST,) * len(scene.objects)
 
 
 def poses_at(scene: Scene, time: float, eye: Eye = "left") -> tuple[Pose, ...]:
@@ -307,6 +314,9 @@ def poses_at(scene: Scene, time: float, eye: Eye = "left") -> tuple[Pose, ...]:
         pose, center = pose_at(item.motion, time, scene.motion.rotation), rest_center(item)
         if item.group is not None:
             pose = _carried(pose, center, *groups[item.group])
+        if camera is AT_REST and pose is AT_REST:
+            found.append(AT_REST)
+            continue
         shift = camera.rotation.T @ (pose.shift - camera.shift) + (camera.rotation.T @ center - center)
         found.append(Pose(camera.rotation.T @ pose.rotation, shift))
     return tuple(found)

@@ -155,6 +155,7 @@ class PlacedScene:
         self._texture: cl.Buffer | None = None
         self._maps: cl.Buffer | None = None
         self._held: list[cl.Buffer] = []
+        self._samples: dict[tuple[float, Eye], TimeSample] = {}
 
     @cached_property
     def channels(self) -> int:
@@ -221,10 +222,12 @@ class PlacedScene:
 
     def at(self, time: float, eye: Eye | None = None) -> TimeSample:
         """The objects at a time in s, as `eye` sees them."""
-        eye = eye or self.eye
-        sample = self.posed(poses_at(self.scene, time, eye), time, camera_at(self.scene, time))
-        light = place_light(self.scene, time, eye)
-        return sample if light is None else replace(sample, light=(light_struct(light, self.real),))
+        key = time, eye or self.eye
+        if key not in self._samples:
+            sample = self.posed(poses_at(self.scene, *key), time, camera_at(self.scene, time))
+            light = place_light(self.scene, *key)
+            self._samples[key] = sample if light is None else replace(sample, light=(light_struct(light, self.real),))
+        return self._samples[key]
 
     def in_reference_pose(self) -> TimeSample:
         """The objects as the textures show them."""
@@ -259,6 +262,7 @@ class PlacedScene:
     def release(self) -> None:
         """Let go of what is held; all launches that read it have ended."""
         self._held.clear()
+        self._samples.clear()
 
     def _surface_structs(self, placed: Surfaces) -> NDArray[np.void]:
         """surface_t of every object; of depth maps only the center, about which they turn."""

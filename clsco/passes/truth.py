@@ -93,7 +93,8 @@ class GroundTruth:
         sample, after = scene.at(time), scene.at(later)
         there = scene.at(time, eye=self._opposite) if set(STEREO_NAMES) & set(names) else None
         earlier = scene.at(before) if set(MOTION_NAMES) & set(names) else None
-        arguments = self._arguments(scene.in_reference_pose(), sample, after, there, earlier)
+        rest = scene.in_reference_pose() if plan.moves or plan.eye_moved else sample
+        arguments = self._arguments(rest, sample, after, there, earlier)
         out = self._arrays(names)
         buffers = allocate(scene.session, truth_buffers(names, plan.grid))
         for strip in plan.strips:

@@ -149,8 +149,18 @@ def motion_needs(
     list of Need
         Objects that are seen to move.
     """
-    maps = maps or (None,) * len(scene.objects)
     evened = evened and scene.sequence.sampling == "midpoint" and not scene.lens_moves
+    maps = None if maps is None or all(each is None for each in maps) else maps
+    return list(_kept_needs(scene, psf, guard, evened) if maps is None else _needs(scene, psf, maps, guard, evened))
+
+
+@lru_cache(maxsize=32)
+def _kept_needs(scene: Scene, psf: PointSpread, guard: int, evened: bool) -> tuple[Need, ...]:
+    """`motion_needs` of a scene without maps, whose frames are often asked for one by one."""
+    return _needs(scene, psf, (None,) * len(scene.objects), guard, evened)
+
+
+def _needs(scene: Scene, psf: PointSpread, maps: Maps, guard: int, evened: bool) -> tuple[Need, ...]:
     line = scene.sequence.shutter / (scene.sequence.shutter + scene.sequence.readout)  # part of all exposures
     found = dict[int, Need]()
     for frame in some_frames(scene):
@@ -162,7 +172,7 @@ def motion_needs(
                 samples = min(samples, sqrt(_chord(psf) * line * path.variation / (24.0 * radius * EDGE_ERROR)))
             if samples > (found[number].samples if number in found else 0.0):
                 found[number] = Need(number, speed, radius, samples)
-    return sorted(found.values(), key=lambda need: -need.samples)
+    return tuple(sorted(found.values(), key=lambda need: -need.samples))
 
 
 @lru_cache(maxsize=16)

@@ -475,7 +475,7 @@ class Scene(Strict):
     @property
     def rolls(self) -> bool:
         """True if rows or columns show what moves one after another."""
-        return self.moves and self.sequence.rolls
+        return self.sequence.rolls and self.moves
 
     def motions(self, item: AnyShape) -> tuple[ObjectMotion, ...]:
         """The motion of an object, and that of its group if it is in one."""
@@ -484,7 +484,7 @@ class Scene(Strict):
     @property
     def is_ray_castable(self) -> bool:
         """True if every surface is analytic at any time: no depth map, and no pixels moved by a forward warp."""
-        return self.is_analytic and not (self.is_displaced and self.motion.warp == "forward")
+        return self.is_analytic and not (self.motion.warp == "forward" and self.is_displaced)
 
     @property
     def has_mapped_textures(self) -> bool:

@@ -320,6 +320,7 @@ def test_scores_of_codes_are_exact(session: Session, avx2: bool, monkeypatch: py
     text = program_module.program_text
     if not avx2:
         monkeypatch.setattr(program_module, "program_text", lambda *given: "#undef __AVX2__\n" + text(*given))
+        monkeypatch.setattr(session, "programs", {})
     rng, rows, columns = np.random.default_rng(41), 4, 128
     image, missing = rng.integers(0, 256, (rows, columns, 1), np.uint8), rng.random((rows, columns)) < 0.02
     room = np.zeros(CODE_LANES, np.uint8)
