@@ -56,8 +56,6 @@ def of_blur(spec: BlurSpec, choices: Choices, groups: int) -> Parameters:
         from clsco.optics.waves import wave_words
 
         found += wave_words(spec.psf, spec.smallest, spec.largest, spec.subpixels)
-    if spec.psf.stretched:
-        found.append(("ellipses", "discs of the same area where something is in the way, and beside silhouettes"))
     if spec.tilt:
         found.append(("tilt", "weights by the gradient of the blur radius"))
     if choices.renormalize.value:

@@ -33,7 +33,7 @@
 static float tap_share(const visibility_t *visibility, int dx, int dy, spread_t s)
 {
     if (!visibility->wide)
-#if WAVES
+#if WAVES || ELLIPSES
         return narrow_share(visibility, dx, dy);
 #else
         return visibility->share[dy + NARROW_MIDDLE][dx + NARROW_MIDDLE];
@@ -82,8 +82,9 @@ __kernel void scatter(const grid_t grid, const psf_t psf, __global const float *
             float4 p = sub_source[id];
             if (p.x < 0)
                 continue;
-            const spread_t spread = subpixel_spread(psf, sub_intervals, sub_coefficients, p,
-                                                    sub PLACE_VALUES(grid.top + row, column));
+            const spread_t spread = SHAPED(
+                subpixel_spread(psf, sub_intervals, sub_coefficients, p, sub PLACE_VALUES(grid.top + row, column)),
+                psf, p, at);
 #if OCCLUDED
             visibility_t seen;
             const visibility_t *visibility = IS_PARTLY(as_int(p.w)) ? &seen : 0;
@@ -171,9 +172,9 @@ __kernel void renormalize(const grid_t grid, const psf_t psf, __global const flo
             float4 p = sub_source[id];
             if (p.x < 0)
                 continue;
-            const float share = share_inside(
-                grid, subpixel_spread(psf, sub_intervals, sub_coefficients, p, sub PLACE_VALUES(row, column)), p, row,
-                column);
+            const spread_t spread = SHAPED(
+                subpixel_spread(psf, sub_intervals, sub_coefficients, p, sub PLACE_VALUES(row, column)), psf, p, at);
+            const float share = share_inside(grid, spread, p, row, column);
             for (int k = 0; k < CHANNELS && share > 0; ++k)
                 sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id] /= share;
         }

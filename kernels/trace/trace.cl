@@ -16,6 +16,15 @@
 
 #define EDGE 128  // of a label: behind an odd number of surfaces, or more than what is hit may be in the pixel
 
+#if ELLIPSES
+// Addition to the slopes of the tilt by the ellipse that a disc of `radius` px is on the ray of a bend.
+static float2 ellipse_tilt(const grid_t grid, bend_t bend, real radius)
+{
+    const float share = (float)MIN(MAX(ABS(radius) - 1, (real)0), (real)1);
+    return share * (float2)((float)(grid.step * bend.widening.x), (float)(-grid.step * bend.widening.y));
+}
+#endif
+
 // Record of a hit, as the lens takes it; below 0 where none of its radiance reaches the lens, which is tested from the
 // hit `seen` of inverse depth seen_w. subpixel: the source is one of SUBPIXELS^2. In and out: label, statistics.
 // bend, seen_bend: of the two rays.
@@ -36,6 +45,9 @@ static float4 source_record(const grid_t grid, lens_t lens, __constant surface_t
 #if TILT
     const real2 gradient = blur_gradient(grid, lens, bend, surface_slope(surface, ray, w), ray, w);
     tilt = subpixel ? tilt_slope(gradient, radius) : pixel_tilt(gradient, radius, &spread);
+#if ELLIPSES
+    tilt += ellipse_tilt(grid, seen_bend, spread);
+#endif
 #endif
 #if OCCLUDED
     bool edge;
@@ -55,12 +67,6 @@ static float4 source_record(const grid_t grid, lens_t lens, __constant surface_t
     note_radius(statistics, spread);
     record.x = table_coordinate(psf, spread, subpixel);
     record.yz = tilt;
-#if ELLIPSES && TILT
-    if (!subpixel && as_int(record.w) == WHOLE) {
-        const float share = (float)MIN(MAX(ABS(spread) - 1, (real)0), (real)1);
-        record.yz += share * (float2)((float)(grid.step * bend.widening.x), (float)(-grid.step * bend.widening.y));
-    }
-#endif
     return record;
 }
 
@@ -369,11 +375,15 @@ __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surf
     const lens_t here = lens_along(grid, lens, ray);
     const real middle = blur_radius(here, ray, w);
     const real2 slope = surface_slope(surfaces + object, ray, w);
-    const real2 gradient = blur_gradient(grid, here, bend_along(grid, lens, ray), slope, ray, w);
+    const bend_t bend = bend_along(grid, lens, ray);
+    const real2 gradient = blur_gradient(grid, here, bend, slope, ray, w);
 #if OCCLUDED
     bool edge;
-    real spread;
-    const float2 tilt = TILT ? pixel_tilt(gradient, middle, &spread) : (float2)(0, 0);
+    real spread = middle;
+    float2 tilt = TILT ? pixel_tilt(gradient, middle, &spread) : (float2)(0, 0);
+#if TILT && ELLIPSES
+    tilt += ellipse_tilt(grid, bend, spread);
+#endif
     const division_t division = division_of(middle, psf.lens_extent, 1, tilt);
 #if SHARED
     visibility_t visibility;
@@ -400,6 +410,9 @@ __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surf
 #if TILT
         // In its own pixel a source is visible from all of the lens until its disc reaches over the border.
         record.yz = tilt_slope(gradient, radius) * MIN((float)ABS(radius), 1.0f);
+#if ELLIPSES
+        record.yz += ellipse_tilt(grid, bend, radius);
+#endif
 #endif
 #if OCCLUDED
 #if CURVED & CURVED_IMAGE

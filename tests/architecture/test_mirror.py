@@ -63,12 +63,12 @@ WITHOUT_TWIN = {
         "reads tables, in whose place the reference has the closed forms",
     )
     | dict.fromkeys(
-        ("elliptic_spread", "below", "ellipse_margin", "rim_weight", "ellipse_weight", "with_ellipse"),
+        ("elliptic_spread", "below", "ellipse_margin", "rim_weight", "ellipse_weight", "point_weight", "with_ellipse"),
         "clsco.optics.ellipses",
     )
     | dict.fromkeys(("source_width", "light_of"), "of merged sources, as merge.cl")
     | dict.fromkeys(("pixel_visibility", "shared_visibility"), "_from_middles of trace.py")
-    | {"find_cell": "SeidelField.blend, which the reference calls"},
+    | {"find_cell": "SeidelField.blend, which the reference calls", "bend_visibility": "of visibility_test.py"},
     "vectors": dict.fromkeys(("weights", "sums_of", "any_of"), "lanes of a vector"),
     "footprint": {
         "square_of": "two products",

@@ -400,12 +400,15 @@ def lens_cases() -> Iterator[Case]:
         "colors": {"field_curvature": -0.03, "focus_surface": "sphere", "axial": (0.2, 0.0, -0.1)},
         "ellipses by atomics": {"distortion": (-0.25, 0.05, 0.0)},
         "ellipses": {"distortion": (-0.25, 0.05, 0.0), "tangential": (0.01, -0.02)},
+        "hidden ellipses by atomics": {"distortion": (0.2, 0.0, 0.0)},
+        "hidden ellipses": {"distortion": (-0.25, 0.05, 0.0)},
     }
     for number, (name, keys) in enumerate(bends.items()):
         wall = Plane(distance=270.0, slope_x=0.5)
         wide: dict[str, Any] = {"pixel_pitch": 2.0, "aperture_diameter": 300.0} if "ellipses" in name else {}
         camera = {"pixel_pitch": 0.3} | wide
-        scene = Scene(camera=Camera(resolution=(9, 6), **camera), objects=(wall,), lens=Lens(**keys))
+        objects = (Sphere(center=(5.0, 3.0, 200.0), radius=40.0), wall) if "hidden" in name else (wall,)
+        scene = Scene(camera=Camera(resolution=(9, 6), **camera), objects=objects, lens=Lens(**keys))
         kind = {"kind": "gpu"} if number % 2 else {}
         yield Case(f"lens, {name}", kind, partial(through_a_lens, scene), repr(scene.lens), 3)
 

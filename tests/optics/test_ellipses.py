@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clsco.optics.ellipses import DISC, ellipse_weights
+from clsco.optics.ellipses import DISC, across_of, ellipse_weights, point_weights
 from clsco.optics.pupils.circle import Circle
 
 X = np.arange(-30.0, 31.0)
@@ -52,3 +52,23 @@ def test_against_the_integral() -> None:
     exact = tent @ inside @ tent.T / inside.sum()
     found = ellipse_weights(offset, offset[:, None], np.asarray(radius), shape)
     assert np.abs(found - exact).sum() < 5e-4
+
+
+def test_points_against_the_integral() -> None:
+    """Points of the ellipse, each in the pixel that it is in, off the source that is not in the middle of its own."""
+    shape, radius = turned(1.25, 0.4), 6.0
+    at = (np.arange(2000) + 0.5) / 100.0 - 10.0
+    inside = shape[0] * at * at + 2.0 * shape[1] * at * at[:, None] + shape[2] * (at * at)[:, None] <= radius * radius
+    offset = np.arange(-9.0, 10.0) + 0.3
+    box = np.abs(at - offset[:, None]) < 0.5
+    exact = box @ inside.astype(np.float64) @ box.T / inside.sum()
+    found = point_weights(offset, offset[:, None], np.asarray(radius), shape)
+    assert np.abs(found - exact).sum() < 4e-3
+    assert found.sum() == pytest.approx(1.0, abs=1e-5)
+
+
+def test_the_way_to_the_disc_is_the_root_of_the_form() -> None:
+    xx, xy, yy = across_of(turned(1.7, 0.6)).tolist()
+    root = np.array([[xx, xy], [xy, yy]])
+    form = turned(1.7, 0.6)
+    np.testing.assert_allclose(root @ root, [[form[0], form[1]], [form[1], form[2]]], rtol=1e-12)

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clsco.optics.ellipses import DISC, ellipse_share, ellipse_weights
+from clsco.optics.ellipses import ROUND, ellipse_share, ellipse_weights, point_weights
 from clsco.optics.point_spread import PointSpread, subpixel_offsets
 from clsco.plan.methods import BlurSpec
 from clsco.reference.common.geometry import Array, tilt_share, tilt_slope
@@ -134,7 +134,7 @@ def _shares(
     shape_at = None if sources.shape is None else sources.shape.reshape(-1, 3)
     alone = spec.psf.signed or shape_at is not None
     if shape_at is not None and sources.widening is not None:
-        slope = slope + (_ellipse_part(size, shape_at) * sources.widening.reshape(-1, 2).T).T
+        slope = slope + ellipse_share(size)[:, None] * sources.widening.reshape(-1, 2)
     for right, down, offsets in _alike_offsets(max(reaches, default=-1), alone):
         weight = np.zeros(there.size)
         for block, far in zip(blocks, reaches, strict=True):
@@ -163,13 +163,8 @@ def _shares(
 
 def _of_ellipses(dx: Array, dy: Array, size: Array, shape: Array, weight: Array) -> Array:
     """Weights of sources with these ellipses, as far as these are ones, from their weights as discs."""
-    ellipse = ellipse_weights(dx, dy, np.maximum(size, 1.0), shape)
-    return np.asarray(weight + _ellipse_part(size, shape) * (ellipse - weight))
-
-
-def _ellipse_part(size: Array, shape: Array) -> Array:
-    """`ellipse_share`, 0 of sources whose blur stays a disc."""
-    return np.where((shape == DISC).all(axis=-1), 0.0, ellipse_share(size))
+    ellipse = ellipse_weights(dx, dy, np.maximum(size, ROUND), shape)
+    return np.asarray(weight + ellipse_share(size) * (ellipse - weight))
 
 
 def _subpixel_shares(
@@ -191,6 +186,8 @@ def _subpixel_shares(
         radius = sub.radius[sub.hit][block]
         slope = tilt_slope(sub.gradient[sub.hit][block], radius, spec.psf.diffracted)
         limb = False if sub.limb is None else sub.limb[sub.hit][block]
+        if sub.widening is not None:
+            slope = slope + ellipse_share(radius)[:, None] * sub.widening[sub.hit][block]
         far = spec.psf.reach(float(np.abs(radius).max()), subpixel=True)
         place = np.stack([sub.row[p], sub.column[p]]) - guard
         visibility = None if sub.visibility is None else sub.visibility.of(block)
@@ -203,6 +200,9 @@ def _subpixel_shares(
                 inside = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
                 right, below = dx - x[inside], dy - y[inside]
                 share = place_weights(spec.psf, right, below, radius[inside], place[:, inside], subpixel=True)
+                if sub.shape is not None:
+                    shown, part = np.maximum(np.abs(radius[inside]), ROUND), ellipse_share(radius[inside])
+                    share = share + part * (point_weights(right, below, shown, sub.shape[p[inside]]) - share)
                 if spec.tilt:
                     share = share * tilt_factor(*within_rim(spec.psf, dx - x, dy - y, radius), slope, limb)[inside]
                 if visibility is not None:

@@ -33,10 +33,11 @@ from clsco.reference.common.geometry import (
 )
 from clsco.reference.common.occluder import TINY, Mask, Occluder, hides_all
 
-CLEAR, PARTLY, HIDDEN = np.uint8(0), np.uint8(1), np.uint8(2)
+CLEAR, PARTLY, HIDDEN = (np.uint8(state) for state in range(3))
 SOFT_BOX = (5.0 / 12.0) ** 0.5  # half width of the cubic step that has the variance of a box 1 wide
 RIM_MARGIN = 1.5  # cells from the rim of the lens to a circle that cuts none of its taps
 WIDE_LENS = 3.2  # px: a lens at least so wide is tested once per tap, others on a grid of cells
+PLANES = ("radius", "wide", "x", "y", "lean", "limb", "nearest", "bent")  # of `Visibility`
 SHARP_EDGE = 2.0  # px: a blurred outline this narrow needs sub-pixel sources
 
 
@@ -428,7 +429,8 @@ class Visibility:
     how. extent: of the lens in lens radii; cells: weights (L, L) of its cells; mask: straight edges (n, 3) of the lens,
     none where it is round; lean (M, 2): change of the tilt per cell of a narrow lens, part of which is behind the
     surface, else 0; limb (M,): at a limb; nearest (M,): least `crossing_place` of what hides it in part; circles: rims
-    that cut its light; waves: light goes beyond the rim; round: the rim is a circle.
+    that cut its light; waves: light goes beyond the rim; round: the rim is a circle; bent (M, 3): xx, xy and yy from
+    taps to the disc of an ellipse, or from cells of a narrow lens to the ellipse, None for discs.
     """
 
     row: NDArray[np.int64]
@@ -446,6 +448,7 @@ class Visibility:
     circles: tuple[Circle, ...] = ()
     waves: bool = False
     round: bool = True
+    bent: Array | None = None
 
     def of(self, chosen: NDArray[Any] | slice) -> Visibility:
         """The same for some of the sources."""
@@ -454,12 +457,9 @@ class Visibility:
         occluders = tuple(
             (mask[there], occluder.of(np.cumsum(mask)[there[mask[there]]] - 1)) for mask, occluder in self.occluders
         )
-        new = np.where(row >= 0, np.cumsum(row >= 0) - 1, -1)
-        return Visibility(
-            new, self.radius[there], self.wide[there], self.x[there], self.y[there], occluders, self.extent, self.cells,
-            self.mask, self.lean[there], self.limb[there], self.nearest[there],
-            tuple(circle.of(there) for circle in self.circles), self.waves, self.round,
-        )  # fmt: skip
+        circles, new = [one.of(there) for one in self.circles], np.where(row >= 0, np.cumsum(row >= 0) - 1, -1)
+        planes = {name: getattr(self, name)[there] for name in PLANES if getattr(self, name) is not None}
+        return replace(self, row=new, occluders=occluders, circles=tuple(circles), **planes)
 
 
 def check_visibility(

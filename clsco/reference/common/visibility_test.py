@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from clsco.constants import LENS_CELLS
+from clsco.optics.ellipses import DISC, across_of, ellipse_share
 from clsco.reference.common.geometry import Array, tilt_share
 from clsco.reference.common.occluder import Part, leave_free, occluded_part
 from clsco.reference.common.visibility import Visibility
@@ -12,6 +17,19 @@ from clsco.reference.common.visibility import Visibility
 MOST_INWARDS = 0.7  # px along an axis, at the corners of a lens mask
 BEYOND = 0.5  # px outside of the rim, of waves
 NARROW_MIDDLE = 7  # px along an axis: farther taps of a lens that is not wide see what those see
+
+
+def bend_visibility(visibility: Visibility, shape: Array) -> Visibility:
+    """The same for blur of ellipses; shape (M, 3): see `clsco.optics.ellipses.shape_of`."""
+    across, part = across_of(shape), ellipse_share(visibility.radius)[:, None]
+    cells = (1.0 - part) * DISC + part * across[:, ::-1] * (1.0, -1.0, 1.0)
+    bent = np.where(visibility.wide[:, None], across, cells)
+    return replace(visibility, bent=bent, lean=np.stack(_bent(bent, *visibility.lean.T), axis=-1))
+
+
+def _bent(by: Array, x: NDArray[Any], y: NDArray[Any]) -> tuple[Array, Array]:
+    xx, xy, yy = np.moveaxis(by, -1, 0)
+    return xx * x + xy * y, xy * x + yy * y
 
 
 def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
@@ -22,6 +40,8 @@ def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
     (2 s - 1) / 3. Of waves, from a tap beyond, the rim.
     """
     rim = np.maximum(np.abs(visibility.radius) * visibility.extent, 1.0)
+    if visibility.bent is not None:
+        x, y = (np.where(visibility.wide, *both) for both in zip(_bent(visibility.bent, x, y), (x, y), strict=True))
     s = np.clip(0.5 * rim - (x * x + y * y) / (2 * rim), -1.0, 1.0)
     inwards = np.where(visibility.wide, 1 - np.where(s > 0, (1 - s) ** 2, 1 - 2 * s) / (3 * rim), 1.0)
     x, y = (x * inwards, y * inwards) if visibility.mask.size == 0 else _inside(visibility, x, y)
@@ -94,7 +114,7 @@ def tap_share(visibility: Visibility, cells: Array, dx: float | Array, dy: float
     cells: (N, L, L) from `cell_visibility`. Where the lens is not wide, the tap's tent weighs its cells; of waves a tap
     beyond the rim is moved to BEYOND px outside of it, so that in focus each sees the whole lens.
     """
-    limit = NARROW_MIDDLE if visibility.waves else np.inf
+    limit = NARROW_MIDDLE if visibility.waves or visibility.bent is not None else np.inf
     share = (
         free_share(visibility, dx - visibility.x, dy - visibility.y)
         if visibility.wide.any()
@@ -109,6 +129,9 @@ def tap_share(visibility: Visibility, cells: Array, dx: float | Array, dy: float
             rim = LENS_CELLS * step + BEYOND
             part = np.minimum(rim / np.maximum(np.hypot(*away), 1e-6), 1.0)
             away = [part * each for each in away]
+        if visibility.bent is not None:
+            share[narrow] = _elliptic_share(visibility, cells, visibility.bent[narrow] * step[:, None], away)
+            return share
         across, down = (np.maximum(0.0, 1 - np.abs(at * step[:, None] - each[:, None])) for each in away)
         weights = visibility.cells
         if visibility.mask.size:
@@ -120,3 +143,14 @@ def tap_share(visibility: Visibility, cells: Array, dx: float | Array, dy: float
         free = np.einsum("mi,mij,mj->m", down, weights * cells, across, optimize=True)
         share[narrow] = np.where(whole > 0, free / np.where(whole > 0, whole, 1.0), 1.0)
     return share
+
+
+def _elliptic_share(visibility: Visibility, cells: Array, bent: Array, away: list[Array]) -> Array:
+    """Share (N,) that the tents of taps, `away` px from N sources, give of cells (N, L, L) of narrow lenses, which are
+    bent (N, 3) to ellipses, px."""
+    at = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS
+    places = _bent(bent[:, None, None], at, at[:, None])
+    tents = [np.maximum(0.0, 1.0 - np.abs(one - d[:, None, None])) for one, d in zip(places, away, strict=True)]
+    weights = visibility.cells * tents[0] * tents[1]
+    whole, free = weights.sum(axis=(1, 2)), (weights * cells).sum(axis=(1, 2))
+    return np.asarray(np.where(whole > 0, free / np.where(whole > 0, whole, 1.0), 1.0))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from clsco.constants import SHARED_PLACE
 from clsco.inputs.pupils import scene_point_spread
-from clsco.optics.ellipses import DISC, shape_of
+from clsco.optics.ellipses import ellipse_share, shape_of
 from clsco.optics.lens import Lens, ray_step
 from clsco.optics.lens_path import camera_at, colored, lens_at, lenses_at, reference_camera
 from clsco.optics.light import PlacedLight, place_light
@@ -38,6 +38,7 @@ from clsco.reference.common.geometry import (
     tilt_slope,
 )
 from clsco.reference.common.visibility import HIDDEN, Points, Visibility, check_visibility
+from clsco.reference.common.visibility_test import bend_visibility
 from clsco.reference.trace.detail import detailed_texture, is_shared
 from clsco.reference.trace.footprint import parts_of, sharpening, surface_texture
 from clsco.reference.trace.light import shade
@@ -80,6 +81,7 @@ class SubpixelSources:
     row, column (M,): padded-grid pixel; hit (M, S, S): there is surface that is visible from the lens; visibility: the
     occluders of those, in their order, None for none at all; radius (M, S, S) px; gradient (M, S, S, 2) px per px;
     radiance (M, S, S, C), times the cells that each covers; limb (M, S, S): at a limb, None for none at all.
+    shape (M, 3), of the pixels, and widening (M, S, S, 2): as of `Sources`.
     Source (i, j) is spread from its cell, `subpixel_offsets(S)[i]` rows and [j] columns off the pixel's center.
     """
 
@@ -91,6 +93,8 @@ class SubpixelSources:
     radiance: Array
     visibility: Visibility | None = None
     limb: NDArray[np.bool_] | None = None
+    shape: Array | None = None
+    widening: Array | None = None
 
 
 def padded_grid(camera: Camera, guard: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -245,22 +249,19 @@ def trace(view: View, group: OcclusionGroup, guard: int) -> Sources:
     row, column = padded_grid(scene.camera, guard)
     hit = cast(view, group, row, column, (row, column), 1)
     label, lit, visibility = hit.label.copy(), hit.label > 0, None
+    shape, widening = _ellipses(view, row, column)
     bounds = [cutting_bounds(item) for item in scene.objects]
     if group.occluders or view.psf.rims:
-        rays = pixel_ray(scene.camera, row, column)[lit]
+        rays, own = pixel_ray(scene.camera, row, column)[lit], None if widening is None else widening[lit]
         here, radius = np.zeros(len(rays)), hit.radius[lit]
-        state, edge, seen = check_visibility(
-            view.lens,
-            view.surfaces,
-            bounds,
-            group,
-            view.psf,
-            Points(rays, hit.w[lit], radius, here, here, 1.0, _tilted(view, radius, hit.gradient[lit])),
-        )
+        points = Points(rays, hit.w[lit], radius, here, here, 1.0, _tilted(view, radius, hit.gradient[lit], own))
+        state, edge, seen = check_visibility(view.lens, view.surfaces, bounds, group, view.psf, points)
         label[lit] |= edge.astype(np.uint8) << 7
         number = np.full(lit.size, -1)
         number[np.flatnonzero(lit)] = seen.row
         visibility = replace(seen, row=number)
+        if shape is not None:
+            visibility = bend_visibility(visibility, shape[lit][seen.row >= 0])
         lit[lit] = state != HIDDEN
     label[passes_between(view.surfaces, bounds, group, scene.camera, row, column, hit.number)] |= 1 << 7
     return Sources(
@@ -273,30 +274,27 @@ def trace(view: View, group: OcclusionGroup, guard: int) -> Sources:
         visibility,
         np.where(lit, hit.parts, 0),
         np.where(lit, hit.share, 0.0),
-        *_ellipses(view, row, column, None if visibility is None else visibility.row),
+        shape,
+        widening,
     )
 
 
-def _tilted(view: View, radius: Array, gradient: Array) -> Array:
+def _tilted(view: View, radius: Array, gradient: Array, widening: Array | None) -> Array:
     """Gradient (N, 2) of the blur radius of whole pixels, as far as the tilt counts, for visibility tests."""
-    tilt, _ = pixel_tilt(gradient, radius, view.psf.diffracted)
+    tilt, spread = pixel_tilt(gradient, radius, view.psf.diffracted)
+    tilt = tilt if widening is None else tilt + ellipse_share(spread)[:, None] * widening
     size = np.maximum(np.abs(radius), np.minimum(2.0 * np.abs(radius), 1.0)) * np.where(radius < 0.0, -1.0, 1.0)
     return np.asarray(tilt * size[:, None] * view.scene.psf.tilt)
 
 
-def _ellipses(
-    view: View, row: NDArray[np.int64], column: NDArray[np.int64], partly: NDArray[np.int64] | None
-) -> tuple[Array | None, Array | None]:
-    """Shape (H, W, 3) and widening (H, W, 2) of blur on the rays through pixels, where ellipses are made; partly: 0 or
-    more of what is hidden in part, which has discs."""
+def _ellipses(view: View, row: NDArray[Any], column: NDArray[Any]) -> tuple[Array | None, Array | None]:
+    """Shape (..., 3) and widening (..., 2) of blur on the rays through pixels, where ellipses are made."""
     distortion = view.lens.distortion
     if not view.psf.stretched or distortion is None:
         return None, None
     rays = pixel_ray(view.scene.camera, row, column)
     x, y = rays[..., 0], rays[..., 1]
     shape, (right, up) = shape_of(distortion, x, y), distortion.solved(x, y, *distortion.stretch_slope(x, y))
-    if partly is not None:
-        shape[partly.reshape(x.shape) >= 0] = DISC
     return shape, ray_step(view.scene.camera) * np.stack([right, -up], axis=-1)
 
 
@@ -364,13 +362,20 @@ def trace_subpixels(
         hit = _with_parts(view, hit, sources, (row, column), cut, guard)
         lens_radius = np.where((cut > 0)[:, None, None], hit.radius, lens_radius)
     lit, visibility = hit.label > 0, None
+    shape, widening = _ellipses(view, row - guard, column - guard)
+    _, own = _ellipses(view, at_row, at_column)
+    if widening is not None and own is not None:
+        widening = np.where((cut > 0)[:, None, None, None], widening[:, None, None], own)
     if group.occluders or view.psf.rims:
         rays = pixel_ray(scene.camera, at_row, at_column)[lit]
         x, y = (np.broadcast_to(n, lit.shape)[lit] for n in (offsets[None, :], offsets[:, None]))
         bounds = [cutting_bounds(item) for item in scene.objects]
         # Records have the gradient over the radius of what is covered.
         size = np.maximum(np.abs(lens_radius), SMALLEST_RADIUS) * np.where(lens_radius < 0.0, -1.0, 1.0)
-        tilted = tilt_slope(hit.gradient, hit.radius, view.psf.diffracted) * size[..., None]
+        tilted = tilt_slope(hit.gradient, hit.radius, view.psf.diffracted)
+        if widening is not None:
+            tilted = tilted + ellipse_share(hit.radius)[..., None] * widening
+        tilted = tilted * size[..., None]
         points = Points(
             rays, hit.w[lit], lens_radius[lit], x, y, 1.0 / samples, tilted[lit] * scene.psf.tilt, limb[lit]
         )
@@ -380,7 +385,11 @@ def trace_subpixels(
         seen = state != HIDDEN
         lit[lit] = seen
         visibility = visibility.of(seen)
-    return SubpixelSources(row, column, lit, hit.radius, hit.gradient, hit.radiance, visibility, limb)
+        if shape is not None:
+            visibility = bend_visibility(visibility, shape[np.nonzero(lit)[0][visibility.row >= 0]])
+    return SubpixelSources(
+        row, column, lit, hit.radius, hit.gradient, hit.radiance, visibility, limb, shape, widening
+    )  # fmt: skip
 
 
 def _from_middles(
@@ -401,7 +410,8 @@ def _from_middles(
     own, middle = shared[slot], slot[shared[slot]]
     rays, w, tilted = points.rays.copy(), points.w.copy(), points.gradient.copy()
     rays[own] = pixel_ray(view.scene.camera, pixel[0] - guard, pixel[1] - guard)[middle]
-    w[own], tilted[own] = sources.inverse_depth[pixel][middle], _tilted(view, radius, gradient)[middle]
+    widening = None if sources.widening is None else sources.widening[pixel]
+    w[own], tilted[own] = sources.inverse_depth[pixel][middle], _tilted(view, radius, gradient, widening)[middle]
     return replace(points, rays=rays, w=w, gradient=tilted, width=np.where(own, 1.0, points.width))
 
 

@@ -46,50 +46,11 @@ INLINE void add_rows(spread_t s, int up, int down, float v, float4 source, __glo
     }
 }
 
-#if ELLIPSES
-// The same of an ellipse, with all channels, `planes` apart in `out`. light: of them.
-INLINE void add_ellipse_rows(spread_t s, int up, int down, const float *light, float4 source, __global float *out,
-                             int planes, int pitch)
-{
-    const float8 lane = (float8)(0, 1, 2, 3, 4, 5, 6, 7);
-    const float margin = ellipse_margin(s), around = s.size + margin, inside = MAX(s.size - margin, 0.0f);
-    const float over = 1 / s.shape.x;
-    const bool apart = s.part >= 1;  // from the disc
-    for (int dy = -up; dy <= down; ++dy) {
-        int from = 0, to = s.lanes, first = s.lanes, last = 0;  // taps that may have weights, and those of one weight
-        if (apart) {
-            const float middle = s.half_width - s.shape.y * dy * over, square = (float)(dy * dy);
-            const float outer = s.shape.x * around * around - square, inner = s.shape.x * inside * inside - square;
-            const float reach = sqrt(MAX(outer, 0.0f)) * over, run = sqrt(MAX(inner, 0.0f)) * over;
-            from = MAX((int)(middle - reach), 0);
-            to = outer > 0 ? MIN((int)(middle + reach) + 1, 2 * s.half_width + 1) : 0;
-            first = inner > 0 ? (int)(middle - run) + 1 : first;
-            last = inner > 0 ? (int)(middle + run) : last;
-        }
-        for (int b = from; b < to; b += TAP_LANES) {
-            const float8 x = lane + (b - s.half_width), y = (float)dy;
-            float8 w;
-            if (!apart)
-                w = with_ellipse(s, weights(s, dy, b), x, dy);
-            else if (b >= first && b + TAP_LANES - 1 <= last)
-                w = 1 / (M_PI_F * s.size * s.size);
-            else
-                w = rim_weight(s, x, y);
-#if TILT
-            w *= tilts(s, source, x, dy);
-#endif
-            for (int k = 0; k < CHANNELS; ++k)
-                ADD_TAPS(out + k * planes + dy * pitch + b, w * light[k]);
-        }
-    }
-}
-#endif
-
 #if OCCLUDED
 // Share of the lens that is free as seen from TAP_LANES taps of a row, the first one `first` px right of the source.
 INLINE float8 free_taps(const visibility_t *visibility, spread_t s, int first, int dy)
 {
-#if WAVES
+#if WAVES || ELLIPSES
     float8 share;
     if (visibility->wide)
         return free_share(visibility, visibility->count > 1, LANE_OFFSETS + (first - s.ox), (float8)(dy - s.oy));
@@ -100,7 +61,62 @@ INLINE float8 free_taps(const visibility_t *visibility, spread_t s, int first, i
     return *(const unaligned_lanes_t *)(visibility->share[dy + NARROW_MIDDLE] + first + NARROW_MIDDLE);
 #endif
 }
+#endif
 
+#if ELLIPSES
+#if OCCLUDED
+#define HIDDEN_ARGUMENT const visibility_t *visibility,
+#define HIDDEN_VALUE(visibility) visibility,
+#define FREE_TAPS(w, s, first, dy) (visibility ? (w) * free_taps(visibility, s, first, dy) : (w))
+#else
+#define HIDDEN_ARGUMENT
+#define HIDDEN_VALUE(visibility)
+#define FREE_TAPS(w, s, first, dy) (w)
+#endif
+// Adds rows -up..down of an ellipse with all channels, `planes` apart in `out`. visibility: its occluders, if any;
+// light: radiance of each channel.
+static NOINLINE void add_ellipse_rows(spread_t s, HIDDEN_ARGUMENT int up, int down, const float *light, float4 source,
+                                      __global float *out, int planes, int pitch)
+{
+    const float8 lane = (float8)(0, 1, 2, 3, 4, 5, 6, 7);
+    const float margin = ellipse_margin(s), around = s.size + margin, inside = MAX(s.size - margin, 0.0f);
+    const float over = 1 / s.shape.x;
+    const bool apart = s.part >= 1;  // from the disc
+    for (int dy = -up; dy <= down; ++dy) {
+        int from = 0, to = s.lanes, first = s.lanes, last = 0;  // taps that may have weights, and those of one weight
+        const float below = dy - s.oy;
+        if (apart) {
+            const float middle = s.half_width + s.ox - s.shape.y * below * over, square = below * below;
+            const float outer = s.shape.x * around * around - square, inner = s.shape.x * inside * inside - square;
+            const float reach = sqrt(MAX(outer, 0.0f)) * over, run = sqrt(MAX(inner, 0.0f)) * over;
+            from = MAX((int)(middle - reach), 0);
+            to = outer > 0 ? MIN((int)(middle + reach) + 1, 2 * s.half_width + 1) : 0;
+            first = inner > 0 ? (int)(middle - run) + 1 : first;
+            last = inner > 0 ? (int)(middle + run) : last;
+        }
+        for (int b = from; b < to; b += TAP_LANES) {
+            const float8 x = lane + (b - s.half_width - s.ox), y = below;
+            float8 w;
+            if (!apart)
+                w = with_ellipse(s, weights(s, dy, b), x, below);
+            else if (b >= first && b + TAP_LANES - 1 <= last)
+                w = 1 / (M_PI_F * s.size * s.size);
+            else
+                w = IS_POINT(s) ? point_weight(s, x, y) : rim_weight(s, x, y);
+            w = FREE_TAPS(w, s, b - s.half_width, dy);
+#if TILT
+            w *= tilts(s, source, x, below);
+#endif
+            for (int k = 0; k < CHANNELS; ++k)
+                ADD_TAPS(out + k * planes + dy * pitch + b, w * light[k]);
+        }
+    }
+}
+#endif
+
+#if OCCLUDED && ELLIPSES
+#define add_occluded_rows add_ellipse_rows
+#elif OCCLUDED
 // The same for all channels, `planes` apart in `out`, for a source with occluders that is not wide.
 INLINE void add_occluded_rows(spread_t s, const visibility_t *visibility, int up, int down,
                               const float *light, float4 source, __global float *out, int planes, int pitch)
@@ -117,11 +133,13 @@ INLINE void add_occluded_rows(spread_t s, const visibility_t *visibility, int up
                 ADD_TAPS(out + k * planes + dy * pitch + b, w * light[k]);
         }
 }
+#endif
 
+#if OCCLUDED
 INLINE void add_occluded(spread_t s, const visibility_t *visibility, int up, int down, const float *light,
                          float4 source, __global float *out, int planes, int pitch SPAN_ARGUMENTS)
 {
-#if !WAVES
+#if !WAVES && !ELLIPSES
     if (visibility->wide)
         add_spans(s, visibility, up, down, light, source, out, planes,
                   pitch SPANS_TO(ends, column, columns));
@@ -216,8 +234,9 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
                 float4 p = sub_source[id];
                 if (p.x < 0)
                     continue;
-                const spread_t spread = subpixel_spread(psf, sub_intervals, sub_coefficients, p,
-                                                        sub PLACE_VALUES(grid.top + y, x - grid.guard));
+                const spread_t spread =
+                    SHAPED(subpixel_spread(psf, sub_intervals, sub_coefficients, p,
+                                           sub PLACE_VALUES(grid.top + y, x - grid.guard)), psf, p, at);
                 const int half_width = spread.half_width;
                 const int up = MIN(half_width, y - first), down = MIN(half_width, end - 1 - y);
                 const int vectors = MAX(up + down + 1, 0) * (spread.lanes / TAP_LANES);
@@ -253,9 +272,16 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
                     continue;
                 }
 #endif
+#if ELLIPSES
+                float own[CHANNELS];
+                for (int k = 0; k < CHANNELS; ++k)
+                    own[k] = sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id];
+                add_ellipse_rows(spread, HIDDEN_VALUE(0) up, down, own, p, out - half_width, apart, pitch);
+#else
                 for (int k = 0; k < CHANNELS; ++k)
                     add_rows(spread, up, down, sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id], p,
                              out + k * apart - half_width, pitch);
+#endif
             }
             continue;
         }
@@ -285,7 +311,7 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
         float own[CHANNELS];
         for (int k = 0; k < CHANNELS; ++k)
             own[k] = value[k * plane + at];
-        add_ellipse_rows(spread, up, down, own, s, out - half_width, apart, pitch);
+        add_ellipse_rows(spread, HIDDEN_VALUE(0) up, down, own, s, out - half_width, apart, pitch);
 #else
         for (int k = 0; k < CHANNELS; ++k)
             add_rows(spread, up, down, value[k * plane + at], s, out + k * apart - half_width, pitch);
