@@ -15,6 +15,7 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.constants import LENS_CELLS
 from clsco.optics.lens import Lens
 from clsco.optics.motion import Pose
 from clsco.optics.point_spread import PointSpread
@@ -43,11 +44,18 @@ NO_GROUP = OcclusionGroup(0, 0)  # where objects are not told apart
 
 @lru_cache(maxsize=16)
 def lens_floats(psf: PointSpread) -> Array:
-    """Lens as kernels read it: its cells; of a `signed` one mirrored cells and its straight edges after them. Not to be
-    written to."""
-    found = psf.lens_cells()
+    """Lens as kernels read it: its cells; of a `signed` one mirrored cells and its straight edges after them, of others
+    factors by which the mean of what a round rim leaves of each cell is nearer to the middle. Not to be written to.
+
+    A rim at the distance s from the middle of a cell leaves of it what has its mean at (s - 1/2) / 2 from there.
+    """
+    cells = psf.lens_cells()
     if psf.signed:
-        found = np.concatenate([found.ravel(), found[::-1, ::-1].ravel(), np.ravel(psf.pupil.edges)])
+        found = np.concatenate([cells.ravel(), cells[::-1, ::-1].ravel(), np.ravel(psf.pupil.edges)])
+    else:
+        at = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS
+        away = np.hypot(at, at[:, None])
+        found = np.stack([cells, 1.0 - 0.5 * np.clip(away - (LENS_CELLS - 0.5), 0.0, 1.0) / away])
     found.flags.writeable = False
     return found
 

@@ -92,7 +92,8 @@ __kernel void scatter(const grid_t grid, const psf_t psf, __global const float *
 #if SHARED
             if (as_int(p.w) == PARTLY_SHARED) {
                 visibility = &seen;
-                pixel_visibility(grid, lens, surfaces, group, psf, grid.top + row, column, depth[at], s, &seen);
+                pixel_visibility(grid, lens, surfaces, group, psf, lens_cells, grid.top + row, column, depth[at], s,
+                                 &seen);
                 shared_visibility(grid, lens, psf, lens_cells, sub_row, sub_column, sub_depth[id], spread, &seen);
             } else
 #endif

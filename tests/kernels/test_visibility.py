@@ -18,7 +18,7 @@ from clsco.optics.motion import Pose
 from clsco.optics.point_spread import point_spread
 from clsco.optics.psf_tables import psf_table
 from clsco.optics.quadrics import cutting_bounds, place
-from clsco.optics.visibility import OcclusionGroup
+from clsco.optics.visibility import OcclusionGroup, lens_floats
 from clsco.passes.pack import camera_grid, group_struct, lens_struct, psf_struct, surface_structs
 from clsco.plan.plan import make_plan
 from clsco.records import Real
@@ -155,7 +155,7 @@ def see(
     run(
         KERNEL, "see_taps", real, features, count, camera_grid(camera, 0, real), lens_struct(Lens.of(camera), real),
         surface_structs(items, surfaces, real), group_struct(group, len(items)),
-        psf_struct(spread, psf_table(spread, 0.0, 20.0), None, real), spread.lens_cells().astype(np.float32),
+        psf_struct(spread, psf_table(spread, 0.0, 20.0), None, real), lens_floats(spread).astype(np.float32),
         np.float32(width),
         np.concatenate([at, offset], axis=-1).astype(np.float32), np.int32(len(taps)), taps, *buffers,
     )  # fmt: skip

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from clsco.opencl.buffers import download, empty
 from clsco.opencl.session import Session
 from clsco.optics.point_spread import point_spread
+from clsco.optics.visibility import lens_floats
 from clsco.reference.common.occluder import Occluder
 from clsco.reference.common.visibility import SOFT_BOX, Visibility
 from clsco.reference.common.visibility_test import cell_visibility, tap_share
@@ -145,7 +146,7 @@ def test_a_lens_larger_than_the_aperture_through_its_cells(session: Session, run
     shares = empty(session, 4 * count * 15 * 15)
     run_source(
         THROUGH, "see_through", "double", FEATURES, count, np.int32(count),
-        point_spread(psf).lens_cells().astype(np.float32),
+        lens_floats(point_spread(psf)).astype(np.float32),
         np.float32(extent), source, shares,
     )  # fmt: skip
     found = download(session, shares, (count, 15, 15), np.float32)

@@ -245,8 +245,8 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
                 if (as_int(p.w) == PARTLY_SHARED) {
                     left -= (looked ? 0 : HIDDEN_WORK) + HIDDEN_TAPS * vectors;
                     if (!looked)
-                        pixel_visibility(grid, lens, surfaces, group, psf, grid.top + y, x - grid.guard, depth[at], s,
-                                         &shared);
+                        pixel_visibility(grid, lens, surfaces, group, psf, lens_cells, grid.top + y, x - grid.guard,
+                                         depth[at], s, &shared);
                     looked = true;
                     shared_visibility(grid, lens, psf, lens_cells, grid.top + y + spread.oy,
                                       x - grid.guard + spread.ox, sub_depth[id], spread, &shared);
