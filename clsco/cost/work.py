@@ -30,6 +30,7 @@ from clsco.plan.passes import ONCE_A_FRAME, Pass
 from clsco.plan.plan import Plan
 from clsco.plan.predict import Maps
 from clsco.reference.common.geometry import (
+    along_rays,
     blur_radius,
     nearest_surface,
     pixel_ray,
@@ -194,14 +195,18 @@ def _hits(plan: Plan, view: View, group: OcclusionGroup, lattice: Lattice) -> Hi
         cut_edges[near] += cut & (found == PARTLY)
     rims = np.zeros(w.shape)
     if plan.psf.rims and hit.any():
-        size = radius[hit]
-        points = Points(rays[hit], w[hit], size, 0 * size, 0 * size, 1.0, gradient[hit])
-        found, circles = meet_rims(
-            view.lens, plan.psf, points, division_of(size, plan.psf.extent, points.width, points.gradient)
-        )
+        found, rims[hit] = _cut(plan, view.lens, rays[hit], w[hit], radius[hit], gradient[hit])
         state[hit] = np.maximum(state[hit], found)
-        rims[hit] = sum(circle.cuts for circle in circles) * (found == PARTLY)
     return Hits(rays, w, number, label, radius, state, tests, cuts, edges, cut_edges, rims)
+
+
+def _cut(
+    plan: Plan, lens: Lens, rays: Array, w: Array, radius: Array, gradient: Array
+) -> tuple[NDArray[np.uint8], Array]:
+    """How rims cut the light of points (N,), as `meet_rims` gives it, and how many of them do."""
+    points = Points(rays, w, radius, 0 * radius, 0 * radius, 1.0, gradient)
+    found, circles = meet_rims(lens, plan.psf, points, division_of(radius, plan.psf.extent, 1.0, gradient))
+    return found, np.asarray(sum(circle.cuts for circle in circles) * (found == PARTLY))
 
 
 def _of_group(plan: Plan, group: OcclusionGroup, lattice: Lattice) -> dict[str, Work]:
@@ -330,7 +335,13 @@ def _of_image(plan: Plan, lattice: Lattice, maps: Maps) -> dict[str, Work]:
     lit, rays = w > 0.0, pixel_ray(reference_camera(plan.scene), i[:, None], j[None, :])
     radius = np.where(lit, blur_radius(lens_at(plan.scene, 0.0, plan.only), rays, w), 0.0)
     pixels = lattice.total(np.ones(w.shape))
-    blur = _of_blur(plan, lattice, radius, lit, np.zeros(w.shape))
+    none, hits = np.zeros(w.shape), None
+    if plan.psf.rims and lit.any():
+        state, rims = np.zeros(w.shape, np.uint8), none.copy()
+        lens, flat = along_rays(lens_at(plan.scene, 0.0, plan.only), rays[lit]), np.zeros((int(lit.sum()), 2))
+        state[lit], rims[lit] = _cut(plan, lens, rays[lit], w[lit], radius[lit], flat)
+        hits = Hits(rays, w, number.astype(np.int32), state, radius, state, none, none, none, none, rims)
+    blur = _of_blur(plan, lattice, radius, lit, none, hits)
     layers: Work = {}
     for name, count in blur.items():
         layers[name] = count * (DEPTH_LAYERS if name == "walked" else (plan.channels + 1) / plan.channels)

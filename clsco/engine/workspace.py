@@ -17,7 +17,17 @@ from clsco.optics.lens import Lens
 from clsco.optics.lens_path import colored
 from clsco.optics.quadrics import axial_blur_radius
 from clsco.passes.accumulate import FrameSum
-from clsco.passes.blur import Area, Image, Maps, Plane, Sources, blur_target, padded_plane, prepare_sources
+from clsco.passes.blur import (
+    Area,
+    BehindRims,
+    Image,
+    Maps,
+    Plane,
+    Sources,
+    blur_target,
+    padded_plane,
+    prepare_sources,
+)
 from clsco.passes.fill import FillPlanes
 from clsco.passes.frame_blur import make_blur
 from clsco.passes.pack import psf_struct, towards
@@ -187,7 +197,8 @@ def _light_workspace(
     spec = replace(plan.spec, brightest=scene.brightest)
     lit = plan.forward or plan.static_map or plan.occlusion == "layered"
     tracer = Tracer(plan, scene, buffers, psf_struct(spec.psf, *tables_of(spec, session), real), hits)
-    blurs, clusters = blur_runs(session, spec, plan.grid, grid, buffers, real, "wide" if lit else "none")
+    maps: Maps = "wide" if lit else "none"
+    blurs, clusters = blur_runs(session, spec, plan.grid, grid, buffers, real, maps, tracer.nothing_hidden)
     runs |= _ray_runs(tracer, _handed_on(plan)) | blurs
     return Workspace(session, runs, buffers, clusters)
 
@@ -255,6 +266,7 @@ def blur_runs(
     buffers: Mapping[str, cl.Buffer],
     real: Real,
     maps: Maps,
+    behind_rims: BehindRims | None = None,
 ) -> tuple[dict[Kind, Run], tuple[Clusters, ...]]:
     """Functions that run the passes from an image or sources to the blurred plane, and the finder of depth layers.
 
@@ -271,15 +283,21 @@ def blur_runs(
     real : {"double", "float"}
     maps : Maps
         Radii of images.
+    behind_rims : callable, optional
+        For images that rims cut.
     """
     if spec.method == "none":
         return {}, ()
     target = blur_target(session, spec, tallest.channels, real, maps)
     blur = make_blur(target, spec, tallest, grid)
 
-    def sources(at: Area, image: Image) -> tuple[Any, ...]:
-        prepare_sources(target, at.grid, blur.struct, image.maps, buffers["source"], at.events)
-        return (Sources(buffers["source"], image.value),)
+    def sources(at: Any, image: Image) -> tuple[Any, ...]:
+        behind: dict[str, Any] = {}
+        if spec.occluders and behind_rims is not None:
+            behind = behind_rims(at) | {"depth": buffers["depth"]}
+        rims = (behind["lens"], behind["depth"]) if behind else ()
+        prepare_sources(target, at.grid, blur.struct, image.maps, buffers["source"], at.events, rims)
+        return (Sources(buffers["source"], image.value, **behind),)
 
     def spread(at: Area, lit: Sources | None, begun: Plane | None = None) -> tuple[Any, ...]:
         if begun is None:
@@ -294,7 +312,7 @@ def blur_runs(
     from clsco.passes.layered import DepthLayers
 
     kernels = layered_program(session, spec, tallest.channels, real)
-    clusters, composite = Clusters(kernels, spec, tallest), DepthLayers(blur, kernels, tallest)
+    clusters, composite = Clusters(kernels, spec, tallest), DepthLayers(blur, kernels, tallest, behind_rims)
 
     def cluster(at: Area, image: Image) -> tuple[Any, ...]:
         if at.bounds is None:

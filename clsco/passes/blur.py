@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import log
 from typing import Any, Literal
@@ -213,9 +214,14 @@ class Sources:
     bends: cl.Buffer | None = None
 
 
+BehindRims = Callable[[Any], dict[str, Any]]
+"""Lens and surfaces of a time sample, none of which hides any, as `Sources` have them: for images that rims cut."""
+
+
 def prepare_sources(
-    target: Target, grid: Struct, psf: Struct, maps: tuple[cl.Buffer, ...], source: cl.Buffer, events: Events
-) -> None:
+    target: Target, grid: Struct, psf: Struct, maps: tuple[cl.Buffer, ...], source: cl.Buffer, events: Events,
+    rims: tuple[object, ...] = (),
+) -> None:  # fmt: skip
     """Enqueue what makes sources of a map of signed radii.
 
     Parameters
@@ -228,9 +234,11 @@ def prepare_sources(
     source : Buffer
         Gets the records.
     events : list
+    rims : tuple, optional
+        lens_t, and the buffer that gets inverse depths, where rims cut light.
     """
     size = -(-int(grid["width"]) // TAP_LANES), int(grid["height"])
-    target.run("prepare_sources", size, BLOCKS, events, grid, psf, *maps, source)
+    target.run("prepare_sources", size, BLOCKS, events, grid, psf, *maps, source, *rims)
 
 
 @dataclass(frozen=True)
@@ -302,6 +310,7 @@ class BlurredPlane(ABC):
         self.struct = psf_struct(spec.psf, *self.weights, target.real)
         self.pad, self.pitch = margin(tallest.columns, tallest.guard, spec.reach)
         self.total = empty(target.session, sizes["total"])
+        self.lens_cells = upload(target.session, lens_floats(spec.psf).astype(np.float32)) if spec.occluders else None
 
     @property
     def layout(self) -> tuple[object, ...]:
@@ -355,7 +364,6 @@ class TableBlur(BlurredPlane):
             for table in self.weights
             if table is not None
         ]
-        self.lens_cells = upload(session, lens_floats(spec.psf).astype(np.float32)) if spec.occluders else None
 
     def add(self, sources: Sources, events: Events) -> None:
         head = (self.grid, self.struct, sources.source, sources.value, *self.tables[0])

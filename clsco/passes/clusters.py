@@ -55,6 +55,7 @@ def layered_program(session: Session, spec: BlurSpec, channels: int, real: Real)
         "WAVES": 0,
         "CHANNELS": channels + 1,
         "SCATTER": int(spec.method == "scatter"),
+        "RIMS": len(spec.psf.rims),
     }
     return Target(session, build(session, ["layered/layered.cl"], features, structs(real), real), real)
 

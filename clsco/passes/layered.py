@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
 
 from clsco.frame.strips import Grid
 from clsco.opencl.buffers import empty
-from clsco.passes.blur import PIXELS, Area, BlurredPlane, Image, Sources, Target, blur_target, prepare_sources
+from clsco.passes.blur import (
+    PIXELS,
+    Area,
+    BehindRims,
+    BlurredPlane,
+    Image,
+    Sources,
+    Target,
+    blur_target,
+    prepare_sources,
+)
 from clsco.passes.clusters import ZERO, Layers
 from clsco.passes.frame_blur import make_blur
 from clsco.plan.buffers import depth_layer_spec, layered_buffers
@@ -28,6 +39,8 @@ class DepthLayers:
         Target of `layered_program`.
     tallest : Grid
         Grid of the frame, or the tallest of its strips.
+    behind_rims : callable, optional
+        As for `clsco.engine.workspace.blur_runs`.
 
     Raises
     ------
@@ -42,25 +55,40 @@ class DepthLayers:
     Validated against `clsco.reference.layered.layered` and the ray tracer.
     """
 
-    def __init__(self, blur: BlurredPlane, target: Target, tallest: Grid) -> None:
+    def __init__(
+        self, blur: BlurredPlane, target: Target, tallest: Grid, behind_rims: BehindRims | None = None
+    ) -> None:  # fmt: skip
         session, real, spec, planes = target.session, target.real, depth_layer_spec(blur.spec), tallest.channels + 1
         own = blur_target(session, spec, planes, real)
         self.outer, self.inner = blur, make_blur(own, spec, replace(tallest, channels=planes), blur.grid)
         self.target = Target(session, own.program | target.program, real)
         sizes = layered_buffers(blur.spec, tallest, session.device)
         self.source, self.covered = (empty(session, sizes[name]) for name in ("source", "covered"))
+        self.behind_rims = behind_rims
+        self.depth, self.open = (empty(session, sizes[name]) if name in sizes else None for name in ("depth", "open"))
 
     def add(self, at: Area, layers: Layers) -> None:
         """Add the radiance of layers to the frame, or strip."""
+        behind: dict[str, Any] = {}
+        if self.depth is not None and self.behind_rims is not None:
+            behind = self.behind_rims(at) | {"depth": self.depth}
         if layers.count > 1:
             cl.enqueue_fill_buffer(self.target.session.queue, self.covered, ZERO, 0, self.covered.size)
+            if behind:
+                args = (at.grid, self.inner.struct, behind["lens"], self.inner.lens_cells, self.open)
+                self.target.run("open_share", self.inner.size, PIXELS, at.events, *args)
         for layer in layers.each:
-            self._blur(at, layer, layers.edge)
-        prepare_sources(self.target, at.grid, self.outer.struct, layers.image.maps, self.source, at.events)
+            self._blur(at, layer, layers.edge, behind)
+        sources = self._sources(at, self.outer, layers.image, behind)
         if layers.count > 1:
             self._keep(at, layers.edge, near_edges=False)
         # Last, since border = "renormalize" writes to its value.
-        self.outer.add(Sources(self.source, layers.image.value), at.events)
+        self.outer.add(sources, at.events)
+
+    def _sources(self, at: Area, blur: BlurredPlane, image: Image, behind: dict[str, Any]) -> Sources:
+        rims = (behind["lens"], behind["depth"]) if behind else ()
+        prepare_sources(self.target, at.grid, blur.struct, image.maps, self.source, at.events, rims)
+        return Sources(self.source, image.value, **behind)
 
     def _keep(self, at: Area, edge: cl.Buffer, near_edges: bool) -> None:
         """Leave only the sources near edges, or only the others."""
@@ -68,13 +96,14 @@ class DepthLayers:
         args = (at.grid, np.int32(near_edges), edge, self.source)
         self.target.run("keep_sources", size, PIXELS, at.events, *args)
 
-    def _blur(self, at: Area, layer: Image, edge: cl.Buffer) -> None:
+    def _blur(self, at: Area, layer: Image, edge: cl.Buffer, behind: dict[str, Any]) -> None:
         """Blur the depth layer and put it behind those before."""
         inner, frame = self.inner, (int(at.grid["columns"]), int(at.grid["rows"]))
-        prepare_sources(self.target, at.grid, inner.struct, layer.maps, self.source, at.events)
+        sources = self._sources(at, inner, layer, behind)
         self._keep(at, edge, near_edges=True)
         inner.begin(at.grid)
-        inner.add(Sources(self.source, layer.value), at.events)
+        inner.add(sources, at.events)
         inner.resolve(at.events)
-        args = (at.grid, *inner.layout, self.covered, *self.outer.sink)
+        room = (self.covered, self.open) if behind else (self.covered,)
+        args = (at.grid, *inner.layout, *room, *self.outer.sink)
         self.target.run("composite", frame, PIXELS, at.events, *args)

@@ -270,6 +270,11 @@ class Tracer:
         """The textures, how they lie on surfaces where they do, and the light where there is one."""
         return (self.scene.texture, *self.scene.texture_maps, *at.sample.light)
 
+    def nothing_hidden(self, at: Moment) -> dict[str, Any]:
+        """The lens, and surfaces of which none hides any, as `Sources` have them."""
+        group = group_struct(OcclusionGroup(0, 0), 0)
+        return {"lens": self.lens(at), "surfaces": at.sample.surfaces, "group": group}
+
     def _head(self, at: Moment) -> tuple[Any, ...]:
         group = group_struct(at.group, len(at.sample.placed))
         return at.grid, self.lens(at), at.sample.surfaces, group, self.psf

@@ -258,7 +258,7 @@ def _span(spec: BlurSpec) -> range:
 def depth_layer_spec(spec: BlurSpec) -> BlurSpec:
     """The blur of a depth layer and its coverage, for that of the frame."""
     brightest = max(spec.brightest, 1.0)
-    return replace(spec, smallest=0.0, subpixels=0, occluders=0, limited=False, brightest=brightest)
+    return replace(spec, smallest=0.0, subpixels=0, brightest=brightest)
 
 
 def pyramid_bytes(psf: PointSpread, channels: int, width: int, height: int, largest: float) -> int:
@@ -301,7 +301,8 @@ def layered_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
     dict
         Sources, where layers are, and "blur ..." of a layer's blur.
     """
-    sizes = {"source": source_bytes(grid.sources, spec.tilt), "covered": 4 * grid.rows * grid.columns}
+    sizes = source_buffers(spec, grid) | {"covered": 4 * grid.rows * grid.columns}
+    sizes |= {"open": sizes["covered"]} if spec.occluders else {}
     layer = depth_layer_spec(spec)
     inner = blur_buffers(layer, replace(grid, channels=grid.channels + 1), device)
     if _span(spec) == _span(layer):  # one table serves both
@@ -422,8 +423,9 @@ def texture_buffers(scene: Scene, channels: int, alpha: bool = False) -> Sizes:
 
 
 def source_buffers(spec: BlurSpec, grid: Grid) -> Sizes:
-    """Records of sources, one per pixel."""
-    return {"source": source_bytes(grid.sources, spec.tilt, spec.marked)}
+    """Records of sources, one per pixel, and depths where rims cut their light."""
+    depth = {"depth": REAL_BYTES * grid.sources} if spec.occluders else {}
+    return {"source": source_bytes(grid.sources, spec.tilt, spec.marked)} | depth
 
 
 def hit_buffers(grid: Grid, mapped: bool) -> Sizes:

@@ -43,7 +43,6 @@ WHOLE_PIXELS = "the forward warp moves whole pixels"
 EXPOSURE_KEYS = ("samples", "sampling", "shutter", "shutter_curve", "shutter_start", "readout", "scan")
 MOTION_KEYS = (*(f"sequence.{key}" for key in EXPOSURE_KEYS), "motion.rotation")
 FILL_KEYS = tuple(f"fill.{key}" for key in Fill.model_fields)
-NEEDS_SURFACES = 'needs analytic surfaces that rays are cast at, and psf.occlusion = "visibility" or "none"'
 SPREAD_KEYS = ("psf.tilt", "psf.occlusion", "psf.border")  # of light that leaves its pixel
 OPENING_KEYS = tuple(f"aperture.{key}" for key in Aperture.model_fields if key != "exposure")
 POSSIBLE: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
@@ -141,8 +140,6 @@ def choose(
     sharp, constant = psf.is_sharp(seen.largest) and silhouettes.left_out, constant_blur(scene)
     occlusion, groups, extents = choose_occlusion(scene, psf, rays.value, seen)
     alike = constant and silhouettes.left_out and can_convolve(psf, scene.psf.border)
-    if psf.rims and (occlusion.value == "layered" or not rays.value):
-        raise SceneError(f"aperture.rim: {NEEDS_SURFACES}; got {occlusion.value if rays.value else 'depth maps'}")
     occluded = occlusion.value == "visibility" or bool(psf.rims) or psf.stretched > 0.0
     few_taps = has_few_taps(device, seen.largest, channels)
     blur = choose_blur(request.method, sharp, alike, device.kind == "gpu", occluded, few_taps)

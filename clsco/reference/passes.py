@@ -10,17 +10,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.constants import LENS_CELLS
 from clsco.inputs.textures import radiance_span
 from clsco.optics.lens_path import camera_at, colored, lens_at
 from clsco.optics.motion import Eye, Pose, poses_at, rest_poses
 from clsco.optics.quadrics import PlacedSurface, place
+from clsco.optics.visibility import NO_GROUP
 from clsco.plan.passes import Kind, Pass, run_passes
 from clsco.plan.plan import Plan
 from clsco.plan.predict import Maps
 from clsco.reference.blur.accumulate import accumulate
 from clsco.reference.blur.blur import prepare_sources, scatter
 from clsco.reference.blur.vignetting import vignette
-from clsco.reference.common.geometry import Array, blur_radius, pixel_ray
+from clsco.reference.common.geometry import Array, along_rays, blur_radius, pixel_ray
+from clsco.reference.common.visibility import HIDDEN, PARTLY, Points, check_visibility
+from clsco.reference.common.visibility_test import rim_share
 from clsco.reference.inpainting.fill import FILLED, UNFILLED, FillReport, fill_objects
 from clsco.reference.layered.layered import Labels, cluster, spread_depth_layers
 from clsco.reference.trace.mapping import MappedTexture
@@ -136,10 +140,53 @@ def _fill(at: Moment, moved: Reprojected) -> tuple[Any, ...]:
     return _lit(at, Light(warped.sources)), asdict(warped.report), *missing
 
 
-def _sources(_: Moment, image: Light) -> tuple[Light]:
+def _sources(at: Moment, image: Light) -> tuple[Light]:
     """The gradient of the radius from its differences."""
     known = image.sources
-    return (Light(replace(known, gradient=prepare_sources(known.radius, known.lit))),)
+    known = replace(known, gradient=prepare_sources(known.radius, known.lit))
+    return (Light(_behind_rims(at, known) if at.plan.psf.rims else known),)
+
+
+def _behind_rims(at: Moment, known: Sources) -> Sources:
+    """Sources of an image whose light rims cut."""
+    plan, lit = at.plan, known.lit.copy()
+    scene = plan.scene
+    camera = colored(camera_at(scene, at.time), scene.lens, plan.only)
+    rays = pixel_ray(camera, *padded_grid(scene.camera, plan.guard_px))[lit]
+    here = np.zeros(len(rays))
+    lens, radius = lens_at(scene, at.time, plan.only), known.radius[lit]
+    own = along_rays(lens, rays)
+    w = (blur_radius(lens, rays, here) - radius) / own.blur_scale  # of what depth layers hide as well
+    points = Points(rays, w, radius, here, here, 1.0, np.zeros((len(rays), 2)))
+    state, _, seen = check_visibility(lens, (), (), NO_GROUP, plan.psf, points)
+    number = np.full(lit.size, -1)
+    number[np.flatnonzero(lit)] = seen.row
+    lit[lit] = state != HIDDEN
+    return replace(known, lit=lit, visibility=replace(seen, row=number))
+
+
+def _open_share(at: Moment) -> Array:
+    """Share (m, n) of the light of the lens that rims let through to each pixel: that of its own point in focus."""
+    plan = at.plan
+    scene = plan.scene
+    camera, lens = colored(camera_at(scene, at.time), scene.lens, plan.only), lens_at(scene, at.time, plan.only)
+    rays = pixel_ray(camera, *padded_grid(scene.camera, 0)).reshape(-1, 3)
+    none = np.zeros(len(rays))
+    w = blur_radius(lens, rays, none) / along_rays(lens, rays).blur_scale
+    points = Points(rays, w, none, none, none, 1.0, np.zeros((len(rays), 2)))
+    state, _, seen = check_visibility(lens, (), (), NO_GROUP, plan.psf, points)
+    at_cells = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS
+    found, cells = np.where(state == HIDDEN, 0.0, 1.0), plan.psf.lens_cells()
+    partly = state == PARTLY
+    found[partly] = (
+        sum(
+            cells[i, j] * rim_share(seen, none[partly] + x, none[partly] + y)
+            for i, y in enumerate(at_cells)
+            for j, x in enumerate(at_cells)
+        )
+        / cells.sum()
+    )
+    return found.reshape(plan.rows, plan.columns)
 
 
 def _cluster(at: Moment, image: Light) -> tuple[tuple[Sources, Labels, int]]:
@@ -150,7 +197,10 @@ def _cluster(at: Moment, image: Light) -> tuple[tuple[Sources, Labels, int]]:
 def _depth_layers(at: Moment, layers: tuple[Sources, Labels, int]) -> tuple[Array, int]:
     plan, (image, labels, deep) = at.plan, layers
     shape = plan.rows, plan.columns
-    return spread_depth_layers(plan.spec, image.radiance, image.radius, labels, shape, plan.guard_px, deep)
+    given = plan.spec, image.radiance, image.radius, labels, shape, plan.guard_px, deep
+    if not plan.psf.rims:
+        return spread_depth_layers(*given)
+    return spread_depth_layers(*given, (partial(_behind_rims, at), _open_share(at)))
 
 
 def _blur(at: Moment, light: Light, plane: Array | float = 0.0) -> tuple[Array]:

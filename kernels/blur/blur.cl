@@ -221,8 +221,53 @@ static real difference(MAPS, int at, int step, bool before, bool after)
     return before ? RADIUS(coc[at]) - RADIUS(coc[at - step]) : 0;
 }
 
+#if RIMS && OCCLUDED
+#define OF_RIMS , const lens_t lens, __global real *restrict depth
+#define RIM_VALUES , lens, depth
+// Record of a source, marked where rims cut its light, and none where they leave nothing. Out: its inverse depth.
+static float4 behind_rims(const grid_t grid, const psf_t psf, float4 record, real radius, int x, int y OF_RIMS)
+{
+    const real3 ray = pixel_ray(grid, FRAME_ROW(grid, y), x - grid.guard);
+    const lens_t here = lens_along(grid, lens, ray);
+    const real w = (blur_radius(here, ray, 0) - radius) / here.blur_scale;
+    const division_t division = division_of(radius, psf.lens_extent, 1, record.yz);
+    const int found = meet_rims(here, psf, ray, w, radius, division, 0);
+    depth[y * grid.width + x] = w;
+    record.x = found == HIDDEN ? -1 : record.x;
+    record.w = as_float(found == CLEAR ? WHOLE : division.wide ? CUT : PARTLY_OCCLUDED);
+    return record;
+}
+
+// Share of the light of the lens that rims let through to each pixel of the frame, whatever is before it: that of its
+// own point in focus. For depth layers. In: lens_cells. Out: open float (rows, columns).
+__kernel void open_share(const grid_t grid, const psf_t psf, const lens_t lens, __constant float *lens_cells,
+                         __global float *open)
+{
+    const int column = get_global_id(0), row = get_global_id(1);
+    if (column >= grid.columns || row >= grid.rows)
+        return;
+    const real3 ray = pixel_ray(grid, grid.top + row, column);
+    const lens_t here = lens_along(grid, lens, ray);
+    const division_t division = division_of(0, psf.lens_extent, 1, (float2)(0, 0));
+    visibility_t visibility;
+    const int found = meet_rims(here, psf, ray, blur_radius(here, ray, 0) / here.blur_scale, 0, division, &visibility);
+    lanes_t passed = 0, whole = 0;
+    for (int i = 0; i < LENS_ROW && found == PARTLY; ++i)
+        for (int j = 0; j < LENS_ROW; j += LANE_COUNT) {
+            const lanes_t x = LANE_OFFSETS + (j + 0.5f - LENS_CELLS), y = i + 0.5f - LENS_CELLS;
+            const lanes_t weight = *(__constant unaligned_lanes_t *)(lens_cells + i * LENS_ROW + j);
+            passed += weight * rim_share(&visibility, x, y);
+            whole += weight;
+        }
+    open[row * grid.columns + column] = found == PARTLY ? LANE_SUM(passed) / LANE_SUM(whole) : found == CLEAR;
+}
+#else
+#define OF_RIMS
+#define RIM_VALUES
+#endif
+
 // One source from a map of signed radii.
-static float4 record_of(const grid_t grid, const psf_t psf, MAPS, int x, int y)
+static float4 record_of(const grid_t grid, const psf_t psf, MAPS, int x, int y OF_RIMS)
 {
     const int at = y * grid.width + x;
     float4 record = (float4)(-1, 0, 0, as_float(WHOLE));
@@ -234,27 +279,34 @@ static float4 record_of(const grid_t grid, const psf_t psf, MAPS, int x, int y)
                                        difference(MAPS_VALUE, at, w, y > 0, y + 1 < grid.height));
         record.yz = tilt_slope(gradient, RADIUS(coc[at]));
 #endif
+#if RIMS && OCCLUDED
+        record = behind_rims(grid, psf, record, RADIUS(coc[at]), x, y RIM_VALUES);
+#endif
     }
     return record;
 }
 
 // Sources from a map of signed radii, px, instead of from a surface. In: coc real, valid uchar (0 or 1), both
-// (height, width); with PREPARE = 2 coc float, and no valid: an image, all of whose pixels are there. Out: source.
+// (height, width); with PREPARE = 2 coc float, and no valid: an image, all of whose pixels are there. Out: source, and
+// with rims depth.
 // TAP_LANES at a time; where all of them and their neighbors are there, in loops that are made vectors.
-__kernel void prepare_sources(const grid_t grid, const psf_t psf, MAPS, __global float *restrict source)
+__kernel void prepare_sources(const grid_t grid, const psf_t psf, MAPS, __global float *restrict source OF_RIMS)
 {
     const int x = get_global_id(0) * TAP_LANES, y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)
         return;
     const int w = grid.width, at = y * w + x, plane = w * grid.height;
     bool whole = x + TAP_LANES <= w && ALL_THERE(at);
+#if RIMS && OCCLUDED
+    whole = false;
+#endif
 #if TILT
     whole &= x > 0 && x + TAP_LANES < w && y > 0 && y + 1 < grid.height;
     whole = whole && ALL_THERE(at - 1) && ALL_THERE(at + 1) && ALL_THERE(at - w) && ALL_THERE(at + w);
 #endif
     if (!whole) {
         for (int i = 0; i < MIN(TAP_LANES, w - x); ++i)
-            put_source(source, plane, at + i, record_of(grid, psf, MAPS_VALUE, x + i, y));
+            put_source(source, plane, at + i, record_of(grid, psf, MAPS_VALUE, x + i, y RIM_VALUES));
         return;
     }
     // Pointers, and one slope after the other, are what the compiler makes whole vectors of.

@@ -405,9 +405,13 @@ __kernel void keep_sources(const grid_t grid, const int near_edges, __global con
 
 // Adds a blurred layer behind those before. It gets the room that they have left, all of it: at a cut through a
 // continuous surface the two coverages add up to that of the whole, and nothing is lost. In: blurred float (CHANNELS,
-// rows, from_pitch), with scratch columns as the total of blur.cl. In and out: covered float (rows, columns), total.
+// rows, from_pitch), with scratch columns as the total of blur.cl; with RIMS open, as of blur.cl, in place of 1. In and
+// out: covered float (rows, columns), total.
 __kernel void composite(const grid_t grid, const int from_pitch, const int from_pad,
                         __global const float *blurred, __global float *covered,
+#if RIMS
+                        __global const float *open,
+#endif
 #if SCATTER
                         const float scale, __global fixed_t *total
 #else
@@ -421,7 +425,12 @@ __kernel void composite(const grid_t grid, const int from_pitch, const int from_
     __global const float *irradiance = blurred + row * from_pitch + column + from_pad;
     const int at = row * grid.columns + column, plane = grid.rows * from_pitch;
     const float coverage = irradiance[(CHANNELS - 1) * plane], before = covered[at];
-    const float room = MIN(coverage, MAX(coverage, 1.0f) - before), seen = MAX(room, 0.0f);
+#if RIMS
+    const float most = open[at];
+#else
+    const float most = 1;
+#endif
+    const float room = MIN(coverage, MAX(coverage, most) - before), seen = MAX(room, 0.0f);
     const float share = seen < coverage ? seen / coverage : 1;
     for (int c = 0; c < CHANNELS - 1; ++c) {
 #if SCATTER

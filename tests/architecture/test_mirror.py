@@ -36,6 +36,7 @@ WITHOUT_TWIN = {
         "trace_detail": "part of trace_subpixels",
     },
     "noise": {"any_lane": "any of NumPy"},
+    "blur": {"open_share": "_open_share of passes.py"},
     "visibility": {
         "dot3": "a product of NumPy's arrays",
         "size2": "np.hypot",

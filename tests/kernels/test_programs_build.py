@@ -101,6 +101,7 @@ PROGRAMS[HOLES] |= {"FILL_MEAN_MEDIAN": (1,), "IMAGE": (1,)}
 NOT_BY_COLUMNS = ("BY_ROWS", "DISC")
 PROGRAMS["layered/layered.cl",] = dict.fromkeys((*PLAIN, "SAMPLED", "GENERAL", "WAVES"), (0,)) | {
     "CHANNELS": (2, 4),
+    "RIMS": (0, 2),
     "SCATTER": ON_OR_OFF,
 }
 GIVEN_BY_THE_BUILD = {"REAL_IS_DOUBLE", "HAS_INT64_ATOMICS", "HAS_FP64", "VECTOR_WIDTH", "defined"}

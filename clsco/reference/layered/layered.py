@@ -7,6 +7,7 @@ stands for no surface.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from math import ceil, log2
 
@@ -202,14 +203,15 @@ def keep_sources(sources: Sources, edge: Mask, near_edges: bool) -> Sources:
     return replace(sources, lit=sources.lit & (edge == near_edges))
 
 
-def composite(total: Array, covered: Array, blurred: Array) -> tuple[Array, Array]:
+def composite(total: Array, covered: Array, blurred: Array, most: Array | float = 1.0) -> tuple[Array, Array]:
     """Frame (m, n, C) and the coverage so far (m, n) with one more depth layer behind those before.
 
-    blurred: (m, n, C + 1), irradiance and coverage of the layer. It gets the room that nearer layers have left, all of
+    blurred: (m, n, C + 1), irradiance and coverage of the layer; most (m, n): share of the light that rims let through.
+    It gets the room that nearer layers have left, all of
     it: at a cut through a continuous surface the two coverages add up to that of the whole, and nothing is lost.
     """
     coverage = blurred[..., -1]
-    seen = np.maximum(np.minimum(coverage, np.maximum(coverage, 1.0) - covered), 0.0)
+    seen = np.maximum(np.minimum(coverage, np.maximum(coverage, most) - covered), 0.0)
     share = np.where(seen < coverage, seen / np.where(seen < coverage, coverage, 1.0), 1.0)
     return total + share[..., None] * blurred[..., :-1], covered + seen
 
@@ -265,19 +267,24 @@ def cluster(spec: BlurSpec, coc: Array, valid: Mask) -> tuple[Labels, int]:
 
 
 def spread_depth_layers(
-    spec: BlurSpec, radiance: Array, coc: Array, layer: Labels, shape: tuple[int, int], guard: int, deep: int
-) -> tuple[Array, int]:
-    """As `layered`, for given depth layers (H, W), which are extrapolated up to `deep` px behind an edge."""
+    spec: BlurSpec, radiance: Array, coc: Array, layer: Labels, shape: tuple[int, int], guard: int, deep: int,
+    rims: tuple[Callable[[Sources], Sources], Array] | None = None,
+) -> tuple[Array, int]:  # fmt: skip
+    """As `layered`, for given depth layers (H, W), which are extrapolated up to `deep` px behind an edge.
+
+    rims: gives sources of which rims cut the light; and `most` of `composite`.
+    """
+    behind_rims, most = rims or (lambda sources: sources, 1.0)
 
     def blurred_sum(value: Array, radius: Array, there: Mask, near_edges: bool) -> Array:
         label, gradient = there.astype(np.uint8), prepare_sources(radius, there)
         sources = Sources(value, np.ones(coc.shape), label, radius, gradient, there)
-        return scatter(spec, keep_sources(sources, edge, near_edges), None, shape, guard)
+        return scatter(spec, keep_sources(behind_rims(sources), edge, near_edges), None, shape, guard)
 
     count, seed = int(layer.max(initial=0)), seed_hidden(coc, layer)
     hidden, edge = reach_hidden(layer, seed, column_seeds(seed), deep)
     total, covered = blurred_sum(radiance, coc, layer > 0, near_edges=False), np.zeros(shape)
     for which in range(1, count + 1):
         blurred = blurred_sum(*extend_depth_layer(radiance, coc, layer, hidden, which, deep), near_edges=True)
-        total, covered = composite(total, covered, blurred)
+        total, covered = composite(total, covered, blurred, most)
     return total, count
