@@ -17,18 +17,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import cos, pi, radians, sin, sqrt
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsco.constants import (
     DETAILED_LEAST,
+    DETAILED_MOST,
+    DETAILED_TEXELS,
+    FINE_MOST,
+    FINE_TEXELS,
     MAP_CONE,
     MAP_CUBE,
     MAP_CYLINDER,
     MAP_LONGITUDE,
     MAP_PLANE,
     MAP_TRIPLANAR,
+    NEAR_FOCUS,
     WRAP_CLAMP,
     WRAP_MIRROR,
     WRAP_NONE,
@@ -92,6 +98,26 @@ def needs_detail(scene: Scene, psf: PointSpread, largest: float) -> bool:
 def texture_spread(psf: PointSpread) -> float:
     """Radius in px of the disc whose second moments a PSF with R = 1 has, 0 where its sources are no squares."""
     return 2.0 * sqrt(psf.pupil.second_moment) if psf.edge == "integrated" else 0.0
+
+
+def cut_parts(texels: NDArray[Any], spread: NDArray[Any], samples: int) -> NDArray[np.intp]:
+    """Parts per axis of pixels (n,), 0 where one source is enough.
+
+    Parameters
+    ----------
+    texels : ndarray, (n,)
+        Square of the texels of a pixel, along the wider axis.
+    spread : ndarray, (n,)
+        `texture_spread` times |R|, px.
+    samples : int
+        Sub-pixel sources per axis.
+    """
+    finer = texels > np.float32(FINE_TEXELS) ** 2
+    most = np.where(finer, np.float32(FINE_MOST), np.float32(DETAILED_MOST))
+    detailed = (texels > np.float32(DETAILED_TEXELS) ** 2) & (spread > np.float32(DETAILED_LEAST)) & (spread < most)
+    fine = finer | (spread < np.float32(NEAR_FOCUS))
+    many = 4 if samples % 4 == 0 else 3 if samples % 3 == 0 else samples
+    return np.where(detailed, np.where(fine, many, 2 if samples % 2 == 0 else many), 0)
 
 
 def texture_map(item: Object, columns: int, rows: int) -> TextureMap:

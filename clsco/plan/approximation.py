@@ -6,8 +6,13 @@ M(f) = sum_i w_i exp(2 pi i f D t_i) of the time samples, t from 0 to 1. Fewer o
     e^2 = sum_f P(f) H(f)^2 |M(f) - M_exact(f)|^2
 
 P: power of what moves, from the texture along its rows and columns, and l c^2 / (2 pi f)^2 of outlines of length l per
-px^2 and contrast c; H: of the PSF. The coverage of a pixel at an outline, from N x N sub-pixel sources, is off by what
-it is for an edge along the sources' rows, and the blur spreads that: e^2 = l c^2 off^2 sum_f H(f)^2.
+px^2 and contrast c; H: of the PSF. Each of N x N sub-pixel sources has what its surface covers of it, in its middle:
+the first moment of what a pixel shows beside an edge along the sources' rows is off, by m.
+
+    e^2 = l c^2 (mean m^2 sum_f (2 pi f)^2 H(f)^2 + s mean off^2 sum_f H(f)^2)
+
+off: of the coverage, where it is counted by sources: on a share s, CORNERS of outlines, all of them where each pixel is
+one source. What textures on surfaces lose besides: `clsco.plan.texture_sources`.
 
 One source in the place of MERGED_SIDE x MERGED_SIDE (kernels/trace/merge.cl) leaves a lattice of discs, whose harmonics
 are e^2 = share L^2 (4 H(g)^2 + 4 H(sqrt(2) g)^2) of a radiance L, g = 1 / MERGED_SIDE per px.
@@ -29,13 +34,15 @@ from clsco.constants import MERGED_SIDE
 from clsco.errors import SceneError
 from clsco.inputs.textures import Texture
 from clsco.optics.exposure import frame_exposure, shutter_span
-from clsco.optics.lens_path import lenses_at, reference_camera
+from clsco.optics.lens_path import camera_at, lenses_at, reference_camera
+from clsco.optics.motion import poses_at
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.rays import slopes_at
-from clsco.optics.texture_mapping import needs_detail
+from clsco.optics.texture_mapping import needs_detail, texture_map
 from clsco.plan.image_motion import ImagePath, image_paths, some_frames
 from clsco.plan.plan import Plan
-from clsco.plan.predict import Maps, seen_depths, seen_slopes
+from clsco.plan.predict import Maps, middle_of, seen_depths, seen_slopes
+from clsco.plan.texture_sources import STEEP, footprints, lost_squares, power_in_frame, spectrum_of
 from clsco.scene.model import Scene
 
 Array = NDArray[np.float64]
@@ -47,6 +54,9 @@ NOTHING = np.zeros(SIDE)
 CYCLE_STEPS = 8  # per cycle
 EACH = 7  # px: every so many pixels of a texture have its mean; no period of a pattern, as a rule
 MARGIN = 1.5  # of squared errors: rays know outlines and ways roughly
+CORNERS = 0.06  # of outlines, whose coverage sources count: corners, and what is seen edge-on
+FINE_COST, OUTLINE_COST = 1 / 8, 1 / 80  # of N^2 sources a pixel, each: of a time sample with one
+UNEVEN = 0.2  # of outlines: the same from one time sample to another
 MERGED_RADII = tuple(8.0 * 2.0 ** (k / 2) for k in range(9))  # px: |R| from which on sources may be merged
 WAYS = (0.55, 0.7, 0.85, 1.0)  # parts of the longest way, of which the worst counts: not all that moves goes as far
 
@@ -110,7 +120,7 @@ def checked_tolerance(tolerance: float) -> float:
 def fewer_samples(
     plan: Plan, tolerance: float, textures: Callable[[], tuple[Texture, ...]], maps: Maps, least: Samples = (1, 1)
 ) -> tuple[Scene, ApproximationReport]:
-    """Take the fewest samples whose estimated error is within a tolerance: time samples first, which save most.
+    """Take the samples that cost least of those whose estimated error is within a tolerance.
 
     Sources are merged last; the scene does not say it, so that the plan has to be told.
 
@@ -141,20 +151,24 @@ def fewer_samples(
     checked_tolerance(tolerance)
     scene, exact = plan.scene, (plan.samples, max(plan.silhouettes, 1))
     samples, silhouettes, square, merged = *exact, 0.0, 0.0
-    whole = exact[1] == 1 or needs_detail(scene, plan.psf, plan.largest_blur)  # silhouettes have all their samples
+    fine = needs_detail(scene, plan.psf, plan.largest_blur)
+    whole = exact[1] == 1 or (fine and not (plan.psf.uniform or plan.psf.pupil.soft))  # all silhouette samples stay
     merges = _may_merge(plan)
     if (exact[0] > 1 or not whole or merges) and not scene.lens_moves:  # whose changes are not in the estimate
-        parts = _parts(scene, textures(), maps)
-        outlines = sum(float(_passed(plan.psf, part.radius)[: SIDE // 2].mean()) * sum(part.outline) for part in parts)
-        cycles = *_cycles(plan.psf, parts), outlines / (12.0 * exact[1] ** 2)
-        of_time = partial(_of_time, scene, *cycles, exact[0])
-        of_coverage = partial(_of_coverage, outlines, exact[1])
-        samples = _fewest(range(least[0], exact[0]), tolerance**2, of_time) or exact[0]
-        square = of_time(samples) if samples < exact[0] else 0.0
+        images = textures()
+        parts = _parts(scene, images, maps)
+        outlines = _Outlines.of(plan.psf, parts)
+        of_time = partial(_of_time, scene, *_cycles(plan.psf, parts), outlines.uneven(exact[1]), exact[0])
+        of_sources = {exact[1]: 0.0}
         if not whole:
-            halves = tuple(2**n for n in range(4) if least[1] <= 2**n < exact[1])
-            silhouettes = _fewest(halves, tolerance**2 - square, of_coverage) or exact[1]
-            square += of_coverage(silhouettes) if silhouettes < exact[1] else 0.0
+            # A whole pixel in focus reaches over its border, and has more taps than its parts have.
+            fewer = [count for count in STEEP if max(least[1], 1 + fine) <= count < exact[1]]
+            of_sources |= {count: outlines.square(exact[1], count) for count in fewer}
+            if fine:
+                for count, lost in lost_squares(scene, plan.psf, images, maps, exact[1], fewer).items():
+                    of_sources[count] += MARGIN * lost
+        samples, silhouettes = _cheapest((least[0], exact[0]), of_sources, tolerance**2, of_time, fine)
+        square = of_sources[silhouettes] + (of_time(samples) if samples < exact[0] else 0.0)
         if merges:
             merged, of_merging = _merging(plan.psf, parts, tolerance**2 - square)
             square += of_merging
@@ -169,7 +183,22 @@ def fewer_samples(
     return scene.model_copy(update=update), report
 
 
-def _fewest(counts: range | tuple[int, ...], square: float, error: Callable[[int], float]) -> int:
+def _cheapest(
+    samples: Samples, of_sources: Mapping[int, float], square: float, of_time: Callable[[int], float], fine: bool
+) -> Samples:
+    """Time samples, from least to most, and sources along an axis that cost least within a squared error.
+
+    of_sources: squared errors by sources; fine: textures have them, not outlines alone.
+    """
+    each, found = FINE_COST if fine else OUTLINE_COST, []
+    for count, lost in of_sources.items():
+        if lost <= square:
+            taken = _fewest(range(*samples), square - lost, of_time) or samples[1]
+            found.append((taken * (1.0 + each * count**2), taken, count))
+    return min(found)[1:]
+
+
+def _fewest(counts: range, square: float, error: Callable[[int], float]) -> int:
     """First of rising counts with a squared error within `square`, by halving; 0 where there is none."""
     few, many = 0, len(counts)
     while few < many:
@@ -245,12 +274,43 @@ def _sums(scene: Scene, cycles: Array, count: int) -> NDArray[np.complex128]:
     return np.asarray(exposure.weights.reshape(len(exposure.times), -1).T @ turns)
 
 
-def _of_coverage(outlines: float, exact: int, count: int) -> float:
-    """Squared error of count x count sub-pixel sources instead of exact x exact; outlines: what their length and
-    contrast count."""
-    place = np.linspace(0.0, 1.0, 1025)[1:]  # of an edge in its pixel
-    known, found = (np.floor(place * sources + 0.5) / sources for sources in (exact, count))
-    return MARGIN * outlines * float(np.mean((found - known) ** 2))
+@dataclass(frozen=True)
+class _Outlines:
+    """Multiples of which squared errors of outlines are: length times squared contrast per px^2, as the blur leaves it.
+
+    edges: of the coverage; slopes: of its first moment, px^-2.
+    """
+
+    edges: float
+    slopes: float
+
+    @staticmethod
+    def of(psf: PointSpread, parts: tuple[_Part, ...]) -> _Outlines:
+        """Outlines of all objects."""
+        slope = 2.0 / SIDE * (2.0 * np.pi * FREQUENCIES * np.sinc(FREQUENCIES)) ** 2
+        lengths, passed = [sum(part.outline) for part in parts], [_passed(psf, part.radius) for part in parts]
+        edges = (length * float(each[: SIDE // 2].mean()) for length, each in zip(lengths, passed, strict=True))
+        slopes = (length * float(slope @ each) for length, each in zip(lengths, passed, strict=True))
+        return _Outlines(sum(edges), sum(slopes))
+
+    def uneven(self, sources: int) -> float:
+        """Squared error of the coverage at one time."""
+        return self.edges * (UNEVEN if sources > 1 else 1.0) / (12.0 * sources**2)
+
+    def square(self, exact: int, count: int) -> float:
+        """Squared error of count x count sub-pixel sources instead of exact x exact."""
+        place = np.linspace(0.0, 1.0, 1025)[1:]  # of an edge in its pixel
+        known, found = (np.floor(place * sources + 0.5) / sources for sources in (exact, count))
+        square = (CORNERS if count > 1 else 1.0) * self.edges * float(np.mean((found - known) ** 2))
+        if count > 1:
+            square += self.slopes * float(np.mean((_moments(place, exact) - _moments(place, count)) ** 2))
+        return MARGIN * square
+
+
+def _moments(place: Array, sources: int) -> Array:
+    """First moments of what is covered of a pixel up to a place, each source's share in its middle."""
+    full = np.floor(place * sources)
+    return np.asarray((0.5 * full**2 + (place * sources - full) * (full + 0.5)) / sources**2)
 
 
 def _passed(psf: PointSpread, radius: float) -> Array:
@@ -279,7 +339,10 @@ def _parts(scene: Scene, textures: tuple[Texture, ...], maps: Maps) -> tuple[_Pa
         way, power = (0.0, 0.0), (NOTHING, NOTHING)
         if scene.moves:
             way = _way(scene, [each[k] for each in paths])
-            along = _power(textures[k], scene.objects[k].mapped is not None)
+            item = scene.objects[k]
+            along = (
+                _power(textures[k]) if item.mapped is None else _mapped_power(scene, k, textures[k], x[seen], y[seen])
+            )
             power = (seen.mean() * along[0], seen.mean() * along[1])
         widest = float(radii.max()) if (np.delete(w, k, axis=0) > w[k][seen].min()).any() else 0.0
         light = float(seen.mean() * contrasts[k, -1])
@@ -322,15 +385,18 @@ def _contrasts(textures: tuple[Texture, ...], shaded: bool) -> Array:
     return np.asarray(np.maximum(found, np.maximum(square[:, None], square)) if shaded else found)
 
 
-def _power(texture: Texture, mapped: bool) -> tuple[Array, Array]:
-    """Power of a texture by FREQUENCIES along x and y, mean of its channels; of one on a surface, whose scale in the
-    frame is not known, the same in each octave."""
-    if mapped:
-        each = np.where(FREQUENCIES <= 0.5, 1.0 / FREQUENCIES, 0.0)
-        flat = float(np.var(texture.radiance[::EACH, ::EACH])) * each / each.sum()
-        return flat, flat
+def _power(texture: Texture) -> tuple[Array, Array]:
+    """Power of a texture by FREQUENCIES along x and y, mean of its channels."""
     image = texture.radiance.reshape(*texture.radiance.shape[:2], -1)
     return _along(image), _along(image.swapaxes(0, 1))
+
+
+def _mapped_power(scene: Scene, number: int, texture: Texture, x: Array, y: Array) -> tuple[Array, Array]:
+    """The same of a texture on a surface, which rays of slopes (n,) meet in the middle of the sequence."""
+    time, item, image = middle_of(scene), scene.objects[number], texture.radiance
+    mapped = texture_map(item, image.shape[1], image.shape[0])
+    across = footprints(item, poses_at(scene, time)[number], mapped, camera_at(scene, time), x, y)
+    return power_in_frame(spectrum_of(image), across, FREQUENCIES)
 
 
 def _along(image: NDArray[np.float32]) -> Array:

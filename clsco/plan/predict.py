@@ -148,16 +148,23 @@ def _moved_map(scene: Scene, item: Object, depth: Array, pose: Pose) -> Array:
     return np.where((w > 0) & (z > 0), 1.0 / np.where(z > 0, z, 1.0), 0.0)
 
 
-def seen_depths(scene: Scene, maps: Maps) -> Array:
-    """Predicted inverse depths (objects, GRID, GRID) in 1/mm in the middle of the sequence, 0 where nothing is hit."""
-    time = middle_time(scene.sequence, scene.sequence.frames // 2) if scene.moves else 0.0
+def middle_of(scene: Scene) -> float:
+    """Middle of the sequence, s: 0 where nothing moves."""
+    return middle_time(scene.sequence, scene.sequence.frames // 2) if scene.moves else 0.0
+
+
+def seen_depths(scene: Scene, maps: Maps, time: float | None = None) -> Array:
+    """Predicted inverse depths (objects, GRID, GRID) in 1/mm at a time, 0 where nothing is hit.
+
+    By default in the middle of the sequence.
+    """
+    time = middle_of(scene) if time is None else time
     return np.asarray(_inverse_depths(scene, [(camera_at(scene, time), poses_at(scene, time))], maps, 0)[:, 0])
 
 
-def seen_slopes(scene: Scene) -> Slopes:
+def seen_slopes(scene: Scene, time: float | None = None) -> Slopes:
     """Slopes (GRID, GRID) of the rays of `seen_depths`."""
-    time = middle_time(scene.sequence, scene.sequence.frames // 2) if scene.moves else 0.0
-    return _grid(camera_at(scene, time), 0)
+    return _grid(camera_at(scene, middle_of(scene) if time is None else time), 0)
 
 
 def fills_view(scene: Scene, w: Array) -> bool:

@@ -31,6 +31,8 @@ CARD |= {"rotation": [0.0, 0.0, 20.0]}
 FAR: dict[str, Any] = {"shape": "plane", "distance": 500.0, "texture": "bricks"}
 MOVES: dict[str, Any] = {"velocity": [160.0, 30.0, 0.0]}
 STRIPES = np.tile(np.arange(96) // 4 % 2, (72, 1)).astype(np.float32)
+FINE: dict[str, Any] = {"shape": "plane", "distance": 300.0, "texture": "siemens_star", "texture_mapping": "surface"}
+FINE |= {"texture_size": 40.0}
 STILL: dict[str, Any] = {"camera": CAMERA, "object": [BALL, WALL]}
 MOVING: dict[str, Any] = STILL | {"sequence": {"frames": 1, "shutter": 0.05, "interval": 0.1}}
 SCENES: dict[str, dict[str, Any]] = {
@@ -50,6 +52,10 @@ SCENES: dict[str, dict[str, Any]] = {
         "camera": CAMERA | {"aperture_diameter": 50.0, "focus_distance": 262.0},
         "object": [CARD, BALL | {"center": [4.0, 0.0, 262.0]}, FAR],
     },
+    "fine texture": STILL | {"camera": CAMERA | {"focus_distance": 303.0}, "object": [FINE]},
+    "tilted through the focus": STILL
+    | {"camera": CAMERA | {"focus_distance": 300.0}, "object": [FINE | {"slope_x": 1.0, "slope_y": 0.5}]},
+    "fine texture, moving": MOVING | {"object": [FINE | {"motion": {"velocity": [120.0, 40.0, 0.0]}}]},
     "lit": MOVING | {"object": [BALL | {"motion": MOVES}, WALL], "light": {"direction": [1.0, 1.0, 1.0]}},
 }
 
@@ -60,7 +66,7 @@ def prepared(scene: Any, tolerance: float | None = None) -> Prepared:
 
 @pytest.mark.parametrize(
     "name",
-    mostly_slow(list(SCENES), ["blurred outline", "stripes"]),
+    mostly_slow(list(SCENES), ["blurred outline", "stripes", "fine texture"]),
 )
 def test_the_true_error_stays_below_the_estimate_and_the_tolerance(name: str) -> None:
     exact, saved = clsco.render_frame(SCENES[name], truth=()), 0
@@ -73,6 +79,14 @@ def test_the_true_error_stays_below_the_estimate_and_the_tolerance(name: str) ->
         saved += report.of_samples - report.samples + report.of_silhouette_samples - report.silhouette_samples
         saved += report.merged > 0.0
     assert saved > 0
+
+
+def test_fine_textures_have_as_few_sources_as_the_tolerance_lets_them() -> None:
+    """A lens whose light is no disc keeps them all: its errors are not estimated."""
+    scene, ring = SCENES["tilted through the focus"], {"aperture": {"shape": "ring"}}
+    counts = [prepared(scene, tolerance).plan.silhouettes for tolerance in (1e-5, 0.1)]
+    assert counts == [4, 2]
+    assert prepared(scene | ring, 0.1).plan.silhouettes == 4
 
 
 def test_sources_are_merged_where_blur_is_wide_and_something_in_the_way() -> None:

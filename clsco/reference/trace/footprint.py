@@ -16,11 +16,6 @@ from clsco.constants import (
     BENT_TEXELS,
     CELL_TEXELS,
     CUBE_BORDER,
-    DETAILED_LEAST,
-    DETAILED_MOST,
-    DETAILED_TEXELS,
-    FINE_MOST,
-    FINE_TEXELS,
     FOOTPRINT_CELLS,
     LEAST_TEXELS,
     MAP_CUBE,
@@ -30,13 +25,12 @@ from clsco.constants import (
     MOST_SHEAR,
     MOST_TEXELS,
     NARROWEST,
-    NEAR_FOCUS,
     WRAP_CLAMP,
     WRAP_MIRROR,
     WRAP_REPEAT,
 )
 from clsco.optics.quadrics import PlacedSurface
-from clsco.optics.texture_mapping import TextureMap
+from clsco.optics.texture_mapping import TextureMap, cut_parts
 from clsco.reference.common.geometry import Array, Filter, mirror_index
 from clsco.reference.trace.mapping import (
     Indices,
@@ -234,14 +228,8 @@ def sharpening(texture: MappedTexture, radius: Array) -> Array:
 def parts_of(texture: MappedTexture, texels: Array, radius: Array, samples: int) -> Indices:
     """Parts per axis of pixels (n,) with so many texels, squared, and a signed radius in px, 0 where one source is
     enough; samples: sub-pixel sources per axis."""
-    r = (texture.spread * np.abs(radius)).astype(np.float32)
-    texels = texels.astype(np.float32)
-    finer = texels > np.float32(FINE_TEXELS) ** 2
-    most = np.where(finer, np.float32(FINE_MOST), np.float32(DETAILED_MOST))
-    detailed = (texels > np.float32(DETAILED_TEXELS) ** 2) & (r > np.float32(DETAILED_LEAST)) & (r < most)
-    fine = finer | (r < np.float32(NEAR_FOCUS))
-    many = 4 if samples % 4 == 0 else 3 if samples % 3 == 0 else samples
-    return np.where(detailed, np.where(fine, many, 2 if samples % 2 == 0 else many), 0)
+    spread = (texture.spread * np.abs(radius)).astype(np.float32)
+    return cut_parts(texels.astype(np.float32), spread, samples)
 
 
 def surface_texture(

@@ -1,0 +1,268 @@
+"""Losses of fine textures on surfaces with fewer sub-pixel sources (float64, pure).
+
+A pixel that shows finer texture than one source can stand for has N x N of them, with the means of its p x p parts
+(kernels/trace/detail.clh). Along one axis they make of a pattern cos(2 pi f x), in the middle of a pixel,
+
+    V(f) = 1 / N sum_n S(x_n) cos(2 pi f c_n) sinc(f / p) (1 + 4 c sin(pi f / p)^2)
+
+x_n, c_n: places of sources, and of the middles of their parts, from the middle of the pixel; S: the share of the disc
+around a source that is within the width of the pixel; c: what parts exchange. Taken for products of both axes, and f
+for what a pixel's footprint on the surface makes of cycles per texel,
+
+    e^2 = sum_f P(f) (V_exact(f_x) V_exact(f_y) - V(f_x) V(f_y))^2
+
+P: power of the texture. Where R changes by G px from pixel to pixel and discs begin to reach over the border of a
+pixel, their lattice does not add up to a plane: e = STEEP G L of a radiance L, as measured on tilted planes through the
+focus. One source a pixel is N = p = 1. What is hidden, shaded, or not bright between texels counts as
+if it were seen as it is in the image. Validated against frames: tests/plan/test_approximation.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from itertools import product
+from math import log2, pi, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.constants import LEAST_TEXELS, MAP_CONE, MAP_CUBE, MAP_CYLINDER, MAP_LONGITUDE, MAP_TRIPLANAR
+from clsco.inputs.textures import Texture
+from clsco.optics.exposure import sequence_times
+from clsco.optics.lens_path import camera_at, lenses_at
+from clsco.optics.motion import Pose, poses_at
+from clsco.optics.point_spread import PointSpread
+from clsco.optics.quadrics import place, predict_inverse_depth
+from clsco.optics.rays import places_of, slopes_at
+from clsco.optics.texture_mapping import TextureMap, cut_parts, texture_map, texture_spread
+from clsco.plan.predict import GRID, Maps, seen_depths, seen_slopes
+from clsco.scene.model import Camera, Object, Scene
+
+Array = NDArray[np.float64]
+
+SIDE, PATCHES = 64, 9  # texels of a square whose spectrum is taken, and how many along each axis
+LOOKS = 8  # rays at a texture whose power in the frame is wanted
+HELD = 0.4  # cycles per texel that a coarser level of the mipmap holds
+STEEP = {1: 0.08, 2: 0.16, 3: 0.1, 4: 0.06, 8: 0.03}  # by sources along an axis
+NARROW = 0.75  # px, of discs
+EACH = 7  # texels, of which one counts in means
+BETWEEN = 5  # places between two rays of a grid
+FINEST = 6.0  # cycles per px, beyond which patterns are even in all means
+STEPS = 64  # per cycle per px
+FREQUENCIES = np.arange(int(FINEST * STEPS) + 1) / STEPS
+RADII = 0.0105 * 2.0 ** (np.arange(40) / 4.0)  # px: of discs, up to 9
+REACHING = 2.0  # how fast the exchange begins, as in detail.clh
+ALONG = ((2, 1), (0, 2), (0, 1))  # the two other components of each axis
+
+
+def lost_squares(
+    scene: Scene, psf: PointSpread, textures: Sequence[Texture], maps: Maps, exact: int, counts: Sequence[int]
+) -> dict[int, float]:
+    """Estimate the squared errors of a frame with fewer sources of fine textures.
+
+    Parameters
+    ----------
+    scene : Scene
+        With its resolution.
+    psf : PointSpread
+    textures : sequence of Texture
+        Textures of all objects.
+    maps : sequence
+        As for `clsco.plan.plan.make_plan`.
+    exact : int
+        Sub-pixel sources along an axis.
+    counts : sequence of int
+        Fewer, 1 for one source a pixel.
+
+    Returns
+    -------
+    dict
+        For each of `counts`, white^2: the largest of the times at which the scene is looked at.
+    """
+    spectra: dict[int, tuple[Spectrum, float]] = {}
+    alike = [next(j for j, one in enumerate(textures) if one.radiance is each.radiance) for each in textures]
+    cells = [(size - 1) / (GRID - 1) for size in scene.camera.frame_size[::-1]]  # px
+    found, times = dict.fromkeys(counts, 0.0), sequence_times(scene)
+    for time in times[:: max(len(times) // 2, 1)]:
+        w, slopes, here = seen_depths(scene, maps, time), seen_slopes(scene, time), dict.fromkeys(counts, 0.0)
+        camera, poses, lenses = camera_at(scene, time), poses_at(scene, time), lenses_at(scene, time)
+        nearest = np.where(w.max(axis=0) > 0.0, w.argmax(axis=0), -1)
+        for k, item in enumerate(scene.objects):
+            seen = nearest == k
+            if item.mapped is None or not seen.any():
+                continue
+            image = textures[k].radiance
+            mapped = texture_map(item, image.shape[1], image.shape[0])
+            across = footprints(item, poses[k], mapped, camera, slopes[0][seen], slopes[1][seen])
+            for lens in lenses:
+                radius = texture_spread(psf) * np.where(w[k] > 0.0, lens.image_radius(w[k], *slopes), np.nan)
+                change = [np.nan_to_num(np.gradient(radius, axis=axis)) for axis in (0, 1)]
+                spread = _between(radius, np.abs(change).max(axis=0))[:, seen]
+                texels = np.nan_to_num((across**2).sum(axis=1).max(axis=0))
+                fine = cut_parts(np.broadcast_to(texels, spread.shape), spread, exact) > 0
+                if not fine.any():
+                    continue
+                if alike[k] not in spectra:
+                    spectra[alike[k]] = spectrum_of(image), float(np.square(image[::EACH, ::EACH]).mean())
+                spectrum, light = spectra[alike[k]]
+                steep = sum((step[seen] / cell) ** 2 for step, cell in zip(change, cells, strict=True))
+                lights = light * float((fine & (spread < NARROW)).mean(axis=0) @ steep) / fine.shape[1]
+                for count in counts:
+                    here[count] += (lights * STEEP[count] ** 2) * float(seen.mean()) / len(lenses)
+                for kind, share in _kinds(across, spread, fine):
+                    for count, square in _lost(kind, spectrum, exact, counts).items():
+                        here[count] += share * square * float(seen.mean()) / len(lenses)
+        found = {count: max(square, here[count]) for count, square in found.items()}
+    return found
+
+
+def _between(radius: Array, change: Array) -> Array:
+    """|R| (BETWEEN, rows, columns) between rays of a grid, from one to the next of which it changes so much: what goes
+    through the focus is seldom met by one."""
+    steps = np.linspace(-0.5, 0.5, BETWEEN + 1)
+    return np.abs(radius + change * (0.5 * (steps[1:] + steps[:-1]))[:, None, None])
+
+
+def footprints(item: Object, pose: Pose, image: TextureMap, camera: Camera, x: Array, y: Array) -> Array:
+    """Changes of column and row from pixel to pixel, to the right and down, texels (right or down, 2, n).
+
+    image: map of the texture; x, y: slopes (n,) of rays that hit the object; where those beside them do not, NaN.
+    """
+    surface, (right, up) = place(item, pose), places_of(camera, x, y)
+    points = np.empty((3, x.size, 3))
+    for point, aside, above in zip(points, (0.0, 1.0, 0.0), (0.0, 0.0, -1.0), strict=True):
+        rays = np.stack([*slopes_at(camera, right + aside, up + above), np.ones(x.size)])
+        w = predict_inverse_depth(item, surface, rays[0], rays[1])
+        distance = np.where(w > 0.0, 1.0 / np.where(w > 0.0, w, 1.0), np.nan)
+        point[:] = (surface.own_offset[:, None] + surface.own_turn @ rays * distance).T @ image.frame.T
+    change = points[1:] - points[0]
+    normal = np.cross(*change) if image.kind == MAP_TRIPLANAR else points[0]
+    side = np.abs(np.nan_to_num(normal)).argmax(axis=-1) if image.kind in (MAP_TRIPLANAR, MAP_CUBE) else None
+    places = _coordinates(image, points, side)
+    change = places[:, 1:] - places[:, :1]
+    if image.kind in (MAP_CYLINDER, MAP_LONGITUDE):
+        change[0] = np.remainder(change[0] + pi, 2.0 * pi) - pi
+    return np.einsum("ij,jkn->kin", image.scale, change)
+
+
+def _coordinates(image: TextureMap, q: Array, side: NDArray[np.intp] | None) -> Array:
+    """The two coordinates (2, ..., n) of points (..., n, 3) in the frame of a texture (`clsco.optics.texture_mapping`);
+    side: axis (n,) along which they are seen."""
+    x, y, z = np.moveaxis(q, -1, 0)
+    if side is not None:
+        x, y = (np.choose(side, [q[..., ALONG[axis][k]] for axis in range(3)]) for k in range(2))
+        over = np.choose(side, [q[..., axis] for axis in range(3)]) if image.kind == MAP_CUBE else 1.0
+        return np.stack([x / over, y / over])
+    angle = np.arctan2(x, z)
+    if image.kind == MAP_CONE:
+        length, rolled = np.linalg.norm(q, axis=-1), image.slant * angle
+        return np.stack([length * np.sin(rolled), length * np.cos(rolled)])
+    if image.kind == MAP_LONGITUDE:
+        return np.stack([angle, np.arctan2(y, np.hypot(x, z))])
+    return np.stack([angle if image.kind == MAP_CYLINDER else x, y])
+
+
+Kind = tuple[Array, int]
+"""Footprint (right or down, 2) and number of RADII of pixels that are alike."""
+Spectrum = tuple[Array, Array, Array]
+"""Power of a texture, white^2, and its cycles per texel along columns and rows, of one shape."""
+
+
+def _kinds(across: Array, spread: Array, fine: NDArray[np.bool_]) -> list[tuple[Kind, float]]:
+    """Kinds of pixels with fine texture, and their shares of all; spread: of the discs of rays and between them
+    (BETWEEN, n)."""
+    discs = np.abs(np.log(RADII[:, None] / np.maximum(spread[fine], RADII[0]))).argmin(axis=0)
+    ray, found = np.nonzero(fine)[1], []
+    for disc in np.flatnonzero(np.bincount(discs)).tolist():
+        own = ray[discs == disc]
+        for one in own[[own.size // 4, own.size * 3 // 4]].tolist():
+            found.append(((across[:, :, one], disc), 0.5 * own.size / spread.size))
+    return found
+
+
+def power_in_frame(spectrum: Spectrum, across: Array, cycles: Array) -> tuple[Array, Array]:
+    """Power of a texture in the frame by cycles per px, from one step on, along x and y, as pixels leave it.
+
+    across: footprints (right or down, 2, n).
+    """
+    powers, columns, rows = spectrum
+    found = np.zeros((2, cycles.size))
+    rays = np.flatnonzero(np.isfinite(across).all(axis=(0, 1)))
+    rays = rays[np.linspace(0, rays.size - 1, min(rays.size, LOOKS)).astype(np.intp)] if rays.size else rays
+    for one in rays.tolist():
+        along = [np.abs(column * columns + row * rows) for column, row in across[:, :, one]]
+        passed = powers * (np.sinc(along[0]) * np.sinc(along[1])) ** 2 / rays.size
+        for axis in range(2):
+            at = np.rint(along[axis] / cycles[0]).astype(np.intp)
+            inside = (at > 0) & (at <= cycles.size)
+            np.add.at(found[axis], at[inside] - 1, passed[inside])
+    return found[0], found[1]
+
+
+def _lost(kind: Kind, power: Spectrum, exact: int, counts: Sequence[int]) -> dict[int, float]:
+    """Squared error of one kind, by counts."""
+    (changes, disc), (powers, columns, rows) = kind, power
+    texels = (changes**2).sum(axis=1).max(keepdims=True)
+
+    def passed(count: int) -> Array:
+        parts = int(cut_parts(texels, RADII[[disc]], count)[0]) if count > 1 else 1
+        along = _transfer(count, max(parts, 1))[disc]
+        level = _level(changes / max(parts, 1))
+        held = np.maximum(np.abs(columns), np.abs(rows)) <= HELD / 2.0**level if level else 1.0
+        return np.asarray(along[at[0]] * along[at[1]] * held)
+
+    at = [
+        np.minimum(np.rint(STEPS * np.abs(column * columns + row * rows)), FREQUENCIES.size - 1).astype(np.intp)
+        for column, row in changes
+    ]
+    known = passed(exact)
+    return {count: float((powers * (known - passed(count)) ** 2).sum()) for count in counts}
+
+
+def _level(changes: Array) -> int:
+    """Level of the mipmap that a footprint (right or down, 2) is read from: LEAST_TEXELS or more across it."""
+    across = sqrt(2.0 / float((changes**2).sum())) * abs(float(np.linalg.det(changes)))
+    return max(int(log2(max(across / LEAST_TEXELS, 1.0))), 0)
+
+
+@lru_cache(maxsize=32)
+def _transfer(count: int, parts: int) -> Array:
+    """V (RADII, FREQUENCIES) of count x count sources with the means of parts x parts."""
+    reach = int(count * (RADII[-1] + 1.0))
+    source = np.arange(-reach, reach + count)
+    place, middle = (source + 0.5) / count - 0.5, (source * parts // count + 0.5) / parts - 0.5
+    radius = RADII[:, None]
+    shares = _left_of((place + 0.5) / radius) - _left_of((place - 0.5) / radius)
+    size = np.minimum(parts * radius, 1.0)
+    exchanged = size * (16.0 / (3.0 * pi) - size) / 8.0
+    if count > 1:
+        exchanged *= np.clip(REACHING * (2.0 * count * radius - 1.0), 0.0, 1.0)
+    each = np.cos(2.0 * pi * np.multiply.outer(middle, FREQUENCIES)) * np.sinc(FREQUENCIES / parts)
+    return np.asarray(shares / count @ each * (1.0 + 4.0 * exchanged * np.sin(pi * FREQUENCIES / parts) ** 2))
+
+
+def _left_of(place: Array) -> Array:
+    """Share of a disc of radius 1 on one side of a line at a place."""
+    t = np.clip(place, -1.0, 1.0)
+    return np.asarray(0.5 + (t * np.sqrt(1.0 - t * t) + np.arcsin(t)) / pi)
+
+
+def spectrum_of(image: NDArray[np.float32]) -> Spectrum:
+    """Mean spectrum of patches of a texture under a Hann window, of its channels in turn."""
+    channels = image.reshape(*image.shape[:2], -1)
+    sides = tuple(min(SIDE, size) for size in channels.shape[:2])
+    starts = (
+        np.unique(np.linspace(0, size - side, PATCHES).astype(np.intp)).tolist()
+        for size, side in zip(channels.shape, sides, strict=False)
+    )
+    corners = enumerate(product(*starts))
+    window = np.multiply.outer(*(np.sin(pi * (np.arange(side) + 0.5) / side) ** 2 for side in sides))
+    taken = np.stack(
+        [channels[i : i + sides[0], j : j + sides[1], k % channels.shape[2]] for k, (i, j) in corners], dtype=np.float64
+    )
+    spectrum = np.fft.rfft2((taken - taken.mean(axis=(1, 2), keepdims=True)) * window)
+    power = np.mean(np.abs(spectrum) ** 2, axis=0) / (window.size * float((window**2).sum()))
+    power[:, 1 : (sides[1] + 1) // 2] *= 2.0  # and their negatives
+    columns, rows = np.meshgrid(np.fft.rfftfreq(sides[1]), np.fft.fftfreq(sides[0]))
+    return power, columns, rows
