@@ -12,7 +12,7 @@ from clsco.optics.point_spread import point_spread
 from clsco.optics.texture_mapping import texture_map
 from clsco.reference.common.geometry import Filter, sample_texture
 from clsco.reference.trace.footprint import footprint_of, mean_texture, taps_of
-from clsco.reference.trace.mapping import Mapped, MappedTexture, Texel, mapped_texture
+from clsco.reference.trace.mapping import Mapped, MappedTexture, Texel, is_bent, mapped_texture, texel_at, texel_change
 from clsco.scene.model import Psf
 from tests.scenes import scene_from
 
@@ -64,6 +64,30 @@ def test_means_askew(texture_filter: Filter, sides: Any) -> None:
         np.sqrt(np.mean((found - expected) ** 2))
         < {"nearest": 0.03, "bilinear": 0.004, "bicubic": 0.008}[texture_filter]
     )
+
+
+def test_means_near_the_apex_of_a_cone() -> None:
+    """Where footprints are bent: 8 px from the apex, 2 texels a px."""
+    cone: dict[str, Any] = {"shape": "cone", "apex": [0, 0, 250], "half_angle": 50, "texture_mapping": "surface"}
+    placed = texture_map(scene_from({}, cone | {"texture_size": 20}).objects[0], SIDE, SIDE)
+    texture = mapped_texture([IMAGE], placed, point_spread(Psf()), "bicubic")
+    angle, px = np.random.default_rng(6).uniform(-3, 3, 200), 1.0
+    out, none = np.stack([np.cos(angle), 0 * angle, np.sin(angle)], axis=-1), np.zeros(len(angle), np.bool_)
+    along = out * np.sin(np.radians(50)) + [0, -np.cos(np.radians(50)), 0]
+    seen = Mapped(8 * px * along, px * along, px * np.stack([-out[:, 2], 0 * angle, out[:, 0]], axis=-1))
+
+    def mean(seen: Mapped, bent: Any) -> np.ndarray[Any, Any]:
+        changes = texel_change(placed, seen.at, seen.right), texel_change(placed, seen.at, seen.down)
+        return mean_texture(texture, seen, texel_at(placed, seen.at), footprint_of(texture, changes, bent))
+
+    assert is_bent(placed, seen).all()
+    places, count = (np.arange(40) + 0.5) / 40 - 0.5, np.zeros((len(angle), 1))
+    for b in places:
+        for a in places:
+            small = Mapped(seen.at + a * seen.right + b * seen.down, seen.right / 40, seen.down / 40)
+            count += mean(small, none) / 40**2
+    error = float(np.sqrt(np.mean((mean(seen, ~none) - count) ** 2)))
+    assert error < 0.004  # cells at their middles: 0.009
 
 
 @pytest.mark.parametrize("texture_filter", FILTERS)

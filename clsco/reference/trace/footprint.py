@@ -124,13 +124,21 @@ def add_texels(level: Array, texture_map: TextureMap, side: Indices, rows: Taps,
 
 def cells_of(square: Array, shear: Array, bent: NDArray[np.bool_]) -> Indices:
     """Cells (n,) along an axis of a pixel, for squares (n,) of the number of texels there, and products (n,) of columns
-    and rows."""
+    and rows; of bent ones pairs, or one that is small."""
     widest = np.where(bent, BENT_TEXELS, CELL_TEXELS) ** 2
     enough = np.maximum(square / widest, np.where(bent, 0.0, np.abs(shear) / MOST_SHEAR)) / APART
     cells = np.ones(square.shape, np.intp)
     for count in range(1, BENT_CELLS):
         cells += (enough > count**2) & (bent | (count < FOOTPRINT_CELLS))
-    return cells
+    return cells + (bent & (16.0 * enough > 1.0)) * (cells % 2)
+
+
+def _places(cells: int, bent: bool) -> Array:
+    """Middles (cells,) of cells along an axis of a part, from its middle, in parts; of pairs of points the places of
+    Gauss and Legendre."""
+    at = np.arange(cells)
+    aside = (2.0 * GAUSS_PLACE - 0.5) * np.where(at % 2, 1.0, -1.0) * (bent and cells > 1)
+    return np.asarray((at + 0.5 + aside) / cells - 0.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,8 +210,8 @@ def _mean_of_kind(
     width_x, width_y = (np.clip(np.hypot(*side), 1.0 / NARROWEST, MOST_CELL) for side in zip(*own, strict=True))
     most = width_x * width_y  # the skew has no more, unless cells are cut to MOST_CELL
     skew = np.clip(sum(x * y for x, y in own), -most, most) / 12.0
-    for b in (np.arange(cells_y) + 0.5) / cells_y - 0.5 + shift[1]:
-        for a in (np.arange(cells_x) + 0.5) / cells_x - 0.5 + shift[0]:
+    for b in _places(cells_y, bool(bent)) + shift[1]:
+        for a in _places(cells_x, bool(bent)) + shift[0]:
             at = center
             if bent:
                 at = texel_at(texture_map, point.at[here] + a * point.right[here] + b * point.down[here])
