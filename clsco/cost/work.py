@@ -203,7 +203,7 @@ def _hits(plan: Plan, view: View, group: OcclusionGroup, lattice: Lattice) -> Hi
 def _cut(
     plan: Plan, lens: Lens, rays: Array, w: Array, radius: Array, gradient: Array
 ) -> tuple[NDArray[np.uint8], Array]:
-    """How rims cut the light of points (N,), as `meet_rims` gives it, and how many of them do."""
+    """State of points (N,) whose light rims cut, as `meet_rims` gives it, and the number of rims that do."""
     points = Points(rays, w, radius, 0 * radius, 0 * radius, 1.0, gradient)
     found, circles = meet_rims(lens, plan.psf, points, division_of(radius, plan.psf.extent, 1.0, gradient))
     return found, np.asarray(sum(circle.cuts for circle in circles) * (found == PARTLY))
