@@ -67,7 +67,7 @@ def test_means_askew(texture_filter: Filter, sides: Any) -> None:
 
 
 def test_means_near_the_apex_of_a_cone() -> None:
-    """Where footprints are bent: 8 px from the apex, 2 texels a px."""
+    """Bent footprints: 8 px from the apex, 2 texels a px."""
     cone: dict[str, Any] = {"shape": "cone", "apex": [0, 0, 250], "half_angle": 50, "texture_mapping": "surface"}
     placed = texture_map(scene_from({}, cone | {"texture_size": 20}).objects[0], SIDE, SIDE)
     texture = mapped_texture([IMAGE], placed, point_spread(Psf()), "bicubic")
