@@ -20,6 +20,7 @@ from tests.slow import mostly_slow
 
 COUNT, SOME = 60, (3, 8)  # of the scenes; those that `make test` looks at
 FIGURE = 1e-5  # of white
+ROOM = 1 << 20  # bytes for a plan that has to be widened
 ON_EDGES = 0.01  # pixels by edges without sub-pixel sources, which in single precision are on the other side in places
 METHODS = ("gather", "scatter", "tiles")
 Draw = Callable[[float, float], float]
@@ -189,6 +190,8 @@ def test_strips_have_the_bits_of_the_whole_frame(number: int) -> None:
         wanted = wanted.replace("lens.field_curvature", shrunk * wanted.lens.field_curvature)
     method = method_of(number, wanted)
     (whole,) = rendered(wanted, method=method, truth=())
-    (cut,) = rendered(wanted, method=method, truth=(), memory=memory_for(wanted, BAND, (), method))
+    # What comes near beside a high frame may show R beyond the prediction: then it is made again, with wider strips.
+    memory = memory_for(wanted, BAND, (), method) + ROOM
+    (cut,) = rendered(wanted, method=method, truth=(), memory=memory)
     assert cut.metadata["strips"] > whole.metadata["strips"] == 1
     np.testing.assert_array_equal(cut.color, whole.color)
