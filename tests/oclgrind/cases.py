@@ -421,7 +421,7 @@ def field_cases() -> Iterator[Case]:
     """Weights that are blended between those of places in the frame: of what is hidden in part, and of all methods."""
     seidel = Seidel(W131=0.3, W222=0.2)
     psf = Psf(seidel=seidel, wavelengths=(2500.0,) * 3, silhouette_samples=2)
-    camera = Camera(resolution=(9, 6), pixel_pitch=0.05, aperture_diameter=1.2)
+    camera = Camera(resolution=(6, 4), pixel_pitch=0.05, aperture_diameter=1.2)
     for number, method in enumerate(("gather", "scatter", "tiles")):
         given = Scene(camera=camera, objects=(FAR,) if number else (BALL, FAR), psf=psf)
         yield Case(f"field, {method}", {}, partial(through_a_lens, given, method), repr(psf))

@@ -65,9 +65,8 @@ def in_single_lanes(text: str) -> str:
 
     def two(match: re.Match[str]) -> str:
         indent, vector, first, second, value = match.groups()
-        return (
-            f"{indent}{{ const float2 lanes_ = {value}; {vector}.{first} = lanes_.x; {vector}.{second} = lanes_.y; }}"
-        )
+        lanes = f"const __typeof__({vector}.{first}{second}) lanes_ = {value};"
+        return f"{indent}{{ {lanes} {vector}.{first} = lanes_.x; {vector}.{second} = lanes_.y; }}"
 
     def every_other(match: re.Match[str]) -> str:
         indent, vector, which, value = match.groups()
