@@ -7,7 +7,7 @@ a scene has no use for is neither compiled nor run nor stored: `Choices.left_out
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -84,8 +84,8 @@ class Plan:
         Decisions, with their reasons.
     groups : tuple of OcclusionGroup
         Occlusion groups, which are spread one after the other.
-    seen : Prediction
-        Rays of a coarse grid.
+    taps : float
+        Predicted weights per frame.
     spreads : tuple of PointSpread
         Point spread of red, green and blue, where each color is blurred by itself (`apart`).
     only : int, optional
@@ -114,7 +114,7 @@ class Plan:
     largest_blur: float
     choices: Choices
     groups: tuple[OcclusionGroup, ...]
-    seen: Prediction = field(repr=False, compare=False)
+    taps: float
     spreads: tuple[PointSpread, ...] = ()
     only: int | None = None
     alpha: bool = False
@@ -303,11 +303,6 @@ class Plan:
         """Number of the object that is the background, None where there is none."""
         return next((k for k, item in enumerate(self.scene.objects) if item.is_background), None)
 
-    @property
-    def taps(self) -> float:
-        """Predicted weights per frame, by inverse depths at some of its pixels."""
-        return _predicted_taps(self)
-
     @cached_property
     def passes(self) -> tuple[Pass, ...]:
         """Passes to run: each time sample runs them in this order, and "ground truth" runs once for a frame."""
@@ -396,10 +391,11 @@ def make_plan(
     guard = seen.guard + (2 * TAP_LANES if blur == "convolve" else 0)
     if blur in MANY_RADII:
         check_tables(psf, seen.smallest, seen.largest, choices.silhouettes.value)
-    return Plan(
+    plan = Plan(
         scene, psf, device, eye, channels + alpha, rows, columns, guard, seen.smallest, seen.largest, choices, groups,
-        seen, spreads=spreads, alpha=alpha, extents=extents,
+        taps=0.0, spreads=spreads, alpha=alpha, extents=extents,
     )  # fmt: skip
+    return replace(plan, taps=_predicted_taps(plan, seen)) if blur != "none" and plan.color else plan
 
 
 def _is_apart(scene: Scene, channels: int) -> bool:
@@ -407,12 +403,12 @@ def _is_apart(scene: Scene, channels: int) -> bool:
     return scene.separates_colors or (channels > 1 and scene.psf.is_colored)
 
 
-def _predicted_taps(plan: Plan) -> float:
-    """See `Plan.taps`."""
-    w, middle = plan.seen.nearest, plan.seen.times[len(plan.seen.times) // 2]
+def _predicted_taps(plan: Plan, predicted: Prediction) -> float:
+    """Weights per frame, by inverse depths at some of its pixels."""
+    w, middle = predicted.nearest, predicted.times[len(predicted.times) // 2]
     hit = w > 0
-    seen = np.abs(lens_at(plan.scene, middle).image_radius(w[hit], *slopes_where(hit, plan.scene, plan.seen.slopes)))
-    if not (seen.size and plan.color and plan.blur != "none"):
+    seen = np.abs(lens_at(plan.scene, middle).image_radius(w[hit], *slopes_where(hit, plan.scene, predicted.slopes)))
+    if not seen.size:
         return 0.0
     lit = plan.psf.blended * np.pi * (seen * plan.psf.extent + plan.psf.pupil.margin + 0.7) ** 2
     return float(hit.mean() * plan.width * plan.height * plan.repeats * lit.mean())
