@@ -40,7 +40,7 @@ def with_map(moves: bool) -> dict[str, Any]:
     return {"camera": CAMERA, "object": [item | ({"motion": {"velocity": [5, 0, 0]}} if moves else {})]}
 
 
-@pytest.mark.parametrize("name", mostly_slow([*SCENES, "map", "moving map"], ["hidden", "layered", "stereo"]))
+@pytest.mark.parametrize("name", mostly_slow([*SCENES, "map", "moving map"], ["hidden", "stereo"]))
 def test_truth_has_the_bits_that_it_has_beside_the_image(name: str) -> None:
     scene = clsco.parse_scene(SCENES[name] if name in SCENES else with_map(name == "moving map"))
     both, alone = (list(clsco.render(scene, color=color, frames=(0,))) for color in (True, False))

@@ -18,7 +18,7 @@ from tests.pipeline.test_strips import memory_for
 from tests.scenes import reference_frames, rendered, scene_from
 from tests.slow import mostly_slow
 
-COUNT, SOME = 60, (3, 8)  # of the scenes; those that `make test` looks at
+COUNT, SOME = 60, (3,)  # of the scenes; those that `make test` looks at
 FIGURE = 1e-5  # of white
 ROOM = 1 << 20  # bytes for a plan that has to be widened
 ON_EDGES = 0.01  # pixels by edges without sub-pixel sources, which in single precision are on the other side in places

@@ -38,7 +38,7 @@ def test_device_against_reference(name: str) -> None:
     assert np.abs(frames[0].flow).max() > 1.0
 
 
-@pytest.mark.parametrize("warp", ["inverse", "forward"])
+@pytest.mark.parametrize("warp", mostly_slow(["inverse", "forward"], ["inverse"]))
 def test_a_group_of_one_is_a_motion_of_its_own(warp: str) -> None:
     """The same bits."""
     options: dict[str, Any] = {"motion": {"warp": warp}}

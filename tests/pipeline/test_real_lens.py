@@ -159,7 +159,9 @@ def test_colors_apart_have_the_bits_of_colors_together() -> None:
     assert (apart.color == clsco.render_frame(SCENES["curved"], truth=()).color).all()
 
 
-@pytest.mark.parametrize("psf", [{}, {"occlusion": "layered"}], ids=["visibility", "layered"])
+@pytest.mark.parametrize(
+    "psf", mostly_slow([{}, {"occlusion": "layered"}], [{"occlusion": "layered"}]), ids=["visibility", "layered"]
+)
 def test_strips_have_the_same_bits(psf: dict[str, Any]) -> None:
     tall = scene(BALL, WALL, lens=ALL, psf=psf, camera=CAMERA | {"resolution": [24, 200]})
     whole, cut = clsco.render_frame(tall), clsco.render_frame(tall, memory=memory_for(tall, BAND))

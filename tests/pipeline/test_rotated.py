@@ -66,7 +66,7 @@ SCENES: dict[str, Scene] = {
     "layered": scene(CARD, WALL, psf=PLAIN | {"occlusion": "layered"}),
     "stereo": scene(CARD, EGG, psf=PLAIN, stereo={"baseline": 20.0, "toe_in": 1.0}),
 }
-SOME = ("disc", "moving", "forward, several", "stereo")
+SOME = ("disc", "moving")
 
 
 @pytest.mark.parametrize("name", mostly_slow(SCENES, SOME))

@@ -54,7 +54,7 @@ def light_of(scene: Scene, **options: Any) -> list[Frame]:
     return list(clsco.render(scene.replace("sensor", None), truth=(), **options))
 
 
-@pytest.mark.parametrize("name", mostly_slow(SCENES, SCENES.keys() - {"pair", "forward"}))
+@pytest.mark.parametrize("name", mostly_slow(SCENES, SCENES.keys() - {"pair", "forward", "moving"}))
 def test_codes_are_those_of_the_light(name: str) -> None:
     scene = named(name)
     for frame, plain in zip(clsco.render(scene), light_of(scene), strict=True):
@@ -77,7 +77,7 @@ def test_a_sweep_over_a_sensor_casts_its_rays_once() -> None:
     assert np.any(found[0].raw != found[1].raw)
 
 
-@pytest.mark.parametrize("name", mostly_slow(["still", "moving", "mosaic", "pair"], ["still", "mosaic", "pair"]))
+@pytest.mark.parametrize("name", mostly_slow(["still", "moving", "mosaic", "pair"], ["still", "mosaic"]))
 def test_the_reference_agrees(name: str) -> None:
     """But for codes that the last digits of the light decide."""
     scene = named(name)

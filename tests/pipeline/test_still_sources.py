@@ -162,6 +162,7 @@ def test_alpha_and_ground_truth_are_those_of_the_plain_sum(plainly: Make) -> Non
     assert found.alpha is not None
 
 
+@pytest.mark.slow
 def test_strips_have_the_bits_of_the_whole_frame() -> None:
     wanted = scene("ball before a card, a tube and a photo", camera={"resolution": [40, 200], "pixel_pitch": 0.05})
     plan = prepare(wanted, Request(truth=()), choose()).plan

@@ -99,7 +99,7 @@ SCENES["an edge of texels"] = scene(
     CARD | {"rotation": [0.0, 0.0, 0.0], "center": [0.02, 0.02, 255.0], "texture": "checkerboard", "texture_size": 1e9},
     psf=PLAIN, motion={"texture_filter": "nearest"}, camera=CAMERA | {"resolution": [47, 35]},
 )  # fmt: skip
-SOME = ("wrap none", "roof behind wires")
+SOME = ("wrap none",)
 
 
 @pytest.mark.parametrize("name", mostly_slow(SCENES, SOME))
@@ -207,6 +207,7 @@ def test_what_needs_it_alone_gets_it() -> None:
         assert any("sharper" in each.buffers for each in plan.passes) == (expected > 0)
 
 
+@pytest.mark.slow
 def test_lenses_of_a_sweep_have_the_bits_of_each_alone() -> None:
     """Rays are cast once, and what textures need of the lens is done for each of them."""
     table: dict[str, Any] = {"camera": CAMERA | {"focus_distance": [240.0, 262.0]}, "psf": TWO, "object": [CARD, WALL]}

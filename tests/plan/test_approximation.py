@@ -66,7 +66,7 @@ def prepared(scene: Any, tolerance: float | None = None) -> Prepared:
 
 @pytest.mark.parametrize(
     "name",
-    mostly_slow(list(SCENES), ["blurred outline", "stripes", "fine texture"]),
+    mostly_slow(list(SCENES), ["blurred outline", "stripes"]),
 )
 def test_the_true_error_stays_below_the_estimate_and_the_tolerance(name: str) -> None:
     exact, saved = clsco.render_frame(SCENES[name], truth=()), 0
