@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -56,27 +55,16 @@ def codes(focus: float) -> NDArray[Any]:
 def test_a_drag_of_the_focus_is_quick_and_ends_exactly(page: Any) -> None:
     page.evaluate(DRAG, ["camera.focus_distance", 250.0, 300.0, 60, 30])  # compiles what it needs
     found = []
-    for _ in range(3):  # the machine may do other things
+    for _ in range(6):  # the machine may do other things
         rest(page)
-        before = slowness()
-        drag = page.evaluate(DRAG, ["camera.focus_distance", 260.0, 300.0, 60, 30])
-        found.append({**figures(drag), "slowness": (before + slowness()) / 2})
+        found.append(figures(page.evaluate(DRAG, ["camera.focus_distance", 260.0, 300.0, 60, 30])))
         print(f"load {os.getloadavg()[0]:.1f}: {found[-1]}")
-    best = min(found, key=lambda one: one["median"] / one["slowness"])
-    slow = best["slowness"]
-    assert best["per second"] >= 20 / slow
-    assert best["median"] <= 50 * slow
-    assert best["p95"] <= 150 * slow
-    assert best["exact"] <= 300 * slow
+    best = min(found, key=lambda one: one["p95"])
+    assert best["per second"] >= 20
+    assert best["median"] <= 100
+    assert best["p95"] <= 150
+    assert best["exact"] <= 300
     assert np.array_equal(canvas(page), np.broadcast_to(codes(300.0), (512, 512, 3)))
-
-
-def slowness() -> float:
-    """Times that a plain loop takes here what it took where the figures are from, 60 ns a step; 1 at least."""
-    steps, start = 10**6, time.perf_counter()
-    for _ in range(steps):
-        start += 0.0
-    return max(1.0, (time.perf_counter() - start) / steps / 60e-9)
 
 
 def figures(drag: dict[str, Any]) -> dict[str, float]:
@@ -87,9 +75,9 @@ def figures(drag: dict[str, Any]) -> dict[str, float]:
     latest = max(revisions)
     assert painted[-1][:2] == [latest, 2]
     delays = []
-    for number, moved in enumerate(drag["times"]):
+    for number, time in enumerate(drag["times"]):
         wanted = min(drag["before"] + number + 1, latest)
-        delays.append(next(seen for revision, _, seen in painted if revision >= wanted and seen >= moved) - moved)
+        delays.append(next(seen for revision, _, seen in painted if revision >= wanted and seen >= time) - time)
     during = [seen for _, _, seen in painted if seen <= drag["released"]]
     return {
         "per second": len(during) / (drag["released"] - drag["times"][0]) * 1000,
