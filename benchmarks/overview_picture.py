@@ -9,7 +9,7 @@ from typing import Any
 from PIL import Image
 
 import clsco
-from clsco.cli.demo import contact_sheet
+from clsco.cli.demo import demo_sheet
 
 ROOT = Path(__file__).parents[1]
 SHOWN = {
@@ -33,7 +33,7 @@ def main() -> None:
     parser.add_argument("-o", dest="out", type=Path, default=ROOT / "docs" / "overview.png")
     out = parser.parse_args().out
     shown = {words: middle_frame(name, truth=()) for name, words in SHOWN.items()}
-    Image.fromarray(contact_sheet(shown, [[middle_frame(DETAILED)]])).save(out, optimize=True)
+    Image.fromarray(demo_sheet(shown, [[middle_frame(DETAILED)]])).save(out, optimize=True)
 
 
 if __name__ == "__main__":

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 import clsco
-from clsco.cli.demo import BACKGROUND, TEXT, photograph
+from clsco.cli.demo import photograph
+from clsco.frame.contact_sheet import contact_sheet, in_rows
 from clsco.frame.views import Picture
 
-SIDE, GAP, LINE, ACROSS = 240, 8, 22, 4
-CELL = 64
+SIDE, CELL = 240, 64  # px
 CAMERA = {"resolution": [SIDE, SIDE], "pixel_pitch": 5.12 / SIDE, "f_number": 4.0, "focus_distance": 265.0}
 LIGHT = {"direction": [-0.7, 0.9, 1.0], "ambient": 0.3}
 LAID = {"texture_mapping": "surface"}
@@ -80,17 +80,12 @@ def objects() -> dict[str, dict[str, Any]]:
 
 def picture() -> Picture:
     """The frames of all objects with their labels, (rows, columns, 3)."""
-    shown = objects()
-    rows = -(-len(shown) // ACROSS)
-    sheet = Image.new("RGB", (GAP + ACROSS * (SIDE + GAP), GAP + rows * (SIDE + LINE + GAP)), BACKGROUND)
-    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(14)
     behind = {"shape": "background", "texture": sky()}
-    for number, (label, item) in enumerate(shown.items()):
+    tiles = []
+    for label, item in objects().items():
         scene = clsco.parse_scene({"camera": CAMERA, "light": LIGHT, "object": [item, behind]})
-        x, y = GAP + number % ACROSS * (SIDE + GAP), GAP + number // ACROSS * (SIDE + LINE + GAP)
-        sheet.paste(Image.fromarray(photograph(clsco.render_frame(scene, truth=()).color)), (x, y))
-        draw.text((x, y + SIDE + 2), label, TEXT, font)
-    return np.asarray(sheet)
+        tiles.append((photograph(clsco.render_frame(scene, truth=()).color), label))
+    return contact_sheet(in_rows(tiles), text=14)
 
 
 def main() -> None:

@@ -7,18 +7,17 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont, ImageOps
+from PIL import Image, ImageOps
 
 from clsco.files.images import write_png
 from clsco.files.transfer import encode
+from clsco.frame.contact_sheet import PAPER, contact_sheet, in_rows
 from clsco.frame.frame import GREEN, Frame
 from clsco.frame.views import Picture, flow_colors, viridis
 from clsco.scene.examples import EXAMPLES
 
 DETAILS = ("cylinder_turning", "card", "road", "depth_map", "stereo")
-WIDE, NARROW, GAP, LINE = 300, 196, 12, 24
-BACKGROUND, TEXT, QUIET = (250, 250, 248), (20, 20, 20), (110, 110, 110)
-
+WIDE, NARROW = 300, 196  # px
 NOTHING, OCCLUDED = (225, 225, 222), (215, 60, 50)
 
 
@@ -66,39 +65,26 @@ def photograph(radiance: NDArray[np.float32]) -> Picture:
     return codes if codes.ndim == 3 else np.repeat(codes[..., None], 3, axis=2)
 
 
-def contact_sheet(shown: Mapping[str, Frame], detailed: Sequence[Sequence[Frame]]) -> Picture:
+def demo_sheet(shown: Mapping[str, Frame], detailed: Sequence[Sequence[Frame]]) -> Picture:
     """Draw frames by their labels, and below all views of others; returns (rows, columns, 3).
 
     detailed: frames, or stereo pairs, with all truth.
     """
-    across = 4
-    width = GAP + across * (WIDE + GAP)
-    photographs = -(-len(shown) // across) * (WIDE + LINE + GAP)
-    height = GAP + photographs + len(detailed) * (NARROW + LINE + GAP) + LINE
-    sheet = Image.new("RGB", (width, height), BACKGROUND)
-    draw = ImageDraw.Draw(sheet)
-    font = ImageFont.load_default(14)
+    photographs = [(_fitted(photograph(frame.color), WIDE), label) for label, frame in shown.items()]
+    details = [[(_fitted(picture, NARROW), label) for label, picture in views(frames).items()] for frames in detailed]
+    title = "The truth that comes with a frame, at the middle of the shutter"
+    parts = (contact_sheet(in_rows(photographs), text=14), contact_sheet(details, title, text=14))
+    width = max(part.shape[1] for part in parts)
+    filled = [ImageOps.pad(Image.fromarray(part), (width, len(part)), color=PAPER, centering=(0, 0)) for part in parts]
+    return np.concatenate([np.asarray(part) for part in filled])
 
-    def put(picture: Picture, label: str, side: int, x: int, y: int, ink: tuple[int, int, int]) -> None:
-        small = ImageOps.fit(Image.fromarray(picture), (side, side), Image.Resampling.LANCZOS)
-        sheet.paste(small, (x, y))
-        draw.text((x, y + side + 3), label, fill=ink, font=font)
 
-    for number, (label, frame) in enumerate(shown.items()):
-        row, column = divmod(number, across)
-        x, y = GAP + column * (WIDE + GAP), GAP + row * (WIDE + LINE + GAP)
-        put(photograph(frame.color), label, WIDE, x, y, TEXT)
-    y = GAP + photographs
-    draw.text((GAP, y - 2), "The truth that comes with a frame, at the middle of the shutter", fill=TEXT, font=font)
-    for row, frames in enumerate(detailed):
-        for column, (label, picture) in enumerate(views(frames).items()):
-            x, top = GAP + column * (NARROW + GAP), y + LINE + row * (NARROW + LINE + GAP)
-            put(picture, label, NARROW, x, top, QUIET)
-    return np.asarray(sheet)
+def _fitted(picture: Picture, side: int) -> Picture:
+    return np.asarray(ImageOps.fit(Image.fromarray(picture), (side, side), Image.Resampling.LANCZOS))
 
 
 def write_contact_sheet(path: Path, frames: Mapping[str, Sequence[Frame]]) -> None:
     """Write the sheet of all EXAMPLES as a PNG: frames, or stereo pairs, by name. Raises ImageError where it cannot be
     written."""
     shown = {EXAMPLES[name]: each[0] for name, each in frames.items()}
-    write_png(path, contact_sheet(shown, [frames[name] for name in DETAILS]))
+    write_png(path, demo_sheet(shown, [frames[name] for name in DETAILS]))

@@ -23,6 +23,7 @@ from clsco.data.storage import Storage, checked_key, open_storage, remove_path
 from clsco.errors import ImageError, SceneError
 from clsco.files.atomic import refuse
 from clsco.files.bounded import strict_json
+from clsco.frame.contact_sheet import contact_sheet, in_rows
 from clsco.frame.shown import html_to_show
 from clsco.frame.views import Picture
 
@@ -362,23 +363,6 @@ def _count(value: Any) -> int:
 
 
 TILE = 200  # px, the longer side of a picture
-GAP, LINE, ACROSS = 8, 18, 4
-PAPER, INK = (250, 250, 248), (20, 20, 20)
-
-
-def contact_sheet(tiles: Sequence[tuple[Picture, str]]) -> Picture:
-    """Pictures (rows, columns, 3) with a label below each, as one."""
-    from PIL import Image, ImageDraw, ImageFont
-
-    height, width = (max((tile.shape[axis] for tile, _ in tiles), default=1) for axis in (0, 1))
-    rows = -(-len(tiles) // ACROSS)
-    sheet = Image.new("RGB", (GAP + ACROSS * (width + GAP), GAP + rows * (height + LINE + GAP)), PAPER)
-    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(12)
-    for number, (tile, label) in enumerate(tiles):
-        x, y = GAP + number % ACROSS * (width + GAP), GAP + number // ACROSS * (height + LINE + GAP)
-        sheet.paste(Image.fromarray(tile), (x, y))
-        draw.text((x, y + height + 2), label, fill=INK, font=font)
-    return np.asarray(sheet)
 
 
 def shrunk(codes: Picture) -> Picture:
@@ -400,4 +384,4 @@ def record_sheet(records: Iterable[Record]) -> Picture:
         padded = [np.pad(each, ((0, height - len(each)), (0, 0), (0, 0))) for each in pictures]
         label = " ".join(filter(None, (record.key, str(record.meta.get("split") or ""))))
         tiles.append((np.concatenate(padded, axis=1), label))
-    return contact_sheet(tiles)
+    return contact_sheet(in_rows(tiles))

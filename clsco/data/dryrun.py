@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 from clsco.data.acceptance import Look, looks_of
 from clsco.data.build import located
 from clsco.data.compile import Parameter
-from clsco.data.dataset import TILE, contact_sheet
+from clsco.data.dataset import TILE
 from clsco.data.distribution import Distribution, Drawn, Sample
 from clsco.data.draws import of_samples
 from clsco.data.values import ChoiceForm, Column, Files, Frustum, Turned
 from clsco.errors import ClscoError, DeviceError, SceneError
 from clsco.files.images import write_png
 from clsco.files.transfer import encode
+from clsco.frame.contact_sheet import contact_sheet, in_rows
 from clsco.frame.frame import Frame
 from clsco.frame.provenance import views
 from clsco.frame.truth_files import ATTRIBUTES
@@ -311,7 +312,7 @@ def sample_sheet(samples: Sequence[Sample]) -> NDArray[np.uint8]:
         variants = f", {len(sample.scenes)} variants" if len(sample.scenes) > 1 else ""
         label = f"{sample.number} {sample.split}".rstrip() + variants
         tiles.append((np.concatenate([_picture(scene) for scene in ends], axis=1), label))
-    return contact_sheet(tiles)
+    return contact_sheet(in_rows(tiles))
 
 
 def _picture(scene: Scene) -> NDArray[np.uint8]:

@@ -40,7 +40,7 @@ OUTSIDE = {
         "cli.demo",
         "cli.psf_sheet",
         "cli.thesis",
-        "data.dataset",
+        "frame.contact_sheet",
         "studio.pictures",
         "studio.presets",
     ),
