@@ -111,7 +111,12 @@ def test_memory_of_the_server_is_flat_over_page_loads(page: Any, running: Runnin
         for _ in range(75):
             page.reload()
             page.wait_for_function("window.studio && studio.revision >= 0")
-        found.append(megabytes(running.process.pid))
+        rest(page)
+        readings = []
+        for _ in range(5):  # arrays of a texture that is drawn small come and go
+            page.wait_for_timeout(300)
+            readings.append(megabytes(running.process.pid))
+        found.append(min(readings))
     print(f"MiB of the server after 75, 150, 225 and 300 page loads: {found}")
     assert found[-1] < found[0] * 1.1 + 10
 

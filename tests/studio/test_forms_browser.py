@@ -91,14 +91,9 @@ def test_painted_pixels_are_filled_by_all_methods(page: Any, root: Path) -> None
     page.get_by_role("button", name="Fill", exact=True).click()
     page.wait_for_function("document.querySelectorAll('.beside figure').length === 3", timeout=90000)
     figure = page.locator(".beside figure").first
-    figure.locator("img:visible").first.wait_for()  # loaded
-    assert [picture.get_attribute("alt") for picture in figure.locator("img").all() if picture.is_visible()] == [
-        "Filled by mean-median"
-    ]
+    assert figure.locator("img:visible").get_attribute("alt") == "Filled by mean-median"
     page.get_by_role("button", name="Before: mean-median").click()
-    assert [picture.get_attribute("alt") for picture in figure.locator("img").all() if picture.is_visible()] == [
-        "Before"
-    ]
+    assert figure.locator("img:visible").get_attribute("alt") == "Before"  # once it is loaded; one alone, or an error
     width = figure.bounding_box()["width"]
     page.get_by_role("button", name="Large: mean-median").click()
     assert figure.bounding_box()["width"] > 2.5 * width
