@@ -47,9 +47,11 @@ soak: .venv/dev.stamp
 # All that takes too long for each change: hours.
 nightly: docs test test-kernels test-slow laws fuzz soak test-browser oclgrind stability
 
-# Each law 500 times.
+# Each law 500 times, or with PROFILE=some_laws 100 times.
+PROFILE ?= laws
+
 laws: .venv/dev.stamp
-	$(BIN)/python -m pytest -q -n auto tests/laws --hypothesis-profile=laws -m laws
+	$(BIN)/python -m pytest -q -n auto tests/laws --hypothesis-profile=$(PROFILE) -m laws
 
 # Fails where an error is beyond its bound.
 stability: .venv/bench.stamp

@@ -1,4 +1,4 @@
-"""Textures of the laws' own, and the profile of `make laws`."""
+"""Textures of the laws' own, and the profiles of `make laws`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-settings.register_profile("laws")  # scenes.py asks for it
+for name in ("laws", "some_laws"):
+    settings.register_profile(name)  # scenes.py asks for it
 
 
 @pytest.fixture(scope="session")

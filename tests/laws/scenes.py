@@ -17,7 +17,8 @@ from clsco.scene.model import Sequence as Exposure
 
 COLUMNS, ROWS = 24, 20
 LIGHT = (-4, 1, 3)  # powers of two by which textures are brighter
-SOME, MANY = 4, 500  # examples of each law for a quick look, and in `make laws`
+EXAMPLES = {"laws": 500, "some_laws": 100}  # of each law, by the profile of `make laws`
+FEW = 4  # for a quick look
 NAMES = ("depth", "blur_radius", "mask", "object_id", "normal", "flow")
 # Radii stay below 1 px: tables for larger ones, made anew for each scene, take longer than all the rest.
 CAMERA = {
@@ -25,10 +26,11 @@ CAMERA = {
     "pixel_pitch": 0.2,
 }  # fmt: skip
 
-ALL = settings.get_current_profile_name() == "laws"
+PROFILE = settings.get_current_profile_name()
+ALL = PROFILE in EXAMPLES
 # The same examples on every run. Nothing is shrunk: examples are small already, and each try is a frame.
 law = settings(
-    max_examples=MANY if ALL else SOME, derandomize=True, deadline=None, database=None, phases=(Phase.generate,)
+    max_examples=EXAMPLES.get(PROFILE, FEW), derandomize=True, deadline=None, database=None, phases=(Phase.generate,)
 )
 # Each choice takes a program of its own, which takes seconds; that of scatter the fewest.
 METHOD = "gather" if ALL else "scatter"
