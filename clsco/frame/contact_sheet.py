@@ -13,16 +13,21 @@ PAPER, INK = (250, 250, 248), (20, 20, 20)
 
 
 def contact_sheet(rows: Sequence[Sequence[tuple[Picture, str]]], title: str = "", text: int = 12) -> Picture:
-    """Pictures (rows, columns, 3) with a label below each, one row of them below the other.
+    """Draw pictures with a label below each, one row of them below the other.
 
     Parameters
     ----------
     rows : sequence of sequences of (array, str)
-        Pictures and labels from left to right; each has as much room as the widest one.
+        Pictures (rows, columns, 3) and labels from left to right; each has as much room as the widest one.
     title : str
         Text above them.
     text : int
         Height of the text, px.
+
+    Returns
+    -------
+    array
+        (rows, columns, 3).
     """
     from PIL import Image, ImageDraw, ImageFont
 
@@ -45,5 +50,5 @@ def contact_sheet(rows: Sequence[Sequence[tuple[Picture, str]]], title: str = ""
 
 
 def in_rows(tiles: Sequence[tuple[Picture, str]], across: int = 4) -> list[Sequence[tuple[Picture, str]]]:
-    """Pictures and labels in rows of so many."""
+    """Divide pictures and labels into rows of so many; the last one may be shorter."""
     return [tiles[start : start + across] for start in range(0, len(tiles), across)]

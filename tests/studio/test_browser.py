@@ -55,13 +55,13 @@ def codes(focus: float) -> NDArray[Any]:
 def test_a_drag_of_the_focus_is_quick_and_ends_exactly(page: Any) -> None:
     page.evaluate(DRAG, ["camera.focus_distance", 250.0, 300.0, 60, 30])  # compiles what it needs
     found = []
-    for _ in range(6):  # the machine may do other things
+    for _ in range(3):  # the machine may do other things
         rest(page)
         found.append(figures(page.evaluate(DRAG, ["camera.focus_distance", 260.0, 300.0, 60, 30])))
         print(f"load {os.getloadavg()[0]:.1f}: {found[-1]}")
-    best = min(found, key=lambda one: one["p95"])
+    best = min(found, key=lambda one: one["median"])
     assert best["per second"] >= 20
-    assert best["median"] <= 100
+    assert best["median"] <= 50
     assert best["p95"] <= 150
     assert best["exact"] <= 300
     assert np.array_equal(canvas(page), np.broadcast_to(codes(300.0), (512, 512, 3)))
