@@ -13,6 +13,7 @@ from multiprocessing.connection import Connection, wait
 from typing import Any
 
 ORPHAN_S = 10.0  # for the end of a process whose parent was killed
+_LARGEST = 31 << 20  # B, of the blocks that glibc learns from
 _last: list[Callable[[], object]] = []
 
 
@@ -102,6 +103,7 @@ def _run(work: Callable[..., None], pipe: Connection, given: tuple[Any, ...]) ->
     """The process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    bytearray(_LARGEST)  # once it was freed, glibc keeps the pages of each picture for the next
     with suppress(EOFError, BrokenPipeError):  # nobody waits any more
         work(pipe, *given)
 

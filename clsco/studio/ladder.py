@@ -13,7 +13,7 @@ from clsco.plan.memory import device_bytes
 from clsco.plan.prepare import Prepared
 from clsco.scene.model import Scene, Sequence
 
-BUDGET = 0.030  # s
+BUDGET = 0.022  # s, so that with its way to the page a picture is there before the next step of a drag, 33 ms later
 EIGHTHS = 8  # of the full width and height
 MOST_SAMPLES = 3
 ROLLING_SHARES = 16  # of the readout, of which a row is open for one at least

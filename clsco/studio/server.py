@@ -418,6 +418,17 @@ class _Server(uvicorn.Server):
             self.begun()
 
 
+def listening(host: str, port: int) -> socket.socket:
+    """Socket that listens, whose connections send at once.
+
+    A picture goes as several packets, of which the kernel would keep the last until the browser has acknowledged those
+    before, some 10 ms later. asyncio asks for no more than this of sockets that name their protocol, as this does not.
+    """
+    listener = socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
+    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return listener
+
+
 def serve(studio: Studio, host: str, port: int, draw: Draw, show: Callable[[str], None], opens_browser: bool) -> None:
     """Serve the studio until interrupted.
 
@@ -439,7 +450,7 @@ def serve(studio: Studio, host: str, port: int, draw: Draw, show: Callable[[str]
     OSError
         The address is taken.
     """
-    listener = socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
+    listener = listening(host, port)
     port = listener.getsockname()[1]
     token = secrets.token_urlsafe(32)
     shown = f"[{host}]" if ":" in host else host
@@ -448,7 +459,7 @@ def serve(studio: Studio, host: str, port: int, draw: Draw, show: Callable[[str]
     guarded = Guard(application(studio, draw), hosts, token, state.key())
     config = uvicorn.Config(
         guarded, log_level="warning", access_log=False, server_header=False, proxy_headers=False,
-        ws_max_size=MAX_MESSAGE, timeout_graceful_shutdown=1, http=door(guarded.cookie),
+        ws_max_size=MAX_MESSAGE, ws_per_message_deflate=False, timeout_graceful_shutdown=1, http=door(guarded.cookie),
     )  # fmt: skip
     server = _Server(config)
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import platform
+import resource
 import signal
 import subprocess
 import sys
@@ -10,6 +12,7 @@ import time
 from multiprocessing.connection import Connection
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from clsco.engine.child import Child, how_ended
@@ -36,6 +39,14 @@ def sleeps(pipe: Connection) -> None:
     time.sleep(100.0)
 
 
+def pictures(pipe: Connection) -> None:
+    """Make pictures of 3 MB, three at a time, and say how many pages the kernel had to give for each time."""
+    for _ in range(6):
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+        made = [np.ones((512, 512, 3), np.float32) for _ in range(3)]
+        pipe.send((len(made), resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before))
+
+
 def test_it_takes_arguments_and_variables_and_speaks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("CLSCO_TEST", raising=False)
     child = Child(echoes, 1, "two", environ={"CLSCO_TEST": "3"})
@@ -48,6 +59,13 @@ def test_it_takes_arguments_and_variables_and_speaks(monkeypatch: pytest.MonkeyP
     assert how_ended(child.end()) == "signal 15"
     assert not child.is_alive
     child.send("nobody hears it")
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other libraries of C keep memory as they will")
+def test_it_keeps_the_memory_of_pictures() -> None:
+    child = Child(pictures)
+    assert [child.pipe.recv() for _ in range(6)][-1] < (3, 100)  # of 2304 pages
+    child.end()
 
 
 def test_one_that_is_stopped_ends() -> None:

@@ -24,6 +24,7 @@ from uvicorn.server import ServerState
 
 from clsco.studio import guard as door_module
 from clsco.studio.guard import MAX_HEADER, MOST_WAITING, door
+from clsco.studio.server import listening
 from tests.studio.browser import chromium, rest
 from tests.studio.running import Running, studio
 
@@ -56,6 +57,13 @@ def test_connections_without_a_header_do_not_keep_others_out(running: Running) -
     finally:
         for each in held:
             each.close()
+
+
+def test_connections_send_at_once() -> None:
+    with listening("127.0.0.1", 0) as listener, socket.create_connection(listener.getsockname()):
+        connection, _ = listener.accept()
+        with connection:
+            assert connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
 
 
 async def _app(scope: Any, receive: Any, send: Any) -> None:
