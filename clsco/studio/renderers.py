@@ -28,6 +28,7 @@ class Renderers:
     def __init__(self, device: str | None = None) -> None:
         self._main, self._quick = RendererProcess(device), RendererProcess(device)
         self._rehearsed: set[Any] = set()  # kinds of scenes
+        self._cold: dict[Any, Scene] = {}  # those to rehearse, by kind
         self._rehearsal: asyncio.Task[None] | None = None
         self._took: dict[Any, float] = {}  # s, of exact frames
 
@@ -68,16 +69,19 @@ class Renderers:
         return await self._main.draw(scene)
 
     async def warm(self, scene: Scene) -> None:
-        """Have compiled, in the background, what the scene and those near it need, and its previews rehearsed."""
-        await self._main.warm(scene)
+        """Have previews of the scene rehearsed in the background, then compiled what it and those near it need."""
+        self._cold[kind_of(scene)] = scene
         if self._rehearsal is None or self._rehearsal.done():
-            self._rehearsal = asyncio.create_task(self._rehearse(scene))
+            self._rehearsal = asyncio.create_task(self._rehearse())
 
-    async def _rehearse(self, scene: Scene) -> None:
-        kind, took = kind_of(scene), self._took.get((kind_of(scene), "color"), 0.0)
-        with suppress(ClscoError):  # what is wrong is reported by the pictures
-            await self._quick.rehearse(PictureJob(scene, 0, "color", DRAGGING, took=took))
-            self._rehearsed.add(kind)
+    async def _rehearse(self) -> None:
+        while self._cold:
+            kind, scene = self._cold.popitem()  # the latest, which somebody looks at
+            took = self._took.get((kind, "color"), 0.0)
+            with suppress(ClscoError):  # what is wrong is reported by the pictures
+                await self._quick.rehearse(PictureJob(scene, 0, "color", DRAGGING, took=took))
+                self._rehearsed.add(kind)
+                await self._main.warm(scene)
 
     def cancel(self) -> None:
         """End what is rendered besides previews before its next pass."""

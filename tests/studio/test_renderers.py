@@ -8,6 +8,7 @@ import signal
 
 import pytest
 
+from clsco.scene.model import Scene
 from clsco.studio.pictures import DRAGGING, EXACT
 from clsco.studio.renderer import PictureJob, RendererEndedError
 from clsco.studio.renderers import Renderers
@@ -40,3 +41,29 @@ def test_previews_come_while_a_frame_is_rendered() -> None:
             renderers.close()
 
     asyncio.run(run())
+
+
+def test_every_kind_is_rehearsed_the_latest_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    done: list[tuple[str, int]] = []
+
+    async def rehearse(job: PictureJob) -> None:
+        await asyncio.sleep(0)
+        done.append(("rehearsed", len(job.scene.objects)))
+
+    async def warm(scene: Scene) -> None:
+        done.append(("warmed", len(scene.objects)))
+
+    async def run() -> None:
+        renderers = Renderers("pocl")
+        monkeypatch.setattr(renderers._quick, "rehearse", rehearse)
+        monkeypatch.setattr(renderers._main, "warm", warm)
+        one, two = small(), several()
+        three = two.model_copy(update={"objects": (*two.objects, one.objects[0])})
+        for scene in (one, two, three):
+            await renderers.warm(scene)
+        assert renderers._rehearsal is not None
+        await renderers._rehearsal
+
+    asyncio.run(run())
+    counts = [len(several().objects) + 1, len(several().objects), 1]
+    assert done == [(what, count) for count in counts for what in ("rehearsed", "warmed")]
