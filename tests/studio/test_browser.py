@@ -118,7 +118,7 @@ def test_memory_of_the_server_is_flat_over_page_loads(page: Any, running: Runnin
             readings.append(megabytes(running.process.pid))
         found.append(min(readings))
     print(f"MiB of the server after 75, 150, 225 and 300 page loads: {found}")
-    assert found[-1] < found[0] * 1.1 + 10
+    assert found[-1] < found[1] * 1.1 + 10  # the first loads fill what is kept
 
 
 def children(pid: int) -> list[int]:

@@ -231,7 +231,7 @@ def test_motion_is_shown_as_arrows(moving: Any) -> None:
     assert moving.evaluate(drawn) == 0
     moving.locator("#shown summary").click()
     moving.locator("#arrows").check()
-    assert moving.evaluate(drawn) > 30
+    moving.wait_for_function(f"({drawn})() > 30", timeout=5000)  # by the next animation frame
 
 
 def test_a_focal_stack_is_looked_through(still: Any) -> None:
