@@ -67,7 +67,7 @@ CASES: dict[str, dict[str, Any]] = {
     },
 }
 LENSES = ("microscope_objective", "newtonian", "phone_camera", "slide_upside_down", "star_field", "tilted_mirror")
-FEW = ("facing", "blades")
+FEW = ("facing", "blades", "image")
 
 
 @pytest.mark.parametrize(

@@ -429,8 +429,9 @@ class Visibility:
     how. extent: of the lens in lens radii; cells: weights (L, L) of its cells; mask: straight edges (n, 3) of the lens,
     none where it is round; lean (M, 2): change of the tilt per cell of a narrow lens, part of which is behind the
     surface, else 0; limb (M,): at a limb; nearest (M,): least `crossing_place` of what hides it in part; circles: rims
-    that cut its light; waves: light goes beyond the rim; round: the rim is a circle; bent (M, 3): xx, xy and yy from
-    taps to the disc of an ellipse, or from cells of a narrow lens to the ellipse, None for discs.
+    that cut its light; waves: light goes beyond the rim; signed: cells are turned over where radius is below 0; round: the
+    rim is a circle; bent (M, 3): xx, xy and yy from taps to the disc of an ellipse, or from cells of a narrow lens to the
+    ellipse, None for discs.
     """
 
     row: NDArray[np.int64]
@@ -447,6 +448,7 @@ class Visibility:
     nearest: Array
     circles: tuple[Circle, ...] = ()
     waves: bool = False
+    signed: bool = False
     round: bool = True
     bent: Array | None = None
 
@@ -496,5 +498,5 @@ def check_visibility(
         row, points.radius[partly], division.wide[partly], points.x[partly], points.y[partly], occluders,
         division.extent, psf.lens_cells(), np.array(psf.pupil.edges).reshape(-1, 3),
         lean[partly], limb[partly], nearest[partly], tuple(circle.of(partly) for circle in circles), psf.diffracted,
-        not (psf.signed or psf.diffracted or psf.pupil.edges),
+        psf.signed, not (psf.signed or psf.diffracted or psf.pupil.edges),
     )  # fmt: skip

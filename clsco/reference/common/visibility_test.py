@@ -134,7 +134,7 @@ def tap_share(visibility: Visibility, cells: Array, dx: float | Array, dy: float
             return share
         across, down = (np.maximum(0.0, 1 - np.abs(at * step[:, None] - each[:, None])) for each in away)
         weights = visibility.cells
-        if visibility.mask.size:
+        if visibility.signed:
             mirrored = visibility.radius[narrow, None, None] < 0
             weights = np.where(mirrored, weights[::-1, ::-1], weights)
             whole = np.einsum("mi,mij,mj->m", down, weights, across, optimize=True)
