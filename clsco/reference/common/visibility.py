@@ -429,9 +429,8 @@ class Visibility:
     how. extent: of the lens in lens radii; cells: weights (L, L) of its cells; mask: straight edges (n, 3) of the lens,
     none where it is round; lean (M, 2): change of the tilt per cell of a narrow lens, part of which is behind the
     surface, else 0; limb (M,): at a limb; nearest (M,): least `crossing_place` of what hides it in part; circles: rims
-    that cut its light; waves: light goes beyond the rim; signed: cells are turned over where radius is below 0; round: the
-    rim is a circle; bent (M, 3): xx, xy and yy from taps to the disc of an ellipse, or from cells of a narrow lens to the
-    ellipse, None for discs.
+    that cut its light; waves: light goes beyond the rim; signed: cells turn over where R < 0; round: the rim is a
+    circle; bent (M, 3): xx, xy, yy from taps to an ellipse's disc, or from cells of a narrow lens to the ellipse.
     """
 
     row: NDArray[np.int64]
@@ -488,15 +487,14 @@ def check_visibility(
     cut, circles = meet_rims(lens, psf, points, division)
     state = np.maximum(state, cut)
     partly = state == PARTLY
-    row = np.where(partly, np.cumsum(partly) - 1, -1)
     occluders = tuple((mask[partly], occluder.of(mask & partly)) for mask, occluder in found)
     # What is hidden and what the tilt ends go together: both are parts of the lens behind a surface seen edge-on.
     leans = (np.hypot(*division.gradient.T) * division.extent > 1.0) & ~division.wide & (division.width < 1.0)
     lean = np.where(leans[:, None], division.gradient, 0.0) / division.cells[:, None]
-    limb = np.broadcast_to(points.limb, partly.shape)
     return state, edge, Visibility(
-        row, points.radius[partly], division.wide[partly], points.x[partly], points.y[partly], occluders,
-        division.extent, psf.lens_cells(), np.array(psf.pupil.edges).reshape(-1, 3),
-        lean[partly], limb[partly], nearest[partly], tuple(circle.of(partly) for circle in circles), psf.diffracted,
-        psf.signed, not (psf.signed or psf.diffracted or psf.pupil.edges),
+        np.where(partly, np.cumsum(partly) - 1, -1), points.radius[partly], division.wide[partly], points.x[partly],
+        points.y[partly], occluders, division.extent, psf.lens_cells(), np.array(psf.pupil.edges).reshape(-1, 3),
+        lean[partly], np.broadcast_to(points.limb, partly.shape)[partly], nearest[partly],
+        tuple(circle.of(partly) for circle in circles), psf.diffracted, psf.signed,
+        not (psf.signed or psf.diffracted or psf.pupil.edges),
     )  # fmt: skip
