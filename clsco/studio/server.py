@@ -419,10 +419,10 @@ class _Server(uvicorn.Server):
 
 
 def listening(host: str, port: int) -> socket.socket:
-    """Socket that listens, whose connections send at once.
+    """Open a socket whose connections send at once.
 
     A picture goes as several packets, of which the kernel would keep the last until the browser has acknowledged those
-    before, some 10 ms later. asyncio asks for no more than this of sockets that name their protocol, as this does not.
+    before. asyncio turns that off only for sockets that name their protocol, which `create_server`'s do not.
     """
     listener = socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

@@ -430,7 +430,7 @@ class Visibility:
     none where it is round; lean (M, 2): change of the tilt per cell of a narrow lens, part of which is behind the
     surface, else 0; limb (M,): at a limb; nearest (M,): least `crossing_place` of what hides it in part; circles: rims
     that cut its light; waves: light goes beyond the rim; signed: cells turn over where R < 0; round: the rim is a
-    circle; bent (M, 3): xx, xy, yy from taps to an ellipse's disc, or from cells of a narrow lens to the ellipse.
+    circle; bent (M, 3): xx, xy, yy from taps to an ellipse's disc, or from a narrow lens' cells to it; None: discs.
     """
 
     row: NDArray[np.int64]
