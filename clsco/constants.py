@@ -7,13 +7,12 @@ What only kernels know is a `#define` there; what differs from program to progra
 from __future__ import annotations
 
 # Statistics of a frame, ints by their places: largest and smallest |R| as the bits of a float, and slots of sub-pixel
-# sources that were taken at a time sample, and at most at any (kernels/common/geometry.clh, kernels/trace/trace.cl).
+# sources that were taken at a time sample (kernels/common/geometry.clh, kernels/trace/trace.cl).
 STATISTIC_LARGEST = 0
 STATISTIC_SMALLEST = 1
 STATISTIC_SLOTS = 2
-STATISTIC_MOST_SLOTS = 3
-STATISTIC_BEYOND = 4  # 1 where a hit is not where its object was predicted
-STATISTIC_OUTSIDE = 5  # 1 where a source is not still that was predicted to be (kernels/trace/still.clh)
+STATISTIC_BEYOND = 3  # 1 where a hit is not where its object was predicted
+STATISTIC_OUTSIDE = 4  # 1 where a source is not still that was predicted to be (kernels/trace/still.clh)
 PLACE_NUMBERS = 10  # of the place of an object at a time sample
 MOVING_MARGIN = 4  # px around what moves, within which sources are not still
 

@@ -13,7 +13,6 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clsco import __version__
-from clsco.constants import STATISTIC_MOST_SLOTS
 from clsco.engine.film import Film
 from clsco.engine.workspace import Light, Pixels, Workspace, scene_workspace
 from clsco.errors import DeviceError
@@ -31,7 +30,7 @@ from clsco.passes.blur import Events
 from clsco.passes.pack import camera_grid, towards
 from clsco.passes.placed import Moment, PlacedScene
 from clsco.passes.static_image import StaticMap
-from clsco.passes.trace import EMPTY_STATISTICS, Hits, TooFewSlotsError
+from clsco.passes.trace import EMPTY_STATISTICS, Hits
 from clsco.passes.truth import GroundTruth
 from clsco.passes.warp import ForwardWarp
 from clsco.plan.larger import Met, larger_plan
@@ -166,12 +165,11 @@ class Renderer:
         eye = plan.eye if plan.scene.stereo else ""
         return Frame(index=film.index, metadata=self._metadata(film), eye=eye, **image, **truth)
 
-    def enlarge(self, slots: int = 0) -> bool:
-        """Go on with a larger plan, and say so, where the frame met more than was predicted; slots: and so many."""
+    def enlarge(self) -> bool:
+        """Go on with a larger plan, and say so, where the frame met more than was predicted."""
         if self.plan.static_map or not self.plan.color:
             return False
         found = download(self.session, self.space.buffers["statistics"], EMPTY_STATISTICS.shape, np.int32)
-        found[STATISTIC_MOST_SLOTS] = max(found[STATISTIC_MOST_SLOTS], slots)
         plan = larger_plan(self.plan, Met.of(found), self.limit)
         if plan is not None:
             self._change(plan)
@@ -245,16 +243,7 @@ def _without_alpha(image: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def expose(renderers: Sequence[Renderer], index: int) -> list[Film]:
     """Radiance of the frame of this number, strip by strip and time sample by time sample, for renderers with the same
-    of both; again from the beginning where one has too little room."""
-    while True:
-        try:
-            return _expose(renderers, index)
-        except TooFewSlotsError as found:
-            for renderer in renderers:
-                renderer.enlarge(found.slots)
-
-
-def _expose(renderers: Sequence[Renderer], index: int) -> list[Film]:
+    of both."""
     session, plan = renderers[0].session, renderers[0].plan
     films = [renderer.begin(index) for renderer in renderers]
     parts_of, ends = films[0].parts_of, list[float]()

@@ -49,7 +49,7 @@ def run_near(session: Session, prepared: Prepared) -> int:
     small, count = _small(prepared), 0
     columns, rows = small.scene.camera.resolution or (SIDE, SIDE)
     for plan in near(prepared.plan):
-        tiny = replace(plan, scene=small.scene, rows=rows, columns=columns, strip_rows=0, least_slots=plan.slots)
+        tiny = replace(plan, scene=small.scene, rows=rows, columns=columns, strip_rows=0)
         for hits in (None, KeptHits(session)) if casts_for_lenses(plan) else (None,):
             renderer = Renderer(session, tiny, small, limit_of(None, session.device), hits)
             (film,) = expose([renderer], 0)

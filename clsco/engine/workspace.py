@@ -115,7 +115,7 @@ class Workspace:
         return bounds
 
 
-def shared_buffers(session: Session, plan: Plan | ImagePlan, absent: Iterable[str] = ()) -> Mapping[str, cl.Buffer]:
+def shared_buffers(session: Session, plan: Plan | ImagePlan, absent: Iterable[str] = ()) -> dict[str, cl.Buffer]:
     """Buffers of `SHARED` that a plan has, but for `absent` ones. Raises DeviceError."""
     sizes = {name: size for each in plan.passes for name, size in each.buffers.items()}
     return allocate(session, {name: sizes[name] for name in SHARED if name in sizes and name not in absent})
@@ -187,7 +187,7 @@ class Light:
 
 
 def _light_workspace(
-    plan: Plan, light: Light, buffers: Mapping[str, cl.Buffer], hits: Hits | None, grid: Struct
+    plan: Plan, light: Light, buffers: dict[str, cl.Buffer], hits: Hits | None, grid: Struct
 ) -> Workspace:  # fmt: skip
     """The passes up to the blurred plane of a time sample, in buffers that all colors share."""
     scene = light.scene

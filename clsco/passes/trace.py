@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol
@@ -22,10 +22,11 @@ from clsco.passes.bend import Bends
 from clsco.passes.blur import BLOCKS, PIXELS, Image, Sources, Target
 from clsco.passes.pack import exposure_struct, group_struct, lens_struct
 from clsco.passes.placed import Moment, Part, PlacedScene
-from clsco.plan.buffers import STATISTICS, Sizes, hit_buffers
+from clsco.plan.buffers import STATISTICS, Sizes, hit_buffers, silhouette_buffers
 from clsco.plan.plan import Plan
 from clsco.records import REAL, Struct, structs
 
+SPARE_SLOTS = 1.25  # times those that a time sample has taken, as the next one may take more
 ROUNDED = 1e-5  # relative: far more than rays and depths in single precision differ from those of the host
 TRACE_FILES = ("trace/trace.cl", "trace/bend.cl", "trace/truth.cl", "trace/merge.cl")  # the kernels that cast rays
 # What of the statistics a frame must begin with: no radius met, no slot taken (trace.cl).
@@ -97,14 +98,6 @@ class KeptHits:
         return self.session.cache.get(("hits", key), made, lambda _: sum(sizes.values()))
 
 
-class TooFewSlotsError(Exception):
-    """More pixels need sub-pixel sources than the plan has room for: so many."""
-
-    def __init__(self, slots: int) -> None:
-        super().__init__(slots)
-        self.slots = slots
-
-
 @dataclass(frozen=True)
 class Tracer:
     """Casts the rays of a plan.
@@ -113,8 +106,9 @@ class Tracer:
     ----------
     plan : Plan
     scene : PlacedScene
-    buffers : mapping
-        By the names of `clsco.plan.buffers.trace_buffers`, `silhouette_buffers` and `map_buffers`.
+    buffers : dict
+        By the names of `clsco.plan.buffers.trace_buffers`, `silhouette_buffers` and `map_buffers`; those of slots are
+        replaced where more are needed.
     psf : numpy.void
         psf_t of the blur that the sources are for.
     hits : Hits, optional
@@ -123,7 +117,7 @@ class Tracer:
 
     plan: Plan
     scene: PlacedScene
-    buffers: Mapping[str, cl.Buffer]
+    buffers: dict[str, cl.Buffer]
     psf: Struct
     hits: Hits | None = None
 
@@ -198,33 +192,54 @@ class Tracer:
         window = self._window(at)
         if sources is None or window is None:
             return None
-        plan, buffers, statistics = self.plan, self.buffers, self.buffers["statistics"]
-        slots, source = np.int32(plan.slots), buffers["source"]
-        cl.enqueue_fill_buffer(self.target.session.queue, statistics, np.zeros(1, np.int32), 4 * STATISTIC_SLOTS, 4)
-        marks = (at.grid, sources.label, slots, source, buffers["pixels"], statistics)
-        left, top, right, bottom = window
-        runs, origin = (-(-right // TAP_LANES) - left // TAP_LANES, bottom - top), (left // TAP_LANES, top)
-        self.target.run("mark_silhouettes", runs, BLOCKS, at.events, *marks, origin=origin)
-        if at.first and plan.spec.occluders:
-            self._check_room()
+        size = (max(self._take_slots(at, sources, window), 1),)
+        buffers, room = self.buffers, self._room
+        source, statistics, slots = buffers["source"], buffers["statistics"], np.int32(room)
         subs = buffers["sub_source"], buffers["sub_value"]
         labels, depth = buffers["sub_label"], buffers["sub_depth"]
         head, run = self._head(at), self.target.run
         grid, _, surfaces, group, _ = head
         slotted = (*head, *self._appearance(at), buffers["pixels"], slots, source, *subs)
         labeled = (grid, surfaces, group, buffers["pixels"], slots, labels, depth, statistics)
-        run("label_subpixels", (plan.slots,), PIXELS[:1], at.events, *labeled)
+        run("label_subpixels", size, PIXELS[:1], at.events, *labeled)
         traced = (*slotted, labels, depth, statistics, *self._exposure(at))
-        run("trace_subpixels", (plan.slots,), PIXELS[:1], at.events, *traced)
+        run("trace_subpixels", size, PIXELS[:1], at.events, *traced)
         value = sources.value
         if "sharper" in buffers:
-            run("trace_detail", (plan.slots,), PIXELS[:1], at.events, *slotted, depth, statistics)
+            run("trace_detail", size, PIXELS[:1], at.events, *slotted, depth, statistics)
             value = buffers["sharper"]
             self._per_pixel("sharpen", at, window, at.grid, sources.value, buffers["share"], source, value)
-        found = replace(
-            sources, value=value, sub_source=subs[0], sub_value=subs[1], capacity=plan.slots, sub_depth=depth
-        )
+        found = replace(sources, value=value, sub_source=subs[0], sub_value=subs[1], capacity=room, sub_depth=depth)
         return self._merged(at, found)
+
+    @property
+    def _room(self) -> int:
+        """Pixels near silhouettes that there is room for."""
+        return self.buffers["pixels"].size // 4
+
+    def _take_slots(self, at: Moment, sources: Sources, window: Window) -> int:
+        """Give slots to the pixels that need sub-pixel sources, with more room where there are more than the plan has
+        predicted; how many they are. Waits for the device."""
+        session, statistics = self.target.session, self.buffers["statistics"]
+        left, top, right, bottom = window
+        runs, origin = (-(-right // TAP_LANES) - left // TAP_LANES, bottom - top), (left // TAP_LANES, top)
+        given = np.zeros(1, np.int32)
+        while True:
+            cl.enqueue_fill_buffer(session.queue, statistics, given, 4 * STATISTIC_SLOTS, 4)
+            marks = (self.buffers["source"], self.buffers["pixels"], statistics)
+            head = (at.grid, sources.label, np.int32(self._room))
+            self.target.run("mark_silhouettes", runs, BLOCKS, at.events, *head, *marks, origin=origin)
+            taken = int(download(session, statistics, (STATISTIC_SLOTS + 1,), np.int32)[STATISTIC_SLOTS])
+            if taken <= self._room:
+                return taken
+            given[0] = self._room
+            self._make_room(int(SPARE_SLOTS * taken))
+
+    def _make_room(self, slots: int) -> None:
+        """Replace the buffers of slots by larger ones; what has a slot keeps it. Nothing is in the queue."""
+        session, before = self.target.session, self.buffers["pixels"]
+        self.buffers.update(allocate(session, silhouette_buffers(self.plan.spec, self.plan.grid, slots, False)))
+        cl.enqueue_copy(session.queue, self.buffers["pixels"], before, byte_count=before.size).wait()
 
     def _merged(self, at: Moment, sources: Sources) -> Sources:
         """The sources with those merged that a tolerance lets be."""
@@ -236,12 +251,6 @@ class Tracer:
             planes = sources.depth, sources.label, *numbers, sources.source
             self.target.run("merge", size, PIXELS, at.events, grid, self.lens(at), self.psf, *planes)
         return sources
-
-    def _check_room(self) -> None:
-        """Raise TooFewSlotsError where sub-pixel sources have no room: before the blur, which may take seconds."""
-        found = download(self.scene.session, self.buffers["statistics"], (STATISTIC_SLOTS + 1,), np.int32)
-        if found[STATISTIC_SLOTS] > self.plan.slots:
-            raise TooFewSlotsError(int(found[STATISTIC_SLOTS]))
 
     def pinhole(self, at: Moment) -> Image:
         """The image of a pinhole, with its radii."""

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from clsco.constants import (
     STATISTIC_BEYOND,
     STATISTIC_LARGEST,
-    STATISTIC_MOST_SLOTS,
     STATISTIC_OUTSIDE,
     STATISTIC_SMALLEST,
 )
@@ -36,8 +35,6 @@ class Met:
     ----------
     smallest, largest : float
         Range of |R| of its sources in px; largest 0 where there are none.
-    slots : int
-        Most pixels near silhouettes at a time sample.
     beyond : bool
         A hit was outside of the predicted extent of its object, so that it may be hidden by others than its group has.
     outside : bool
@@ -46,7 +43,6 @@ class Met:
 
     smallest: float
     largest: float
-    slots: int
     beyond: bool
     outside: bool = False
 
@@ -57,7 +53,6 @@ class Met:
         return cls(
             float(radii[STATISTIC_SMALLEST]),
             float(radii[STATISTIC_LARGEST]),
-            int(statistics[STATISTIC_MOST_SLOTS]),
             bool(statistics[STATISTIC_BEYOND]),
             bool(statistics[STATISTIC_OUTSIDE]),
         )
@@ -83,13 +78,11 @@ def larger_plan(plan: Plan, met: Met, limit: Limit) -> Plan | None:
         The blur radius passes LARGEST_BLUR, or the memory that was given does not suffice.
     """
     fits = met.largest <= plan.largest_blur * SLACK + 1e-6 and met.smallest >= plan.smallest_blur / SLACK - 1e-6
-    if met.largest == 0.0 or (fits and met.slots <= plan.slots and not met.beyond and not met.outside):
+    if met.largest == 0.0 or (fits and not met.beyond and not met.outside):
         return None
     if met.outside:
         plan = replace(plan, choices=replace(plan.choices, still_sources=Choice(False, "a still source was not")))
-    wider = replace(
-        _for_any_place(plan) if met.beyond else plan, least_slots=max(met.slots, plan.slots) if plan.silhouettes else 0
-    )
+    wider = _for_any_place(plan) if met.beyond else plan
     if fits:
         return fitted(wider, limit) if met.beyond else wider
     smallest, largest = min(met.smallest / SLACK, plan.smallest_blur), max(met.largest * SLACK, plan.largest_blur)

@@ -94,8 +94,6 @@ class Plan:
         The last channel is coverage.
     strip_rows : int
         Rows of the frame that are worked on at a time, 0 for all.
-    least_slots : int
-        Pixels near silhouettes that there must be room for.
     extents : tuple of Extent
         Predicted extents of the objects that `groups` are for; empty where they are for any.
     merged : float
@@ -119,7 +117,6 @@ class Plan:
     only: int | None = None
     alpha: bool = False
     strip_rows: int = 0
-    least_slots: int = 0
     extents: tuple[Extent, ...] = ()
     merged: float = 0.0
 
@@ -273,9 +270,8 @@ class Plan:
 
     @property
     def slots(self) -> int:
-        """Pixels near silhouettes that there is room for."""
-        predicted = SILHOUETTE_SLOTS * (self.width + self.grid.height) if self.silhouettes else 0
-        return max(predicted, self.least_slots)
+        """Pixels near silhouettes that there is room for at first."""
+        return SILHOUETTE_SLOTS * (self.width + self.grid.height) if self.silhouettes else 0
 
     @property
     def eye_moved(self) -> bool:

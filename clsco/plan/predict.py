@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -283,15 +283,21 @@ def _radii(scene: Scene, lenses: Sequence[Sequence[LensOptics]], w: Array, rays:
 
 def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
     """Cast rays of a coarse grid at the scene. Raises SceneError where |R| is larger than LARGEST_BLUR, and for times
-    that keyframes must cover."""
+    that keyframes must cover.
+
+    What lies in the guard band may be blurred more than what lies in the frame, and so ask for a wider band: rays are
+    cast again until none of them meets a larger |R| than that for which the band was made.
+    """
     check_keyframes(scene)
     times = sequence_times(scene)
-    poses, cameras, guard = [poses_at(scene, t, eye) for t in times], [_widest(scene, t) for t in times], 0
+    poses, cameras = [poses_at(scene, t, eye) for t in times], [_widest(scene, t) for t in times]
     samples, lenses = [*zip(cameras, poses, strict=True)], [lenses_at(scene, t) for t in times]
     constant = constant_blur(scene)
     keeps = scene.is_analytic and not (scene.moves and (scene.lens_moves or scene.shifts_colors))
     seen = without_lens(scene) if keeps else None
-    for _ in range(2):  # the second time with the guard band that the first asked for
+
+    def cast(guard: int) -> tuple[float, Prediction]:
+        """Largest |R| within a guard band, and the prediction by it."""
         _check_fold(scene, cameras, guard)
         w = _inverse_depths(scene, samples, maps, guard) if seen is None else _kept_depths(seen, eye, guard)
         rays = _slopes(cameras, guard)
@@ -303,8 +309,21 @@ def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
             if abs(float(lenses[0][0].blur_radius(1.0 / nearest))) <= LARGEST_BLUR:
                 why = f"of what is {1.0 / float(w[w > 0].min()):.4g} mm away"
             raise SceneError(f"camera: {rule}; got {largest:.4g} px ({why})")
+        met = largest
         if not constant:  # rays between those of the grid
             smallest, largest = max(0.0, 0.9 * smallest - 1.0), 1.1 * largest + 1.0
-        guard = guard_band(psf, scene.psf.border, largest)
-    _check_fold(scene, cameras, guard)
-    return Prediction(times, poses, w, rays[len(times) // 2], smallest, largest, guard)
+        band = guard_band(psf, scene.psf.border, largest)
+        return met, Prediction(times, poses, w, rays[len(times) // 2], smallest, largest, band)
+
+    (_, frame) = cast(0)
+    (_, found) = cast(frame.guard)
+    guard = frame.guard
+    while found.guard > guard:
+        guard = found.guard
+        met, wider = cast(guard)
+        if met <= found.largest:
+            break
+        # Without the margin, or a band in which |R| grows about as fast as the band would have no end.
+        found = replace(wider, guard=max(guard, guard_band(psf, scene.psf.border, met)))
+    _check_fold(scene, cameras, found.guard)
+    return found

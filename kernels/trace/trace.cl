@@ -219,8 +219,9 @@ __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *su
 
 #if SUBPIXELS
 // Gives a slot to every pixel within 2 px of a change of label, and to those whose texture is DETAILED or FINE, run by
-// run of TAP_LANES pixels. Slots come in any order; what is in them does not. In: label. Out: marks of source, pixels
-// (slots): index p of the pixel, of one that is only DETAILED -1 - 2 p, that is only FINE -2 - 2 p; statistics.
+// run of TAP_LANES pixels. Slots come in any order; what is in them does not. A pixel that has one from a run with less
+// room keeps it. In: label. Out: marks of source, pixels (slots): index p of the pixel, of one that is only DETAILED
+// -1 - 2 p, that is only FINE -2 - 2 p; statistics.
 __kernel void mark_silhouettes(const grid_t grid, __global const uchar *label, const int capacity,
                                __global float *source, __global int *pixels, __global int *statistics)
 {
@@ -237,6 +238,8 @@ __kernel void mark_silhouettes(const grid_t grid, __global const uchar *label, c
         if (all_left_out(grid, source, x, y))
             continue;
 #endif
+        if (as_int(marks[at]) >= 0)
+            continue;
         bool detailed = false, fine = false;
 #if TEXTURED
         fine = as_int(marks[at]) == FINE;
@@ -292,8 +295,6 @@ __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant s
                               __global const real *sub_depth, __global int *statistics OF_EXPOSURE)
 {
     const int slot = get_global_id(0), each = SUBPIXELS * SUBPIXELS;
-    if (slot == 0)
-        atomic_max(statistics + STATISTIC_MOST_SLOTS, statistics[STATISTIC_SLOTS]);
     if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] < 0)
         return;
     const int pixel = pixels[slot], row = FRAME_ROW(grid, pixel / grid.width), column = pixel % grid.width - grid.guard;

@@ -297,3 +297,26 @@ def test_radii_beyond_the_prediction_are_rendered_all_the_same(monkeypatch: pyte
     plane = {"shape": "plane", "distance": 380.0, "slope_x": 0.4, "texture": "slanted_edge"}
     (frame,) = assert_agrees(scene(plane, camera=wide, psf=PLAIN))
     assert frame.metadata["guard_px"] > 13
+
+
+def test_pixels_near_silhouettes_beyond_the_prediction_get_room_where_they_are_met(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Buffers of slots grow within a time sample: no pixel loses its mark, and no time sample is made twice."""
+    ball = BALL | {"texture": "checkerboard", "texture_mapping": "surface", "motion": GOING}
+    wall = {"shape": "plane", "distance": 330.0, "texture": "bricks"}
+    crowded = scene(ball, wall, sequence={"samples": 3})
+    (enough,) = rendered(crowded)
+    tracing, taken = import_module("clsco.passes.trace"), list[int]()
+    make_room = tracing.Tracer._make_room
+
+    def counted(tracer: Any, slots: int) -> None:
+        taken.append(slots)
+        make_room(tracer, slots)
+
+    monkeypatch.setattr(tracing.Tracer, "_make_room", counted)
+    monkeypatch.setattr("clsco.plan.plan.SILHOUETTE_SLOTS", 1)
+    (grown,) = rendered(crowded)
+    assert len(taken) == 1
+    assert taken[0] > 56 + 40
+    np.testing.assert_array_equal(grown.color, enough.color, strict=True)

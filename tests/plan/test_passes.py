@@ -8,7 +8,7 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 
-from clsco.constants import STATISTIC_BEYOND, STATISTIC_LARGEST, STATISTIC_MOST_SLOTS, STATISTIC_SMALLEST
+from clsco.constants import STATISTIC_BEYOND, STATISTIC_LARGEST, STATISTIC_SMALLEST
 from clsco.optics.point_spread import point_spread
 from clsco.plan.buffers import STATISTICS
 from clsco.plan.choice import Choice
@@ -78,21 +78,18 @@ def test_the_reference_runs_all_kinds() -> None:
 
 def met(plan: Plan, **changes: Any) -> Met:
     """Met sources that a plan has just room for, with some changes."""
-    return replace(Met(plan.smallest_blur, plan.largest_blur, plan.slots, False), **changes)
+    return replace(Met(plan.smallest_blur, plan.largest_blur, False), **changes)
 
 
 def test_a_plan_grows_where_a_frame_has_met_more() -> None:
     plan, limit = plan_of(BALL, WALL), limit_of(None)
     assert plan.silhouettes > 0
     assert larger_plan(plan, met(plan), limit) is None
-    assert larger_plan(plan, Met(0.0, 0.0, 10**6, False), limit) is None  # no source at all
-    more = larger_plan(plan, met(plan, slots=plan.slots + 7), limit)
-    assert more is not None
-    assert (more.slots, more.guard_px) == (plan.slots + 7, plan.guard_px)
+    assert larger_plan(plan, Met(0.0, 0.0, True), limit) is None  # no source at all
     wider = larger_plan(plan, met(plan, largest=plan.largest_blur + 9.0), limit)
     assert wider is not None
     assert wider.largest_blur >= plan.largest_blur + 9.0
-    assert (wider.guard_px > plan.guard_px, wider.slots >= plan.slots) == (True, True)
+    assert wider.guard_px > plan.guard_px
     sharper = larger_plan(plan, met(plan, smallest=plan.smallest_blur / 2.0), limit)
     assert sharper is not None
     assert sharper.smallest_blur <= plan.smallest_blur / 2.0
@@ -115,7 +112,6 @@ def test_a_plan_of_a_graphics_card_tests_what_is_in_the_way_where_a_frame_has_me
 def test_what_a_frame_has_met_is_read_from_its_statistics() -> None:
     found = np.zeros(STATISTICS, np.int32)
     found.view(np.float32)[[STATISTIC_SMALLEST, STATISTIC_LARGEST]] = 0.5, 7.25
-    found[STATISTIC_MOST_SLOTS] = 31
-    assert Met.of(found) == Met(0.5, 7.25, 31, False)
+    assert Met.of(found) == Met(0.5, 7.25, False)
     found[STATISTIC_BEYOND] = 1
     assert Met.of(found).beyond

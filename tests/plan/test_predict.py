@@ -10,11 +10,13 @@ import pytest
 
 from clsco.errors import SceneError
 from clsco.optics.lens import LARGEST_BLUR, blur_radius
+from clsco.optics.lens import Lens as LensOptics
 from clsco.optics.motion import poses_at
+from clsco.optics.rays import slopes_at
 from clsco.plan.larger import widened
 from clsco.plan.plan import make_plan
-from clsco.plan.predict import _moved_map
-from clsco.scene.model import DepthMap, ObjectMotion, Plane, Psf, Scene, Sequence, Sphere
+from clsco.plan.predict import _moved_map, guard_band
+from clsco.scene.model import DepthMap, Lens, ObjectMotion, Plane, Psf, Scene, Sequence, Sphere
 from tests.scenes import plan_of, scene_of
 
 STEP = 0.01 / 20.0  # slope between the rays of neighbors: pixel pitch over normalization distance
@@ -49,6 +51,19 @@ def test_radii_are_predicted_out_to_the_surface_that_lights_the_frame_from_outsi
     outside = at(31.5 + edge)
     assert outside > 1.3 * edge + 1.0
     assert make_plan(blurred, 1).largest_blur >= outside
+
+
+def test_a_guard_band_holds_what_it_shows_where_the_field_is_curved() -> None:
+    """|R| grows toward the corners: a wider band meets a wider blur, which asks for a wider one, up to 36 px here."""
+    curved = Lens(field_curvature=-1 / 30, focus_surface="sphere")
+    camera = {"pixel_pitch": 0.4, "aperture_diameter": 60.0, "focal_length": 20.0, "focus_distance": 180.0}
+    given = plan_of(Plane(distance=180.0), lens=curved, size=(40, 32), camera=camera)
+    optics = LensOptics.of(given.scene.camera, given.scene.lens)
+    right, down = (0.5 * (n - 1) + given.guard_px for n in (40, 32))
+    x, y = (np.array(each) for each in slopes_at(given.scene.camera, np.array([right]), np.array([down])))
+    met = float(np.abs(optics.image_radius(np.array([1.0 / 180.0]), x, y))[0])
+    assert 30.0 < met <= given.largest_blur
+    assert guard_band(given.psf, "lose", met) <= given.guard_px
 
 
 def test_radii_are_predicted_to_the_end_of_the_last_exposure() -> None:
