@@ -20,7 +20,7 @@ from clsco.resources import ExposedFolderError, open_regular, private_folder
 
 SUFFIX = ".arrays"
 MOST_BYTES = 2**29  # of a folder; then the files that were used longest ago go
-LARGEST = 2**26  # bytes of a file
+LARGEST = 2**27  # bytes of a file
 DIGEST = hashlib.sha256().digest_size
 
 

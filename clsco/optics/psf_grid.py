@@ -103,11 +103,12 @@ def half_width(psf: PointSpread, index: int, subpixel: bool) -> int:
 
 
 def block_intervals(psf: PointSpread, subpixel: bool) -> int:
-    """Intervals of a table that are computed together: half an octave, BLOCK, or by Fourier transforms a px."""
+    """Intervals of a table that are computed together: half an octave, of sub-pixel sources a quarter, BLOCK, or by
+    Fourier transforms a px."""
     if psf.diffracted and psf.layout == "general":
         return max(table_steps(psf, subpixel), TAP_LANES)
     by_numbers = (psf.edge == "sampled" and not subpixel) or psf.diffracted
-    return BLOCK if by_numbers else table_steps(psf, subpixel) // 2
+    return BLOCK if by_numbers else table_steps(psf, subpixel) // (4 if subpixel else 2)
 
 
 @lru_cache(maxsize=256)
