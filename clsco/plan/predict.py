@@ -315,9 +315,8 @@ def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
         band = guard_band(psf, scene.psf.border, largest)
         return met, Prediction(times, poses, w, rays[len(times) // 2], smallest, largest, band)
 
-    (_, frame) = cast(0)
-    (_, found) = cast(frame.guard)
-    guard = frame.guard
+    guard = cast(0)[1].guard
+    found = cast(guard)[1]
     while found.guard > guard:
         guard = found.guard
         met, wider = cast(guard)
