@@ -17,7 +17,7 @@ from tests import kernel_cache
 # Tests see what a user has who has set nothing; and what those who start them set: workers, other folders, simulators.
 if "PYTEST_XDIST_WORKER" not in os.environ:  # workers inherit it
     kept = {
-        "PATH", "HOME", "USER", "LANG", "LC_ALL", "TMPDIR", "LD_LIBRARY_PATH", "CI",
+        "PATH", "HOME", "USER", "LANG", "LC_ALL", "TMPDIR", "LD_LIBRARY_PATH", "OCL_ICD_VENDORS", "CI",
         "CLSCO_DEVICE", "PYTHONPATH", "POCL_CACHE_DIR", "POCL_DEVICES", "PYOPENCL_BUILD_OPTIONS", "CLSCO_EVERY",
     }  # fmt: skip
     for name in os.environ.keys() - kept:

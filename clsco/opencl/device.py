@@ -107,8 +107,8 @@ def choose(name: str | None = None, source: str = "device") -> Device:
     """The device to use: `name` > CLSCO_DEVICE > PYOPENCL_CTX > a GPU > PoCL > any other processor.
 
     Never prompts.
-    `name` is a part of the device's or platform's name or version in any case, or "gpu" or "cpu"; source: what messages
-    call it. Raises DeviceError when no device is there or none matches.
+    `name`, in any case, is "gpu", "cpu" or the device's name, else a part of the platform's name or version, else of
+    the device's name; source: what messages call it. Raises DeviceError when no device is there or none matches.
     """
     chosen = pick(_devices(), name, os.environ, _by_pyopencl, source).device
     if chosen is None:
@@ -166,15 +166,19 @@ def _rank(device: Device) -> int:
 
 
 def _matching(devices: Sequence[Device], source: str, wanted: str) -> Device:
-    def matches(device: Device) -> bool:
-        texts = (device.name, device.platform, device.platform_version)
-        return wanted.lower() == device.kind or any(wanted.lower() in text.lower() for text in texts)
+    part = wanted.lower()
 
-    found = [device for device in devices if matches(device)]
+    def likeness(device: Device) -> int:
+        """0: its kind or whole name; 1: a part of its platform's name; 2: of its own, as drivers of others may have it;
+        3: nothing."""
+        name, platform = device.name.lower(), f"{device.platform}\n{device.platform_version}".lower()
+        return 0 if part in (device.kind, name) else 1 if part in platform else 2 if part in name else 3
+
+    found = [device for device in devices if likeness(device) < 3]
     if not found:
         there = ", ".join(map(str, devices))
         raise DeviceError(f'{source}: must be a part of the name of one of {there}; got "{wanted}"')
-    return min(found, key=_rank)
+    return min(found, key=lambda device: (likeness(device), _rank(device)))
 
 
 def _by_pyopencl(specification: str) -> cl.Device:

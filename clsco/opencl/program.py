@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import logging
-import os
 import time
-import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import cache
 from math import prod
 from typing import Any, Literal, TypeAlias
@@ -18,10 +16,12 @@ from numpy.typing import NDArray
 
 from clsco.constants import definitions
 from clsco.errors import DeviceError, KernelError
-from clsco.opencl import pace
+from clsco.opencl import pace, source_text
 from clsco.opencl.device import failure
 from clsco.opencl.pieces import in_pieces
+from clsco.opencl.self_test import require_right_arguments
 from clsco.opencl.session import Program, Session
+from clsco.opencl.source_text import without_output
 from clsco.resources import folder
 
 _LOG = logging.getLogger("clsco")
@@ -63,11 +63,6 @@ HEADERS_OF = {
 }
 # What processors have in a form of their own.
 CPU_FORMS = {BUILTINS: CPU_BUILTINS, "inpainting/lanes.clh": "inpainting/cpu/lanes.clh"}
-_C_TYPES = {
-    "f4": "float", "f8": "double",
-    "i1": "char", "i2": "short", "i4": "int", "i8": "long",
-    "u1": "uchar", "u2": "ushort", "u4": "uint", "u8": "ulong",
-}  # fmt: skip
 
 
 @cache
@@ -94,10 +89,13 @@ def build(
     Defined for the kernels: the numbers of `clsco.constants`, real, real2, real3, real4, real8, real16, REAL_IS_DOUBLE,
     HAS_FP64, HAS_INT64_ATOMICS, VECTOR_WIDTH (floats of the device's widest vector, which may change the time and no
     result).
-    Raises KernelError with the compiler's log, DeviceError where `real` is double and the device has none.
+    Raises KernelError with the compiler's log, DeviceError where `real` is double and the device has none, or where the
+    driver, of another one than PoCL, fails `require_right_arguments` at the first program.
     """
     request = folder("kernels"), tuple(sources), tuple(features.items()), tuple(structs.items()), real
     with session.lock:
+        if not session.programs and not session.device.is_pocl:
+            require_right_arguments(session)
         if request not in session.programs:
             session.programs[request] = _program(session, sources, features, structs, real)
         return session.programs[request]
@@ -122,7 +120,7 @@ def _program(
     headers += (header for header in others if features.get("TEXTURED") or header not in MAPPING_HEADERS)
     if device.kind == "cpu":
         headers = [*[POCL_DECLARATIONS] * device.is_pocl, *(CPU_FORMS.get(header, header) for header in headers)]
-    text = program_text([*headers, *sources], structs, real, device.has_fp64, device.has_int64_atomics)
+    text = source_text.program_text([*headers, *sources], structs, real, device.has_fp64, device.has_int64_atomics)
     options = [*_constants()]
     options += [f"-D{name}={int(value)}" for name, value in sorted(features.items())]
     options.append("-cl-std=CL1.2")
@@ -202,72 +200,11 @@ def launch_whole(
         raise failure(session.device, f"run {kernel.function_name}", error) from error
 
 
-def program_text(
-    sources: Sequence[str],
-    structs: Mapping[str, np.dtype[Any]],
-    real: Literal["double", "float"],
-    has_fp64: bool,
-    has_int64_atomics: bool,
-) -> str:
-    """The whole text that the compiler sees, with #line before each file, so that errors name it."""
-    lines = ["#pragma OPENCL FP_CONTRACT OFF"]  # a * b + c as NumPy has it; fma where a kernel says fma
-    # How wide vectors are passed is of no interest where every function is inlined, but PoCL counts on the terminal.
-    # Compilers for GPUs do not know the warning, and count that.
-    lines += ["#ifdef __x86_64__", '#pragma clang diagnostic ignored "-Wpsabi"', "#endif"]
-    if has_fp64:
-        lines.append("#pragma OPENCL EXTENSION cl_khr_fp64 : enable")
-    if has_int64_atomics:
-        lines.append("#pragma OPENCL EXTENSION cl_khr_int64_base_atomics : enable")
-        lines.append("#pragma OPENCL EXTENSION cl_khr_int64_extended_atomics : enable")
-    lines += [f"#define HAS_FP64 {int(has_fp64)}", f"#define HAS_INT64_ATOMICS {int(has_int64_atomics)}"]
-    lines.append(f"#define REAL_IS_DOUBLE {int(real == 'double')}")
-    lines += [f"typedef {real}{width} real{width};" for width in ("", 2, 3, 4, 8, 16)]
-    lines += [struct_text(name, dtype, structs) for name, dtype in structs.items()]
-    kernels = folder("kernels")
-    for source in sources:
-        try:
-            lines += [f'#line 1 "{source}"', (kernels / source).read_text("utf-8")]
-        except FileNotFoundError as error:
-            raise KernelError(f"kernels: must hold every file that is asked for; got no {source}") from error
-    return "\n".join(lines)
-
-
-def struct_text(name: str, dtype: np.dtype[Any], structs: Mapping[str, np.dtype[Any]]) -> str:
-    """The C typedef `name` of an aligned structured dtype, with a check of its size by the compiler itself.
-
-    Fields are scalars, arrays of them, or dtypes in `structs`. `np.dtype(..., align=True)` gives the layout
-    that OpenCL C prescribes, so equal sizes mean equal offsets. (pyopencl's match_dtype_to_c_struct asks the
-    device with a kernel per struct: 35 ms each from a warm cache, 0.3 s from a cold one.)
-    """
-    if dtype.fields is None or not dtype.isalignedstruct:
-        raise KernelError(f"struct {name}: must be a structured dtype with align=True; got {dtype}")
-    names = {other: c_name for c_name, other in structs.items()}
-    members = []
-    for field, entry in dtype.fields.items():
-        base, shape = entry[0].base, entry[0].shape
-        c_type = names.get(base) or _C_TYPES.get(base.str[1:])
-        if c_type is None:
-            raise KernelError(f"struct {name}: fields must be numbers or known structs; got {field}: {base}")
-        members.append(f"{c_type} {field}{''.join(f'[{count}]' for count in shape)};")
-    check = f"typedef char {name}_has_the_size_of_its_dtype[sizeof({name}) == {dtype.itemsize} ? 1 : -1];"
-    return f"typedef struct {{ {' '.join(members)} }} {name};\n{check}"
-
-
 def _built(session: Session, where: str, text: str, options: list[str]) -> Program:
     if session.device.is_pocl and session.device.kind == "cpu":
         with suppress(KernelError):  # of a version whose header is another one, or a kernel that calls something else
             return _compiled(session, where, text, [*options, WITHOUT_HEADER])
     return _compiled(session, where, text, options)
-
-
-@contextmanager
-def without_output() -> Iterator[None]:
-    """Builds in the block without pyopencl's warning of any output of the compiler; with it for whom asks by pyopencl's
-    own variable."""
-    with warnings.catch_warnings():
-        if not os.environ.get("PYOPENCL_COMPILER_OUTPUT"):
-            warnings.simplefilter("ignore", cl.CompilerWarning)
-        yield
 
 
 def _compiled(session: Session, where: str, text: str, options: list[str]) -> Program:

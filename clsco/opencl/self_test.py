@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,9 +12,10 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clsco.errors import DeviceError
+from clsco.opencl import source_text
 from clsco.opencl.device import Device
-from clsco.opencl.program import without_output
 from clsco.opencl.session import Session
+from clsco.resources import ExposedFolderError, private_folder
 
 
 @dataclass(frozen=True)
@@ -31,12 +34,20 @@ class _Probe:
     """Statements of work-item i of 64, from `in` (float, in[i] = i) to `out` (long, zeros)."""
     expected: Callable[[NDArray[np.int64]], NDArray[np.int64]]
     needs: str | None = None
+    functions: str = ""
+    """Functions that `body` calls."""
 
 
 # (1 + i e)^2 - (1 + 2 i e) = i^2 e^2 with e = 2^-23: exact when fused, 0 when the square is rounded first,
 # since i^2 e^2 < 2^-24 for i < 64.
 _SQUARE = "float x = 1.0f + in[i] * 0x1p-23f, y = -(1.0f + in[i] * 0x1p-22f);"
 
+_ARGUMENTS = _Probe(
+    "vectors of 3 as arguments",
+    "out[i] = (long)weighted_sum((float3)(in[i], in[i] + 1.0f, in[i] + 2.0f));",
+    lambda i: 7 * i + 10,
+    functions="__attribute__((noinline)) float weighted_sum(float3 a) { return a.x + 2.0f * a.y + 4.0f * a.z; }",
+)
 _PROBES = (
     _Probe("float32 addition", "out[i] = (long)(in[i] + 1.0f);", lambda i: i + 1),
     _Probe(
@@ -53,6 +64,7 @@ _PROBES = (
     _Probe("fp64", "out[i] = (long)((1.0 + in[i] * 0x1p-50) * 0x1p50);", lambda i: 2**50 + i, "has_fp64"),
     _Probe("exact fma", f"{_SQUARE} out[i] = (long)(fma(x, x, y) * 0x1p46f);", lambda i: i * i),
     _Probe("no contraction", f"{_SQUARE} out[i] = (long)((x * x + y) * 0x1p46f);", lambda i: 0 * i),
+    _ARGUMENTS,
 )
 
 
@@ -64,32 +76,53 @@ def self_test(device: Device) -> list[Check]:
         if probe.needs is not None and not getattr(device, probe.needs):
             continue  # not claimed, so not used
         try:
-            got = _ran(device, probe.body)
+            with Session(device) as session:
+                checks.append(_checked(session, probe))
         except (cl.Error, DeviceError) as error:
             checks.append(Check(probe.name, False, str(error).splitlines()[0]))
-            continue
-        wanted = probe.expected(np.arange(64, dtype=np.int64))
-        wrong = np.flatnonzero(got != wanted)
-        detail = f"work-item {wrong[0]}: must be {wanted[wrong[0]]}; got {got[wrong[0]]}" if wrong.size else ""
-        checks.append(Check(probe.name, not wrong.size, detail))
     return checks
 
 
-def _ran(device: Device, body: str) -> NDArray[np.int64]:
-    pragmas = ["OPENCL FP_CONTRACT OFF"]
-    if device.has_fp64:
-        pragmas.append("OPENCL EXTENSION cl_khr_fp64 : enable")
-    if device.has_int64_atomics:
-        pragmas.append("OPENCL EXTENSION cl_khr_int64_extended_atomics : enable")
-    lines = [f"#pragma {pragma}" for pragma in pragmas]
-    lines.append("__kernel void probe(__global const float *in, __global long *out)")
-    lines.append(f"{{ int i = get_global_id(0); {body} }}")
+def require_right_arguments(session: Session) -> None:
+    """Raise DeviceError where functions do not get the arguments that they are given: what would be rendered is noise,
+    without a word. A driver that passes is not asked again: a file in the user's cache stands for it."""
+    device, passed = session.device, None
+    about = device.name, device.platform, device.platform_version, device.driver, _text(device, _ARGUMENTS)
+    with suppress(ExposedFolderError, OSError, RuntimeError):  # no such folder: asked in each process
+        passed = private_folder("clsco", "drivers") / hashlib.sha256(repr(about).encode()).hexdigest()
+    if passed is not None and passed.exists():
+        return
+    with session.reporting():
+        check = _checked(session, _ARGUMENTS)
+    if not check.passed:
+        rule = f"driver {device.driver} must pass the self-test, or another one be used, such as PoCL's"
+        raise DeviceError(f"device {device}: {rule}; got a failure in {check.name}, {check.detail}")
+    if passed is not None:
+        with suppress(OSError):
+            passed.touch()
+
+
+def _checked(session: Session, probe: _Probe) -> Check:
+    got, wanted = _ran(session, probe), probe.expected(np.arange(64, dtype=np.int64))
+    wrong = np.flatnonzero(got != wanted)
+    detail = f"work-item {wrong[0]}: must be {wanted[wrong[0]]}; got {got[wrong[0]]}" if wrong.size else ""
+    return Check(probe.name, not wrong.size, detail)
+
+
+def _text(device: Device, probe: _Probe) -> str:
+    """A program that begins as all others do."""
+    begin = source_text.program_text([], {}, "float", device.has_fp64, device.has_int64_atomics)
+    kernel = "__kernel void probe(__global const float *in, __global long *out)"
+    return f"{begin}\n{probe.functions}\n{kernel}\n{{ int i = get_global_id(0); {probe.body} }}"
+
+
+def _ran(session: Session, probe: _Probe) -> NDArray[np.int64]:
     given, got = np.arange(64, dtype=np.float32), np.zeros(64, np.int64)
     flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
-    with Session(device) as session, session.compiling():
+    with session.compiling():
         buffers = [cl.Buffer(session.context, flags, hostbuf=array) for array in (given, got)]
-        with without_output():
-            kernel = cl.Kernel(cl.Program(session.context, "\n".join(lines)).build(), "probe")
+        with source_text.without_output():
+            kernel = cl.Kernel(cl.Program(session.context, _text(session.device, probe)).build(), "probe")
         kernel(session.queue, (64,), (64,), *buffers)
         cl.enqueue_copy(session.queue, got, buffers[1], is_blocking=True)
     return got

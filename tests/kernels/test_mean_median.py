@@ -29,7 +29,7 @@ from clsco.inpainting.mean_median import (
     score_image,
 )
 from clsco.inpainting.rules import MeanMedian, bits_of, most_sweeps, score_of_sums
-from clsco.opencl import program as program_module
+from clsco.opencl import source_text
 from clsco.opencl.buffers import copied, download, empty, upload
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Program, Session
@@ -317,9 +317,9 @@ def test_a_group_writes_its_own_border_pixels_only(session: Session, count: int)
 @pytest.mark.parametrize("avx2", [True, False])
 def test_scores_of_codes_are_exact(session: Session, avx2: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Columns fill segments; each writes its own sums only. On processors without AVX2 as well."""
-    text = program_module.program_text
+    text = source_text.program_text
     if not avx2:
-        monkeypatch.setattr(program_module, "program_text", lambda *given: "#undef __AVX2__\n" + text(*given))
+        monkeypatch.setattr(source_text, "program_text", lambda *given: "#undef __AVX2__\n" + text(*given))
         monkeypatch.setattr(session, "programs", {})
     rng, rows, columns = np.random.default_rng(41), 4, 128
     image, missing = rng.integers(0, 256, (rows, columns, 1), np.uint8), rng.random((rows, columns)) < 0.02

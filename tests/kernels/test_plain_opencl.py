@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from clsco.opencl import program
+from clsco.opencl import source_text
 from clsco.opencl.program import build
 from clsco.opencl.session import Session
 from clsco.passes.blur import FILES_OF
@@ -39,13 +39,13 @@ def test_every_method_of_a_gpu_is_looked_at() -> None:
 def test_programs_of_gpus_are_plain(
     session: Session, files: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    made, texts = program.program_text, list[str]()
+    made, texts = source_text.program_text, list[str]()
 
     def pedantic(*given: Any) -> str:
         texts.append(made(*given))
         return PEDANTIC + texts[-1]
 
-    monkeypatch.setattr(program, "program_text", pedantic)
+    monkeypatch.setattr(source_text, "program_text", pedantic)
     with Session(replace(session.device, kind="gpu")) as opened:
         for chosen in variants(ON_GPU[files])[:2]:
             build(opened, files, chosen, structs("double"), "double")

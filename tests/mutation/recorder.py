@@ -23,7 +23,7 @@ CONDITION, GIVEN = re.compile(r"^\s*#\s*(?:el)?if.*", re.MULTILINE), re.compile(
 class Launches:
     """Records from now on which kernels of which programs are launched; now: by whom.
 
-    plain: of a program's text that which `clsco.opencl.program.program_text` has made.
+    plain: of a program's text that which `clsco.opencl.source_text.program_text` has made.
     """
 
     def __init__(self, plain: Callable[[str], str] = str) -> None:

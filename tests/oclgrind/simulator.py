@@ -17,7 +17,7 @@ from unittest.mock import patch
 import numpy as np
 import pyopencl as cl
 
-from clsco.opencl import program
+from clsco.opencl import source_text
 from clsco.opencl.device import choose
 from clsco.opencl.session import Session
 
@@ -112,7 +112,7 @@ def _text(*given: Any) -> str:
     return INSTEAD.read_text("utf-8") + in_single_lanes(by_lanes(_program_text(*given)))
 
 
-_program_text = program.program_text
+_program_text = source_text.program_text
 
 
 PUT = """__kernel void put(__global uchar *to, const int at, __global const uchar *from)
@@ -172,7 +172,7 @@ def sessions(**changes: Any) -> Iterator[None]:
         return Session(device, queue=_queue())
 
     with (
-        patch.object(program, "program_text", _text),
+        patch.object(source_text, "program_text", _text),
         patch.object(cl, "enqueue_fill_buffer", _fill),
         patch.object(cl, "enqueue_copy", _copy),
         patch.object(cl, "Buffer", _buffer),

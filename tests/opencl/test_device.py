@@ -16,6 +16,7 @@ import clsco
 from clsco.errors import DeviceError
 from clsco.frame.frame import Frame
 from clsco.opencl import self_test as self_test_module
+from clsco.opencl import source_text
 from clsco.opencl.device import NO_DEVICE, Choice, Device, choose, list_devices, pick
 from clsco.opencl.self_test import self_test
 from clsco.opencl.session import Session, session_on
@@ -48,6 +49,7 @@ VENDOR_CPU = fake("Some CPU", "Vendor CPU Runtime", "cpu")
 GPU = fake("GeForce 1", "NVIDIA CUDA", "gpu")
 SECOND_GPU = fake("GeForce 2", "NVIDIA CUDA", "gpu")
 FPGA = fake("Board", "FPGA SDK", "accelerator")
+XEON, POCL_ON_XEON = replace(VENDOR_CPU, name="Xeon", platform="Xeon SDK"), replace(POCL, name="pthread-Xeon E5")
 
 
 def never(specification: str) -> cl.Device:
@@ -67,7 +69,10 @@ def never(specification: str) -> cl.Device:
         ([SIMULATOR, POCL], "oclgrind", {}, SIMULATOR),
         ([POCL, GPU, SECOND_GPU], "geforce", {}, GPU),
         ([POCL, GPU, SECOND_GPU], "geforce 2", {}, SECOND_GPU),
-        ([VENDOR_CPU, POCL], "some cpu", {}, POCL),
+        ([VENDOR_CPU, POCL], "some cpu", {}, VENDOR_CPU),
+        ([POCL_ON_XEON, XEON], "xeon", {}, XEON),
+        ([POCL_ON_XEON, XEON], "xeon e5", {}, POCL_ON_XEON),
+        ([POCL_ON_XEON, XEON], "cpu", {}, POCL_ON_XEON),
         ([POCL, GPU], None, {"CLSCO_DEVICE": "pthread"}, POCL),
         ([POCL, GPU], "nvidia", {"CLSCO_DEVICE": "pthread", "PYOPENCL_CTX": "0"}, GPU),
         ([POCL, GPU], None, {"CLSCO_DEVICE": "pthread", "PYOPENCL_CTX": "1"}, POCL),
@@ -160,6 +165,32 @@ def test_self_test_reports_a_wrong_answer_and_a_failing_compiler(
     assert [check.passed for check in checks] == [True, False, False]
     assert checks[1].detail == "work-item 3: must be 4; got -5"
     assert "BUILD_PROGRAM_FAILURE" in checks[2].detail
+
+
+def intel() -> Device:
+    found = [device for device in list_devices()[0] if device.kind == "cpu" and device.platform == "Intel(R) OpenCL"]
+    if not found:
+        pytest.skip("Intel's runtime for processors is not installed")
+    return found[0]
+
+
+def test_the_self_test_finds_what_intels_compiler_does_to_vectors_of_3(monkeypatch: pytest.MonkeyPatch) -> None:
+    device, begin = intel(), source_text.program_text
+    assert [check for check in self_test(device) if not check.passed] == []
+
+    def without_hint(*given: Any) -> str:
+        return begin(*given).replace("#ifdef cl_intel_vec_len_hint", "#if 0")
+
+    monkeypatch.setattr(source_text, "program_text", without_hint)
+    assert [check.name for check in self_test(device) if not check.passed] == ["vectors of 3 as arguments"]
+
+
+def test_occluders_on_intels_runtime_are_those_on_pocl() -> None:
+    camera = {"resolution": [48, 36], "pixel_pitch": 0.1}
+    ball = {"shape": "sphere", "center": [-6.0, 3.0, 190.0], "radius": 9.0}
+    scene = clsco.parse_scene({"camera": camera, "object": [ball, {"shape": "plane", "distance": 380.0}]})
+    one, other = (clsco.render_frame(scene, device=device).color for device in ("pocl", intel().handle))
+    np.testing.assert_allclose(other, one, rtol=0, atol=2e-6)
 
 
 def frames(side: int) -> list[Frame]:

@@ -6,6 +6,7 @@ import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pyopencl as cl
@@ -14,9 +15,12 @@ import pytest
 from clsco import resources
 from clsco.errors import DeviceError, KernelError
 from clsco.opencl import program as program_module
+from clsco.opencl import self_test, source_text
 from clsco.opencl.buffers import download, empty, upload
-from clsco.opencl.program import WITHOUT_HEADER, build, kernel, launch, program_text, struct_text
+from clsco.opencl.device import Device
+from clsco.opencl.program import WITHOUT_HEADER, build, kernel, launch
 from clsco.opencl.session import Session
+from clsco.opencl.source_text import program_text, struct_text
 
 POSE = np.dtype([("angle", "f8"), ("axis", "f4", (3,)), ("id", "i4")], align=True)
 SCENE = np.dtype([("count", "i2"), ("pose", POSE, (2,)), ("turn", "f4", (2, 3)), ("last", "u8")], align=True)
@@ -81,6 +85,7 @@ def kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "common/geometry.clh").write_text(HEADER)
     (tmp_path / "work.cl").write_text(WORK)
     monkeypatch.setattr(program_module, "folder", lambda name: tmp_path)
+    monkeypatch.setattr(source_text, "folder", lambda name: tmp_path)
     return tmp_path
 
 
@@ -314,3 +319,40 @@ def test_a_kept_program_that_pocl_cannot_read_is_built_anew(session: Session, mo
     assert list(found) == ["one"]
     assert builds[0] == []
     assert builds[1][-1].startswith("-DBUILT_ANEW=")
+
+
+def test_the_hint_for_intels_compiler_stands_before_all_kernels() -> None:
+    text = program_text(["common/cpu/builtins.clh", "blur/blur.cl"], {}, "float", True, True)
+    hint = "#ifdef cl_intel_vec_len_hint\n#define __kernel __attribute__((intel_vec_len_hint(1))) __kernel\n#endif\n"
+    assert text.count(hint) == 1
+    assert "__kernel" not in text.partition(hint)[0]
+
+
+@pytest.mark.processor
+def test_another_driver_than_pocl_is_used_once_it_passes_arguments_rightly(
+    session: Session, monkeypatch: pytest.MonkeyPatch, kernels: Path
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(kernels))
+    run, probe = Mock(wraps=self_test._ran), self_test._ARGUMENTS
+    monkeypatch.setattr(self_test, "_ran", run)
+    wrong = replace(probe, body="out[i] = i == 3 ? -5 : 7 * i + 10;")
+    other = replace(session.device, platform="Another", driver="1.5")
+
+    def first_program(device: Device) -> None:
+        with Session(device) as opened:
+            built(opened)
+
+    monkeypatch.setattr(self_test, "_ARGUMENTS", wrong)
+    first_program(session.device)
+    assert run.call_count == 0  # PoCL
+    said = r"^device .* \(Another\): driver 1\.5 must pass .* as arguments, work-item 3: must be 31; got -5$"
+    for _ in range(2):  # what fails is not kept
+        with pytest.raises(DeviceError, match=said):
+            first_program(other)
+    monkeypatch.setattr(self_test, "_ARGUMENTS", replace(wrong, body="this is no C;"))
+    with pytest.raises(DeviceError, match="BUILD_PROGRAM_FAILURE"):
+        first_program(other)
+    monkeypatch.setattr(self_test, "_ARGUMENTS", probe)
+    for device in (other, other, replace(other, driver="1.6")):
+        first_program(device)
+    assert run.call_count == 5  # the second driver of the same number is known

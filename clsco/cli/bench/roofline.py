@@ -10,8 +10,9 @@ import pyopencl as cl
 
 from clsco.opencl.buffers import empty
 from clsco.opencl.pace import spent
-from clsco.opencl.program import launch, without_output
+from clsco.opencl.program import launch
 from clsco.opencl.session import Session
+from clsco.opencl.source_text import without_output
 
 ACCUMULATORS, LANES = 10, 8  # ten chains hide the latency of an addition, and with two factors fit 16 registers
 FLOP_PER_TAP = 2.0  # a product and a sum
