@@ -21,7 +21,8 @@ from clsco.scene.sweep import Sweep, parse_sweep
 WHERE = "defocus"
 _OTHER_IMAGES = (".bmp", ".gif", ".hdr", ".jpeg", ".jpg", ".npy", ".npz", ".pfm", ".ppm", ".webp")
 _SECTION_OF = {
-    **dict.fromkeys(("unit", "scale", "baseline", "offset", "depth_kind", "no_depth", "soft_edges"), "object"),
+    **dict.fromkeys(("unit", "scale", "baseline", "offset", "near", "far"), "object"),
+    **dict.fromkeys(("depth_kind", "no_depth", "soft_edges"), "object"),
     **dict.fromkeys(("focal_length", "f_number", "aperture_diameter", "focus_distance"), "camera"),
     **dict.fromkeys(("sensor_distance", "pixel_pitch"), "camera"),
     **dict.fromkeys(("model", "edge", "occlusion"), "psf"),
@@ -35,8 +36,9 @@ def scenes_from_files(
     """The scene of an image that has the depths of a map; several where keys of the camera have several values.
 
     image, depth: files of the same size. options: value by key, of the depth map (unit, scale, baseline, offset,
-    depth_kind, no_depth, soft_edges), of [camera] (focal_length, f_number, aperture_diameter, focus_distance,
-    sensor_distance, pixel_pitch) or of [psf] (model, edge, occlusion); None stands for a key that is not given.
+    near, far, depth_kind, no_depth, soft_edges), of [camera] (focal_length, f_number, aperture_diameter,
+    focus_distance, sensor_distance, pixel_pitch) or of [psf] (model, edge, occlusion); None stands for a key that is
+    not given.
     overrides: as of `clsco.load_sweep`, after the options. layers: of the image and of the depth, where they are EXR
     files with several.
     Returns scenes with one object of shape depth_map, and absolute paths. Raises SceneError with a line per fault.

@@ -262,9 +262,11 @@ _spread_option = partial(_choice, "clsco.scene.spread:Psf")
 @_layer("--image-layer", "IMAGE")
 @_layer("--depth-layer", "DEPTH")
 @_depth_option("unit", "UNIT", "Of DEPTH: mm (default), m, inverse_mm, inverse_m, disparity or coc.")
-@click.option("--scale", metavar="NUMBER", type=_ratio, help="What 1 in DEPTH is worth, such as 0.001 or 1/256.")
+@click.option("--scale", metavar="NUMBER", type=_ratio, help="What 1 in DEPTH is worth, such as 0.001, 1/256 or -1.")
 @_number("--baseline", "Distance between the views of a disparity, mm.")
-@_number("--offset", "Added to a disparity, px, such as doffs of Middlebury's calibrations.")
+@_number("--offset", "Added to DEPTH times scale: a in 1/Z = a + b v, or doffs of Middlebury's calibrations, px.")
+@_number("--near", "Distance of the nearest number in DEPTH, mm, as of relative depth.")
+@_number("--far", "Distance of the farthest number in DEPTH, mm; by default infinite with an inverse unit.")
 @_depth_option(
     "depth_kind", "KIND",
     "Of DEPTH: z (default), along the optical axis, or ray, the distance from the lens along each pixel's ray.",

@@ -16,7 +16,6 @@ from clsco.files.decoders import IMAGE_FORMATS, check_limits, decoded, exr_plane
 from clsco.files.layers import depth_channels, listed
 from clsco.files.tagged import read_floats
 
-Array = NDArray[np.float64]
 MOST_ARRAYS = 256  # in an NPZ
 
 DEPTH_FORMATS = {suffix: kind for suffix, kind in IMAGE_FORMATS.items() if kind != "JPEG"} | {
@@ -25,7 +24,7 @@ DEPTH_FORMATS = {suffix: kind for suffix, kind in IMAGE_FORMATS.items() if kind 
 }
 
 
-def read_depth(path: str | os.PathLike[str], layer: str | None = None) -> Array:
+def read_depth(path: str | os.PathLike[str], layer: str | None = None) -> NDArray[Any]:
     """Read the numbers of a depth file as it stores them; their meaning is for `inverse_depth`.
 
     PNG (8 or 16 bits; fewer bits become 8), TIFF (integers or floats), PFM, DPT, NPY, NPZ (the array `depth`, or
@@ -33,7 +32,8 @@ def read_depth(path: str | os.PathLike[str], layer: str | None = None) -> Array:
     chooses it; pixels outside of its data window are NaN). Three equal channels count as one. The scale of a PFM
     is not applied, as in the readers of Middlebury's files.
     TIFF and 16-bit color PNG need the extra `formats`, EXR needs `exr`.
-    Returns (rows, columns), float64, row 0 on top, any value: zero, negative, NaN and infinite ones too.
+    Returns (rows, columns), integers as stored or float64, row 0 on top, any value: zero, negative, NaN and infinite
+    ones too.
     Raises ImageError, in one line, for all that is not exactly one such map: no readable file, wrong
     extension, damaged, over 2^27 pixels or 65536 a side (refused from the header), channels that differ.
     Validated against files written by imagecodecs, Pillow, OpenCV, tifffile, OpenEXR and NumPy, and by hand.
@@ -52,8 +52,8 @@ def read_depth(path: str | os.PathLike[str], layer: str | None = None) -> Array:
         return _single_channel(file, data)
 
 
-def _single_channel(file: BinaryIO, data: NDArray[Any]) -> Array:
-    """Take one of three equal channels, and turn numbers of any type into float64."""
+def _single_channel(file: BinaryIO, data: NDArray[Any]) -> NDArray[Any]:
+    """Take one of three equal channels, and turn floats into float64."""
     path = Path(file.name)
     if data.dtype.kind not in "iuf":
         refuse(path, "values must be integers or floats", data.dtype)
@@ -67,7 +67,7 @@ def _single_channel(file: BinaryIO, data: NDArray[Any]) -> Array:
         data = data[..., 0]
     if data.ndim != 2:
         refuse(path, "shape must be (rows, columns)", data.shape)
-    return np.ascontiguousarray(data, np.float64)
+    return np.ascontiguousarray(data, np.float64 if data.dtype.kind == "f" else data.dtype.newbyteorder("="))
 
 
 def _decode_exr(file: BinaryIO, layer: str | None) -> NDArray[Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from clsco.scene.quantities import MIN_LENGTH_MM
 
 Array = NDArray[np.float64]
 
-UNITS = ("mm", "m", "inverse_mm", "inverse_m", "disparity", "coc")
+ZERO_IS_MISSING = ("mm", "m", "disparity")
 FARTHEST = 1e-12  # inverse depth in 1/mm of what is infinitely far: 0 means that nothing is there
 ONE_SURFACE = 1.1  # how many times as far as one end of a gap the other one may be, for a surface to reach across it
 ROUNDING = 1e-6  # of the radius at infinity: float32 files reach it, and pass it by a few times 2^-24
@@ -66,51 +67,55 @@ class DepthValues:
         return ", ".join(parts)
 
 
-def inverse_depth(
-    raw: Array, unit: str, scale: float, camera: Camera, baseline: float | None = None, where: str = "depth",
-    offset: float | None = None, kind: str = "z",
-) -> DepthValues:  # fmt: skip
+def inverse_depth(raw: NDArray[Any], item: DepthMap, camera: Camera, where: str = "depth") -> DepthValues:
     """Turn the numbers of a depth file into inverse depth.
 
-    raw: (rows, columns). scale: number times scale is in `unit`; > 0. baseline: mm, offset: px, added to it, of unit
-    "disparity" only. where: name for the messages.
+    raw: (rows, columns), integers or float64. item: says what they mean. where: name for the messages.
 
-    unit         inverse depth w of v = raw scale          no surface                         infinitely far
-    mm, m        1 / v                                     0, negative, NaN                   +inf (Blender: 1e10)
-    inverse_mm,  v                                         negative, NaN, +inf                0
+    unit         inverse depth w of v = raw scale + offset   no surface               missing code   infinitely far
+    mm, m        1 / v                                       v = 0, negative, NaN     0              +inf, as 1e10 m
+    inverse_mm,  v                                           v negative, NaN, +inf    none           v = 0
     inverse_m
-    disparity    p (v + offset) / (baseline s0), v in px   0, negative, NaN, +inf             -
-    coc          K - v / kappa, v the signed R in px       NaN, infinite                      R = kappa K
+    disparity    p v / (baseline s0), v in px                v = 0, negative, NaN,    0              -
+                                                             +inf
+    coc          K - v / kappa, v the signed R in px         NaN, infinite            none           R = kappa K
 
-    KITTI's PNGs have scale 1/256; 0 there and inf in Middlebury's PFMs mean that the pixel was not measured.
+    A missing code is an integer for pixels that were not measured, as 0 in KITTI's PNGs of scale 1/256, whatever the
+    offset; of floats NaN, and inf in Middlebury's PFMs, say so. With near and far, between which the range of all
+    finite numbers is mapped, no number is missing.
     What is infinitely far, or farther than 1e12 mm, gets 1e-12 per mm: it is there, and blurs as at infinity.
     Raises ImageError where no pixel has a surface; where |R| passes 512 px, with the unit that is probably
-    meant; nearer than 1e-6 mm; for a radius beyond the camera's at infinity, which no depth has; and where scale
-    or baseline is missing or no positive number.
+    meant; nearer than 1e-6 mm; for a radius beyond the camera's at infinity, which no depth has; and where near and
+    far are given for numbers that are all the same.
     Validated against the formulas in exact fractions, and by converting analytic depth to every unit and back.
     """
-    _check_numbers(unit, scale, baseline, where)
-    nowhere = np.zeros(raw.shape, np.bool_)
+    unit, nowhere = item.unit, np.zeros(raw.shape, np.bool_)
+    with np.errstate(over="ignore"):
+        value: Array = raw * np.float64(item.scale)
+        value += item.offset or 0.0
+    zero = raw == 0 if raw.dtype.kind in "iu" and unit in ZERO_IS_MISSING and item.near is None else nowhere
+    if item.near is not None:
+        unit = "inverse_mm" if unit.startswith("inverse") else "mm"
+        value = _in_range(value, unit, item.near, item.far or math.inf, where)
     signed = unit == "coc"
+    if unit in ZERO_IS_MISSING:
+        zero = zero | (value == 0)
     kinds = {
-        "zero": raw == 0 if unit in ("mm", "m", "disparity") else nowhere,
-        "negative": nowhere if signed else raw < 0,
-        "nan": np.isnan(raw),
-        "infinite": nowhere if unit in ("mm", "m") else np.isinf(raw) if signed else raw == np.inf,
+        "zero": zero,
+        "negative": nowhere if signed else (value < 0) & ~zero,
+        "nan": np.isnan(value),
+        "infinite": nowhere if unit in ("mm", "m") else np.isinf(value) if signed else value == np.inf,
     }
     numbers = {name: int(np.count_nonzero(kind)) for name, kind in kinds.items()}
     valid = ~np.logical_or.reduce(list(kinds.values()))
     if not valid.any():
         why = ", ".join(f"{count} {kind}" for kind, count in numbers.items() if count)
         raise ImageError(f"{where}: at least one pixel must have a depth; got {why}")
-    value = raw[valid]
-    with np.errstate(over="ignore"):
-        value *= scale
-        value += offset or 0.0
-    w = _convert(value, unit, camera, baseline)
-    if kind == "ray":
+    value = value[valid]
+    w = _convert(value, unit, camera, item.baseline)
+    if item.depth_kind == "ray":
         w *= _ray_lengths(raw.shape, camera)[valid]
-    _check_blur(w, value, unit, scale, camera, where)
+    _check_blur(w, value, unit, item.scale if item.near is None else None, camera, where)
     if unit == "coc":
         _check_reach(value, camera, where)
     far = int(np.count_nonzero(w <= FARTHEST))
@@ -185,7 +190,7 @@ def _loaded(scene: Scene, item: DepthMap) -> Array:
     return map_values(scene, item, depth_numbers(item.inputs()["depth"]), image).inverse_depth
 
 
-def depth_numbers(source: Input) -> Array:
+def depth_numbers(source: Input) -> NDArray[Any]:
     """Numbers (rows, columns) of a depth file, or of an array, which nobody may change. Raises as `read_depth`."""
     if isinstance(source, ArrayInput):
         return source.array
@@ -195,7 +200,7 @@ def depth_numbers(source: Input) -> Array:
 
 
 def map_values(
-    scene: Scene, item: DepthMap, raw: Array, image: Callable[[], NDArray[np.float32]] | None = None
+    scene: Scene, item: DepthMap, raw: NDArray[Any], image: Callable[[], NDArray[np.float32]] | None = None
 ) -> DepthValues:
     """Depths of an object of a scene, and the counts of what its file or array has.
 
@@ -209,10 +214,10 @@ def map_values(
 
     name = str(item.depth)
     check_sizes("the frame", scene.camera.frame_size, name, (raw.shape[1], raw.shape[0]))
-    numbers = item.unit, item.scale, reference_camera(scene), item.baseline, name, item.offset, item.depth_kind
-    values = inverse_depth(raw, *numbers)
+    values = inverse_depth(raw, item, reference_camera(scene), name)
     if item.soft_edges == "assign":
-        values = _without_soft_edges(values, raw if item.unit in ("mm", "m") else None, scene.camera, image)
+        stored = raw.astype(np.float64, copy=False) if item.unit in ("mm", "m") else None
+        values = _without_soft_edges(values, stored, scene.camera, image)
     if values.invalid and item.no_depth == "far":
         if (radius := abs(float(blur_radius(scene.camera, FARTHEST)))) > LARGEST_BLUR:
             rule = f"the blur radius must be at most {LARGEST_BLUR:g} px"
@@ -245,15 +250,18 @@ def _without_soft_edges(
     return replace(values, inverse_depth=w, soft=len(pixels))
 
 
-def _check_numbers(unit: str, scale: float, baseline: float | None, where: str) -> None:
-    if unit not in UNITS:
-        raise ImageError(f"{where}: unit must be one of {', '.join(UNITS)}; got {unit!r}")
-    if not 0 < scale < math.inf:
-        raise ImageError(f"{where}: scale must be finite and greater than 0; got {scale:g}")
-    if (unit == "disparity") != (baseline is not None):
-        raise ImageError(f"{where}: baseline belongs to unit disparity, which needs it; got {baseline} and {unit}")
-    if baseline is not None and not 0 < baseline < math.inf:
-        raise ImageError(f"{where}: baseline must be a finite number of mm greater than 0; got {baseline:g}")
+def _in_range(value: Array, unit: str, near: float, far: float, where: str) -> Array:
+    """Numbers in `unit`, the nearest one at `near` and the farthest one at `far`, mm; what is not finite stays so."""
+    finite = np.isfinite(value)
+    if not finite.any():
+        return value
+    low, high = float(value[finite].min()), float(value[finite].max())
+    if low == high:
+        raise ImageError(f"{where}: near and far need numbers that differ; got {low:g} alone")
+    first, last = (near, far) if unit == "mm" else (1 / far, 1 / near)
+    share = (value[finite] - low) / (high - low)
+    value[finite] = (1 - share) * first + share * last
+    return value
 
 
 def _convert(value: Array, unit: str, camera: Camera, baseline: float | None) -> Array:
@@ -276,12 +284,13 @@ def _ray_lengths(shape: tuple[int, ...], camera: Camera) -> Array:
     return np.asarray(np.sqrt(1.0 + x**2 + y**2))
 
 
-def _check_blur(w: Array, value: Array, unit: str, scale: float, camera: Camera, where: str) -> None:
+def _check_blur(w: Array, value: Array, unit: str, scale: float | None, camera: Camera, where: str) -> None:
+    """scale: None where `near` and `far` are in its place."""
     # Linear in w: one of the ends has the largest.
     largest, at = max((abs(float(blur_radius(camera, w[at]))), -int(at)) for at in (w.argmin(), w.argmax()))
     if largest > LARGEST_BLUR:
         count = np.count_nonzero(np.abs(blur_radius(camera, w)) > LARGEST_BLUR)
-        cause = _probable_cause(value, unit, scale, camera)
+        cause = _probable_cause(value, unit, scale, camera) if scale else "near, or the camera, is probably wrong"
         raise ImageError(
             f"{where}: the blur radius must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px at {value[-at]:.4g} "
             f"{unit}, and more than that limit in {count} of {w.size} pixels ({cause})"
@@ -310,7 +319,7 @@ def _probable_cause(value: Array, unit: str, scale: float, camera: Camera) -> st
     inverse = unit if unit.startswith("inverse") else "inverse_m"  # numbers alone do not say which end is near
     lens = Lens.of(camera)
     nearest = lens.focus_power + LARGEST_BLUR / lens.blur_scale
-    most = scale * nearest / float(_convert(value.max(), inverse, camera, None))
+    most = abs(scale) * nearest / float(_convert(value.max(), inverse, camera, None))
     scaled = "" if inverse in spans else f" with a scale below {most:.2g}"
     return f"{hint}; or where larger numbers are nearer, {inverse}{scaled}"
 

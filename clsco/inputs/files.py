@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import cache, cached_property
 from pathlib import Path
 from stat import S_ISREG
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -163,7 +163,7 @@ class InputFiles:
 
         return self._once("about", source, read, lambda about: about.color.size)
 
-    def depth(self, source: Input) -> NDArray[np.float64]:
+    def depth(self, source: Input) -> NDArray[Any]:
         """`clsco.inputs.depth_maps.depth_numbers`, once per content."""
         return self._once("depth", source, lambda: depth_numbers(source), lambda array: array.nbytes)
 
@@ -183,10 +183,10 @@ class InputFiles:
         if content is None:
             return map_values(scene, item, depth_numbers(source), known)
         kinds = item.depth_kind, item.no_depth, scene.fill.method == "none"
-        numbers = item.unit, item.scale, item.baseline, item.offset, Distortion.of(scene.lens), *kinds
+        numbers = item.unit, item.scale, item.baseline, item.offset, item.near, item.far
         seen = (picture, scene.image.transfer) if item.soft_edges == "assign" else None
         return self.cache.get(
-            ("inverse depth", content, numbers, seen, scene.camera.model_dump_json()),
+            ("inverse depth", content, numbers, Distortion.of(scene.lens), kinds, seen, scene.camera.model_dump_json()),
             lambda: map_values(scene, item, self.depth(source), known),
             lambda values: values.inverse_depth.nbytes,
         )

@@ -27,8 +27,8 @@ class ArrayInput:
     Attributes
     ----------
     array : ndarray
-        Texture in uint8, uint16 or float32, (rows, columns) or (rows, columns, 3), or depth in float64, (rows,
-        columns).
+        Texture in uint8, uint16 or float32, (rows, columns) or (rows, columns, 3), or depth in integers or float64,
+        (rows, columns).
     kind : {"texture", "depth"}
     sha256 : str
         Hash of its type, shape and values, hexadecimal.
@@ -127,12 +127,12 @@ def _texture(array: NDArray[Any]) -> NDArray[Any]:
     return radiance
 
 
-def _depth(array: NDArray[Any]) -> NDArray[np.float64]:
-    """The numbers as float64, as `clsco.inputs.depth_files.read_depth` gives them; any value may stand for no depth."""
+def _depth(array: NDArray[Any]) -> NDArray[Any]:
+    """Integers, or float64, as `clsco.inputs.depth_files.read_depth` gives them; any value may stand for no depth."""
     _check_shape(array, array.ndim == 2, "(rows, columns)")
     if array.dtype.kind not in "iuf":
         raise fault("an array must hold integers or floats", str(array.dtype))
-    return array.astype(np.float64)
+    return array.astype(np.float64 if array.dtype.kind == "f" else array.dtype.newbyteorder("="))
 
 
 def _check_shape(array: NDArray[Any], right: bool, wanted: str) -> None:

@@ -303,12 +303,18 @@ class DepthMap(_Bounded):
     is."""
     unit: Literal["mm", "m", "inverse_mm", "inverse_m", "disparity", "coc"] = "mm"
     """Quantity in the file: Z in mm or m, 1/Z in 1/mm or 1/m, disparity in px, or signed blur radius R in px."""
-    scale: Annotated[float, Within(1e-12, 1e12)] = 1.0
-    """Factor from numbers in the file to `unit`, such as 0.001."""
+    scale: Annotated[float, Within(-1e12, 1e12)] = 1.0
+    """Factor from numbers in the file to `unit`, such as 0.001, or -1 for disparities with the other sign; not 0."""
     baseline: Length | None = Field(default=None, validate_default=True)
     """Distance B between the views, mm: Z = B s0 / (p disparity); only with unit = "disparity"."""
-    offset: Annotated[float, Within(0.0, 1e6, "px")] | None = None
-    """Added to the disparity, px: `doffs` of Middlebury's calibrations; only with unit = "disparity"."""
+    offset: Annotated[float, Within(-1e9, 1e9)] | None = None
+    """Added to a number times `scale`, in `unit`: of a disparity `doffs` of Middlebury's calibrations, of an inverse
+    depth the a of 1/Z = a + b v."""
+    near: Length | None = None
+    """Depth of the nearest number of the file, mm: the range of all numbers becomes `near` to `far`, linear in Z or,
+    with an inverse unit, in 1/Z, as of networks' relative inverse depth; not with disparity and coc."""
+    far: Length | None = Field(default=None, validate_default=True)
+    """Depth of the farthest number of the file, mm; only with `near`. Default of inverse units: infinite."""
     depth_kind: Literal["z", "ray"] = "z"
     """Depth along the optical axis, or distance from the lens along the ray of a pixel; the latter only of lengths."""
     no_depth: Literal["around", "far"] = "around"
@@ -355,11 +361,41 @@ class DepthMap(_Bounded):
             raise fault(f'"ray" belongs to units of length and their inverse, not to "{unit}"')
         return value
 
-    @field_validator("baseline", "offset")
+    @field_validator("scale")
+    @classmethod
+    def _not_zero(cls, value: float) -> float:
+        if abs(value) < 1e-12:
+            raise fault("must be at least 1e-12 in size")
+        return value
+
+    @field_validator("near")
+    @classmethod
+    def _of_depths(cls, value: float | None, info: ValidationInfo) -> float | None:
+        unit = info.data.get("unit")
+        if value is not None and unit in ("disparity", "coc"):
+            raise fault(f'belongs to units of length and their inverse, not to "{unit}"')
+        if value is not None and info.data.get("offset") is not None:
+            raise fault("must be without offset, as it maps the range of all numbers")
+        return value
+
+    @field_validator("far")
+    @classmethod
+    def _beyond_near(cls, value: float | None, info: ValidationInfo) -> float | None:
+        near = info.data.get("near", value)  # missing where it was refused
+        if value is None:
+            if near is not None and info.data.get("unit") in ("mm", "m"):
+                raise fault("must be given with near, in units of length", got="nothing")
+        elif near is None:
+            raise fault("must be with near")
+        elif value <= near and "near" in info.data:
+            raise fault(f"must be greater than near, {near:g} mm")
+        return value
+
+    @field_validator("baseline")
     @classmethod
     def _of_the_disparity(cls, value: float | None, info: ValidationInfo) -> float | None:
         unit = info.data.get("unit")  # missing where it was refused
-        if unit == "disparity" and value is None and info.field_name == "baseline":
+        if unit == "disparity" and value is None:
             raise fault('must be given with unit = "disparity"', got="nothing")
         if unit not in (None, "disparity") and value is not None:
             raise fault(f'belongs to unit = "disparity", not "{unit}"')

@@ -90,7 +90,7 @@ BY_UNIT = {"mm": (-100.0, 500.0), "deg": (-180.0, 180.0), "deg/s": (-90.0, 90.0)
 BY_FOCAL_LENGTH = {"sensor_distance": (1.01, 1.5), "focus_distance": (2.0, 200.0)}  # times it
 SCALES = {"focus_distance": "inverse", "f_number": "stops"}
 WIDE = 20.0  # ends of a slider that are so far apart, as a ratio, have a logarithmic scale
-OWN_ORDER = ("axis", "nappe", "unit", "scale", "baseline", "offset")  # after what the thesis names
+OWN_ORDER = ("axis", "nappe", "unit", "scale", "baseline", "offset", "near", "far")  # after what the thesis names
 
 
 def pose_label(path: str) -> str:

@@ -119,6 +119,8 @@ OTHER_KEYS: dict[str, dict[str, Any]] = {
     "scale": {"scale": 0.5},
     "baseline": {"unit": "disparity", "baseline": 60.0, "offset": 1.0},
     "offset": {"unit": "disparity", "baseline": 60.0, "offset": 2.0},
+    "near": {"near": 250.0, "far": 600.0},
+    "far": {"near": 250.0, "far": 650.0},
     "depth_kind": {"depth_kind": "ray"},
     "no_depth": {"no_depth": "far"},
     "soft_edges": {"soft_edges": "keep"},

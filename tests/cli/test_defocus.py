@@ -58,7 +58,7 @@ def test_options_are_keys_of_the_scene(files: tuple[Path, Path]) -> None:
         "unit": "disparity",
         "scale": 0.5,
         "baseline": 60.0,
-        "offset": 124.343,
+        "offset": -124.343,
         "depth_kind": "z",
         "no_depth": "far",
         "focal_length": 50.0,
@@ -105,7 +105,7 @@ def test_paths_are_absolute_and_a_pattern_is_none(files: tuple[Path, Path], monk
      'defocus: object[0].baseline: must be given with unit = "disparity"; got nothing'),
     ({"baseline": 6.0}, [],
      'defocus: object[0].baseline: belongs to unit = "disparity", not "mm"; got 6.0'),
-    ({"scale": 0.0}, [], "defocus: object[0].scale: must be greater than 0; got 0.0"),
+    ({"scale": 0.0}, [], "defocus: object[0].scale: must be at least 1e-12 in size; got 0.0"),
     ({"f_number": 2.0, "aperture_diameter": 5.0}, [],
      "defocus: camera.aperture_diameter: give f_number or aperture_diameter, not both; got 5.0"),
     ({"focal_length": float("nan")}, [], "defocus: camera.focal_length: must be a finite number; got nan"),
@@ -124,7 +124,7 @@ def test_faults_name_the_key(
 
 def test_all_faults_are_reported_at_once(files: tuple[Path, Path]) -> None:
     with pytest.raises(SceneError) as caught:
-        scene_of(*files, {"focal_length": -1.0, "scale": -1.0, "edge": "soft"})
+        scene_of(*files, {"focal_length": -1.0, "scale": 0.0, "edge": "soft"})
     assert len(caught.value.messages) == 3
 
 

@@ -161,7 +161,7 @@ TABLE: Table = (
     ("defocus image.png depth.npy -o {0}/out.png", NO_FOLDERS[1:4], 1, "{0}"),
     ("defocus image.png depth.npy -o out.png --unit {0}", ("", "cm", "MM", "px"), 1, "unit"),
     ("defocus image.png depth.npy -o out.png --scale {0}", NO_NUMBERS, 2, "--scale"),
-    ("defocus image.png depth.npy -o out.png --scale {0}", ("0", "-1", "nan", "inf", "1e99", "0/1"), 1, "scale"),
+    ("defocus image.png depth.npy -o out.png --scale {0}", ("0", "-1e99", "nan", "inf", "1e99", "0/1"), 1, "scale"),
     ("defocus image.png depth.npy -o out.png --f-number {0}", NO_NUMBERS[:3], 2, "--f-number"),
     ("defocus image.png depth.npy -o out.png --f-number {0}", ("0", "-1", "nan", "inf", "1e99"), 1, "f_number"),
     ("defocus image.png depth.npy -o out.png --focal-length {0}", ("0", "-1", "nan", "inf", "1e99"), 1, "focal_length"),

@@ -209,13 +209,15 @@ KEYS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("quadric", "object[0].center", VECTOR),
     ("map", "object[0].depth", (*TEXT, '""')),
     ("map", "object[0].unit", WORD),
-    ("map", "object[0].scale", (*NO_NUMBER, *TOO_FAR, "0", "-1", "1e-13", "1e13")),
+    ("map", "object[0].scale", (*NO_NUMBER, *TOO_FAR, "0", "-1e-13", "1e-13", "1e13")),
     ("map", "object[0].baseline", ("60.0",)),
-    ("map", "object[0].offset", ("1.0",)),
+    ("map", "object[0].offset", (*NO_NUMBER, *TOO_FAR)),
+    ("map", "object[0].far", ("1.0",)),
     ("map", "object[0].bounds", ("[[0, 1], [0, 1], [0, 1]]",)),
     ("map", "object[0].center", VECTOR),
     ("disparity", "object[0].baseline", LENGTH),
-    ("disparity", "object[0].offset", (*NO_NUMBER, *TOO_FAR, "-1", "1e7")),
+    ("disparity", "object[0].offset", (*NO_NUMBER, *TOO_FAR)),
+    ("disparity", "object[0].near", LENGTH),
 )  # fmt: skip
 
 # Keys that the named shape, or section, does not have.

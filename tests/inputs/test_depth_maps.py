@@ -24,7 +24,7 @@ from clsco.files.depth_codes import dpt_bytes
 from clsco.files.images import check_sizes
 from clsco.inputs.depth_files import read_depth
 from clsco.inputs.depth_maps import inverse_depth
-from clsco.scene.model import Camera
+from clsco.scene.model import Camera, DepthMap
 
 Array = NDArray[Any]
 CAMERA = Camera()  # kappa = 10,000 px mm, in focus at 250.017 mm, 39.997 px at infinity
@@ -107,7 +107,8 @@ def test_reads_the_numbers_that_a_file_stores(
     path = tmp_path / f"depth.{suffix}"
     save(path, data)
     read = read_depth(path)
-    np.testing.assert_array_equal(read, data.astype(np.float64), strict=True)
+    native = np.float64 if data.dtype.kind == "f" else data.dtype.newbyteorder("=")
+    np.testing.assert_array_equal(read, data.astype(native), strict=True)
     assert read.flags.c_contiguous
 
 
@@ -205,7 +206,7 @@ def test_reads_what_sintel_and_clsco_write(tmp_path: Path) -> None:
     (tmp_path / "depth.dpt").write_bytes(dpt_bytes(depth))
     found = read_depth(tmp_path / "depth.dpt")
     np.testing.assert_array_equal(found, (depth.astype(np.float64) / 1000).astype(np.float32))
-    w = inverse_depth(found, "m", 1.0, CAMERA).inverse_depth
+    w = inverse_depth(found, DepthMap(depth="z.dpt", unit="m"), CAMERA).inverse_depth
     np.testing.assert_allclose(w[:, :2], 1 / depth[:, :2], rtol=2.0**-23)
     (tmp_path / "depth.dpt").write_bytes(dpt_bytes(depth)[:-1])
     assert refusal(tmp_path / "depth.dpt").startswith(
@@ -347,13 +348,14 @@ def test_sizes_must_be_the_same() -> None:
 def test_files_of_kitti_and_middlebury_work_as_they_are(tmp_path: Path) -> None:
     meters = np.array([[0.5, 1.25], [80.0, 0.0]])
     (tmp_path / "kitti.png").write_bytes(imagecodecs.png_encode((256 * meters).astype(np.uint16)))
-    values = inverse_depth(read_depth(tmp_path / "kitti.png"), "m", 1 / 256, CAMERA)
+    values = inverse_depth(read_depth(tmp_path / "kitti.png"), DepthMap(depth="z", unit="m", scale=1 / 256), CAMERA)
     np.testing.assert_allclose(values.inverse_depth, [[1 / 500, 1 / 1250], [1 / 80000, 0]], rtol=3 * 2.0**-53)
     assert values.zero == 1
 
     disparity = np.array([[240.0, np.inf], [120.5, 480.0]], np.float32)
     save_pfm(tmp_path / "disp0.pfm", disparity, "-0.003922")
-    values = inverse_depth(read_depth(tmp_path / "disp0.pfm"), "disparity", 1.0, CAMERA, BASELINE)
+    item = DepthMap(depth="z", unit="disparity", baseline=BASELINE)
+    values = inverse_depth(read_depth(tmp_path / "disp0.pfm"), item, CAMERA)
     wanted = np.where(np.isinf(disparity), 0, 0.01 * disparity.astype(np.float64) / (BASELINE * 20.0))
     np.testing.assert_allclose(values.inverse_depth, wanted, rtol=4 * 2.0**-53)
     assert values.infinite == 1

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import Any
+from pathlib import Path
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from clsco.errors import ImageError
-from clsco.inputs.depth_maps import FARTHEST, UNITS, DepthValues, fill_depth, inverse_depth, map_values
+from clsco.inputs.depth_maps import FARTHEST, DepthValues, fill_depth, inverse_depth, map_values
 from clsco.optics.lens import LARGEST_BLUR, Lens, blur_radius
 from clsco.scene.model import Camera, DepthMap
 from tests.scenes import scene_of
@@ -20,11 +21,16 @@ from tests.scenes import scene_of
 Array = NDArray[Any]
 CAMERA = Camera()  # kappa = 10,000 px mm, in focus at 250.017 mm, 39.997 px at infinity
 BASELINE = 60.0
+UNITS = get_args(DepthMap.model_fields["unit"].annotation)
 
 
-def w_of(raw: list[float], unit: str, **options: Any) -> Array:
-    given: dict[str, Any] = {"scale": 1.0, "camera": CAMERA, "baseline": BASELINE if unit == "disparity" else None}
-    return inverse_depth(np.array([raw]), unit, **(given | options)).inverse_depth[0]
+def values_of(raw: Any, unit: Any, camera: Camera = CAMERA, where: str = "depth", **keys: Any) -> DepthValues:
+    item = DepthMap(depth="z.npy", unit=unit, **({"baseline": BASELINE} if unit == "disparity" else {}) | keys)
+    return inverse_depth(np.atleast_2d(raw), item, camera, where)
+
+
+def w_of(raw: Any, unit: str, **options: Any) -> Array:
+    return values_of(raw, unit, **options).inverse_depth[0]
 
 
 @pytest.mark.parametrize(("unit", "value", "meters"), [
@@ -42,11 +48,59 @@ def test_units_against_exact_fractions(unit: str, value: float, meters: Fraction
     np.testing.assert_allclose(w_of([value * 256], unit, scale=1 / 256), [wanted], rtol=3 * 2.0**-53)
 
 
-def test_an_offset_is_added_to_a_disparity() -> None:
-    # Z = B s0 / (p (d + 120)) = 60 mm * 20 mm / (0.01 mm * 480); what was not measured has no disparity to add to.
-    w = w_of([360.0, 0.0, np.inf], "disparity", offset=120.0)
-    np.testing.assert_allclose(w, [1 / 250, 0.0, 0.0], rtol=2.0**-51)
-    np.testing.assert_array_equal(w_of([180.0], "disparity", scale=2.0, offset=120.0), w[:1])  # in px, not in steps
+NAN, INF = np.nan, np.inf
+RANGE = {"near": 250.0, "far": 1000.0}
+
+
+@pytest.mark.parametrize(("unit", "keys", "raw", "millimeters"), [
+    # Z = B s0 / (p d) = 60 mm * 20 mm / (0.01 mm * d), where 0 is no depth, and what is no number or unknown.
+    ("disparity", {"offset": 120.0}, [360.0, 0.0, -60.0, -120.0, -121.0, NAN, INF], [250, 1000, 2000, 0, 0, 0, 0]),
+    ("disparity", {"offset": 120.0, "scale": 2.0}, [180.0], [250]),
+    ("disparity", {"offset": 120.0}, np.array([360, 0], np.uint16), [250, 0]),
+    ("disparity", {"offset": 600.0, "scale": -1.0}, [120.0, 0.0, 600.0, -INF, INF], [250, 200, 0, 0, 0]),
+    ("disparity", {"scale": -1 / 16}, np.array([-7680, 7680, 0], np.int16), [250, 0, 0]),
+    ("inverse_m", {"offset": 1.0, "scale": 0.5}, [6.0, 0.0, -2.0, -3.0, INF, NAN], [250, 1000, INF, 0, 0, 0]),
+    ("inverse_mm", {"offset": 1e-3, "scale": 1e-3}, np.array([3, 0], np.uint8), [250, 1000]),
+    ("inverse_m", RANGE, np.array([255, 0, 51], np.uint8), [250, 1000, 625]),
+    ("inverse_mm", RANGE, [7.0, -1.0, NAN, INF, -INF], [250, 1000, 0, 0, 0]),
+    ("inverse_m", {"near": 250.0}, [1.0, 0.5, 0.0], [250, 500, INF]),
+    ("inverse_m", RANGE | {"scale": -1.0}, [0.0, 1.0], [250, 1000]),
+    ("mm", RANGE, np.array([0, 65535, 13107], np.uint16), [250, 1000, 400]),
+    ("m", RANGE, [-1.0, 1.0, 0.0, NAN, INF, -INF], [250, 1000, 625, 0, INF, 0]),
+    ("mm", {}, np.array([0, 250, 65535], np.uint16), [0, 250, 65535]),
+    ("mm", {"offset": 4.25}, np.array([0, 250], np.uint16), [0, 254.25]),
+    ("mm", {"offset": 100.0}, [0.0, 150.0, -100.0, -101.0, INF], [100, 250, 0, 0, INF]),
+    ("m", {"scale": 1 / 256}, np.array([0, 256, 65535], np.uint16), [0, 1000, 65535000 / 256]),
+    ("m", {"scale": -1.0}, [-0.25, 0.25, -INF, INF], [250, 0, INF, 0]),
+])  # fmt: skip
+def test_what_numbers_mean_after_scale_and_offset(
+    unit: str, keys: dict[str, float], raw: Any, millimeters: list[float]
+) -> None:
+    wanted = [0 if z == 0 else FARTHEST if z == INF else 1 / z for z in millimeters]
+    np.testing.assert_allclose(w_of(raw, unit, **keys), wanted, rtol=1e-14)
+
+
+def test_a_radius_of_the_other_sign_and_focus() -> None:
+    shifted = blur_radius(CAMERA, w_of(np.array([0, 3, -4], np.int8), "coc", scale=-1.0, offset=2.0))
+    np.testing.assert_allclose(shifted, [2.0, -1.0, 6.0], atol=1e-12)
+
+
+@pytest.mark.parametrize("unit", UNITS)
+def test_numbers_of_the_other_sign_are_the_same_map(unit: str) -> None:
+    """Soft edges and pixels without a depth among them."""
+    step = np.interp(np.arange(24), [10, 14], [GOOD[unit], 1.5 * GOOD[unit]]).astype(np.float32)
+    raw = np.tile(step, (12, 1))
+    raw[3:6, 2:5] = np.nan
+    keys: dict[str, Any] = {"unit": unit, **({"baseline": BASELINE} if unit == "disparity" else {})}
+    found, other = map_of(raw, **keys), map_of(-raw, scale=-1.0, **keys)
+    np.testing.assert_array_equal(found.inverse_depth, other.inverse_depth)
+    assert found.report() == other.report() != ""
+
+
+def test_the_page_of_depth_maps_lists_every_unit() -> None:
+    page = Path("docs/depth_maps.md").read_text()
+    rows = [line.split("|")[1] for line in page.partition("| `unit` |")[2].partition("\n\n")[0].splitlines()[2:]]
+    assert [unit for row in rows for unit in row.replace("`", "").replace(",", " ").split()] == list(UNITS)
 
 
 def test_a_radius_is_taken_as_it_is() -> None:
@@ -60,7 +114,7 @@ def test_a_radius_is_taken_as_it_is() -> None:
 def test_infinity_as_a_radius_is_infinitely_far() -> None:
     at_infinity = np.float32(blur_radius(CAMERA, 0.0))  # as a file of floats has it, a little beyond or short of it
     beyond = float(np.nextafter(at_infinity, np.float32(np.inf)))
-    values = inverse_depth(np.array([[beyond, 0.0]]), "coc", 1.0, CAMERA)
+    values = values_of([beyond, 0.0], "coc")
     assert values.inverse_depth[0, 0] == FARTHEST
     assert (values.far, values.invalid) == (1, 0)
 
@@ -81,8 +135,7 @@ def test_what_every_kind_of_number_means(
     unit: str, zero: int, negative: int, nan: int, infinite: int, far: int
 ) -> None:
     raw = np.array([[GOOD[unit], *KINDS]])
-    baseline = BASELINE if unit == "disparity" else None
-    values = inverse_depth(raw, unit, 1.0, CAMERA, baseline)
+    values = values_of(raw, unit)
     assert (values.zero, values.negative, values.nan, values.infinite, values.far) == (
         zero, negative, nan, infinite, far,
     )  # fmt: skip
@@ -98,15 +151,15 @@ def test_what_every_kind_of_number_means(
 def test_report_tells_the_kinds_that_there_are() -> None:
     raw = np.array([[250.0, 0.0, 0.0, np.nan], [250.0, np.inf, -3.0, 1e10]])
     recorded = "4 of 8 pixels have no depth (2 zero, 1 negative, 1 NaN), 1 is infinitely far"
-    assert inverse_depth(raw, "mm", 1.0, CAMERA).report() == recorded
-    assert inverse_depth(np.full((2, 2), 250.0), "mm", 1.0, CAMERA).report() == ""
-    assert inverse_depth(np.array([[250.0, np.inf]]), "mm", 1.0, CAMERA).report() == "1 of 2 pixels is infinitely far"
-    disparity = inverse_depth(np.array([[480.0, np.inf]]), "disparity", 1.0, CAMERA, BASELINE)
+    assert values_of(raw, "mm").report() == recorded
+    assert values_of(np.full((2, 2), 250.0), "mm").report() == ""
+    assert values_of([250.0, np.inf], "mm").report() == "1 of 2 pixels is infinitely far"
+    disparity = values_of([480.0, np.inf], "disparity")
     assert disparity.report() == "1 of 2 pixels have no depth (1 infinite)"
 
 
 def test_the_background_of_a_renderer_is_there() -> None:
-    values = inverse_depth(np.array([[0.3, 1e10, 1e9, 65504.0]]), "m", 1.0, CAMERA)
+    values = values_of([0.3, 1e10, 1e9, 65504.0], "m")
     np.testing.assert_array_equal(values.inverse_depth[0, 1:3], FARTHEST)
     assert (values.invalid, values.far) == (0, 2)
     # 1e-12 per mm is 1e-8 px from infinity with kappa = 1e4 px mm.
@@ -136,8 +189,8 @@ def test_every_unit_tells_the_same_depth(
         "disparity": baseline * camera.normalization_distance / (camera.pixel_pitch * millimeters),
         "coc": float(blur_radius(camera, wanted)),
     }[unit]
-    given_baseline = baseline if unit == "disparity" else None
-    values = inverse_depth(np.array([[value / scale]]), unit, scale, camera, given_baseline)
+    keys: dict[str, Any] = {"baseline": baseline} if unit == "disparity" else {}
+    values = values_of([value / scale], unit, camera, scale=scale, **keys)
     # Eight roundings of 2^-53 at most; of a radius, each is relative to the larger of K and w instead.
     size = max(wanted, abs(Lens.of(camera).focus_power), 1 / focal_length) if unit == "coc" else wanted
     assert values.inverse_depth[0, 0] == pytest.approx(wanted, rel=0, abs=8 * 2.0**-53 * size)
@@ -198,15 +251,8 @@ def test_the_limit_is_the_one_of_the_renderer() -> None:
 @pytest.mark.parametrize(("raw", "unit", "options", "message"), [
     ([0.0, np.nan, -2.0], "mm", {}, "depth: at least one pixel must have a depth; got 1 zero, 1 negative, 1 nan"),
     ([np.inf], "disparity", {}, "depth: at least one pixel must have a depth; got 1 infinite"),
-    ([250.0], "cm", {}, "depth: unit must be one of mm, m, inverse_mm, inverse_m, disparity, coc; got 'cm'"),
-    ([250.0], "mm", {"scale": 0.0}, "depth: scale must be finite and greater than 0; got 0"),
-    ([250.0], "mm", {"scale": -1.0}, "depth: scale must be finite and greater than 0; got -1"),
-    ([2.0], "coc", {"scale": np.nan}, "depth: scale must be finite and greater than 0; got nan"),
-    ([250.0], "mm", {"baseline": 9.0}, "depth: baseline belongs to unit disparity, which needs it; got 9.0 and mm"),
-    ([250.0], "disparity", {"baseline": None},
-     "depth: baseline belongs to unit disparity, which needs it; got None and disparity"),
-    ([250.0], "disparity", {"baseline": -5.0},
-     "depth: baseline must be a finite number of mm greater than 0; got -5"),
+    ([3.0, 3.0, np.nan], "m", RANGE, "depth: near and far need numbers that differ; got 3 alone"),
+    ([0.0, 3.0], "inverse_m", {"near": 0.3}, f"{LARGE}3.329e+04 px at 3.333 inverse_mm, and more than that limit in 1"),
     ([45.0, 60.0, 3.0], "coc", {},
      f"depth: radii must be at most 39.9972 {AT_INFINITY}, or its aperture_diameter at least 15.02 mm; got 60 px"),
     ([0.0], "coc", {"camera": Camera(sensor_distance=19.0)},
@@ -282,21 +328,21 @@ def test_distances_along_rays_become_depths(unit: str, number: Any) -> None:
     y, x = np.indices((67, 100)) - np.array([33.0, 49.5])[:, None, None]
     distance = 300.0 * np.sqrt(1.0 + (x**2 + y**2) * (0.36 / 24.0) ** 2)
     assert distance[0, 0] / 300 == pytest.approx(1.34, abs=0.01)
-    values = inverse_depth(number(distance), unit, 1.0, WIDE, kind="ray")
+    values = values_of(number(distance), unit, WIDE, depth_kind="ray")
     np.testing.assert_allclose(values.inverse_depth, 1 / 300, rtol=1e-14)
-    planar = inverse_depth(number(distance), unit, 1.0, WIDE)
+    planar = values_of(number(distance), unit, WIDE)
     # 24 mm at f/2.4 and this pitch have kappa = 333 px mm: the corner would be blurred by another 0.28 px.
     off = blur_radius(WIDE, planar.inverse_depth) - blur_radius(WIDE, values.inverse_depth)
     assert off[0, 0] == pytest.approx(Lens.of(WIDE).blur_scale * (1 / 300 - 1 / distance[0, 0]), rel=1e-9)
 
 
 def test_infinity_along_a_ray_and_no_depth_stay_what_they_are() -> None:
-    values = inverse_depth(np.array([[np.inf, 0.0, np.nan, 300.0]]), "mm", 1.0, WIDE, kind="ray")
+    values = values_of([np.inf, 0.0, np.nan, 300.0], "mm", WIDE, depth_kind="ray")
     np.testing.assert_array_equal(values.inverse_depth[0, :3], [FARTHEST, 0.0, 0.0])
     assert (values.far, values.zero, values.nan) == (1, 1, 1)
 
 
-def map_of(raw: list[list[float]], camera: dict[str, Any] | None = None, **keys: Any) -> DepthValues:
+def map_of(raw: Any, camera: dict[str, Any] | None = None, **keys: Any) -> DepthValues:
     depth = np.array(raw)
     scene = scene_of(DepthMap(texture="bricks", depth=depth, **keys), size=depth.T.shape, camera=camera)
     (item,) = scene.objects

@@ -53,7 +53,7 @@ def test_what_is_kept(given: NDArray[Any], dtype: type[np.generic]) -> None:
     np.testing.assert_array_equal(array, given.astype(dtype))
     depth = clsco.DepthMap(depth=given[..., 0] if given.ndim == 3 else given).depth
     assert isinstance(depth, ArrayInput)
-    assert depth.array.dtype == np.float64
+    assert depth.array.dtype == (np.float64 if given.dtype.kind == "f" else dtype)
 
 
 def test_scenes_compare_by_content() -> None:

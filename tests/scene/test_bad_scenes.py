@@ -231,7 +231,6 @@ OBJECTS: list[tuple[str, str]] = [
         'shape = "depth_map", depth = "z.png", unit = "cm"',
         'object[0].unit: must be mm, m, inverse_mm, inverse_m, disparity or coc; got "cm"',
     ),
-    ('shape = "depth_map", depth = "z.png", scale = 0', "object[0].scale: must be greater than 0; got 0"),
     ('shape = "depth_map", depth = "z.png", scale = inf', "object[0].scale: must be a finite number; got inf"),
     (
         'shape = "depth_map", depth = "z.png", unit = "disparity"',
@@ -242,12 +241,25 @@ OBJECTS: list[tuple[str, str]] = [
         'object[0].baseline: belongs to unit = "disparity", not "m"; got 60',
     ),
     (
-        'shape = "depth_map", depth = "z.png", offset = 124.343',
-        'object[0].offset: belongs to unit = "disparity", not "mm"; got 124.343',
+        'shape = "depth_map", depth = "z.png", unit = "inverse_m", near = 300, offset = 1',
+        "object[0].near: must be without offset, as it maps the range of all numbers; got 300",
     ),
     (
-        'shape = "depth_map", depth = "z.png", unit = "disparity", baseline = 6, offset = -1',
-        "object[0].offset: must be between 0 and 1000000 px; got -1",
+        'shape = "depth_map", depth = "z.png", unit = "disparity", baseline = 6, near = 300',
+        'object[0].near: belongs to units of length and their inverse, not to "disparity"; got 300',
+    ),
+    (
+        'shape = "depth_map", depth = "z.png", near = 300',
+        "object[0].far: must be given with near, in units of length; got nothing",
+    ),
+    ('shape = "depth_map", depth = "z.png", far = 300', "object[0].far: must be with near; got 300"),
+    (
+        'shape = "depth_map", depth = "z.png", near = 300, far = 300',
+        "object[0].far: must be greater than near, 300 mm; got 300",
+    ),
+    (
+        'shape = "depth_map", depth = "z.png", scale = 0',
+        "object[0].scale: must be at least 1e-12 in size; got 0",
     ),
     (
         'shape = "depth_map", depth = "z.png", unit = "disparity", baseline = -1',

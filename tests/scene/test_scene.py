@@ -114,6 +114,8 @@ COEFFICIENTS = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -900.0)
                 "scale": 1.0,
                 "baseline": None,
                 "offset": None,
+                "near": None,
+                "far": None,
                 "depth_kind": "z",
                 "no_depth": "around",
                 "soft_edges": "assign",
