@@ -63,7 +63,7 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     psf += _reals(real, key=(), minimum_blur=(), fine_steps=(), fine_until=(), octaves_from=(), steps=(), sub_steps=())
     psf += _reals(real, lens_extent=(), rim_distance=(MOST_RIMS,), rim_radius=(MOST_RIMS,), per_column=(), per_row=())
     sensor: list[Any] = [("planes", i), ("channel", i, (12,)), ("maximum", i)]
-    sensor += [(name, "u4") for name in ("seed_low", "seed_high", "hot")]
+    sensor += [(name, "u4") for name in ("seed_low", "seed_high", "noise_low", "noise_high", "hot")]
     sensor += _reals("float", scale=(12,), prnu=(), dsnu=(), dark=(), leak=(), most=(), full_well=(), read_noise=())
     sensor += _reals("float", gain=(), black=(), largest=())
     fields = {"grid_t": grid, "lens_t": lens, "surface_t": surface, "texture_map_t": mapping}

@@ -58,9 +58,9 @@ class Builder:
         self._placed: list[tuple[str, Any, Any]] = []  # name, and where a point in the frustum goes
         self._sources: dict[str, str] = {}  # keys of objects as the scene has them, and as the file does
 
-    def build(self, values: Values, derive: bool = True) -> Built:
-        """The sample of some values; derive: with the keys that follow from its scenes. Raises SceneError, whose
-        messages do not name the file, and UnfitError."""
+    def build(self, values: Values, derive: bool = True, noise_seed: int = 0) -> Built:
+        """The sample of some values; derive: with the keys that follow from its scenes; noise_seed: of its sensor,
+        where that has none. Raises SceneError, whose messages do not name the file, and UnfitError."""
         parts = self._parts
         try:
             for parameter, value in zip(parts.parameters, values.values, strict=True):
@@ -76,10 +76,7 @@ class Builder:
                 self._parameters[population.count.name] = len(members)
                 for element, member in enumerate(members):
                     self._add(population, element, member)
-            if parts.sized:
-                self._size()
-            if self._placed:
-                self._place()
+            self._complete(noise_seed)
             sweep = parse_sweep(self._table, "")
             for key, wanted in parts.derived if derive else ():
                 sweep = self._derive(key, self._wanted[key] if isinstance(wanted, Parameter) else wanted, sweep)
@@ -124,6 +121,15 @@ class Builder:
                 item["apex"] = value
                 self._placed = [(n, t, "apex" if t is item and k == key else k) for n, t, k in self._placed]
         self._placed = [(n, t, k) for n, t, k in self._placed if t is not item or k in item]
+
+    def _complete(self, noise_seed: int) -> None:
+        """Add what follows from other keys."""
+        if self._parts.sized:
+            self._size()
+        if self._placed:
+            self._place()
+        if isinstance(sensor := self._table.get("sensor"), dict):
+            sensor.setdefault("noise_seed", noise_seed)
 
     def _size(self) -> None:
         """Give the camera the resolution that it has without one: that of the first texture."""

@@ -28,10 +28,12 @@ from clsco.scene.changes import dump, table_at
 from clsco.scene.faults import at_most
 from clsco.scene.file import MAX_FILE_BYTES, SceneLike, absolute, scene_of
 from clsco.scene.model import Scene
+from clsco.scene.sensor import NOISE_SEEDS
+from clsco.scene.sweep import exposed_again
 from clsco.scene.text import shown
 from clsco.scene.toml import toml_text
 
-VERSION = 1  # of how samples follow from a file: changed where the same file gives other samples
+VERSION = 2  # of how samples follow from a file: changed where the same file gives other samples
 MAX_ATTEMPTS = 100
 MAX_NUMBER = 2**63 - 1
 
@@ -150,7 +152,7 @@ class Distribution:
         for attempt in range(1, MAX_ATTEMPTS + 1):
             try:
                 values = self._values(self.drawn(seed, numbers, attempt))
-                built = Builder(self.parts, self.folder).build(values)
+                built = Builder(self.parts, self.folder).build(values, noise_seed=_noise_seed(seed, numbers))
                 reason = refusal(self.accept, built.sweep.scenes)
             except UnfitError as error:
                 reason = str(error)
@@ -203,6 +205,12 @@ class Distribution:
             forms = [(one.form, column) for one, column in zip(population.parameters, columns, strict=True)]
             members.append([[form.value(column[k]) for form, column in forms] for k in range(len(owner))])
         return Values(values, [int(column[0]) for column in drawn.rows], members)
+
+
+def _noise_seed(seed: int, numbers: Words) -> int:
+    """Seed of the noise of a sample's exposures, where its scene has none."""
+    (words,) = stream_words(seed, numbers, ["sensor.noise_seed"], [1])
+    return int(words[0, 0]) % NOISE_SEEDS
 
 
 def sample_numbers(seed: Any, number: Any) -> Words:
@@ -348,6 +356,8 @@ class ScriptedDistribution:
         try:
             drawn = self.function(rng, number)
             scene = scene_of(drawn)
+            if scene.sensor is not None and "noise_seed" not in scene.sensor.model_fields_set:
+                scene = exposed_again(scene, _noise_seed(seed, numbers))
             table = self._table(scene)
         except ClscoError as error:
             messages = [f"{message} (sample {number}, seed {seed})" for message in str(error).splitlines()]

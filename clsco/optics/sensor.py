@@ -18,6 +18,7 @@ from clsco.scene.sensor import MOSAICS, Sensor
 
 GRAY = 1  # gray light is taken for green
 PLANES = 3
+STREAM_BITS = 8  # of a word that has the stream of a plane, and above it the upper bits of noise_seed
 LEAST_DARK_NOISE = 0.4  # DN rms, below which rounding no longer adds 1/12 DN^2 (EMVA 1288)
 MOST_MEAN = 2.0**24  # electrons of a pixel, beyond any full well
 MOST_DOUBLINGS = 100.0  # of the dark current, where any pixel is full
@@ -123,6 +124,8 @@ def sensor_values(found: SensorModel) -> dict[str, Any]:
         "largest": found.largest,
         "seed_low": sensor.seed & 0xFFFFFFFF,
         "seed_high": sensor.seed >> 32,
+        "noise_low": sensor.noise_seed & 0xFFFFFFFF,
+        "noise_high": sensor.noise_seed >> 32 << STREAM_BITS,
         "hot": min(round(sensor.hot_pixels * 2**32), 2**32 - 1),
         "prnu": sensor.prnu,
         "dsnu": sensor.dsnu,

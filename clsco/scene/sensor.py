@@ -11,6 +11,7 @@ from clsco.scene.quantities import Strict, Triple, Within, at_keys, fault
 MOSAICS = {"rggb": (0, 1, 1, 2), "bggr": (2, 1, 1, 0), "grbg": (1, 0, 2, 1), "gbrg": (1, 2, 0, 1)}
 """Channels of the pixels (0, 0), (0, 1), (1, 0), (1, 1) (row, column) of a Bayer mosaic: red, green, blue."""
 MOST_ELECTRONS = 10_000_000
+NOISE_SEEDS = 2**53  # as many as numbers of JSON tell apart
 
 Electrons = Annotated[float, Within(1.0, MOST_ELECTRONS, "e-")]
 Noise = Annotated[float, Within(0.0, 1e6, "e-")]
@@ -60,6 +61,9 @@ class Sensor(Strict):
     """Method that finds the channels that a pixel of a mosaic has not measured, for the image; "none": they are 0."""
     seed: Annotated[int, Within(0, 2**63 - 1)] = 1
     """Seed of all noise: another one is another sensor and other exposures."""
+    noise_seed: Annotated[int, Within(0, NOISE_SEEDS - 1)] = 0
+    """Seed of the noise that is new in each exposure: another one is another exposure by the same sensor. Variants of a
+    sweep count on from it, samples of a data set have their own."""
 
     @field_validator("black_level")
     @classmethod

@@ -24,6 +24,7 @@ from clsco.scene.file import (
 )
 from clsco.scene.model import Scene
 from clsco.scene.quantities import as_python
+from clsco.scene.sensor import NOISE_SEEDS
 from clsco.scene.text import key_name, shown
 
 RANGE = ("from", "to", "steps")
@@ -94,7 +95,8 @@ def load_sweep(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
     -----
     Keys of [camera], [motion], [sequence], [camera.motion], [object.motion] and [group.motion] may be a list of values,
     or a range { from = 200, to = 400, steps = 9 } that includes both ends; for a vector a list of vectors, or a range
-    of vectors. Several such keys give all combinations, the first key of the file changing slowest.
+    of vectors. Several such keys give all combinations, the first key of the file changing slowest. Each variant is an
+    exposure by itself: their sensors' noise_seed counts on, unless it is swept.
 
     Examples
     --------
@@ -183,7 +185,17 @@ def parse_sweep(mapping: Mapping[str, Any] | str, where: str = "scene") -> Sweep
         raise SceneError(at_most(where, faults))
     words = [[f"{axis.label()}_{word}" for word in axis.words()] for axis in axes]
     labels = ["__".join(column[i] for column, i in zip(words, choice, strict=True)) for choice in choices]
+    if all(axis.location != ("sensor", "noise_seed") for axis in axes):
+        scenes = [exposed_again(scene, number) for number, scene in enumerate(scenes)]
     return Sweep(tuple(labels), tuple(scenes))
+
+
+def exposed_again(scene: Scene, number: int) -> Scene:
+    """The scene with the noise of another exposure of its sensor, so many after its own."""
+    if scene.sensor is None:
+        return scene
+    seed = (scene.sensor.noise_seed + number) % NOISE_SEEDS
+    return scene.model_copy(update={"sensor": scene.sensor.model_copy(update={"noise_seed": seed})})
 
 
 def _listed(value: Any, depth: int = 0) -> Any:

@@ -42,8 +42,8 @@ LABELS_AT = {
     "camera.shake.band": "Frequencies of the shake", "camera.shake.seed": "Seed of the shake",
     "psf.model": "PSF model", "fill.method": "Filling", "stereo.baseline": "Baseline", "psf.edge": "Edge of the PSF",
     "light.direction": "Direction of the light", "light.position": "Position of the light",
-    "light.ambient": "Ambient light", "sensor.seed": "Seed of the noise",
-    "sensor.iso_base": "ISO of the full well",
+    "light.ambient": "Ambient light", "sensor.seed": "Seed of the sensor",
+    "sensor.noise_seed": "Seed of the noise", "sensor.iso_base": "ISO of the full well",
     "sensor.white_electrons": "Electrons of white", "sensor.bits": "Bits of a code", "image.transfer": "Transfer curve",
 }  # fmt: skip
 WORDS = {

@@ -4,8 +4,8 @@
 //     mean = (1 + prnu z1) scale_c L + dark + leak,    e = min(Poisson(mean), full_well)
 //     code = floor(gain (e + dsnu z2 + read_noise z3) + black + 1/2), within 0 .. largest
 //
-// with z of the standard normal distribution. Random numbers depend on (seed; pixel, frame, stream) alone, so that
-// neither strips, work-groups nor the order matter. A work-item has SENSED_PIXELS of a row.
+// with z of the standard normal distribution. Random numbers depend on (seed; pixel, noise_seed, frame, stream)
+// alone, so that neither strips, work-groups nor the order matter. A work-item has SENSED_PIXELS of a row.
 
 // Vector of floats, of which the first n are read.
 static inline float16 first_lanes(__global const float *p, int n)
@@ -70,7 +70,7 @@ __kernel void sense(const int rows, const int columns, const int top, const int 
 #endif
         mean = mean + dark;
         mean = mean < sensor.most ? mean : sensor.most;
-        philox(pixel, 0u, camera, SHOT_STREAM + STREAMS * k, key, word);
+        philox(pixel, sensor.noise_low, camera, sensor.noise_high | (SHOT_STREAM + STREAMS * k), key, word);
         const float16 count = CONVERT16(float, poisson(mean, word[0], reciprocals));
         const int16 full = count >= sensor.full_well;
         added = added + sensor.read_noise * normal_of(word[1]);

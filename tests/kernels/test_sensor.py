@@ -39,6 +39,7 @@ SENSORS: dict[str, tuple[int, dict[str, Any]]] = {
     "hot pixels": (1, {"hot_pixels": 0.2, "dark_current": 40.0}),
     "color": (3, {"quantum_efficiency": (0.4, 0.6, 0.5)}),
     "mosaic": (3, {"mosaic": "grbg", "quantum_efficiency": (0.4, 0.6, 0.5), "seed": 2**62 + 5}),
+    "later exposure": (3, {"mosaic": "rggb", "noise_seed": 2**53 - 7}),
     "gray mosaic": (1, {"mosaic": "bggr", "quantum_efficiency": (0.4, 0.6, 0.5)}),
     "no noise": (1, {"prnu": 0.0, "dsnu": 0.0, "read_noise": 0.0}),
     "few codes": (1, {"bits": 1, "black_level": 0}),
@@ -129,16 +130,17 @@ def test_nothing_is_written_around_the_codes(session: Session, local: tuple[int,
     assert full.now().max() <= 1
 
 
-def test_noise_depends_on_seed_frame_eye_and_channel_alone() -> None:
+def test_noise_depends_on_seeds_frame_eye_and_channel_alone() -> None:
     known, light = sensor_of("color"), np.full((20, 30, 3), 0.3, np.float32)
 
-    def codes(seed: int, frame: int, eye: Any) -> NDArray[np.int64]:
-        other = replace(known, sensor=known.sensor.model_copy(update={"seed": seed}))
+    def codes(seed: int, frame: int, eye: Any, noise_seed: int = 0) -> NDArray[np.int64]:
+        other = replace(known, sensor=known.sensor.model_copy(update={"seed": seed, "noise_seed": noise_seed}))
         return sense(other, light, camera_word(frame, eye))[0].astype(np.int64)
 
     first = codes(1, 0, "left")
     assert (codes(1, 0, "left") == first).all()
-    others = [codes(2, 0, "left"), codes(2**32 + 1, 0, "left"), codes(1, 1, "left"), codes(1, 0, "right")]
+    others = [codes(1, 0, "left", 1), codes(1, 0, "left", 2**32), codes(1, 0, "left", 2**52)]
+    others += [codes(2, 0, "left"), codes(2**32 + 1, 0, "left"), codes(1, 1, "left"), codes(1, 0, "right")]
     for one in (*others, first[..., [1, 2, 0]]):
         noise = [each - each.mean(axis=(0, 1)) for each in (first, one)]
         assert abs(np.corrcoef(noise[0].ravel(), noise[1].ravel())[0, 1]) < 0.1

@@ -7,7 +7,9 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -18,15 +20,19 @@ from PIL import Image
 import clsco
 from clsco.cli.main import main
 from clsco.constants import BAND
+from clsco.data.distribution import load_distribution, scripted
 from clsco.engine.response import response
 from clsco.errors import SceneError
 from clsco.frame.frame import ALL_TRUTH, SENSOR_NAMES, Frame
+from clsco.frame.provenance import record
 from clsco.optics.sensor import camera_word, sensor_model
-from clsco.plan.prepare import prepare
+from clsco.plan.prepare import prepare, with_resolution
 from clsco.plan.request import Request
 from clsco.reference.sensor.sensor import sense
 from clsco.scene.file import parse_scene
 from clsco.scene.model import Scene
+from clsco.scene.sweep import parse_sweep
+from clsco.scene.toml import toml_text
 from tests.slow import mostly_slow
 
 BALL: dict[str, Any] = {"shape": "sphere", "center": [0, 0, 260], "radius": 10, "texture": "bricks"}
@@ -122,6 +128,74 @@ def test_a_frame_by_itself_has_the_noise_that_it_has_in_the_sequence() -> None:
     _, second = clsco.render(scene, truth="raw")
     (alone,) = clsco.render(scene, truth="raw", frames=[1])
     np.testing.assert_array_equal(alone.raw, second.raw)
+
+
+CARD: dict[str, Any] = {
+    "camera": {"resolution": [64, 48], "pixel_pitch": 0.08, "focus_distance": 250.0},
+    "sensor": {"prnu": 0.05, "dsnu": 20.0},
+    "object": [{"shape": "plane", "distance": 250.0, "texture": "#a0a0a0"}],
+}
+SWEPT = parse_sweep(CARD | {"camera": CARD["camera"] | {"f_number": [2.0, 4.0, 8.0]}}).scenes
+
+
+def drawn(rng: np.random.Generator, sample: int) -> Any:
+    return parse_scene(CARD)
+
+
+def sample_of(seed: int, number: int, function: bool = False) -> Scene:
+    """The last scene of a sample of a data set, of a file with two variants or of a function."""
+    if function:
+        return scripted(drawn).draw(seed, number).scenes[-1]
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "set.toml"
+        file.write_text(toml_text(CARD) + "[vary.camera]\nf_number = { choice = [[2.0, 4.0]] }\n")
+        return load_distribution(file).draw(seed, number).scenes[-1]
+
+
+PAIRS: dict[str, tuple[Callable[[], list[Frame]], bool, bool]] = {
+    "a scene rendered twice": (lambda: exposures(parse_scene(CARD), parse_scene(CARD)), True, True),
+    "a scene and the first variant of its sweep": (lambda: exposures(parse_scene(CARD), SWEPT[0]), True, True),
+    "a variant, and from what its file says": (lambda: exposures(SWEPT[2], again(SWEPT[2])), True, True),
+    "a sample, and from what its file says": (lambda: exposures(sample_of(1, 4), again(sample_of(1, 4))), True, True),
+    "variants of a sweep": (lambda: exposures(*SWEPT[:2]), False, True),
+    "variants that are farther apart": (lambda: exposures(*SWEPT[::2]), False, True),
+    "frames": (lambda: list(clsco.render(parse_scene(CARD | {"sequence": {"frames": 2}}))), False, True),
+    "views of a stereo pair": (
+        lambda: list(clsco.render(parse_scene(CARD | {"stereo": {"baseline": 1.0}}))),
+        False,
+        False,
+    ),
+    "samples of a data set": (lambda: exposures(sample_of(1, 4), sample_of(1, 5)), False, True),
+    "data sets of other seeds": (lambda: exposures(sample_of(1, 4), sample_of(2, 4)), False, True),
+    "samples of a function": (lambda: exposures(sample_of(1, 4, True), sample_of(1, 5, True)), False, True),
+    "another noise_seed": (lambda: exposures(SWEPT[0], SWEPT[0].replace("sensor.noise_seed", 9)), False, True),
+    "another seed": (lambda: exposures(SWEPT[0], SWEPT[0].replace("sensor.seed", 9)), False, False),
+}
+"""Two exposures, and whether they share the noise that is new in each exposure, and the pattern: docs/sensor.md."""
+
+
+def again(scene: Scene) -> Scene:
+    return parse_scene(json.loads(json.dumps(record(with_resolution(scene))["scene"])))
+
+
+def exposures(*scenes: Scene) -> list[Frame]:
+    return [clsco.render_frame(scene) for scene in scenes]
+
+
+@pytest.mark.parametrize("pair", PAIRS)
+def test_what_exposures_share(pair: str) -> None:
+    """The variance of their difference is twice that of all that is new in each."""
+    frames, noise, pattern = PAIRS[pair]
+    one, other = frames()
+    sensor = parse_scene(CARD).sensor
+    assert sensor is not None
+    gain = (4095 - 64) / sensor.full_well
+    light = float(one.arrays()["electrons"].mean())
+    temporal, fixed = light + sensor.read_noise**2 + 1 / (12 * gain**2), (sensor.prnu * light) ** 2 + sensor.dsnu**2
+    wanted = 2 * (temporal * (not noise) + fixed * (not pattern))
+    difference = (one.arrays()["raw"].astype(float) - other.arrays()["raw"]) / gain
+    assert difference.var() == pytest.approx(wanted, rel=0.12)  # 4.7 standard errors of 3072 pixels
+    assert abs(difference.mean()) < 5 * np.sqrt(wanted / difference.size) + 1e-9
 
 
 def test_outputs_are_those_that_are_wanted() -> None:

@@ -19,7 +19,7 @@ EVERY = {
     "white_electrons": 500.0, "full_well": 700.0, "read_noise": 1.5, "dark_current": 3.0, "temperature": -10.0,
     "temperature_reference": 25.0, "temperature_doubling": 6.0, "prnu": 0.01, "dsnu": 2.0, "hot_pixels": 1e-4,
     "bits": 14, "black_level": 512, "iso": 800.0, "iso_base": 200.0, "quantum_efficiency": [0.4, 0.6, 0.5],
-    "mosaic": "gbrg", "demosaic": "malvar", "seed": 2**63 - 1,
+    "mosaic": "gbrg", "demosaic": "malvar", "seed": 2**63 - 1, "noise_seed": 2**53 - 1,
 }  # fmt: skip
 
 
@@ -110,6 +110,7 @@ def test_sensors_are_swept() -> None:
             'sensor.demosaic: must be none, bilinear, malvar or menon; got "linear"',
         ),
         ({"seed": -1}, "sensor.seed: must be between 0 and 9.223372e+18; got -1"),
+        ({"noise_seed": 2**53}, "sensor.noise_seed: must be between 0 and 9.007199e+15; got 9007199254740992"),
         ({"seed": 2**63}, "sensor.seed: must be between 0 and 9.223372e+18; got 9223372036854775808"),
     ],
 )

@@ -25,7 +25,7 @@ def test_the_panel_has_all_keys(tmp_path: Path) -> None:
     assert paths == [f"sensor.{key}" for key in clsco.Sensor.model_fields]
     labels = {field.path: field.label for field in panel.fields}
     assert labels["sensor.iso"] == "ISO"
-    assert labels["sensor.seed"] == "Seed of the noise"
+    assert (labels["sensor.seed"], labels["sensor.noise_seed"]) == ("Seed of the sensor", "Seed of the noise")
 
 
 @pytest.mark.parametrize(("view", "name"), [("raw", "raw"), ("noise", "noise_sigma")])

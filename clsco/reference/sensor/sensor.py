@@ -58,7 +58,7 @@ def sense(
     rows, columns = light.shape[:2]
     y, x = np.mgrid[:rows, :columns]
     site = 2 * (y & 1) + (x & 1)
-    key = int(sensor["seed_low"]), int(sensor["seed_high"])
+    key, noise = (int(sensor["seed_low"]), int(sensor["seed_high"])), int(sensor["noise_low"])
     planes = []
     for k in range(len(sensor_model.filters)):
         channel, scale = (sensor[name].reshape(-1, 4)[k][site] for name in ("channel", "scale"))
@@ -70,7 +70,7 @@ def sense(
             mean, dark, added = _patterned(mean, word, sensor)
         with np.errstate(over="ignore"):
             mean = np.minimum(mean + dark, sensor["most"])
-        word = philox(pixel, 0, camera, SHOT_STREAM + STREAMS * k, key)
+        word = philox(pixel, noise, camera, int(sensor["noise_high"]) | (SHOT_STREAM + STREAMS * k), key)
         count = poisson(mean, word[0], reciprocals_of_counts()).astype(np.float32)
         full = count >= sensor["full_well"]
         added = added + sensor["read_noise"] * normal_of(word[1])
