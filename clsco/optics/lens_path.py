@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import lru_cache
 from itertools import chain, pairwise
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from clsco.optics.distortion import with_distortion
 from clsco.optics.exposure import sequence_times
 from clsco.optics.keyframes import Path, path_through
 from clsco.optics.lens import Lens
+from clsco.scene.camera import FollowedDistance
 from clsco.scene.model import Camera, Scene
 from clsco.scene.model import Lens as SceneLens
 
@@ -38,8 +40,8 @@ def camera_at(scene: Scene, time: float) -> Camera:
     -------
     Camera
         That of the scene where its lens does not change. Where it zooms, the image scale s0 is proportional to the
-        focal length; the focus distance and the f-number stay where they have no keyframes, so that sensor distance and
-        aperture follow.
+        focal length, or is the sensor distance where it follows that, which a pulled focus changes too; the focus
+        distance and the f-number stay where they have no keyframes, so that sensor distance and aperture follow.
 
     Raises
     ------
@@ -57,17 +59,14 @@ def camera_at(scene: Scene, time: float) -> Camera:
     """
     if scene.lens is None or not scene.lens.moves:
         return reference_camera(scene)
-    camera, changed = scene.camera, dict[str, float | None]()
+    camera, scale, changed = scene.camera, scene.camera.normalization_distance, dict[str, Any]()
     zoom, focus, opening = _paths(scene.lens)
     f, power, share = camera.focal_length, 1.0 / camera.focused_distance, 1.0 / camera.opening
     if zoom is not None:
         f = float(zoom.at(time)[0])
         if not f > 0.0:
             raise SceneError(_rule("focal_length", "above 0 mm", f, time))
-        changed |= {
-            "focal_length": f,
-            "normalization_distance": camera.normalization_distance * f / camera.focal_length,
-        }
+        changed |= {"focal_length": f, "normalization_distance": scale * f / camera.focal_length}
     if focus is not None:
         power = float(focus.at(time)[0])
     if focus is not None or zoom is not None:
@@ -75,6 +74,8 @@ def camera_at(scene: Scene, time: float) -> Camera:
             raise SceneError(_rule("focus_distance", f"greater than the focal length, {f:g} mm", 1.0 / power, time))
         known = power > 0.0  # else the focus is beyond infinity
         changed |= {"focus_distance": 1.0 / power if known else None, "sensor_distance": 1.0 / (1.0 / f - power)}
+        if isinstance(scale, FollowedDistance):
+            changed["normalization_distance"] = FollowedDistance(changed["sensor_distance"])
     if opening is not None:
         share = float(opening.at(time)[0])
         if not share > 0.0:

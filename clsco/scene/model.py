@@ -7,14 +7,13 @@ turns violated rules into messages.
 
 from __future__ import annotations
 
-import math
 from functools import partial
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
-from clsco.errors import SceneError
 from clsco.scene.arrays import HasInputs
+from clsco.scene.camera import Camera, FollowedDistance, image_distance
 from clsco.scene.changes import replaced
 from clsco.scene.faults import refusal
 from clsco.scene.groups import Group, Groups, unknown_groups
@@ -26,10 +25,8 @@ from clsco.scene.quantities import (
     MIN_LENGTH_MM,
     Deferred,
     Direction,
-    FNumber,
     Length,
     Point,
-    Resolution,
     Strict,
     Text,
     Within,
@@ -95,96 +92,6 @@ __all__ = [
     "Within",
     "origin",
 ]
-
-
-def _aperture_mm(data: dict[str, Any]) -> float:
-    """Default of the aperture diameter D, mm."""
-    return 10.0 if data["f_number"] is None else float(data["focal_length"] / data["f_number"])
-
-
-def _sensor_distance_mm(data: dict[str, Any]) -> float:
-    """Default of the sensor distance s, mm; 1/s = 1/f - 1/u."""
-    f, u = data["focal_length"], data["focus_distance"]
-    return 21.739 if u is None else float(f * u / (u - f))
-
-
-class Camera(Strict):
-    """Thin lens and detector. Of a pair of keys either is given; `opening` and `focused_distance` follow from both."""
-
-    focal_length: Length = 20.0
-    """Focal length f, mm."""
-    f_number: FNumber | None = None
-    """f / D; instead of aperture_diameter."""
-    focus_distance: Length | None = None
-    """Distance u in focus, mm, greater than f; instead of sensor_distance: 1/s = 1/f - 1/u."""
-    aperture_diameter: Length = Field(default_factory=_aperture_mm)
-    """Aperture diameter D, mm. Default 10, or from f_number."""
-    sensor_distance: Length = Field(default_factory=_sensor_distance_mm)
-    """Distance s from lens to detector, mm. Default 21.739, or from focus_distance."""
-    normalization_distance: Length = Field(default_factory=lambda data: data["focal_length"])
-    """Magnification normalization distance s0, mm: x = s0 X / Z. Default: focal_length."""
-    pixel_pitch: Length = 0.01
-    """Pixel pitch p, mm."""
-    resolution: Resolution | None = None
-    """Columns and rows, px. Default: size of the first object's texture."""
-    motion: CameraMotion = CameraMotion.model_construct()
-    """Velocities of the camera itself; static if none are given."""
-    shake: Annotated[CameraShake | None, Deferred()] = None
-    """Shake of the camera; none if not given."""
-
-    @property
-    def moves(self) -> bool:
-        """True if it moves or shakes."""
-        return self.motion.moves or (self.shake is not None and self.shake.moves)
-
-    @property
-    def frame_size(self) -> tuple[int, int]:
-        """Columns and rows, px. Raises SceneError where the resolution is not known yet."""
-        if self.resolution is None:
-            raise SceneError("camera.resolution: must be known before a scene is planned; got None")
-        return self.resolution
-
-    @property
-    def opening(self) -> float:
-        """F-number f / D, whichever of it and the aperture's diameter was given."""
-        return self.focal_length / self.aperture_diameter
-
-    @property
-    def focused_distance(self) -> float:
-        """Distance in focus, mm, whichever of it and the sensor's distance was given; infinite where the detector is
-        not beyond the focal length."""
-        if self.focus_distance is not None:
-            return self.focus_distance
-        power = 1.0 / self.focal_length - 1.0 / self.sensor_distance
-        return 1.0 / power if power > 0 else math.inf
-
-    @field_validator("f_number")
-    @classmethod
-    def _opening_within_limits(cls, value: float | None, info: ValidationInfo) -> float | None:
-        f = info.data.get("focal_length")
-        if value is not None and f is not None and not MIN_LENGTH_MM <= f / value <= MAX_LENGTH_MM:
-            raise fault(f"must leave an aperture between {MIN_LENGTH_MM:g} and {MAX_LENGTH_MM:g} mm")
-        return value
-
-    @field_validator("focus_distance")
-    @classmethod
-    def _beyond_focal_length(cls, value: float | None, info: ValidationInfo) -> float | None:
-        f = info.data.get("focal_length")
-        if value is None or f is None:
-            return value
-        if value <= f:
-            raise fault(f"must be greater than focal_length = {f:g} mm")
-        if f * value / (value - f) > MAX_LENGTH_MM:
-            raise fault(f"too close to focal_length = {f:g} mm: detector beyond {MAX_LENGTH_MM:g} mm")
-        return value
-
-    @field_validator("aperture_diameter", "sensor_distance")
-    @classmethod
-    def _one_of_a_pair(cls, value: float, info: ValidationInfo) -> float:
-        other = "f_number" if info.field_name == "aperture_diameter" else "focus_distance"
-        if info.data.get(other, "refused") is not None:  # a refused value is missing from `data`
-            raise fault(f"give {other} or {info.field_name}, not both")
-        return value
 
 
 class Motion(Strict):
@@ -304,7 +211,7 @@ class Scene(Strict):
             if f is None and value.zooms:
                 continue  # known between keyframes alone
             f = camera.focal_length if f is None else f
-            if u is not None and not (u > f and f * u / (u - f) <= MAX_LENGTH_MM):
+            if u is not None and not (u > f and image_distance(f, u) <= MAX_LENGTH_MM):
                 rule = fault(f"must be greater than {name} = {f:g} mm")
                 found.append((("keyframe", k, "focus_distance"), rule, u))
             if number is not None and not MIN_LENGTH_MM <= f / number <= MAX_LENGTH_MM:
@@ -463,8 +370,11 @@ class Scene(Strict):
 
     @property
     def zooms(self) -> bool:
-        """True if the focal length of the lens changes."""
-        return self.lens is not None and self.lens.zooms
+        """True if the size of the image changes: the focal length of the lens does, or the sensor distance that it
+        follows."""
+        keys = () if self.lens is None else self.lens.keyframe or ()
+        follows = isinstance(self.camera.normalization_distance, FollowedDistance)
+        return any(key.focal_length is not None or (follows and key.focus_distance is not None) for key in keys)
 
     @property
     def moves_evenly(self) -> bool:

@@ -13,6 +13,7 @@ from clsco.scene.quantities import (
     AngularVelocity,
     Band,
     FNumber,
+    FocusDistance,
     Length,
     Point,
     Strict,
@@ -179,7 +180,7 @@ class LensKeyframe(Strict):
     """Time, s; later than that of the keyframe before."""
     focal_length: Length | None = None
     """Focal length, mm: a zoom, by which the image grows in proportion; by the keyframes beside if not given."""
-    focus_distance: Length | None = None
+    focus_distance: FocusDistance | None = None
     """Distance in focus, mm, greater than the focal length; by the keyframes beside if not given."""
     f_number: FNumber | None = None
     """Focal length / aperture diameter; by the keyframes beside if not given."""

@@ -113,6 +113,27 @@ class Within:
         return {**handler(schema), low: self.low, high: self.high}
 
 
+@dataclass(frozen=True)
+class WithinOrInfinite(Within):
+    """The same on a number that may also be infinite: inf, or "inf" where a file format has no such number."""
+
+    def check(self, value: float) -> float:
+        """As that of `Within`."""
+        return value if value == math.inf else super().check(value)
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        number = super().__get_pydantic_core_schema__(source, handler)
+        written = core_schema.plain_serializer_function_ser_schema(
+            lambda value: "inf" if value == math.inf else value, when_used="json"
+        )
+        return core_schema.no_info_before_validator_function(
+            lambda value: math.inf if type(value) is str and value == "inf" else value, number, serialization=written
+        )
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {"anyOf": [super().__get_pydantic_json_schema__(schema, handler), {"const": "inf", "type": "string"}]}
+
+
 def _list_of(count: int, what: str) -> Callable[[Any], Any]:
     """Turn a list or array of `count` entries into a tuple; the file formats know only lists."""
 
@@ -173,6 +194,7 @@ Flag = Annotated[bool, BeforeValidator(as_python)]
 Text = Annotated[str, Field(max_length=4096), AfterValidator(_single_line)]
 Name = Annotated[str, Field(min_length=1, max_length=4096), AfterValidator(_single_line)]
 Length = Annotated[float, Within(MIN_LENGTH_MM, MAX_LENGTH_MM, "mm")]
+FocusDistance = Annotated[float, WithinOrInfinite(MIN_LENGTH_MM, MAX_LENGTH_MM, "mm")]
 Sides = Annotated[tuple[Length, Length], Pair]
 Lengths = Annotated[tuple[Length, Length, Length], Triple]
 Coordinate = Annotated[float, Within(-MAX_LENGTH_MM, MAX_LENGTH_MM, "mm")]

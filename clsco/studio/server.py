@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import json
+import math
 import secrets
 import socket
 import threading
@@ -367,7 +368,8 @@ async def _tell(tab: Tab, preview: Preview) -> None:
             "moves": session.scene.moves,
             "lens": lens_line(session.scene),
         }
-        now = {path: session.shown(path) for path in tab.watched}
+        shown = ((path, session.shown(path)) for path in tab.watched)
+        now = {path: "inf" if value == math.inf else value for path, value in shown}  # which JSON has no number for
         known = {path: value for path, value in values.items() if path not in tab.typed}
         changed = {path: value for path, value in now.items() if path not in known or known[path] != value}
         tab.typed.clear()

@@ -10,6 +10,7 @@ import pytest
 
 import clsco
 from clsco.optics.lens import Lens, blur_radius, ray_step
+from clsco.optics.point_spread import diffraction_unit
 from clsco.scene.model import Camera
 
 EPS = np.finfo(np.float64).eps
@@ -182,3 +183,35 @@ def test_lines_f_and_c_differ_by_the_abbe_number() -> None:
     assert green == Lens.of(camera)
     assert {lens.blur_scale for lens in (red, green, blue)} == {1e4}
     assert {lens.radius for lens in (red, green, blue)} == {5.0}
+
+
+def of_textbook(camera: Camera) -> Camera:
+    return Camera.model_validate(camera.model_dump(exclude_unset=True) | {"normalization_distance": "sensor"})
+
+
+def test_the_textbooks_circle_of_confusion_at_life_size() -> None:
+    """By hand: f 50, f/4, u = 2 f. What is 110 mm away has its image 50 110 / 60 = 91.67 mm behind the lens, and on the
+    sensor, at 100 mm, a disc of 12.5 (100 - 91.67) / 91.67 = 1.1364 mm."""
+    usual = Camera(focal_length=50.0, f_number=4.0, focus_distance=100.0, pixel_pitch=0.01)
+    textbook = of_textbook(usual)
+    assert 2 * 0.01 * float(blur_radius(textbook, 1 / 110)) == pytest.approx(1.1364, abs=5e-5)
+    assert float(blur_radius(usual, 1 / 110) / blur_radius(textbook, 1 / 110)) == pytest.approx(1 - 50 / 100)
+    assert ray_step(textbook) == 0.01 / 100.0  # life size: a pixel shows 0.01 mm at 100 mm
+    assert diffraction_unit(textbook, 550.0) == pytest.approx(550e-6 * 4.0 * (1 + 1) / 0.01)  # N (1 + m)
+
+
+def test_the_depth_of_field_of_calculators() -> None:
+    """Hyperfocal distance H = f^2 / (N c) + f; sharp from u (H - f) / (H + u - 2 f) to u (H - f) / (H - u)."""
+    f, number, u, c = 50.0, 8.0, 500.0, 0.03
+    far_away = f * f / (number * c) + f
+    near, far = u * (far_away - f) / (far_away + u - 2 * f), u * (far_away - f) / (far_away - u)
+    assert (round(far_away), round(near, 1), round(far, 1)) == (10467, 479.3, 522.6)
+    usual = Camera(focal_length=f, f_number=number, focus_distance=u, pixel_pitch=0.01)
+    assert 2 * 0.01 * blur_radius(of_textbook(usual), np.array([1 / near, 1 / far])) == pytest.approx([-c, c])
+    assert 2 * 0.01 * blur_radius(usual, np.array([1 / 477.1, 1 / 525.2])) == pytest.approx([-c, c], rel=1e-3)
+
+
+def test_an_infinite_focus_has_the_sensor_at_the_focal_length() -> None:
+    for far in (np.inf, "inf"):
+        camera = Camera.model_validate({"focal_length": 35.0, "focus_distance": far})
+        assert (camera.sensor_distance, camera.focused_distance, Lens.of(camera).focus_power) == (35.0, np.inf, 0.0)

@@ -30,6 +30,8 @@ NEARER = {"keyframe": [{"time": 0.0, "focal_length": 20.0}, {"time": 1.0, "focal
 WIDER = {"keyframe": [{"time": 0.0, "focal_length": 20.0}, {"time": 1.0, "focal_length": 9.0}]}
 DOLLY = [{"time": 0.0, "focal_length": 20.0}, {"time": 1.0, "focal_length": 14.0, "focus_distance": 180.0}]
 GOING = {"motion": {"velocity": [8.0, 3.0, -4.0]}}
+BREATHING = {"keyframe": [{"time": 0.0, "focus_distance": 100.0}, {"time": 1.0, "focus_distance": "inf"}]}
+BY_SENSOR = CAMERA | {"f_number": 4.0, "normalization_distance": "sensor"}
 scene = partial(
     scene_from, {"camera": CAMERA, "lens": NEARER, "sequence": {"samples": 3, "frames": 2, "interval": 0.5}}
 )
@@ -46,10 +48,11 @@ SCENES: dict[str, Scene] = {
     "on surfaces": scene(BALL | {"texture_mapping": "surface"}, WALL, psf=PLAIN),
     "background": scene(BALL, {"shape": "background", "texture": "checkerboard"}, psf=PLAIN),
     "layered": scene(BALL, WALL, psf={"occlusion": "layered"}),
+    "breathing": scene(BALL, WALL, psf=PLAIN, lens=BREATHING, camera=BY_SENSOR),
 }
 
 
-@pytest.mark.parametrize("name", mostly_slow(SCENES, ("plain", "rolling", "stereo")))
+@pytest.mark.parametrize("name", mostly_slow(SCENES, ("plain", "rolling", "stereo", "breathing")))
 def test_device_against_reference(name: str) -> None:
     frames = rendered(SCENES[name])
     assert_agree(frames, reference_frames(SCENES[name]))
@@ -70,7 +73,7 @@ def test_a_depth_map_zooms(tmp_path: Path) -> None:
 def still(wanted: Scene, time: float) -> Scene:
     """The scene before a camera that has the lens of a time for good."""
     lens = camera_at(wanted, time)
-    changed = {name: getattr(lens, name) for name in ("focal_length", "focus_distance", "f_number")}
+    changed = {"focal_length": lens.focal_length, "focus_distance": lens.focused_distance, "f_number": lens.f_number}
     camera = clsco.Camera(**(wanted.camera.model_dump(exclude_unset=True) | changed))
     return wanted.model_copy(update={"lens": None, "camera": camera})
 
@@ -86,6 +89,15 @@ def test_textures_on_surfaces_look_as_through_a_camera_of_that_focal_length() ->
     np.testing.assert_allclose(frame.color, np.mean(each, axis=0), rtol=0, atol=1e-5)
     for name in ("sharp", "depth", "blur_radius", "object_id", "normal", "uv"):
         np.testing.assert_allclose(getattr(frame, name), getattr(middle, name), rtol=1e-6, atol=1e-5)
+
+
+def test_a_focus_that_is_pulled_breathes_where_sizes_are_those_on_the_sensor() -> None:
+    wall = WALL | {"texture_mapping": "surface", "texture_size": [90.0, 70.0]}
+    wanted = scene(wall, lens=BREATHING, camera=BY_SENSOR, psf=PLAIN, sequence={"samples": 1, "interval": 1.0})
+    for index, frame in enumerate(rendered(wanted)):
+        (alone,) = rendered(still(wanted, index + 0.5).replace("sequence.frames", 1))
+        np.testing.assert_allclose(frame.color, alone.color, rtol=0, atol=1e-5)
+    assert not scene(wall, lens=BREATHING, camera=BY_SENSOR | {"normalization_distance": 20.0}).zooms
 
 
 def test_a_plane_that_faces_the_lens_is_magnified() -> None:
@@ -144,7 +156,9 @@ def test_cameras_of_frames_have_their_focal_lengths() -> None:
     wanted = SCENES["plain"]
     for index, focal in enumerate((23.75, 31.25)):
         assert pinhole(wanted, index).focal == pytest.approx(focal / 0.1)
-    for name in ("plain", "rolling", "dolly"):
+    for index, focus in enumerate((1 / 0.0075, 1 / 0.0025)):
+        assert pinhole(SCENES["breathing"], index).focal == pytest.approx(1 / (1 / 20.0 - 1 / focus) / 0.1)
+    for name in ("plain", "rolling", "dolly", "breathing"):
         frame = rendered(SCENES[name])[0]
         assert frame.depth is not None
         assert frame.flow is not None

@@ -274,6 +274,8 @@ def test_parsing_leaves_the_mapping_as_it_was() -> None:
     [
         {},
         {"camera": {"f_number": 3.7, "focus_distance": 333.3, "resolution": [3, 5]}},
+        {"camera": {"focus_distance": float("inf")}, "lens": {"keyframe": [{"time": 0.0, "focus_distance": "inf"}]}},
+        {"camera": {"focus_distance": 100.0, "normalization_distance": "sensor"}},
         {"psf": {"model": "gaussian", "edge": "sampled"}, "motion": {"texture_filter": "nearest"}},
         {"motion": {"warp": "forward"}, "fill": {"method": "none"}, "sequence": {"samples": "auto"}},
         {"camera": {"motion": {"velocity": [0.0, 0.0, 9.0]}}, "stereo": {"baseline": 65.0, "toe_in": 1.5}},

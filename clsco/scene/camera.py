@@ -1,0 +1,149 @@
+"""Camera: section [camera] of a scene file."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    Field,
+    PlainSerializer,
+    ValidationInfo,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+    field_validator,
+)
+
+from clsco.errors import SceneError
+from clsco.scene.motions import CameraMotion, CameraShake
+from clsco.scene.quantities import (
+    MAX_LENGTH_MM,
+    MIN_LENGTH_MM,
+    Deferred,
+    FNumber,
+    FocusDistance,
+    Length,
+    Resolution,
+    Strict,
+    fault,
+)
+
+
+def _aperture_mm(data: dict[str, Any]) -> float:
+    """Default of the aperture diameter D, mm."""
+    return 10.0 if data["f_number"] is None else float(data["focal_length"] / data["f_number"])
+
+
+def _sensor_distance_mm(data: dict[str, Any]) -> float:
+    """Default of the sensor distance s, mm; 1/s = 1/f - 1/u."""
+    f, u = data["focal_length"], data["focus_distance"]
+    return 21.739 if u is None else float(image_distance(f, u))
+
+
+def image_distance(f: float, u: float) -> float:
+    """Distance behind a lens of focal length f of the image of what is u before it, mm; 1/s = 1/f - 1/u."""
+    return f if math.isinf(u) else f * u / (u - f)
+
+
+class FollowedDistance(float):
+    """A normalization distance that is the sensor distance, whatever that is: "sensor" in scene files."""
+
+    __hash__ = float.__hash__
+
+    def __eq__(self, other: object) -> bool:
+        """Equal to others that follow alone: those that are numbers stay when the lens changes."""
+        return isinstance(other, FollowedDistance) and float(self) == float(other)
+
+
+def _followed(value: Any, check: ValidatorFunctionWrapHandler, info: ValidationInfo) -> float:
+    """The sensor distance where a value says so."""
+    if isinstance(value, FollowedDistance) or (type(value) is str and value == "sensor"):
+        return FollowedDistance(info.data.get("sensor_distance", 1.0))  # that is missing where it is refused
+    return float(check(value))
+
+
+Normalization = Annotated[
+    Length,
+    WrapValidator(_followed, json_schema_input_type=Length | Literal["sensor"]),
+    PlainSerializer(lambda value: "sensor" if isinstance(value, FollowedDistance) else value, when_used="json"),
+]
+
+
+class Camera(Strict):
+    """Thin lens and detector. Of a pair of keys either is given; `opening` and `focused_distance` follow from both."""
+
+    focal_length: Length = 20.0
+    """Focal length f, mm."""
+    f_number: FNumber | None = None
+    """f / D; instead of aperture_diameter."""
+    focus_distance: FocusDistance | None = None
+    """Distance u in focus, mm, greater than f, or inf; instead of sensor_distance: 1/s = 1/f - 1/u."""
+    aperture_diameter: Length = Field(default_factory=_aperture_mm)
+    """Aperture diameter D, mm. Default 10, or from f_number."""
+    sensor_distance: Length = Field(default_factory=_sensor_distance_mm)
+    """Distance s from lens to detector, mm. Default 21.739, or from focus_distance."""
+    normalization_distance: Normalization = Field(default_factory=lambda data: data["focal_length"])
+    """Magnification normalization distance s0, mm, or "sensor" for the sensor distance, as in textbooks: x = s0 X / Z.
+    Default: focal_length."""
+    pixel_pitch: Length = 0.01
+    """Pixel pitch p, mm."""
+    resolution: Resolution | None = None
+    """Columns and rows, px. Default: size of the first object's texture."""
+    motion: CameraMotion = CameraMotion.model_construct()
+    """Velocities of the camera itself; static if none are given."""
+    shake: Annotated[CameraShake | None, Deferred()] = None
+    """Shake of the camera; none if not given."""
+
+    @property
+    def moves(self) -> bool:
+        """True if it moves or shakes."""
+        return self.motion.moves or (self.shake is not None and self.shake.moves)
+
+    @property
+    def frame_size(self) -> tuple[int, int]:
+        """Columns and rows, px. Raises SceneError where the resolution is not known yet."""
+        if self.resolution is None:
+            raise SceneError("camera.resolution: must be known before a scene is planned; got None")
+        return self.resolution
+
+    @property
+    def opening(self) -> float:
+        """F-number f / D, whichever of it and the aperture's diameter was given."""
+        return self.focal_length / self.aperture_diameter
+
+    @property
+    def focused_distance(self) -> float:
+        """Distance in focus, mm, whichever of it and the sensor's distance was given; infinite where the detector is
+        not beyond the focal length."""
+        if self.focus_distance is not None:
+            return self.focus_distance
+        power = 1.0 / self.focal_length - 1.0 / self.sensor_distance
+        return 1.0 / power if power > 0 else math.inf
+
+    @field_validator("f_number")
+    @classmethod
+    def _opening_within_limits(cls, value: float | None, info: ValidationInfo) -> float | None:
+        f = info.data.get("focal_length")
+        if value is not None and f is not None and not MIN_LENGTH_MM <= f / value <= MAX_LENGTH_MM:
+            raise fault(f"must leave an aperture between {MIN_LENGTH_MM:g} and {MAX_LENGTH_MM:g} mm")
+        return value
+
+    @field_validator("focus_distance")
+    @classmethod
+    def _beyond_focal_length(cls, value: float | None, info: ValidationInfo) -> float | None:
+        f = info.data.get("focal_length")
+        if value is None or f is None:
+            return value
+        if value <= f:
+            raise fault(f"must be greater than focal_length = {f:g} mm")
+        if image_distance(f, value) > MAX_LENGTH_MM:
+            raise fault(f"too close to focal_length = {f:g} mm: detector beyond {MAX_LENGTH_MM:g} mm")
+        return value
+
+    @field_validator("aperture_diameter", "sensor_distance")
+    @classmethod
+    def _one_of_a_pair(cls, value: float, info: ValidationInfo) -> float:
+        other = "f_number" if info.field_name == "aperture_diameter" else "focus_distance"
+        if info.data.get(other, "refused") is not None:  # a refused value is missing from `data`
+            raise fault(f"give {other} or {info.field_name}, not both")
+        return value
