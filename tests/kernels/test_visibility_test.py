@@ -66,6 +66,7 @@ __kernel void see_through(const int sources, __constant float *lens, const float
     visibility.count = 1;
     visibility.wide = false;
     visibility.limb = i & 1;
+    visibility.point = i >> 1 & 1;
     visibility.lean_x = 0.03125f, visibility.lean_y = -0.25f;
     occluder_t *m = visibility.occluder;
     m->base = s[3], m->bx = s[4], m->by = s[5];
@@ -135,7 +136,8 @@ def test_blocks_are_decided_where_all_of_them_is_clear_or_hidden(session: Sessio
 
 
 def test_a_lens_larger_than_the_aperture_through_its_cells(session: Session, run_source: Runner) -> None:
-    """The lens of a Gaussian has twice the radius, and so have its cells: an edge across it, from every tap."""
+    """The lens of a Gaussian has twice the radius, and so have its cells: an edge across it, from every tap, of
+    pixels and of points."""
     psf, rng, count = Psf(model="gaussian"), np.random.default_rng(7), 20
     extent, turn = point_spread(psf).extent, rng.uniform(0, 2 * np.pi, count)
     radius = rng.choice([-1.0, 1.0], count) * rng.uniform(0.3, 4.0, count) / extent
@@ -156,8 +158,9 @@ def test_a_lens_larger_than_the_aperture_through_its_cells(session: Session, run
     there = np.ones(count, dtype=bool)
     x, y = offset.T
     lean, limb = np.tile([0.03125, -0.25], (count, 1)), np.arange(count) % 2 == 1
+    point = np.arange(count) // 2 % 2 == 1
     lens = extent, point_spread(psf).lens_cells(), none[:0, :3], lean, limb, zero
-    visibility = Visibility(np.arange(count), radius, ~there, x, y, ((there, edge),), *lens)
+    visibility = Visibility(np.arange(count), radius, ~there, point, x, y, ((there, edge),), *lens)
     cells = cell_visibility(visibility)
     taps = range(-7, 8)
     expected = np.array([[tap_share(visibility, cells, float(dx), float(dy)) for dx in taps] for dy in taps])

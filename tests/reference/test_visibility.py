@@ -294,8 +294,12 @@ def test_around_the_lens(name: str) -> None:
     assert (state[value < 0] != HIDDEN).all()
 
 
-def test_narrow_lenses_are_weighed_cell_by_cell() -> None:
-    """Below some px of blur a tap's tent weighs the cells of the lens: against sums over 400 x 400 lens points."""
+@pytest.mark.parametrize("width", [0.0, 1.0])
+def test_narrow_lenses_are_weighed_cell_by_cell(width: float) -> None:
+    """Below some px of blur a tap's response weighs the cells of the lens: against sums over 400 x 400 lens points.
+
+    The response is the box of a pixel to a point, and to a source that is a pixel a tent.
+    """
     camera = CAMERA.model_copy(update={"pixel_pitch": 0.15, "aperture_diameter": 10.0})
     item = Plane(distance=200.0, bounds=((0.4, 60.0), (-60.0, 60.0), (-1.0, 1.0)))
     rays, w = np.array([[0.0, 0.0, 1.0]]), np.array([1 / 400.0])
@@ -308,18 +312,23 @@ def test_narrow_lenses_are_weighed_cell_by_cell() -> None:
         [item.bounds],
         OcclusionGroup(0, 1),
         PILLBOX,
-        Points(rays, w, radius, zero, zero, 0.0, np.zeros((1, 2))),
+        Points(rays, w, radius, zero, zero, width, np.zeros((1, 2))),
     )
     assert (visibility.row == 0).all()
     cells = cell_visibility(visibility)
     fine = (np.arange(400) + 0.5) / 200 - 1
     x, y = np.meshgrid(fine, fine)
-    free = 0.5 * 5.0 * x < 0.4  # the line crosses the card's plane half way to the lens point 5 mm x
+    # The line crosses the card's plane half way to the lens point 5 mm x, from a place in the pixel that is 1.5 mm wide
+    # there.
+    free = np.clip((0.4 - 2.5 * x) / 1.5 + 0.5, 0.0, 1.0) if width else 2.5 * x < 0.4
     for dx, dy in ((0, 0), (1, 0), (-1, 0), (0, 1), (1, 1)):
-        tent = np.maximum(0, 1 - np.abs(x * radius - dx)) * np.maximum(0, 1 - np.abs(y * radius - dy))
-        tent = np.where(x * x + y * y <= 1, tent, 0.0)
+        away = np.abs([x * radius - dx, y * radius - dy])
+        response = np.prod(np.maximum(0, 1 - away) if width else away <= 0.5, axis=0)
+        response = np.where(x * x + y * y <= 1, response, 0.0)
         # The grid has 16 cells across, and its edge is softened over one of them.
-        assert tap_share(visibility, cells, dx, dy)[0] == pytest.approx((tent * free).sum() / tent.sum(), abs=0.02)
+        assert tap_share(visibility, cells, dx, dy)[0] == pytest.approx(
+            (response * free).sum() / response.sum(), abs=0.02
+        )
     assert tap_share(visibility, cells, 5.0, 0.0)[0] == 1.0  # no light goes there: nothing to divide by
 
 

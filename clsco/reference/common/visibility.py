@@ -37,7 +37,7 @@ CLEAR, PARTLY, HIDDEN = (np.uint8(state) for state in range(3))
 SOFT_BOX = (5.0 / 12.0) ** 0.5  # half width of the cubic step that has the variance of a box 1 wide
 RIM_MARGIN = 1.5  # cells from the rim of the lens to a circle that cuts none of its taps
 WIDE_LENS = 3.2  # px: a lens at least so wide is tested once per tap, others on a grid of cells
-PLANES = ("radius", "wide", "x", "y", "lean", "limb", "nearest", "bent")  # of `Visibility`
+PLANES = ("radius", "wide", "point", "x", "y", "lean", "limb", "nearest", "bent")  # of `Visibility`
 SHARP_EDGE = 2.0  # px: a blurred outline this narrow needs sub-pixel sources
 
 
@@ -425,17 +425,19 @@ class Visibility:
     """Occluders of the lens for each source; made by `check_visibility`.
 
     row: (sources,) where a source is in the other arrays, -1 if nothing hides it or all is hidden. Of the M others:
-    radius px; wide; x, y: place of the source in its pixel, px; occluders: per surface which of them it concerns, and
-    how. extent: of the lens in lens radii; cells: weights (L, L) of its cells; mask: straight edges (n, 3) of the lens,
-    none where it is round; lean (M, 2): change of the tilt per cell of a narrow lens, part of which is behind the
-    surface, else 0; limb (M,): at a limb; nearest (M,): least `crossing_place` of what hides it in part; circles: rims
-    that cut its light; waves: light goes beyond the rim; signed: cells turn over where R < 0; round: the rim is a
-    circle; bent (M, 3): xx, xy, yy from taps to an ellipse's disc, or from a narrow lens' cells to it; None: discs.
+    radius px; wide; point: smaller than a pixel; x, y: place of the source in its pixel, px; occluders: per surface
+    which of them it concerns, and how. extent: of the lens in lens radii; cells: weights (L, L) of its cells; mask:
+    straight edges (n, 3) of the lens, none where it is round; lean (M, 2): change of the tilt per cell of a narrow
+    lens, part of which is behind the surface, else 0; limb (M,): at a limb; nearest (M,): least `crossing_place` of
+    what hides it in part; circles: rims that cut its light; waves: light goes beyond the rim; signed: cells turn over
+    where R < 0; round: the rim is a circle; bent (M, 3): xx, xy, yy from taps to an ellipse's disc, or from a narrow
+    lens' cells to it; None: discs.
     """
 
     row: NDArray[np.int64]
     radius: Array
     wide: Mask
+    point: Mask
     x: Array
     y: Array
     occluders: tuple[tuple[Mask, Occluder], ...]
@@ -492,8 +494,9 @@ def check_visibility(
     leans = (np.hypot(*division.gradient.T) * division.extent > 1.0) & ~division.wide & (division.width < 1.0)
     lean = np.where(leans[:, None], division.gradient, 0.0) / division.cells[:, None]
     return state, edge, Visibility(
-        np.where(partly, np.cumsum(partly) - 1, -1), points.radius[partly], division.wide[partly], points.x[partly],
-        points.y[partly], occluders, division.extent, psf.lens_cells(), np.array(psf.pupil.edges).reshape(-1, 3),
+        np.where(partly, np.cumsum(partly) - 1, -1), points.radius[partly], division.wide[partly],
+        np.broadcast_to(np.asarray(points.width) < 1.0, partly.shape)[partly], points.x[partly], points.y[partly],
+        occluders, division.extent, psf.lens_cells(), np.array(psf.pupil.edges).reshape(-1, 3),
         lean[partly], np.broadcast_to(points.limb, partly.shape)[partly], nearest[partly],
         tuple(circle.of(partly) for circle in circles), psf.diffracted, psf.signed,
         not (psf.signed or psf.diffracted or psf.pupil.edges),

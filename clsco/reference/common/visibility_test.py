@@ -15,7 +15,8 @@ from clsco.reference.common.occluder import Part, leave_free, occluded_part
 from clsco.reference.common.visibility import Visibility
 
 MOST_INWARDS = 0.7  # px along an axis, at the corners of a lens mask
-BEYOND = 0.5  # px outside of the rim, of waves
+BEYOND = 0.5  # px outside of the rim, of waves and sources that are pixels
+LEAST_CELL = 1e-3  # px: width of a cell of the lens that pixels see, at least
 NARROW_MIDDLE = 7  # px along an axis: farther taps of a lens that is not wide see what those see
 
 
@@ -35,15 +36,14 @@ def _bent(by: Array, x: NDArray[Any], y: NDArray[Any]) -> tuple[Array, Array]:
 def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
     """Share (M,) of the lens, over the cells of taps x, y (M,) from the sources, that nothing hides.
 
-    Where the lens is wide, only the inside of it is visible from a tap at the rim of the blur: with a tent across it,
-    cut at the distance s from its middle, the mean of what is left is at -(1 - s)^2 / 3, and below s = 0 at
-    (2 s - 1) / 3. Of waves, from a tap beyond, the rim.
+    Where the lens is wide, only the inside of it is visible from a tap at the rim of the blur, see `inwards_of`. Of
+    waves, from a tap beyond, the rim.
     """
     rim = np.maximum(np.abs(visibility.radius) * visibility.extent, 1.0)
     if visibility.bent is not None:
         x, y = (np.where(visibility.wide, *both) for both in zip(_bent(visibility.bent, x, y), (x, y), strict=True))
-    s = np.clip(0.5 * rim - (x * x + y * y) / (2 * rim), -1.0, 1.0)
-    inwards = np.where(visibility.wide, 1 - np.where(s > 0, (1 - s) ** 2, 1 - 2 * s) / (3 * rim), 1.0)
+    moved = inwards_of(visibility, 0.5 * rim - (x * x + y * y) / (2 * rim))
+    inwards = np.where(visibility.wide, 1 - moved / rim, 1.0)
     x, y = (x * inwards, y * inwards) if visibility.mask.size == 0 else _inside(visibility, x, y)
     if visibility.waves:
         distance = np.hypot(x, y)
@@ -55,6 +55,23 @@ def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
         left = leave_free(left, occluded_part(occluder, x[mask], y[mask]))
         share[mask], across[mask], down[mask] = left.share, left.x, left.y
     return share * rim_share(visibility, x, y)
+
+
+def inwards_of(visibility: Visibility, s: Array) -> Array:
+    """Distance (M,) in px from taps to the middle of what is left of their response, cut s (M,) px further out.
+
+    Of a pixel's source, a tent, whose mean is at -(1 - s)^2 / 3, and below s = 0 at (2 s - 1) / 3; of a point, a box,
+    whose mean is at -(1/2 - s) / 2.
+    """
+    t = np.clip(s, -1.0, 1.0)
+    tent = np.where(t > 0, (1 - t) ** 2, 1 - 2 * t) / 3
+    return np.where(visibility.point, np.clip(0.5 * (0.5 - s), 0.0, 0.5), tent)
+
+
+def response(t: Array, width: Array) -> Array:
+    """Response of a pixel, up to a factor, to what arrives t px from its middle: to a cell of the lens that is `width`
+    px wide, of a point, and with a width of 1 px to the middle of a cell, of a pixel."""
+    return np.clip(0.5 * (1.0 + width) - np.abs(t), 0.0, width)
 
 
 def lens_share(visibility: Visibility, x: Array, y: Array) -> Array:
@@ -85,8 +102,7 @@ def _inside(visibility: Visibility, x: Array, y: Array) -> tuple[Array, Array]:
     right, down = np.zeros_like(x), np.zeros_like(y)
     turn = np.where(visibility.radius < 0, -1.0, 1.0)
     for nx, ny, distance in visibility.mask:
-        s = np.clip(distance * np.abs(visibility.radius) - turn * (nx * x + ny * y), -1.0, 1.0)
-        inwards = np.where(s > 0, (1 - s) ** 2, 1 - 2 * s) / 3 * turn
+        inwards = inwards_of(visibility, distance * np.abs(visibility.radius) - turn * (nx * x + ny * y)) * turn
         right += nx * inwards
         down += ny * inwards
     right, down = (np.where(visibility.wide, np.clip(v, -MOST_INWARDS, MOST_INWARDS), 0.0) for v in (right, down))
@@ -111,8 +127,8 @@ def cell_visibility(visibility: Visibility) -> Array:
 def tap_share(visibility: Visibility, cells: Array, dx: float | Array, dy: float | Array) -> Array:
     """Share (M,) of the lens that is free, as seen from the tap (dx, dy) px off each source's pixel.
 
-    cells: (N, L, L) from `cell_visibility`. Where the lens is not wide, the tap's tent weighs its cells; of waves a tap
-    beyond the rim is moved to BEYOND px outside of it, so that in focus each sees the whole lens.
+    cells: (N, L, L) from `cell_visibility`. Where the lens is not wide, the tap's response weighs its cells; of waves a
+    tap beyond the rim is moved to it, that of a pixel's source to BEYOND px outside of it.
     """
     limit = NARROW_MIDDLE if visibility.waves or visibility.bent is not None else np.inf
     share = (
@@ -123,16 +139,18 @@ def tap_share(visibility: Visibility, cells: Array, dx: float | Array, dy: float
     narrow = ~visibility.wide
     if narrow.any():
         step = np.abs(visibility.radius[narrow]) * visibility.extent / LENS_CELLS
+        point = visibility.point[narrow]
+        width = np.where(point, np.maximum(step, LEAST_CELL), 1.0)
         at = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS
         away = [(np.clip(d, -limit, limit) - place)[narrow] for place, d in ((visibility.x, dx), (visibility.y, dy))]
         if visibility.waves:
-            rim = LENS_CELLS * step + BEYOND
+            rim = LENS_CELLS * step + np.where(point, 0.0, BEYOND)
             part = np.minimum(rim / np.maximum(np.hypot(*away), 1e-6), 1.0)
             away = [part * each for each in away]
         if visibility.bent is not None:
-            share[narrow] = _elliptic_share(visibility, cells, visibility.bent[narrow] * step[:, None], away)
+            share[narrow] = _elliptic_share(visibility, cells, visibility.bent[narrow] * step[:, None], away, width)
             return share
-        across, down = (np.maximum(0.0, 1 - np.abs(at * step[:, None] - each[:, None])) for each in away)
+        across, down = (response(at * step[:, None] - each[:, None], width[:, None]) for each in away)
         weights = visibility.cells
         if visibility.signed:
             mirrored = visibility.radius[narrow, None, None] < 0
@@ -145,12 +163,12 @@ def tap_share(visibility: Visibility, cells: Array, dx: float | Array, dy: float
     return share
 
 
-def _elliptic_share(visibility: Visibility, cells: Array, bent: Array, away: list[Array]) -> Array:
-    """Share (N,) that the tents of taps, `away` px from N sources, give of cells (N, L, L) of narrow lenses, which are
-    bent (N, 3) to ellipses, px."""
+def _elliptic_share(visibility: Visibility, cells: Array, bent: Array, away: list[Array], width: Array) -> Array:
+    """Share (N,) that the responses of taps, `away` px from N sources, give of cells (N, L, L) of narrow lenses,
+    `width` (N,) px wide, which are bent (N, 3) to ellipses, px."""
     at = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS
     places = _bent(bent[:, None, None], at, at[:, None])
-    tents = [np.maximum(0.0, 1.0 - np.abs(one - d[:, None, None])) for one, d in zip(places, away, strict=True)]
-    weights = visibility.cells * tents[0] * tents[1]
+    parts = [response(one - d[:, None, None], width[:, None, None]) for one, d in zip(places, away, strict=True)]
+    weights = visibility.cells * parts[0] * parts[1]
     whole, free = weights.sum(axis=(1, 2)), (weights * cells).sum(axis=(1, 2))
     return np.asarray(np.where(whole > 0, free / np.where(whole > 0, whole, 1.0), 1.0))
