@@ -51,7 +51,7 @@ def structs(real: Real) -> Mapping[str, np.dtype[Any]]:
     surface += [("nappe", i), ("texture", i), *_reals(real, near_x=two, near_y=two, near_w=(), width=())]
     mapping: list[Any] = [("base", "i8")]
     mapping += [(name, i) for name in ("kind", "wrap_x", "wrap_y", "columns", "rows", "levels")]
-    mapping += _reals(real, frame=nine, scale=(4,), shift=two, slant=(), spread=(), outside=())
+    mapping += _reals(real, frame=nine, scale=(4,), shift=two, slant=(), spread=(), least=(), outside=())
     light = [("members", "u8"), ("is_near", i), *_reals(real, x=(), y=(), z=(), ambient=())]
     pose = _reals(real, rotation=nine, shift=three, step=())
     exposure = [("moving", "u8"), ("changing", "u8")]

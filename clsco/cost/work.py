@@ -23,7 +23,7 @@ from clsco.optics.motion import poses_at
 from clsco.optics.psf_grid import row_lanes
 from clsco.optics.quadrics import cutting_bounds, place
 from clsco.optics.still import exposed, numbers
-from clsco.optics.texture_mapping import texture_map, texture_spread
+from clsco.optics.texture_mapping import detail_least, texture_map, texture_spread
 from clsco.optics.visibility import NO_GROUP, OcclusionGroup
 from clsco.plan.buffers import has_spans
 from clsco.plan.passes import ONCE_A_FRAME, Pass
@@ -315,7 +315,8 @@ def _parts(plan: Plan, view: View, hits: Hits) -> NDArray[np.intp]:
         if item.mapped is None or not here.any():
             continue
         placed = texture_map(item, *mapped_size(item.textures()))
-        texture = MappedTexture((), placed, texture_spread(plan.psf), scene.motion.texture_filter)
+        spread, least = texture_spread(plan.psf), detail_least(plan.psf)
+        texture = MappedTexture((), placed, spread, least, scene.motion.texture_filter)
         point = mapped_point(view.surfaces[k], placed, view.scene.camera, hits.rays[here], hits.w[here])
         texels = np.zeros(len(point.at))
         sides = [partial(along_axis, axis=axis) for axis in range(REFLECTIONS)]

@@ -92,7 +92,7 @@ class TextureMap:
 
 def needs_detail(scene: Scene, psf: PointSpread, largest: float) -> bool:
     """True if sources of textures on surfaces need more than their means, for |R| up to `largest` px."""
-    return scene.has_mapped_textures and texture_spread(psf) * largest > DETAILED_LEAST
+    return scene.has_mapped_textures and texture_spread(psf) * largest > detail_least(psf)
 
 
 def texture_spread(psf: PointSpread) -> float:
@@ -100,7 +100,15 @@ def texture_spread(psf: PointSpread) -> float:
     return 2.0 * sqrt(psf.pupil.second_moment) if psf.edge == "integrated" else 0.0
 
 
-def cut_parts(texels: NDArray[Any], spread: NDArray[Any], samples: int) -> NDArray[np.intp]:
+def detail_least(psf: PointSpread) -> float:
+    """`texture_spread` times |R| in px beyond which pixels may need more than one source: below 0 for waves and
+    aberrations, of which a point in focus is a spot."""
+    return -1.0 if psf.diffracted and psf.edge == "integrated" else DETAILED_LEAST
+
+
+def cut_parts(
+    texels: NDArray[Any], spread: NDArray[Any], samples: int, least: float = DETAILED_LEAST
+) -> NDArray[np.intp]:
     """Parts per axis of pixels (n,), 0 where one source is enough.
 
     Parameters
@@ -111,10 +119,12 @@ def cut_parts(texels: NDArray[Any], spread: NDArray[Any], samples: int) -> NDArr
         `texture_spread` times |R|, px.
     samples : int
         Sub-pixel sources per axis.
+    least : float
+        `detail_least`, px.
     """
     finer = texels > np.float32(FINE_TEXELS) ** 2
     most = np.where(finer, np.float32(FINE_MOST), np.float32(DETAILED_MOST))
-    detailed = (texels > np.float32(DETAILED_TEXELS) ** 2) & (spread > np.float32(DETAILED_LEAST)) & (spread < most)
+    detailed = (texels > np.float32(DETAILED_TEXELS) ** 2) & (spread > np.float32(least)) & (spread < most)
     fine = finer | (spread < np.float32(NEAR_FOCUS))
     many = 4 if samples % 4 == 0 else 3 if samples % 3 == 0 else samples
     return np.where(detailed, np.where(fine, many, 2 if samples % 2 == 0 else many), 0)

@@ -21,7 +21,7 @@ from clsco.optics.psf_grid import octaves_from, sampled_steps, table_steps
 from clsco.optics.psf_tables import PsfTable
 from clsco.optics.quadrics import PlacedSurface, cutting_bounds
 from clsco.optics.still import Exposed, Window
-from clsco.optics.texture_mapping import TextureMap, texture_spread
+from clsco.optics.texture_mapping import TextureMap, detail_least, texture_spread
 from clsco.optics.visibility import OcclusionGroup
 from clsco.records import MOST_RIMS, Real, Struct, filled, structs
 from clsco.scene.model import Camera, Object
@@ -162,6 +162,7 @@ def texture_map_structs(
             values = vars(found) | {"frame": found.frame.ravel(), "scale": found.scale.ravel()}
             levels = len(level_sizes(found.columns, found.rows))
             values |= {"base": base, "levels": levels, "spread": texture_spread(psf), "outside": covered}
+            values["least"] = detail_least(psf)
         found_structs.append(filled("texture_map_t", real, values))
     return np.array(found_structs, structs(real)["texture_map_t"])
 

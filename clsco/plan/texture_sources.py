@@ -35,7 +35,7 @@ from clsco.optics.motion import Pose, poses_at
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import place, predict_inverse_depth
 from clsco.optics.rays import places_of, slopes_at
-from clsco.optics.texture_mapping import TextureMap, cut_parts, texture_map, texture_spread
+from clsco.optics.texture_mapping import TextureMap, cut_parts, detail_least, texture_map, texture_spread
 from clsco.plan.predict import GRID, Maps, seen_depths, seen_slopes
 from clsco.scene.model import Camera, Object, Scene
 
@@ -100,7 +100,7 @@ def lost_squares(
                 change = [np.nan_to_num(np.gradient(radius, axis=axis)) for axis in (0, 1)]
                 spread = _between(radius, np.abs(change).max(axis=0))[:, seen]
                 texels = np.nan_to_num((across**2).sum(axis=1).max(axis=0))
-                fine = cut_parts(np.broadcast_to(texels, spread.shape), spread, exact) > 0
+                fine = cut_parts(np.broadcast_to(texels, spread.shape), spread, exact, detail_least(psf)) > 0
                 if not fine.any():
                     continue
                 if alike[k] not in spectra:

@@ -237,7 +237,7 @@ def parts_of(texture: MappedTexture, texels: Array, radius: Array, samples: int)
     """Parts per axis of pixels (n,) with so many texels, squared, and a signed radius in px, 0 where one source is
     enough; samples: sub-pixel sources per axis."""
     spread = (texture.spread * np.abs(radius)).astype(np.float32)
-    return cut_parts(texels.astype(np.float32), spread, samples)
+    return cut_parts(texels.astype(np.float32), spread, samples, texture.least)
 
 
 def surface_texture(

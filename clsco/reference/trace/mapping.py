@@ -25,7 +25,7 @@ from clsco.inputs.mipmaps import cube_side as side_of
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import PlacedSurface
 from clsco.optics.rays import ray_changes
-from clsco.optics.texture_mapping import TextureMap, texture_spread
+from clsco.optics.texture_mapping import TextureMap, detail_least, texture_spread
 from clsco.reference.common.geometry import (
     Array,
     Filter,
@@ -47,12 +47,14 @@ class MappedTexture:
     """An image on a surface.
 
     levels: of its mipmap, (sides, rows, columns, channels) float64; map: how it lies; spread: radius of the disc whose
-    moments a PSF with R = 1 has, 0 where sources are no squares; texture_filter: between texels.
+    moments a PSF with R = 1 has, 0 where sources are no squares; least: of `detail_least`, px;
+    texture_filter: between texels.
     """
 
     levels: tuple[Array, ...]
     map: TextureMap
     spread: float
+    least: float
     texture_filter: Filter
 
 
@@ -61,7 +63,7 @@ def mapped_texture(
 ) -> MappedTexture:
     """A `MappedTexture` of images (rows, columns, channels): one, or the six of a cube map."""
     levels = tuple(level.astype(np.float64) for level in mipmap(images))
-    return MappedTexture(levels, texture_map, texture_spread(psf), texture_filter)
+    return MappedTexture(levels, texture_map, texture_spread(psf), detail_least(psf), texture_filter)
 
 
 @dataclass(frozen=True, eq=False)
