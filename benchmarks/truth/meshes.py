@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.truth.problem import inverse_poses, prepare
-from benchmarks.truth.surface_images import NUMBERS, mapping_of
+from clsco.truth.images import NUMBERS, mapping_of
 
 Array = NDArray[Any]
 SAG = 0.003  # px by which a surface is off

@@ -1,20 +1,20 @@
 """Input of the ray tracer: shapes as ten coefficients in frames of their own, and the poses of these.
 
-A scene is read by attribute names only ("scene.camera.focal_length", ...): no code is shared with the package.
+A scene is read by attribute names only ("scene.camera.focal_length", ...); no code is shared with what renders.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from benchmarks.truth.surface_images import SIZE, lies, mapping_of
+from clsco.truth.images import SIZE, lies, mapping_of
+from clsco.truth.poses import rotation_matrix, shake_at, shake_sines, static_rotation
+from clsco.truth.surfaces import bounds_of, surface_of
 
 Array = NDArray[np.float64]
 Textures = NDArray[Any] | Sequence[NDArray[Any]]
@@ -29,7 +29,7 @@ class Problem:
     and the square of the largest distance from the z axis; `rotations` (objects, 3, 3), from that frame to the camera's
     axes at t = 0; `group_...` (objects, 3) of what carries each object, 0 for nothing; `textures` (objects, rows,
     columns, channels) linear radiance, 0 where an image lies on the surface; `mappings` (objects, SIZE) and `images`
-    (texels, channels) of these (`surface_images.py`); `accelerations` and `angular_accelerations` (objects, 3) of
+    (texels, channels) of these (`clsco.truth.images`); `accelerations` and `angular_accelerations` (objects, 3) of
     the objects' own motions; `shake` (6, sines, 3) of the camera: amplitude in rad or mm, frequency in Hz, phase in
     turns, of its rotation vector and then of its shift; `light` (5,): where it is in mm, or three numbers towards it,
     whether the former, and the share of the texture that is seen without it; None without a light; `zoom` (keys, 2):
@@ -59,36 +59,6 @@ class Problem:
     images: Array
     light: Array | None
     zoom: Array | None
-
-
-def _shape(item: Any) -> tuple[Array, Any, tuple[float, float]]:
-    """Coefficients (10,), center (3) mm and z range (2) mm of one object; ValueError for an unknown shape."""
-    k = np.zeros(10)
-    everywhere = (-np.inf, np.inf)
-    match item.shape:
-        case "plane":  # b x + c y - z = 0 about (0, 0, a)
-            k[6:9] = item.slope_x, item.slope_y, -1.0
-            return k, (0.0, 0.0, item.distance), everywhere
-        case "rectangle" | "disc":  # z = offset about its center
-            k[8:] = 1.0, -item.offset
-            return k, item.center, everywhere
-        case "sphere":
-            k[[0, 1, 2, 9]] = 1.0, 1.0, 1.0, -(item.radius**2)
-            return k, item.center, everywhere
-        case "ellipsoid":
-            k[:3], k[9] = 1.0 / np.asarray(item.semi_axes, float) ** 2, -1.0
-            return k, item.center, everywhere
-        case "cylinder":  # |q|^2 - (q . axis)^2 = radius^2
-            x, y, z = np.asarray(item.axis, float) / np.linalg.norm(item.axis)
-            k[:6] = 1 - x * x, 1 - y * y, 1 - z * z, -2 * x * y, -2 * y * z, -2 * x * z
-            k[9] = -(item.radius**2)
-            return k, item.center, everywhere
-        case "cone":
-            k[:3] = 1.0, 1.0, -(math.tan(math.radians(item.half_angle)) ** 2)
-            return k, item.apex, (0.0, np.inf) if item.nappe == "away" else (-np.inf, 0.0)
-        case "quadric":
-            return np.asarray(item.coefficients, float), item.center, everywhere
-    raise ValueError(f"raytracer: shape must be analytic; got {item.shape!r}")
 
 
 def _texture_stack(images: list[NDArray[Any]], rows: int, columns: int, channels: int) -> Array:
@@ -147,16 +117,9 @@ def prepare(scene: Any, textures: Textures, rows: int, columns: int, frame: int 
     flat, mappings = _on_surfaces(objects, images, channels)
     empty = np.zeros((rows, columns))
     projected = [empty if lies(item) else image for item, image in zip(objects, images, strict=True)]
-    shapes = [_shape(item) for item in objects]
+    shapes = [surface_of(item) for item in objects]
     group_centers, group_velocities, group_turns = _groups(scene, [shape[1] for shape in shapes])
-    bounds = np.full((len(objects), 7), np.inf)
-    bounds[:, :6:2] = -np.inf
-    for box, item, (_, _, (low, high)) in zip(bounds, objects, shapes, strict=True):
-        if item.bounds is not None:
-            box[:6] = np.ravel(item.bounds)
-        box[4:6] = max(box[4], low), min(box[5], high)
-        if item.shape == "disc":
-            box[6] = item.radius**2
+    bounds = np.array([bounds_of(item, span) for item, (_, _, span) in zip(objects, shapes, strict=True)])
     return Problem(
         pitch_ratio=camera.pixel_pitch / camera.normalization_distance,
         lens_radius=camera.aperture_diameter / 2,
@@ -167,12 +130,12 @@ def prepare(scene: Any, textures: Textures, rows: int, columns: int, frame: int 
         coefficients=np.array([shape[0] for shape in shapes]),
         bounds=bounds,
         centers=np.array([shape[1] for shape in shapes], float),
-        rotations=np.array([_static_rotation(item.rotation) for item in objects]),
+        rotations=np.array([static_rotation(item.rotation) for item in objects]),
         velocities=np.array([item.motion.velocity for item in objects], float),
         angular_velocities=np.radians([item.motion.angular_velocity for item in objects]),
         accelerations=_gains(objects, "acceleration"),
         angular_accelerations=np.radians(_gains(objects, "angular_acceleration")),
-        shake=_shake(getattr(camera, "shake", None)),
+        shake=shake_sines(getattr(camera, "shake", None)),
         group_centers=group_centers,
         group_velocities=group_velocities,
         group_angular_velocities=np.radians(group_turns),
@@ -211,54 +174,6 @@ def _gains(objects: Any, key: str) -> Array:
     return np.array([getattr(item.motion, key, None) or (0.0, 0.0, 0.0) for item in objects], float)
 
 
-def _shake(shake: Any, sines: int = 32) -> Array:
-    """See `Problem.shake`, by the words of docs/motion.md; no sines without a shake."""
-    if shake is None:
-        return np.zeros((6, 0, 3))
-    numbers = np.random.Philox(key=shake.seed).random_raw(12 * sines) >> np.uint64(11)
-    place, phase = np.moveaxis(numbers.reshape(6, sines, 2) / 2.0**53, -1, 0)
-    low, high = shake.band
-    frequency = low + (np.arange(sines) + place) * (high - low) / sines
-    sizes = np.repeat([math.radians(shake.rotation_rms), shake.translation_rms], 3)[:, None]
-    return np.stack([np.broadcast_to(sizes * math.sqrt(2 / (3 * sines)), place.shape), frequency, phase], axis=-1)
-
-
-def rotation_matrix(angles: Array, axis_rotation: bool) -> Array:
-    """M of P(t) = C + v t + M (P0 - C) for `angles` = omega t, (..., 3) rad: (..., 3, 3) in camera axes.
-
-    The thesis' matrix (2.14 to 2.23) acts on x right, y up, z towards the camera. With `axis_rotation` a turn
-    about the vector `angles` takes its place, in the sense that the matrix has for a single axis (clockwise
-    seen from the axis' tip).
-    """
-    towards = np.diag([1.0, 1.0, -1.0])
-    if axis_rotation:
-        matrix = Rotation.from_rotvec(-angles.reshape(-1, 3)).as_matrix().reshape(*angles.shape, 3)
-        return towards @ matrix @ towards
-    (sx, sy, sz), (cx, cy, cz) = np.moveaxis(np.sin(angles), -1, 0), np.moveaxis(np.cos(angles), -1, 0)
-    matrix = np.array(
-        [
-            [cy * cz, sx * sy * cz + cx * sz, -cx * sy * cz + sx * sz],
-            [-cy * sz, -sx * sy * sz + cx * cz, cx * sy * sz + sx * cz],
-            [sy, -sx * cy, cx * cy],
-        ]
-    )
-    return towards @ np.moveaxis(matrix, (0, 1), (-2, -1)) @ towards
-
-
-def _static_rotation(given: Any) -> Array:
-    """Matrix (3, 3) of Euler angles or of an axis with an angle, both in deg, or of a quaternion w x y z."""
-    if given is None:
-        return np.eye(3)
-    if hasattr(given, "quaternion"):
-        w, x, y, z = given.quaternion
-        towards = np.diag([1.0, 1.0, -1.0])
-        return towards @ Rotation.from_quat([x, y, z, w]).inv().as_matrix() @ towards
-    if hasattr(given, "axis"):
-        axis = np.asarray(given.axis, float)
-        return rotation_matrix(math.radians(given.angle) * axis / np.linalg.norm(axis), True)
-    return rotation_matrix(np.radians(given), False)
-
-
 def inverse_poses(problem: Problem, times: Array) -> Array:
     """Per time and object, the inverse rotation (9) and the moved center (3): (times, objects, 12), mm."""
     moments = times[:, None, None]
@@ -269,8 +184,7 @@ def inverse_poses(problem: Problem, times: Array) -> Array:
     turn, arm = carried @ turn, center - problem.group_centers
     center = problem.group_centers + moments * problem.group_velocities + np.einsum("...ij,...j->...i", carried, arm)
     if problem.shake.size:
-        size, frequency, phase = np.moveaxis(problem.shake, -1, 0)
-        found = (size * np.sin(2 * np.pi * (frequency * times[:, None, None] + phase))).sum(axis=-1)
-        back = np.swapaxes(rotation_matrix(found[:, :3], True), -1, -2)[:, None]
-        turn, center = back @ turn, np.einsum("...ij,...j->...i", back, center - found[:, None, 3:])
+        shaken, moved = shake_at(problem.shake, times)
+        back = np.swapaxes(shaken, -1, -2)[:, None]
+        turn, center = back @ turn, np.einsum("...ij,...j->...i", back, center - moved[:, None])
     return np.concatenate([np.swapaxes(turn, -1, -2).reshape(*turn.shape[:2], 9), center], axis=-1)

@@ -1,6 +1,7 @@
 """A thin-lens ray tracer in float64: the judge that every picture of the package is measured against.
 
-It shares no code with the package. `problem.py` reads a scene; a ray meets each surface by the textbook formula.
+It shares code with `clsco.truth` alone, whose rays judge single pixels of any scene, and none with what renders.
+`benchmarks.truth.problem` reads a scene; a ray meets each surface by the textbook formula.
 
 The ray. The detector position x' (mm, in the plane of the normalization distance s0) receives through the lens point l
 (unit disc) the radiance of the surface point whose pinhole projection is x = x' - R(Z) l, with the blur radius R(Z) =
@@ -31,13 +32,13 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from benchmarks.truth.problem import Array, Problem, Textures, inverse_poses, lenses, prepare
-from benchmarks.truth.surface_images import shade
+from clsco.truth.images import shade
+from clsco.truth.kernel import STEP, lambert, meet, mirror, normal_at, rotated, uniform
 
 CACHE_FORMAT = 2  # part of the key of cached images; a change of what is computed must change it
 LEAST_SAMPLES = 64
 MOST_SAMPLES = 1 << 17  # per pixel
 BLOCK = 128  # samples that stay in the fastest cache while all pixels of a row use them
-STEP = np.uint64(0x9E3779B97F4A7C15)
 
 
 def _disc(square: Array) -> Array:
@@ -48,66 +49,6 @@ def _disc(square: Array) -> Array:
     ratio = np.divide(np.where(wide, b, a), radius, out=np.zeros_like(a), where=radius != 0)
     angle = np.where(wide, np.pi / 4 * ratio, np.pi / 2 - np.pi / 4 * ratio)
     return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
-
-
-@njit(cache=True, inline="always")
-def _uniform(state):  # type: ignore[no-untyped-def]
-    """A uniform number in [0, 1) of a 64-bit state (the finalizer of splitmix64)."""
-    z = (state ^ (state >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    z = z ^ (z >> np.uint64(31))
-    return float(z >> np.uint64(11)) * 2.0**-53
-
-
-@njit(cache=True, inline="always")
-def _inside(box, x, y, z):  # type: ignore[no-untyped-def]
-    """True if a point of the object's frame lies in its bounds."""
-    within = (box[0] <= x) & (x <= box[1]) & (box[2] <= y) & (y <= box[3]) & (box[4] <= z) & (z <= box[5])
-    return within & (x * x + y * y <= box[6])
-
-
-@njit(cache=True, inline="always")
-def _mirror(index, count):  # type: ignore[no-untyped-def]
-    """Half-sample mirror reflection of a whole number: -1 -> 0, count -> count - 1. All floating point."""
-    # The half keeps the product off whole numbers, where rounding would decide.
-    index = index - 2 * count * np.floor((index + 0.5) * (0.5 / count))
-    index = index if index < count else 2 * count - 1 - index
-    # Infinite, or so large that whole numbers have gaps: any texel.
-    index = index if index > 0.0 else 0.0
-    return index if index < count else count - 1
-
-
-@njit(cache=True, inline="always")
-def _turn(m, x, y, z):  # type: ignore[no-untyped-def]
-    """The vector (x, y, z) times the 3x3 matrix in the first nine elements of `m`."""
-    return m[0] * x + m[1] * y + m[2] * z, m[3] * x + m[4] * y + m[5] * z, m[6] * x + m[7] * y + m[8] * z
-
-
-@njit(cache=True, inline="always")
-def _meet(lens_x, lens_y, slope_x, slope_y, m, k, box):  # type: ignore[no-untyped-def]
-    """First hit of the ray (lens + slope Z, Z) with a surface: depth, 0 for none, and the point in the object's frame.
-
-    `m`: inverse rotation and center (12); `k`: coefficients (10); `box`: bounds (7). All about the center.
-    """
-    # Back to the object's frame: the ray's parameter stays the depth in the camera at the sampled time.
-    ox, oy, oz = _turn(m, lens_x - m[9], lens_y - m[10], -m[11])
-    dx, dy, dz = _turn(m, slope_x, slope_y, 1.0)
-    a = k[0] * dx * dx + k[1] * dy * dy + k[2] * dz * dz + k[3] * dx * dy + k[4] * dy * dz + k[5] * dx * dz
-    cross = k[3] * (ox * dy + oy * dx) + k[4] * (oy * dz + oz * dy) + k[5] * (ox * dz + oz * dx)
-    linear = k[6] * dx + k[7] * dy + k[8] * dz
-    b = k[0] * ox * dx + k[1] * oy * dy + k[2] * oz * dz + 0.5 * (cross + linear)
-    c = k[0] * ox * ox + k[1] * oy * oy + k[2] * oz * oz + k[3] * ox * oy + k[4] * oy * oz + k[5] * ox * oz
-    c += k[6] * ox + k[7] * oy + k[8] * oz + k[9]
-    # a Z^2 + 2 b Z + c = 0. The form with q keeps both roots, and the only one where a = 0. Where there
-    # is none it is no number or infinite: comparisons refuse both.
-    q = -(b + np.copysign(np.sqrt(b * b - a * c), b))
-    first, second = c / q, q / a
-    low, high = (first if first < second else second), (second if first < second else first)
-    good = (low > 0.0) & _inside(box, ox + low * dx, oy + low * dy, oz + low * dz)
-    depth = low if good else high
-    x, y, z = ox + depth * dx, oy + depth * dy, oz + depth * dz
-    good = (depth > 0.0) & (depth < np.inf) & _inside(box, x, y, z)
-    return depth if good else 0.0, x, y, z
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
@@ -144,7 +85,7 @@ def _cast(hits, rays, count, turn, corner, optics, surface, texture):  # type: i
             rays[s + 8 * BLOCK], rays[s + 9 * BLOCK], rays[s + 10 * BLOCK], rays[s + 11 * BLOCK],
             rays[s + 12 * BLOCK], rays[s + 13 * BLOCK], rays[s + 14 * BLOCK], rays[s + 15 * BLOCK],
         )  # fmt: skip
-        depth, x, y, z = _meet(lens_x, lens_y, slope_x, slope_y, m, k, box)
+        depth, x, y, z = meet(lens_x, lens_y, slope_x, slope_y, m, k, box)
         nearest, texel = hits[s], hits[s + BLOCK]
         nearer = (depth > 0.0) & (depth < nearest)
         hits[s] = depth if nearer else nearest
@@ -152,40 +93,15 @@ def _cast(hits, rays, count, turn, corner, optics, surface, texture):  # type: i
         hits[s + 2 * BLOCK] = x if nearer else at_x
         hits[s + 3 * BLOCK] = y if nearer else at_y
         hits[s + 4 * BLOCK] = z if nearer else at_z
-        x, y, z = _turn(r, x, y, z)
+        x, y, z = rotated(r, x, y, z)
         # A point behind the lens in the reference pose has no projection: the focused image has no value for it.
         rest = z + center_z
         scale = 1.0 / (pitch_ratio * rest)
-        j = _mirror(np.floor((x + center_x) * scale + 0.5 * columns), columns)
-        i = _mirror(np.floor(0.5 * rows - (y + center_y) * scale), rows)
+        j = mirror(np.floor((x + center_x) * scale + 0.5 * columns), columns)
+        i = mirror(np.floor(0.5 * rows - (y + center_y) * scale), rows)
         found = base + i * columns + j if rest > 0.0 else -1.0
         found = other if other < 0.0 else found
         hits[s + BLOCK] = found if nearer else texel
-
-
-@njit(cache=True)
-def _normal(normal, x, y, z, k):  # type: ignore[no-untyped-def]
-    """Unit normal (3,) of a quadric at a point."""
-    normal[0] = 2 * k[0] * x + k[3] * y + k[5] * z + k[6]
-    normal[1] = 2 * k[1] * y + k[3] * x + k[4] * z + k[7]
-    normal[2] = 2 * k[2] * z + k[4] * y + k[5] * x + k[8]
-    normal /= math.sqrt(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2])
-
-
-@njit(cache=True)
-def _lambert(light, normal, m, lens_x, lens_y, x, y, z):  # type: ignore[no-untyped-def]
-    """Share of the texture that a point of the object's frame shows to a point of the lens: the cosine between the
-    light and that of both normals which the ray comes from. `light` (5): as in `Problem`; `m`: as in `_meet`."""
-    if light[3] > 0.0:
-        to_x, to_y, to_z = _turn(m, light[0] - m[9], light[1] - m[10], light[2] - m[11])
-        to_x, to_y, to_z = to_x - x, to_y - y, to_z - z
-    else:
-        to_x, to_y, to_z = _turn(m, light[0], light[1], light[2])
-    eye_x, eye_y, eye_z = _turn(m, lens_x - m[9], lens_y - m[10], -m[11])
-    seen = (eye_x - x) * normal[0] + (eye_y - y) * normal[1] + (eye_z - z) * normal[2]
-    along = to_x * normal[0] + to_y * normal[1] + to_z * normal[2]
-    cosine = math.copysign(1.0, seen) * along / math.sqrt(to_x * to_x + to_y * to_y + to_z * to_z)
-    return light[4] + (1.0 - light[4]) * max(cosine, 0.0)
 
 
 @njit(cache=True, parallel=True, fastmath={"contract"})
@@ -234,9 +150,9 @@ def _accumulate(  # type: ignore[no-untyped-def]
                 if begin >= end:
                     continue
                 state = np.uint64(seed) + np.uint64(3 * (row * columns + column) + 1) * STEP
-                angle = 2 * math.pi * _uniform(state + STEP + STEP)
+                angle = 2 * math.pi * uniform(state + STEP + STEP)
                 turn = lens_radius * math.cos(angle), lens_radius * math.sin(angle)
-                corner = column - 0.5 * columns, 0.5 * rows - row, _uniform(state), _uniform(state + STEP)
+                corner = column - 0.5 * columns, 0.5 * rows - row, uniform(state), uniform(state + STEP)
                 for s in range(BLOCK):
                     hits[s], hits[s + BLOCK] = np.inf, -1.0
                 for n in range(len(poses)):
@@ -250,11 +166,11 @@ def _accumulate(  # type: ignore[no-untyped-def]
                     n = -2 - texel if texel < -1 else texel // (rows * columns)
                     x, y, z = hits[s + 2 * BLOCK], hits[s + 3 * BLOCK], hits[s + 4 * BLOCK]
                     if texel < -1 or (texel >= 0 and len(light) > 0):
-                        _normal(normal, x, y, z, coefficients[n])
+                        normal_at(normal, x, y, z, coefficients[n])
                     if texel != -1 and len(light) > 0:
                         u, v, m = rays[n, s + 2 * BLOCK], rays[n, s + 3 * BLOCK], rays[n, s + 4 * BLOCK :: BLOCK]
                         lens_x, lens_y = turn[0] * u - turn[1] * v, turn[1] * u + turn[0] * v
-                        share = _lambert(light, normal, m, lens_x, lens_y, x, y, z)
+                        share = lambert(light, normal, m, lens_x, lens_y, x, y, z)
                     if texel < -1:
                         shade(total, x, y, z, normal, mappings[n], images)
                         for channel in range(channels):
@@ -451,7 +367,7 @@ def _pinhole(x, y, ratios, poses, coefficients, bounds):  # type: ignore[no-unty
             for column in range(len(x)):
                 for n in range(len(coefficients)):
                     slope_x, slope_y = x[column] * ratios[sample], y[row] * ratios[sample]
-                    hit = _meet(0.0, 0.0, slope_x, slope_y, poses[sample, n], coefficients[n], bounds[n])
+                    hit = meet(0.0, 0.0, slope_x, slope_y, poses[sample, n], coefficients[n], bounds[n])
                     if 0.0 < hit[0] < depth[sample, row, column]:
                         depth[sample, row, column] = hit[0]
     return depth

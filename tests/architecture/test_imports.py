@@ -16,7 +16,7 @@ PACKAGE = Path(__file__).resolve().parents[2] / "clsco"
 # A package or module imports only what stands before it.
 ORDER = (
     "cache", "constants", "errors", "resources", "records", "scene", "optics", "files", "frame", "inputs",
-    "plan", "opencl", "inpainting", "passes", "engine", "reference", "cost", "data", "studio", "cli",
+    "truth", "plan", "opencl", "inpainting", "passes", "engine", "reference", "cost", "data", "studio", "cli",
     "__main__",
 )  # fmt: skip
 # Narrower than the order: what knows OpenCL knows no scenes, and codecs know none either.
@@ -24,6 +24,7 @@ ONLY = {
     "files": {"errors", "resources"},
     "opencl": {"cache", "constants", "errors", "resources", "records"},
     "records": set[str](),
+    "truth": {"errors", "files", "inputs", "resources", "scene"},  # and no formula of what it judges
 }
 ON_OPENCL = (
     "opencl", "passes", "engine", "inpainting", "data.shards", "data.verify",
@@ -50,7 +51,7 @@ OUTSIDE = {
     "click": ("cli",),
     "rich": ("cli",),
     "matplotlib": ("cli.bench", "inpainting.report"),
-    "numba": ("cli.bench",),
+    "numba": ("cli.bench", "truth"),
     "cv2": ("cli.bench",),
     "colour_demosaicing": (),
     "mpmath": ("cli.bench",),

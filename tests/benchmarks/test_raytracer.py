@@ -12,8 +12,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from benchmarks.truth.problem import prepare, rotation_matrix
+from benchmarks.truth.problem import prepare
 from benchmarks.truth.raytracer import pinhole_depth, trace, trace_converged
+from clsco.truth.poses import rotation_matrix
 
 PITCH, S0, APERTURE = 0.01, 20.0, 10.0
 FOCUS_TERM = 1 / 20.0 - 1 / 21.739

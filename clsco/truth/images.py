@@ -1,7 +1,7 @@
-"""Images on surfaces for the ray tracer: where a point of an object's frame is in its image, and what is there.
+"""Images on surfaces for rays: where a point of an object's frame is in its image, and what is there.
 
-Formulas of its own, from the words of docs/scene_files.md: no code is shared with the package. An image is a continuous
-function, its texels interpolated by the cubic of Keys (1981, a = -1/2) along each axis.
+Formulas from the words of docs/scene_files.md, and not those of `clsco.optics`. An image is a continuous function, its
+texels interpolated by the cubic of Keys (1981, a = -1/2) along each axis, or as the scene's texture filter says.
 """
 
 from __future__ import annotations
@@ -14,12 +14,13 @@ from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-PROJECTED, FLAT, ROUND, GLOBE, ROLLED, THREE = range(6)
+PROJECTED, FLAT, ROUND, GLOBE, ROLLED, THREE, CUBE = range(7)
 WRAPS = ("repeat", "mirror", "clamp", "none")
+FILTERS = ("nearest", "bilinear", "bicubic")
 # How an image lies, as numbers: kind, first texel, rows, columns, wrap, width and height of a copy, cosine and sine
-# of its turn, shift right and up in copies, a radius or the sine of a half angle; then three vectors.
+# of its turn, shift right and up in copies, a radius or the sine of a half angle; then three vectors, and the filter.
 NUMBERS = 12
-SIZE = NUMBERS + 9
+SIZE = NUMBERS + 10
 
 
 def lies(item: Any) -> bool:
@@ -27,7 +28,7 @@ def lies(item: Any) -> bool:
     return getattr(item, "texture_mapping", "projected") != "projected"
 
 
-def mapping_of(item: Any, shape: tuple[int, int], first: int) -> Array:
+def mapping_of(item: Any, shape: tuple[int, int], first: int, texture_filter: str = "bicubic") -> Array:
     """The numbers (SIZE,) of an object whose image has so many rows and columns and begins at texel `first`."""
     rows, columns = shape
     found = np.zeros(SIZE)
@@ -55,10 +56,10 @@ def mapping_of(item: Any, shape: tuple[int, int], first: int) -> Array:
         right = np.cross(towards, up)
         extent = (2.0 * math.pi * item.radius, None)
     elif item.shape in ("sphere", "ellipsoid"):
-        kind = GLOBE
+        kind = CUBE if item.texture_mapping == "cube" else GLOBE
         a, b, c = (1.0, 1.0, 1.0) if item.shape == "sphere" else item.semi_axes
         right, up, towards = right / a, up / b, towards / c
-        extent = (2.0 * math.pi, math.pi)
+        extent = (2.0, 2.0) if kind == CUBE else (2.0 * math.pi, math.pi)
     elif item.shape == "cone":
         kind, extra = ROLLED, math.sin(math.radians(item.half_angle))
     proportion = rows / columns
@@ -78,7 +79,7 @@ def mapping_of(item: Any, shape: tuple[int, int], first: int) -> Array:
         kind, first, rows, columns, WRAPS.index(wrap), width, height, math.cos(turn), math.sin(turn), shift_x, shift_y,
         extra,
     )  # fmt: skip
-    found[NUMBERS:] = np.concatenate([right, up, towards])
+    found[NUMBERS:] = *right, *up, *towards, FILTERS.index(texture_filter)
     return found
 
 
@@ -98,33 +99,38 @@ def _texel(index, count, wrap):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, inline="always")
-def _keys(t):  # type: ignore[no-untyped-def]
-    """The cubic of Keys at a distance."""
+def _weight(t, kind):  # type: ignore[no-untyped-def]
+    """The weight of a texel at a distance: by the cubic of Keys, or by another filter."""
+    if kind == 0:
+        return 1.0 if -0.5 < t <= 0.5 else 0.0
     t = abs(t)
+    if kind == 1:
+        return max(1.0 - t, 0.0)
     if t < 1.0:
         return (1.5 * t - 2.5) * t * t + 1.0
     return ((2.5 - 0.5 * t) * t - 4.0) * t + 2.0 if t < 2.0 else 0.0
 
 
 @njit(cache=True)
-def _add_image(total, share, s, t, m, images):  # type: ignore[no-untyped-def]
-    """Add the image at lengths s right and t up, from its middle, times a share."""
+def _add_image(total, share, s, t, m, images, side=0):  # type: ignore[no-untyped-def]
+    """Add the image at lengths s right and t up, from its middle, times a share; side: number of the image."""
     first, rows, columns, wrap = int(m[1]), int(m[2]), int(m[3]), int(m[4])
     turned_s, turned_t = m[7] * s + m[8] * t, m[7] * t - m[8] * s
     column = columns * (0.5 + turned_s / m[5] - m[9]) - 0.5
     row = rows * (0.5 - turned_t / m[6] + m[10]) - 0.5
-    left, top = math.floor(column) - 1, math.floor(row) - 1
+    left, top, kind = math.floor(column) - 1, math.floor(row) - 1, int(m[21])
+    first += side * rows * columns
     wrap_rows = wrap
     if int(m[0]) == GLOBE and abs(m[6] - math.pi) < 1e-12 and m[10] == 0.0:
         wrap_rows = 1
     for i in range(top, top + 4):
         line = _texel(i, rows, wrap_rows)
-        across = _keys(row - i)
+        across = _weight(row - i, kind)
         for j in range(left, left + 4):
             at = _texel(j, columns, wrap)
             if line < 0 or at < 0:
                 continue
-            weight = share * across * _keys(column - j)
+            weight = share * across * _weight(column - j, kind)
             for channel in range(images.shape[1]):
                 total[channel] += weight * images[first + line * columns + at, channel]
 
@@ -148,6 +154,15 @@ def shade(total, x, y, z, normal, m, images):  # type: ignore[no-untyped-def]
     elif kind == ROLLED:  # the axis is z, and the middle of the image is towards y
         length, angle = math.sqrt(x * x + y * y + z * z), m[11] * math.atan2(x, y)
         _add_image(total, 1.0, length * math.sin(angle), length * math.cos(angle), m, images)
+    elif kind == CUBE:
+        largest = max(abs(right), abs(up), abs(towards))
+        right, up, towards = right / largest, up / largest, towards / largest
+        if abs(towards) >= 1.0:
+            _add_image(total, 1.0, right * towards, up, m, images, 5 if towards > 0.0 else 4)
+        elif abs(right) >= 1.0:
+            _add_image(total, 1.0, -towards * right, up, m, images, 0 if right > 0.0 else 1)
+        else:
+            _add_image(total, 1.0, right, -towards * up, m, images, 2 if up > 0.0 else 3)
     else:
         shares = np.empty(3)
         for axis in range(3):

@@ -1,0 +1,244 @@
+"""A frame against rays through the lens: deviations by class of pixel and by object (float64)."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+from clsco.resources import processors
+from clsco.truth.kernel import REPEATS, accumulate
+from clsco.truth.pixels import CLASSES, Pixels, choose_pixels, extent_of, places_of
+from clsco.truth.problem import Array, Problem
+from clsco.truth.pupils import bend, lens_point
+
+WANTED = 1e-3  # standard error of a pixel, of white
+FIRST, MOST_RAYS = 64, 2**16  # samples of each repeat at first, and rays of a pixel at most
+ALLOWED, ALLOWED_ERRORS = 0.01, 5.0  # of white, and standard errors: more than both is a deviation
+COUNTED_ERRORS = 4.0  # pixels are counted beyond ALLOWED and so many standard errors
+
+
+@dataclass(frozen=True)
+class Row:
+    """Deviations of some pixels: of a class, or of an object.
+
+    rms, noise: of the frame from rays, and of these by themselves, of white; mean: signed; beyond: pixels that are off
+    by more than 0.01 and 4 standard errors; column, row, right, got, errors: of the pixel that is off by most, in
+    standard errors where it is off by more than 0.01.
+    """
+
+    name: str
+    pixels: int
+    rms: float
+    noise: float
+    mean: float
+    beyond: int
+    column: int
+    row: int
+    right: float
+    got: float
+    errors: float
+
+    @property
+    def decibels(self) -> float:
+        """PSNR in dB without the noise of the rays, which may be all of the error."""
+        return -10 * math.log10(max(self.rms**2 - self.noise**2, 1e-2 * self.noise**2, 1e-12))
+
+
+@dataclass(frozen=True)
+class Light:
+    """Light of all that is around a small object, in px of white: by rays with their standard error, and in the
+    frame; `own`: what the object alone changes."""
+
+    name: str
+    right: float
+    error: float
+    got: float
+    own: float
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """A view of a frame against rays: rows of classes and of objects, light of small objects, and the pixels."""
+
+    classes: tuple[Row, ...]
+    objects: tuple[Row, ...]
+    lights: tuple[Light, ...]
+    pixels: Pixels
+    right: Array
+    got: Array
+    error: Array
+    rays: int
+    seconds: float
+
+    @property
+    def deviations(self) -> NDArray[np.bool_]:
+        """Pixels (n,) that are off by more than 0.01 of white and 5 standard errors."""
+        off = np.abs(self.got - self.right)
+        return np.asarray(((off > ALLOWED) & (off > ALLOWED_ERRORS * self.error)).any(axis=1))
+
+    @property
+    def dim(self) -> tuple[Light, ...]:
+        """Small objects whose light is off by more than 2 % of theirs, 0.01 px of white and 5 standard errors."""
+        return tuple(
+            each for each in self.lights
+            if abs(each.got - each.right) > max(0.02 * abs(each.own), ALLOWED, ALLOWED_ERRORS * each.error)
+        )  # fmt: skip
+
+    @property
+    def agrees(self) -> bool:
+        """True if there is no such pixel, and no such object."""
+        return not (self.deviations.any() or self.dim)
+
+    def values(self) -> dict[str, Any]:
+        """The same for JSON."""
+        pixels, kinds = self.pixels, [CLASSES[k] for k in self.pixels.kind]
+        numbers = (pixels.column, pixels.row, self.right, self.got, self.error)
+        names = ("class", "column", "row", "right", "got", "error")
+        table = zip(kinds, *(each.tolist() for each in numbers), strict=True)
+        return {
+            "classes": [asdict(row) | {"psnr": row.decibels} for row in self.classes],
+            "objects": [asdict(row) | {"psnr": row.decibels} for row in self.objects],
+            "lights": [asdict(light) for light in self.lights],
+            "pixels": [dict(zip(names, each, strict=True)) for each in table],
+            "deviations": int(self.deviations.sum()), "rays": self.rays, "seconds": round(self.seconds, 3),
+        }  # fmt: skip
+
+
+def judge(
+    problem: Problem, image: NDArray[Any], rays: int = MOST_RAYS, seconds: float = 20.0, seed: int = 0
+) -> Judgement:  # fmt: skip
+    """Compare a frame with rays.
+
+    Parameters
+    ----------
+    problem : Problem
+    image : ndarray (rows, columns[, channels])
+        Linear radiance.
+    rays : int
+        Most rays of a pixel.
+    seconds : float
+        Time after which no more rays are begun.
+    seed : int
+        Seed of pixels and rays: the same one has the same bits, unless the time is over.
+
+    Returns
+    -------
+    Judgement
+    """
+    began, pixels = time.perf_counter(), choose_pixels(problem, seed)
+    channels = problem.surfaces.images.shape[1]
+    frame = np.asarray(image, float).reshape(*problem.size, -1)
+    places = np.zeros((len(pixels.row), 5))
+    places[:, 0], places[:, 1], places[:, 2:4] = pixels.column, pixels.row, 1.0
+    boxes = list(_boxes(problem))
+    whole = [(n, -1) for n, *_ in boxes], [(-1, n) for n, *_ in boxes]
+    jobs = np.array([(-1, -1)] * len(places) + whole[0] + whole[1], np.int64).reshape(-1, 2)
+    places = np.concatenate([places, *(np.array(each[k]).reshape(1, 5) for k in (1, 2) for each in boxes)])
+    mean, error, cast = trace(problem, jobs, places, channels, rays, began + seconds, seed)
+    count = len(pixels.row)
+    lights = []
+    for k, (n, (left, top, wide, high, _), _) in enumerate(boxes):
+        area, base, own = wide * high, count + k, count + len(boxes) + k
+        got = frame[int(top) : int(top + high), int(left) : int(left + wide)].sum(axis=(0, 1)).mean()
+        right = area * mean[base].mean() + mean[own].mean()
+        spread = math.hypot(area * error[base].mean(), error[own].mean())
+        lights.append(Light(problem.scene.objects[n].name, float(right), spread, float(got), float(mean[own].mean())))
+    mean, error = mean[:count], error[:count]
+    got = np.broadcast_to(frame[pixels.row, pixels.column], mean.shape)
+    names = [item.name for item in problem.scene.objects]
+    by_class = [(name, pixels.kind == k) for k, name in enumerate(CLASSES)]
+    by_object = [(name, pixels.item == n) for n, name in enumerate(names)] + [("nothing", pixels.item < 0)]
+    classes, objects = (
+        tuple(_row(name, of, pixels, mean, got, error) for name, of in each if of.any())
+        for each in (by_class, by_object)
+    )
+    return Judgement(classes, objects, tuple(lights), pixels, mean, got, error, cast, time.perf_counter() - began)
+
+
+def trace(
+    problem: Problem, jobs: NDArray[np.int64], places: Array, channels: int, rays: int, until: float, seed: int
+) -> tuple[Array, Array, int]:  # fmt: skip
+    """Radiance (jobs, channels) by rays and its standard error, and the number of rays; arguments as for `accumulate`,
+    until: time at which no more are begun."""
+    sampler = qmc.Sobol(5, scramble=True, rng=np.random.default_rng(seed))
+    sums, counts = np.zeros((len(jobs), REPEATS, channels)), np.zeros(len(jobs), np.int64)
+    key = int(np.random.SeedSequence(seed).generate_state(1, np.uint64)[0] >> np.uint64(1))
+    most = max(2 ** int(math.log2(max(rays, 2 * REPEATS) / REPEATS)), 1)
+    arrays: tuple[Any, ...] = problem[1:]
+    points, going, last = np.empty((0, 5)), np.arange(len(jobs)), min(FIRST, most)
+    with ThreadPoolExecutor(processors()) as pool:
+        while len(going):
+            begin, points = len(points), np.concatenate([points, sampler.random(last - len(points))])
+
+            def add(part: NDArray[np.int64], span: tuple[int, int] = (begin, last), known: Array = points) -> None:
+                accumulate(sums, jobs, places, part, known, span, key, *arrays)
+
+            list(pool.map(add, np.array_split(going, min(len(going), 4 * processors()))))
+            counts[going] = last
+            means = sums / counts[:, None, None]
+            error = means.std(axis=1, ddof=1) / math.sqrt(REPEATS)
+            if 2 * last > most or time.perf_counter() > until:
+                break
+            going, last = np.nonzero(error.max(axis=1) > WANTED)[0], 2 * last
+    return means.mean(axis=1), error, int(counts.sum()) * REPEATS
+
+
+def _boxes(problem: Problem) -> Iterator[tuple[int, tuple[float, ...], tuple[float, ...]]]:
+    """Objects that are small all over, the pixels (left, top, width, height) that have all of their light, and half a
+    width and height in mm about a place that rays are aimed at."""
+    moments = sorted({0, len(problem.moments.poses) // 2, len(problem.moments.poses) - 1})
+    if problem.moments.clock[1] > 0.0 and len(problem.moments.poses) > 1:
+        return  # where rows open in turn, light is not that of a time
+    widest, bent = _reach(problem)
+    for n in range(len(problem.scene.objects)):
+        extent = extent_of(problem, n)
+        if extent is None or not extent.small:
+            continue
+        middle = extent.places[len(extent.places) // 2]
+        column, row, radius = (
+            np.concatenate(part)
+            for part in zip(*(places_of(problem, n, moment, middle[None]) for moment in moments), strict=True)
+        )
+        if len(column) < len(moments):
+            continue
+        depth = problem.moments.poses[moments[0], n, 11]
+        reach = float(np.abs(radius).max()) * widest + bent + 5.0
+        left, right = math.floor(column.min() - reach), math.ceil(column.max() + reach)
+        top, bottom = math.floor(row.min() - reach), math.ceil(row.max() + reach)
+        if left < 0 or top < 0 or right >= problem.size[1] or bottom >= problem.size[0]:
+            continue
+        half = 1.05 * extent.around * (1.0 + problem.moments.lenses[0, 1] / depth)
+        yield n, (left, top, right - left + 1, bottom - top + 1, 0.0), (half, half, *middle)
+
+
+def _reach(problem: Problem) -> tuple[float, float]:
+    """Reach of a blur of R = 1 px and a fifth more, and in px by how much errors of the wavefront bend rays most."""
+    pupil, (step, half, *_) = problem.optics.pupil, problem.moments.lenses[0]
+    grid = np.linspace(0.0, 0.999, 24)
+    at = np.array([lens_point(u, v, *pupil)[:2] for u in grid for v in grid])
+    corners = [(x, y) for x in (-0.8, 0.0, 0.8) for y in (-0.6, 0.0, 0.6)]
+    field: tuple[Any, ...] = problem.optics.wavefront
+    bends = [np.hypot(*bend(x, y, *corner, *field)) for x, y in at for corner in corners]
+    return 1.2 * float(np.hypot(*at.T).max()), 1.2 * max(bends) / (half * step)
+
+
+def _row(name: str, of: NDArray[np.bool_], pixels: Pixels, right: Array, got: Array, error: Array) -> Row:
+    off = got[of] - right[of]
+    far = np.abs(off)
+    errors = far / np.maximum(error[of], 1e-9)
+    count = int(((far > ALLOWED) & (far > COUNTED_ERRORS * error[of])).any(axis=1).sum())
+    k, channel = np.unravel_index(int(np.where(far > ALLOWED, 1e3 + far, far).argmax()), far.shape)
+    at = np.nonzero(of)[0][k]
+    return Row(
+        name, int(of.sum()), math.sqrt(float(np.mean(off**2))), math.sqrt(float(np.mean(error[of] ** 2))),
+        float(off.mean()), count, int(pixels.column[at]), int(pixels.row[at]), float(right[at, channel]),
+        float(got[at, channel]), float(errors[k, channel]),
+    )  # fmt: skip

@@ -1,0 +1,166 @@
+"""Poses of objects and camera, and the lens, at many times at once, by the words of docs/motion.md (float64)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline, CubicSpline
+from scipy.spatial.transform import Rotation
+
+Array = NDArray[np.float64]
+TOWARDS = np.diag([1.0, 1.0, -1.0])
+SINES = 32  # of each component of a shake
+
+
+def rotation_matrix(angles: Array, axis_rotation: bool) -> Array:
+    """M of P(t) = C + v t + M (P0 - C) for `angles` = omega t, (..., 3) rad: (..., 3, 3) in camera axes.
+
+    The thesis' matrix (2.14 to 2.23) acts on x right, y up, z towards the camera. With `axis_rotation` a turn
+    about the vector `angles` takes its place, in the sense that the matrix has for a single axis (clockwise
+    seen from the axis' tip).
+    """
+    if axis_rotation:
+        matrix = Rotation.from_rotvec(-angles.reshape(-1, 3)).as_matrix().reshape(*angles.shape, 3)
+        return TOWARDS @ matrix @ TOWARDS
+    (sx, sy, sz), (cx, cy, cz) = np.moveaxis(np.sin(angles), -1, 0), np.moveaxis(np.cos(angles), -1, 0)
+    matrix = np.array(
+        [
+            [cy * cz, sx * sy * cz + cx * sz, -cx * sy * cz + sx * sz],
+            [-cy * sz, -sx * sy * sz + cx * cz, cx * sy * sz + sx * cz],
+            [sy, -sx * cy, cx * cy],
+        ]
+    )
+    return TOWARDS @ np.moveaxis(matrix, (0, 1), (-2, -1)) @ TOWARDS
+
+
+def static_rotation(given: Any) -> Array:
+    """Matrix (3, 3) of Euler angles or of an axis with an angle, both in deg, or of a quaternion w x y z."""
+    if given is None:
+        return np.eye(3)
+    if hasattr(given, "quaternion"):
+        w, x, y, z = given.quaternion
+        return TOWARDS @ Rotation.from_quat([x, y, z, w]).inv().as_matrix() @ TOWARDS
+    if hasattr(given, "axis"):
+        axis = np.asarray(given.axis, float)
+        return rotation_matrix(math.radians(given.angle) * axis / np.linalg.norm(axis), True)
+    return rotation_matrix(np.radians(given), False)
+
+
+def shake_sines(shake: Any) -> Array:
+    """Amplitude in rad or mm, frequency in Hz and phase in turns (6, sines, 3) of a camera's rotation vector and then
+    of its shift; no sines without a shake."""
+    if shake is None:
+        return np.zeros((6, 0, 3))
+    numbers = np.random.Philox(key=shake.seed).random_raw(12 * SINES) >> np.uint64(11)
+    place, phase = np.moveaxis(numbers.reshape(6, SINES, 2) / 2.0**53, -1, 0)
+    low, high = shake.band
+    frequency = low + (np.arange(SINES) + place) * (high - low) / SINES
+    sizes = np.repeat([math.radians(shake.rotation_rms), shake.translation_rms], 3)[:, None]
+    return np.stack([np.broadcast_to(sizes * math.sqrt(2 / (3 * SINES)), place.shape), frequency, phase], axis=-1)
+
+
+def shake_at(sines: Array, times: Array) -> tuple[Array, Array]:
+    """Rotations (times, 3, 3) and shifts (times, 3) of a camera that shakes."""
+    size, frequency, phase = np.moveaxis(sines, -1, 0)
+    found = (size * np.sin(2 * np.pi * (frequency * times[:, None, None] + phase))).sum(axis=-1)
+    return rotation_matrix(found[:, :3], True), found[:, 3:]
+
+
+def path_at(keys: Sequence[float], values: Array, interpolation: str, outside: str, times: Array) -> Array:
+    """Values (times, size) of a path through keys; before the first and after the last one it goes on straight, or
+    holds."""
+    knots, at = np.asarray(keys, float), np.clip(times, keys[0], keys[-1])
+    if interpolation == "step" or len(knots) == 1:
+        return np.asarray(values[np.maximum(np.searchsorted(knots, times, side="right") - 1, 0)])
+    if interpolation == "linear":
+        curve: Any = BSpline(np.r_[knots[0], knots, knots[-1]], values, 1)
+    elif interpolation == "cubic":
+        curve = CubicSpline(knots, values, bc_type="natural")
+    else:  # on lines beyond its ends
+        step, ends = knots[1] - knots[0], np.stack([2 * values[0] - values[1], 2 * values[-1] - values[-2]])
+        wider = np.concatenate([ends[:1], values, ends[1:]])
+        curve = BSpline(knots[0] + step * np.arange(-3.0, len(knots) + 3.0), wider, 3)
+    found = curve(at)
+    if outside != "hold":
+        found = found + (times - at)[:, None] * curve(at, 1)
+    return np.asarray(found)
+
+
+def motion_at(motion: Any, times: Array, axis_rotation: bool) -> tuple[Array, Array]:
+    """Rotations (times, 3, 3) and shifts (times, 3) of a motion."""
+    keys = getattr(motion, "keyframe", None)
+    if keys is None:
+        found = []
+        for speed, gain in (("velocity", "acceleration"), ("angular_velocity", "angular_acceleration")):
+            change = np.asarray(getattr(motion, gain, None) or (0.0, 0.0, 0.0), float)
+            found.append(np.outer(times, getattr(motion, speed)) + np.outer(times * times / 2, change))
+        return rotation_matrix(np.radians(found[1]), axis_rotation), found[0]
+    moments, how = [key.time for key in keys], (motion.interpolation, motion.outside)
+    angles = np.radians([key.rotation for key in keys])
+    shifts = path_at(moments, np.array([key.position for key in keys], float), *how, times)
+    if np.any(angles, axis=0).sum() < 2:
+        return rotation_matrix(path_at(moments, angles, *how, times), axis_rotation), shifts
+    # From key to key by the shorter way: each turn is done by the share of a path that is 0 before its key, and then 1.
+    poses = Rotation.from_matrix(rotation_matrix(angles, axis_rotation))
+    turns, found_turn = (poses[:-1].inv() * poses[1:]).as_rotvec(), poses[0]
+    shares = path_at(moments, np.tri(len(keys), len(keys) - 1, -1), *how, times)
+    for turn, share in zip(turns, shares.T, strict=True):
+        found_turn = found_turn * Rotation.from_rotvec(np.outer(share, turn))
+    return found_turn.as_matrix(), shifts
+
+
+def camera_at(scene: Any, eye: str, times: Array) -> tuple[Array, Array]:
+    """Rotations (times, 3, 3) and shifts (times, 3) of the camera, or of one of a stereo pair."""
+    turn, shift = motion_at(scene.camera.motion, times, scene.motion.rotation == "axis")
+    back, moved = shake_at(shake_sines(scene.camera.shake), times)
+    turn, shift = turn @ back, shift + np.einsum("tij,tj->ti", turn, moved)
+    if scene.stereo is not None:
+        angle = math.radians(scene.stereo.toe_in) * (-1.0 if eye == "right" else 1.0)
+        inwards = Rotation.from_rotvec([0.0, angle, 0.0]).as_matrix()
+        shift = shift + turn @ np.array([scene.stereo.baseline if eye == "right" else 0.0, 0.0, 0.0])
+        turn = turn @ inwards
+    return turn, shift
+
+
+def poses_at(scene: Any, centers: Array, rotations: Array, camera: tuple[Array, Array], times: Array) -> Array:
+    """Per time and object, the inverse rotation (9) and the moved center (3) in the camera's frame: (times, objects,
+    12), mm. centers, rotations: of the reference pose."""
+    back, shift = np.swapaxes(camera[0], -1, -2), camera[1]
+    axis = scene.motion.rotation == "axis"
+    groups = {group.name: (group, *motion_at(group.motion, times, axis)) for group in scene.groups}
+    found = np.empty((len(times), len(centers), 12))
+    first: dict[str, Array] = {}
+    for n, (item, center) in enumerate(zip(scene.objects, centers, strict=True)):
+        turn, place = motion_at(item.motion, times, axis)
+        turn, place = turn @ rotations[n], center + place
+        if item.group is not None:
+            group, carried, moved = groups[item.group]
+            origin = np.asarray(first.setdefault(item.group, center) if group.origin is None else group.origin)
+            place = origin + moved + np.einsum("tij,tj->ti", carried, place - origin)
+            turn = carried @ turn
+        found[:, n, :9] = np.swapaxes(back @ turn, -1, -2).reshape(-1, 9)
+        found[:, n, 9:] = np.einsum("tij,tj->ti", back, place - shift)
+    return found
+
+
+def lens_at(scene: Any, times: Array) -> Array:
+    """Numbers of the lens at some times: pitch / s0, D / 2 in mm, K = 1/f - 1/s and 1/s in 1/mm, (times, 4)."""
+    camera, lens = scene.camera, scene.lens
+    f0, s0 = camera.focal_length, camera.normalization_distance
+    keys = () if lens is None else lens.keyframe or ()
+
+    def of(name: str, power: int, usual: float) -> Array:
+        given = [(key.time, getattr(key, name) ** power) for key in keys if getattr(key, name) is not None]
+        if not given:
+            return np.full(len(times), usual)
+        values = np.array([[value] for _, value in given])
+        return path_at([time for time, _ in given], values, lens.interpolation, lens.outside, times)[:, 0]
+
+    f = of("focal_length", 1, f0)
+    power = of("focus_distance", -1, 1 / f0 - 1 / camera.sensor_distance)
+    half = 0.5 * f * of("f_number", -1, camera.aperture_diameter / f0)
+    return np.stack([camera.pixel_pitch / s0 * f0 / f, half, power, 1 / f - power], axis=-1)

@@ -1,0 +1,177 @@
+"""A scene as arrays for rays: surfaces, images, and where all is at many times (float64)."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.inputs.files import InputFiles, shared_files
+from clsco.scene.model import Scene
+from clsco.scene.sequence import CURVES
+from clsco.truth.images import CUBE, SIZE, lies, mapping_of
+from clsco.truth.poses import camera_at, lens_at, poses_at, static_rotation
+from clsco.truth.pupils import Pupil, Wavefront, pupil_of, wavefront_of
+from clsco.truth.surfaces import bounds_of, surface_of
+
+Array = NDArray[np.float64]
+MOMENTS = 8192  # of the time between the first opening and the last closing of the shutter
+QUANTILES = 4096  # of the light through a shutter
+
+
+class Surfaces(NamedTuple):
+    """Surfaces and their images: `shapes` (3, objects, 12), coefficients (10), bounds (7), and rotation and center of
+    the reference pose; `mappings` (objects, SIZE), `images` (texels, channels), `background` its number or -1, and
+    `light` (5,) as its place or direction, whether the former, and the share seen without it, or empty."""
+
+    shapes: Array
+    mappings: Array
+    images: Array
+    background: int
+    light: Array
+
+
+class Moments(NamedTuple):
+    """All that changes, at the middles of equal times: `poses` (times, objects, 12), `cameras` (times, 12) as rotation
+    and the place of the light, or the direction towards it, in the camera's frame, `lenses` (times, 4); `quantiles` of
+    the light through the shutter, of 1 its duration, and `clock`: shutter and readout over all of the time, whether by
+    columns, whether from the last one."""
+
+    poses: Array
+    cameras: Array
+    lenses: Array
+    quantiles: Array
+    clock: Array
+
+
+class Optics(NamedTuple):
+    """The lens: `pupil` (3), `wavefront` (3), `rims` (n, 2) as distance and radius in mm, `bands` (1 or 3, 2) as
+    magnification and what is added to K, and `numbers`: columns, rows, pitch / s0 in the reference pose, pitch, field
+    curvature, 1 where a sphere is in focus, k1, k2, k3, p1, p2 (y up), vignetting 0, 1 or 2 with a1, a2, a3, exposure,
+    1 / f of the camera - 1 / s, how often a ray is cast for its place in the field, and 1 where the wavefront
+    has errors."""
+
+    pupil: tuple[Array, Array, Array]
+    wavefront: Wavefront
+    rims: Array
+    bands: Array
+    numbers: Array
+
+
+class Problem(NamedTuple):
+    """A view of a frame of a scene, for rays."""
+
+    scene: Scene
+    surfaces: Surfaces
+    moments: Moments
+    optics: Optics
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Rows and columns of the frame."""
+        columns, rows = self.scene.camera.frame_size
+        return rows, columns
+
+
+def not_judged(scene: Scene) -> str | None:
+    """Why rays cannot tell what a frame should be; None where they can."""
+    if not scene.is_analytic:
+        return "depth maps have no surfaces that rays could meet behind others"
+    if scene.psf.model == "wave":
+        return 'waves have no rays; psf.model = "pillbox" has the same lens without diffraction'
+    return None
+
+
+def make_problem(scene: Scene, frame: int = 0, eye: str = "", files: InputFiles | None = None) -> Problem:
+    """Read a scene that rays can tell, with its resolution; frame: index; eye: left or right of a stereo pair."""
+    normalized = scene.model_copy(
+        update={"aperture": scene.aperture.model_copy(update={"exposure": "normalized"})}
+    )  # fmt: skip
+    textures = (files or shared_files()).textures(normalized)
+    pupil = pupil_of(scene)
+    exposure = pupil.light if scene.aperture.exposure == "area" else 1.0
+    surfaces = _surfaces(scene, [texture.images for texture in textures])
+    return Problem(scene, surfaces, _moments(scene, frame, eye), _optics(scene, pupil, exposure))
+
+
+def _surfaces(scene: Scene, textures: Any) -> Surfaces:
+    color = scene.separates_colors or any(image.ndim == 3 for images in textures for image in images)
+    texels, mappings, count, first = [], np.zeros((len(scene.objects), SIZE)), 0, dict[int, int]()
+    for n, (item, images) in enumerate(zip(scene.objects, textures, strict=True)):
+        rows, columns = images[0].shape[:2]
+        if id(images[0]) not in first:
+            first[id(images[0])] = count
+            for image in images:
+                wide = image.reshape(rows * columns, -1)
+                texels.append(np.broadcast_to(wide, (rows * columns, 3 if color else 1)))
+                count += rows * columns
+        begin = first[id(images[0])]
+        mappings[n, :4] = 0, begin, rows, columns
+        if lies(item):
+            mappings[n] = mapping_of(item, (rows, columns), begin, scene.motion.texture_filter)
+            assert len(images) == 1 or mappings[n, 0] == CUBE
+    known = [surface_of(item) for item in scene.objects]
+    background = next((n for n, item in enumerate(scene.objects) if item.is_background), -1)
+    light = np.zeros(0)
+    if scene.light is not None:
+        place = scene.light.position or np.multiply(scene.light.direction or (), [1.0, 1.0, -1.0])
+        light = np.array([*place, float(scene.light.position is not None), scene.light.ambient])
+    shapes = np.zeros((3, len(known), 12))
+    for n, (item, (coefficients, center, span)) in enumerate(zip(scene.objects, known, strict=True)):
+        shapes[0, n, :10], shapes[1, n, :7] = coefficients, bounds_of(item, span)
+        shapes[2, n, :9], shapes[2, n, 9:] = static_rotation(item.rotation).ravel(), center
+    return Surfaces(
+        shapes, mappings, np.ascontiguousarray(np.concatenate(texels), np.float32), background, light
+    )  # fmt: skip
+
+
+def _moments(scene: Scene, frame: int, eye: str) -> Moments:
+    sequence = scene.sequence
+    span = sequence.shutter + sequence.readout
+    begins = frame * sequence.interval + sequence.shutter_start
+    times = begins + span * (np.arange(MOMENTS) + 0.5) / MOMENTS if scene.moves else np.zeros(1)
+    centers = np.array([surface_of(item)[1] for item in scene.objects], float)
+    rotations = np.array([static_rotation(item.rotation) for item in scene.objects])
+    camera = camera_at(scene, eye, times)
+    cameras = np.concatenate([camera[0].reshape(-1, 9), np.zeros((len(times), 3))], axis=1)
+    if scene.light is not None:
+        if scene.light.position is not None:
+            place = np.asarray(scene.light.position) - camera[1]
+        else:
+            place = np.broadcast_to(np.multiply(scene.light.direction or (), [1.0, 1.0, -1.0]), (len(times), 3))
+        cameras[:, 9:] = np.einsum("tji,tj->ti", camera[0], place)
+    curve = sequence.shutter_curve
+    weights = np.asarray(CURVES[curve] if isinstance(curve, str) else curve, float)
+    at = np.linspace(0.0, 1.0, 64 * QUANTILES + 1)
+    open_at = np.interp(at, np.linspace(0.0, 1.0, len(weights)), weights / weights.max())
+    passed = np.concatenate([[0.0], np.cumsum(open_at[1:] + open_at[:-1])])
+    quantiles = np.interp(np.linspace(0.0, passed[-1], QUANTILES + 1), passed, at)
+    backwards = sequence.scan in ("bottom_to_top", "right_to_left")
+    clock = np.array([sequence.shutter / span, sequence.readout / span, sequence.by_columns, backwards])
+    poses = poses_at(scene, centers, rotations, camera, times)
+    return Moments(poses, cameras, lens_at(scene, times), quantiles, clock)
+
+
+def _optics(scene: Scene, pupil: Pupil, exposure: float) -> Optics:
+    camera, lens = scene.camera, scene.lens
+    rims = np.array([(rim.distance, rim.diameter / 2) for rim in scene.aperture.rim], float).reshape(-1, 2)
+    bands, numbers = np.array([[1.0, 0.0]]), np.zeros(19)
+    columns, rows = camera.frame_size
+    pitch, f = camera.pixel_pitch, camera.focal_length
+    numbers[:4] = columns, rows, pitch / camera.normalization_distance, pitch
+    numbers[15:18] = exposure, 1 / f - 1 / camera.sensor_distance, 1
+    if lens is not None:
+        numbers[4:6] = lens.field_curvature, lens.focus_surface == "sphere"
+        numbers[6:9], numbers[9], numbers[10] = lens.radial, -lens.tangential[0], lens.tangential[1]
+        if isinstance(lens.vignetting, str):
+            numbers[11] = 1 if lens.vignetting == "natural" else 0
+        else:
+            numbers[11:15] = 2, *lens.vignetting
+        if scene.separates_colors:
+            bands = np.array([(size, 1 / (f + longer) - 1 / f) for size, longer in zip(lens.lateral, lens.axial)])  # noqa: B905
+    wavefront = wavefront_of(scene)
+    numbers[18] = any(part.any() for part in wavefront)
+    if numbers[4] or numbers[5] or wavefront.field.any():
+        numbers[17] = 3
+    return Optics(pupil[:3], wavefront, rims, bands, numbers)
