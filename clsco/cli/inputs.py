@@ -89,8 +89,7 @@ def _report_images(prepared: Prepared) -> None:
     if prepared.color.is_plain:
         for image, color in prepared.colors.items():
             if not color.is_plain and not prepared.files.about(image).is_gray:
-                converted = color.to_srgb is not None and prepared.scene.image.transfer == "srgb"
-                taken = "converted to it" if converted else "taken as such"
+                taken = "converted to it" if color.converts(prepared.scene.image.transfer) else "taken as such"
                 echo(f"{image}: frames are in sRGB, and colors of the profile {color.name} are {taken}", err=True)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco import __version__
+from clsco.files.color import exr_color
 from clsco.files.images import save_image, write_npz
 from clsco.files.ranges import refuse_values
 from clsco.files.transfer import decode, encode
@@ -53,7 +54,7 @@ ABOUT = {
 CODES = {"uint8": 8, "uint16": 16}
 PICTURES = ("color", "sharp")  # what codes can hold
 # Of a frame's metadata what depends on its scene alone, not on memory, devices or clocks.
-_OF_FRAMES = ("frame", "samples", "intermediate", "bits", "precision", "blur_method", "approximation")
+_OF_FRAMES = ("frame", "samples", "intermediate", "bits", "precision", "blur_method", "approximation", "chromaticities")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -147,7 +148,9 @@ class Record(Mapping[str, NDArray[Any]]):
         if Path(path).suffix.lower() == ".npz":
             write_npz(path, self.arrays)
         else:
-            save_image(path, self.radiance(name))
+            prefix = name.removesuffix(name.rpartition(".")[2])
+            known = [each.get("chromaticities", ()) for each in self.meta["frames"] if each["prefix"] == prefix]
+            save_image(path, self.radiance(name), color=exr_color(next(iter(known), ())))
 
     def pictures(self) -> dict[str, NDArray[np.float32]]:
         """Linear radiance of each image of the record, by its name."""

@@ -15,7 +15,7 @@ from clsco.constants import TAP_LANES
 from clsco.engine.shrinking import Shrinking
 from clsco.engine.workspace import Workspace, blur_runs, shared_buffers
 from clsco.errors import ImageError, SceneError
-from clsco.files.transfer import decode, encode
+from clsco.files.transfer import decode_channels, encode_channels, has_alpha
 from clsco.frame.strips import Strip
 from clsco.inputs.pupils import load_point_spread
 from clsco.inputs.soft_edges import assign_soft_edges
@@ -105,8 +105,9 @@ def defocus(
     Parameters
     ----------
     image : array (rows, columns) or (rows, columns, 1 to 16)
-        Floats are linear radiance. uint8 and uint16 are sRGB codes, which are decoded, blurred and encoded again. NumPy
-        arrays, or pyopencl arrays of one queue, which are copied through the host.
+        Floats are linear radiance. uint8 and uint16 are sRGB codes, which are decoded, blurred and encoded again; of 2
+        and 4 channels the last is alpha, which is linear, and colors should be premultiplied. NumPy arrays, or pyopencl
+        arrays of one queue, which are copied through the host.
     blur_radius : array (rows, columns), px
         Signed R, at most 512 px, positive behind the focal surface.
     psf : Psf, mapping or str, optional
@@ -175,9 +176,12 @@ def defocus(
     spread = load_point_spread(asked, aperture, camera=camera)
     spreads = spreads_of_colors(spread, asked, camera)
     codes = picture.dtype in (np.uint8, np.uint16)
-    linear = decode(picture, "srgb").astype(np.float32) if codes else picture
+    linear = decode_channels(picture, "srgb").astype(np.float32) if codes else picture
     if aperture.exposure == "area":
-        linear = linear * np.float32(exposure_factor(aperture, spread))
+        light = np.full(linear.shape[2:], exposure_factor(aperture, spread), np.float32)
+        if codes and has_alpha(linear):
+            light[-1] = 1.0
+        linear = linear * light
     given = _checked(linear, radii, how.outside == "mirror" and asked.border == "lose")
     given, soft = _with_hard_edges(given) if how.soft_edges == "assign" else (given, 0)
     with session.reporting():
@@ -188,7 +192,7 @@ def defocus(
         result = _in_colors(
             given, spreads, lambda part, psf: _blurred(session, part, _spec(part, psf, asked, method, device), limit)
         )
-        blurred = as_given(encode(result, 8 * picture.dtype.itemsize, "srgb") if codes else result)
+        blurred = as_given(encode_channels(result, 8 * picture.dtype.itemsize, "srgb") if codes else result)
     return (blurred, DefocusReport(soft)) if return_report else blurred
 
 

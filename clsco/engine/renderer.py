@@ -209,6 +209,7 @@ class Renderer:
             }
             | self._exposure()
             | self._light_cut()
+            | {name: list(numbers) for name, numbers in self.prepared.color.exr_attributes().items()}
             | self._line_times(film.index)
         )
 

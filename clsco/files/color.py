@@ -9,13 +9,25 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.files.primaries import CICP_CHROMATICITIES, Matrix, chromaticities_to_srgb, colorants_to_srgb
+from clsco.files.primaries import (
+    CICP_CHROMATICITIES,
+    D50,
+    SRGB_CHROMATICITIES,
+    Matrix,
+    adaptation,
+    chromaticities_to_srgb,
+    colorants,
+    colorants_to_chromaticities,
+    white_of,
+)
 from clsco.files.transfer import CODES, Curve, decode
 
 LARGEST_PROFILE = 2**22  # bytes
@@ -47,8 +59,8 @@ class Color:
         Channels of images that the profile is for; 0 for any.
     curve : Curve, optional
         Curve of its codes; None for that of sRGB.
-    to_srgb : ndarray of float64, (3, 3), optional
-        Matrix from its linear red, green and blue to those of sRGB; None where there is none, or nothing to convert.
+    chromaticities : tuple of float, optional
+        x and y of white, red, green and blue; None where they are not known, or nothing need be said.
     note : str
         Note on what could not be taken from the file, in one line; "" where all was.
     """
@@ -58,13 +70,22 @@ class Color:
     chunks: tuple[tuple[bytes, bytes], ...] = ()
     channels: int = 0
     curve: Curve | None = field(default=None, compare=False)
-    to_srgb: Matrix | None = field(default=None, compare=False)
+    chromaticities: tuple[float, ...] | None = None
     note: str = ""
 
     @property
     def is_plain(self) -> bool:
         """True where an output looks the same without a profile."""
-        return not self.icc and not self.chunks
+        return not self.icc and not self.chunks and self.chromaticities is None
+
+    @cached_property
+    def to_srgb(self) -> Matrix | None:
+        """Matrix (3, 3) from its linear red, green and blue to those of sRGB; None where there is none."""
+        return None if self.chromaticities is None else chromaticities_to_srgb(self.chromaticities)
+
+    def converts(self, wanted: str) -> bool:
+        """True where images get the primaries of sRGB: not codes that a scene takes as "linear" by all means."""
+        return self.to_srgb is not None and (wanted == "srgb" or not (self.icc or self.chunks))
 
     @property
     def size(self) -> int:
@@ -75,11 +96,21 @@ class Color:
         """Transfer curve of codes where a scene wants "srgb" or "linear": its own curve in place of "srgb"."""
         return self.curve if wanted == "srgb" and self.curve is not None else wanted
 
-    def png_chunks(self) -> tuple[tuple[bytes, bytes], ...]:
-        """Chunks of a PNG in this color space."""
-        if self.icc:
-            return ((b"iCCP", b"icc\0\0" + zlib.compress(self.icc, 9)),)
-        return self.chunks
+    def profile(self, linear: bool) -> bytes:
+        """ICC profile of red, green and blue, in codes or linear: its own, or one of its primaries; b"" for none."""
+        if self.icc or self.chromaticities is None:
+            return self.icc
+        return _profile(self.name, self.chromaticities, _curve_tag(self.curve, linear))
+
+    def png_chunks(self, colored: bool) -> tuple[tuple[bytes, bytes], ...]:
+        """Chunks of a PNG in this color space, gray or colored."""
+        icc = self.icc or (self.profile(False) if colored and not self.chunks else b"")
+        return ((b"iCCP", b"icc\0\0" + zlib.compress(icc, 9)),) if icc else self.chunks
+
+    def exr_attributes(self) -> dict[str, Any]:
+        """Attributes of an EXR in these primaries; none for those of sRGB, which stand for themselves."""
+        known = self.chromaticities
+        return {} if known is None else {"chromaticities": (*known[2:], *known[:2])}
 
 
 SRGB = Color()
@@ -88,7 +119,7 @@ SRGB = Color()
 def icc_color(icc: bytes, channels: int) -> Color:
     """The color space of an ICC profile, for an image with 1 or 3 channels; a profile that cannot be used is noted."""
     try:
-        name, found, tables, matrix = _parsed(icc)
+        name, found, tables, primaries = _parsed(icc)
     except (ValueError, struct.error, IndexError, ArithmeticError) as error:
         got = " ".join(str(error).split()) or type(error).__name__
         return Color(note=f"the color profile is left out, as it cannot be read: {got}")
@@ -97,8 +128,22 @@ def icc_color(icc: bytes, channels: int) -> Color:
         return Color(note=f"the color profile {name} is left out: it is for {kind}")
     if tables is None:
         note = f"the color profile {name} has no curves: codes are taken as sRGB's"
-        return Color(name, icc, channels=channels, to_srgb=matrix, note=note)
-    return Color(name, icc, channels=channels, curve=_unless_srgb(tables), to_srgb=matrix)
+        return Color(name, icc, channels=channels, chromaticities=primaries, note=note)
+    return Color(name, icc, channels=channels, curve=_unless_srgb(tables), chromaticities=primaries)
+
+
+def exr_color(chromaticities: Sequence[float]) -> Color:
+    """The color space of linear values, by the attribute of an EXR: x and y of red, green, blue and white, or ()."""
+    if not chromaticities:
+        return SRGB
+    numbers = [float(number) for number in chromaticities]
+    matrix = chromaticities_to_srgb([*numbers[6:], *numbers[:6]])
+    named = " ".join(f"{number:.6g}" for number in numbers)
+    if matrix is None:
+        return Color(note=f"the chromaticities {named} are left out: they span no colors")
+    if (matrix == np.eye(3)).all():
+        return SRGB
+    return Color(f"of chromaticities {named}", chromaticities=(*numbers[6:], *numbers[:6]))
 
 
 def chunk_color(chunks: Mapping[bytes, bytes]) -> Color:
@@ -108,27 +153,25 @@ def chunk_color(chunks: Mapping[bytes, bytes]) -> Color:
     if len(cicp) == 4:
         carried = ((b"cICP", cicp),)
         known = CICP_CHROMATICITIES.get(cicp[0])
-        matrix = None if known is None else chromaticities_to_srgb(known)
         if cicp[1] == _CICP_SRGB:
-            return SRGB if cicp[0] == _CICP_BT709_PRIMARIES else Color("of cICP", chunks=carried, to_srgb=matrix)
+            return SRGB if cicp[0] == _CICP_BT709_PRIMARIES else Color("of cICP", chunks=carried, chromaticities=known)
         if cicp[1] in _CICP:
             curve = _unless_srgb([_parametric(_CICP[cicp[1]])])
-            return Color("of cICP", chunks=carried, curve=curve, to_srgb=matrix)
+            return Color("of cICP", chunks=carried, curve=curve, chromaticities=known)
         note = f"the transfer curve {cicp[1]} of the chunk cICP is not known: codes are taken as sRGB's"
-        return Color("of cICP", chunks=carried, to_srgb=matrix, note=note)
+        return Color("of cICP", chunks=carried, chromaticities=known, note=note)
     if b"sRGB" in chunks:
         return SRGB
     carried = tuple((kind, chunks[kind]) for kind in (b"gAMA", b"cHRM") if kind in chunks)
     if len(gamma) == 4 and (exponent := int.from_bytes(gamma, "big") / 1e5) > 0:
-        chrm = chunks.get(b"cHRM")
-        if chrm is None:
-            matrix = np.eye(3)
-        else:
-            matrix = chromaticities_to_srgb(np.frombuffer(chrm, ">u4") / 1e5) if len(chrm) == 32 else None
+        chrm, numbers = chunks.get(b"cHRM"), SRGB_CHROMATICITIES
+        if chrm is not None:
+            numbers = tuple((np.frombuffer(chrm, ">u4") / 1e5).tolist()) if len(chrm) == 32 else (0.0,) * 8
+        known = None if chromaticities_to_srgb(numbers) is None else numbers
         if abs(exponent - 0.45455) < 5e-5:  # which stands for sRGB (PNG, third edition, 11.3.2.2)
-            return SRGB if chrm is None else Color("of gAMA", chunks=carried, to_srgb=matrix)
+            return SRGB if chrm is None else Color("of gAMA", chunks=carried, chromaticities=known)
         curve = Curve(_parametric((1 / exponent, *_LINEAR[1:]))[None])
-        return Color("of gAMA", chunks=carried, curve=curve, to_srgb=matrix)
+        return Color("of gAMA", chunks=carried, curve=curve, chromaticities=known)
     return SRGB
 
 
@@ -141,8 +184,8 @@ def _unless_srgb(tables: list[NDArray[np.float64]]) -> Curve | None:
     return Curve(np.stack(tables[:1] if alike else tables))
 
 
-def _parsed(icc: bytes) -> tuple[str, int, list[NDArray[np.float64]] | None, Matrix | None]:
-    """Name, channels, radiance of 2^16 codes of each, and matrix to sRGB, of an ICC profile (ICC.1:2022).
+def _parsed(icc: bytes) -> tuple[str, int, list[NDArray[np.float64]] | None, tuple[float, ...] | None]:
+    """Name, channels, radiance of 2^16 codes of each, and chromaticities, of an ICC profile (ICC.1:2022).
 
     None without curves, and without a matrix.
     """
@@ -163,15 +206,65 @@ def _parsed(icc: bytes) -> tuple[str, int, list[NDArray[np.float64]] | None, Mat
     names = [b"kTRC"] if channels == 1 else [b"rTRC", b"gTRC", b"bTRC"]
     is_lab = channels == 1 and icc[20:24] == b"Lab "  # whose curve gives lightness
     tables = None if is_lab or not all(name in tags for name in names) else [_table(tags[name]) for name in names]
-    return _name(tags.get(b"desc", b"")), channels, tables, _matrix(tags) if icc[16:24] == b"RGB XYZ " else None
+    primaries = _primaries(tags, icc[8]) if icc[16:24] == b"RGB XYZ " else None
+    return _name(tags.get(b"desc", b"")), channels, tables, primaries
 
 
-def _matrix(tags: Mapping[bytes, bytes]) -> Matrix | None:
-    """The matrix to sRGB by the colorants of an RGB profile, which are X, Y and Z under D50."""
-    colorants = [tags.get(name, b"") for name in (b"rXYZ", b"gXYZ", b"bXYZ")]
-    if not all(tag[:4] == b"XYZ " and len(tag) >= 20 for tag in colorants):
+def _primaries(tags: Mapping[bytes, bytes], version: int) -> tuple[float, ...] | None:
+    """The chromaticities of an RGB profile by its colorants, X, Y and Z under D50, and the white they are adapted from:
+    by the tag chad, in old profiles that of the medium."""
+    columns = [tags.get(name, b"") for name in (b"rXYZ", b"gXYZ", b"bXYZ")]
+    if not all(tag[:4] == b"XYZ " and len(tag) >= 20 for tag in columns):
         return None
-    return colorants_to_srgb(np.stack([np.frombuffer(tag, ">i4", 3, 8) / 65536 for tag in colorants], axis=-1))
+    xyz = np.stack([np.frombuffer(tag, ">i4", 3, 8) / 65536 for tag in columns], axis=-1)
+    chad, medium, white = tags.get(b"chad", b""), tags.get(b"wtpt", b""), D50
+    if len(chad) >= 44 and np.linalg.cond(adapted := np.frombuffer(chad, ">i4", 9, 8).reshape(3, 3) / 65536) < 1e6:
+        white = np.linalg.solve(adapted, D50)
+    elif version < 4 and len(medium) >= 20:
+        white = np.frombuffer(medium, ">i4", 3, 8) / 65536
+    for known in (white, D50):
+        if (known > 0).all() and np.isfinite(found := colorants_to_chromaticities(xyz, known)).all():
+            return found if chromaticities_to_srgb(found) is not None else None
+    return None
+
+
+def _profile(name: str, chromaticities: Sequence[float], curve: bytes) -> bytes:
+    """An ICC profile, version 4.4, of primaries and the tag of a curve."""
+
+    def text(words: str) -> bytes:
+        coded = words.encode("utf-16-be")
+        return b"mluc\0\0\0\0" + struct.pack(">II4sII", 1, 12, b"enUS", len(coded), 28) + coded
+
+    def numbers(kind: bytes, values: Matrix) -> bytes:
+        return kind + bytes(4) + np.rint(65536 * values).astype(">i4").tobytes()
+
+    xyz = colorants(chromaticities)
+    assert xyz is not None
+    tags = {b"desc": text(name), b"cprt": text("CC0"), b"wtpt": numbers(b"XYZ ", D50)}
+    tags[b"chad"] = numbers(b"sf32", adaptation(white_of(chromaticities)))
+    tags |= {b"rgb"[k : k + 1] + b"XYZ": numbers(b"XYZ ", xyz[:, k]) for k in range(3)}
+    tags |= dict.fromkeys((b"rTRC", b"gTRC", b"bTRC"), curve)
+    table, body, start = struct.pack(">I", len(tags)), b"", 132 + 12 * len(tags)
+    places: dict[bytes, int] = {}
+    for kind, content in tags.items():
+        if content not in places:
+            places[content] = start + len(body)
+            body += content + bytes(-len(content) % 4)
+        table += struct.pack(">4sII", kind, places[content], len(content))
+    head = struct.pack(">I4xI4s4s4s6H4s28x", start + len(body), 0x04400000, b"mntr", b"RGB ", b"XYZ ", 2026, 1, 1, 0, 0,
+        0, b"acsp")  # fmt: skip
+    return head + numbers(b"", D50)[4:] + bytes(48) + table + body
+
+
+def _curve_tag(curve: Curve | None, linear: bool) -> bytes:
+    """Tag of a curve; None is that of sRGB."""
+    if linear:
+        return b"curv" + bytes(8)
+    if curve is None:
+        numbers = np.rint(65536 * np.array([2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92, 0.04045])).astype(">i4")
+        return b"para" + struct.pack(">4xHH", 3, 0) + numbers.tobytes()
+    samples = np.interp(np.linspace(0, CODES[-1], 4096), CODES, curve.radiance[0])
+    return b"curv" + struct.pack(">4xI", 4096) + np.rint(65535 * samples).astype(">u2").tobytes()
 
 
 def _name(desc: bytes) -> str:

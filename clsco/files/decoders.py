@@ -327,6 +327,11 @@ def exr_parts(file: BinaryIO) -> Sequence[Any]:
     return parts
 
 
+def _exr_tags(file: BinaryIO) -> Tags:
+    named = (part.header["chromaticities"] for part in exr_parts(file) if "chromaticities" in part.header)
+    return Tags(chromaticities=tuple(next(named, ())))  # which parts have in common
+
+
 def _window(corners: Sequence[Any]) -> tuple[int, int]:
     """Columns and rows of a window of an EXR."""
     (left, top), (right, bottom) = (corner.tolist() for corner in corners)
@@ -461,4 +466,4 @@ _CODECS = {
     "PFM": (_pfm_size, _decode_pfm),
     "NPY": (_npy_size, _decode_npy),
 }
-_TAGS = {"PNG": png_tags, "JPEG": jpeg_tags, "TIFF": _tiff_tags}
+_TAGS = {"PNG": png_tags, "JPEG": jpeg_tags, "TIFF": _tiff_tags, "EXR": _exr_tags}

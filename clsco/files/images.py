@@ -199,7 +199,7 @@ def write_png(
         The file cannot be written.
     """
     with whole_file(Path(path)) as file:
-        file.writelines(png_parts(data, color.png_chunks()))
+        file.writelines(png_parts(data, color.png_chunks(data.ndim == 3)))
 
 
 def write_tiff(path: str | os.PathLike[str], data: NDArray[Any], color: Color = SRGB) -> None:
@@ -210,7 +210,7 @@ def write_tiff(path: str | os.PathLike[str], data: NDArray[Any], color: Color = 
     path : path
     data : ndarray of uint8, uint16 or float32, (rows, columns) or (rows, columns, 3)
     color : Color, optional
-        Color space whose ICC profile goes into the file.
+        Color space whose ICC profile goes into the file, or one of its primaries.
 
     Raises
     ------
@@ -219,8 +219,8 @@ def write_tiff(path: str | os.PathLike[str], data: NDArray[Any], color: Color = 
     """
     tifffile = codec(Path(path), "tifffile", "formats")
     options: dict[str, Any] = {"photometric": "rgb" if data.ndim == 3 else "minisblack", "compression": "zlib"}
-    if color.icc:
-        options["iccprofile"] = color.icc
+    if profile := color.profile(data.dtype.kind == "f") if data.ndim == 3 else color.icc:
+        options["iccprofile"] = profile
     with whole_file(Path(path)) as file:
         tifffile.imwrite(file, data, metadata=None, **options)
 
@@ -319,12 +319,13 @@ def write_json(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None
         file.write(json.dumps(content, indent=2, allow_nan=False).encode() + b"\n")
 
 
-def write_exr_image(path: str | os.PathLike[str], image: NDArray[np.floating]) -> None:
+def write_exr_image(path: str | os.PathLike[str], image: NDArray[np.floating], color: Color = SRGB) -> None:
     """Write an image (rows, columns[, 3]) as the channels R G B; gray fills all three, which every reader shows.
 
     Raises ImageError: as `write_exr`.
     """
-    write_exr(path, {name: image if image.ndim == 2 else image[..., n] for n, name in enumerate("RGB")})
+    planes = {name: image if image.ndim == 2 else image[..., n] for n, name in enumerate("RGB")}
+    write_exr(path, planes, attributes=[color.exr_attributes()])
 
 
 @dataclass(frozen=True)
@@ -365,13 +366,13 @@ class ImageWriter:
         return f"{self.label} has no place for the color profile {color.name}, which is left out"
 
 
-_TIFF = ImageWriter("a TIFF", write_tiff, 16, True, ("tifffile", "formats"), ("icc",))
+_TIFF = ImageWriter("a TIFF", write_tiff, 16, True, ("tifffile", "formats"), ("icc", "chromaticities"))
 # One row for each extension: the commands that write one image take their formats from here.
 WRITERS = {
-    ".png": ImageWriter("a PNG", write_png, 16, False, color_kinds=("icc", "chunks")),
+    ".png": ImageWriter("a PNG", write_png, 16, False, color_kinds=("icc", "chunks", "chromaticities")),
     ".tif": _TIFF,
     ".tiff": _TIFF,
-    ".exr": ImageWriter("an EXR", write_exr_image, 0, True, ("OpenEXR", "exr")),
+    ".exr": ImageWriter("an EXR", write_exr_image, 0, True, ("OpenEXR", "exr"), ("chromaticities",)),
 }
 
 
@@ -383,7 +384,9 @@ def writer_for(path: Path) -> ImageWriter:
     return writer
 
 
-def save_image(path: str | os.PathLike[str], image: NDArray[np.float32], bits: int = 16) -> None:
+def save_image(
+    path: str | os.PathLike[str], image: NDArray[np.float32], bits: int = 16, color: Color = SRGB
+) -> None:  # fmt: skip
     """Write linear radiance to a file of any extension that holds images.
 
     Parameters
@@ -394,6 +397,8 @@ def save_image(path: str | os.PathLike[str], image: NDArray[np.float32], bits: i
         1 = white; codes end at 0 and 1.
     bits : {8, 16, 32}
         Bits of codes; 32 makes 16.
+    color : Color, optional
+        Its primaries are those of the file.
 
     Raises
     ------
@@ -405,4 +410,4 @@ def save_image(path: str | os.PathLike[str], image: NDArray[np.float32], bits: i
         known = ", ".join((*WRITERS, ".npz"))
         refuse(to, f"the extension must be one of {known}", ending or "none")
     writer = writer_for(to)
-    writer.write(to, image if writer.floats else encode(image, min(bits, 16), "srgb"))
+    writer.save(to, image if writer.floats else encode(image, min(bits, 16), "srgb"), color)

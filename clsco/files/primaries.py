@@ -33,7 +33,7 @@ CICP_CHROMATICITIES = {  # ITU-T H.273, table 2: x and y of white, red, green an
 def chromaticities_to_srgb(chromaticities: Sequence[float] | Matrix) -> Matrix | None:
     """Matrix to linear sRGB, (3, 3), from primaries by x and y of white, red, green and blue; None where they span
     no colors. White stays white, by Bradford's adaptation."""
-    xyz = _colorants(chromaticities)
+    xyz = colorants(chromaticities)
     return None if xyz is None else colorants_to_srgb(xyz)
 
 
@@ -42,22 +42,39 @@ def colorants_to_srgb(xyz: Matrix) -> Matrix:
 
     Exactly 1 for primaries that are those of sRGB but for rounding.
     """
-    srgb = _colorants(SRGB_CHROMATICITIES)
+    srgb = colorants(SRGB_CHROMATICITIES)
     assert srgb is not None
     matrix = np.asarray(np.linalg.solve(srgb, xyz), np.float64)
     return np.eye(3) if np.abs(matrix - np.eye(3)).max() <= ALIKE else matrix
 
 
-def _colorants(chromaticities: Sequence[float] | Matrix) -> Matrix | None:
-    """X, Y and Z of red, green and blue, a column each, adapted to D50."""
+def colorants_to_chromaticities(xyz: Matrix, white: Matrix = D50) -> tuple[float, ...]:
+    """x and y of white, red, green and blue of primaries whose X, Y and Z under D50 are the columns of a matrix.
+
+    white: X, Y and Z of the white that they were adapted from, by Bradford.
+    """
+    native = np.linalg.solve(adaptation(white), np.column_stack([xyz.sum(axis=1), xyz]))
+    return tuple((native[:2] / native.sum(axis=0)).T.ravel().tolist())
+
+
+def adaptation(white: Matrix) -> Matrix:
+    """Bradford's matrix from X, Y and Z under a white to those under D50."""
+    return np.asarray(np.linalg.solve(_BRADFORD, ((_BRADFORD @ D50) / (_BRADFORD @ white))[:, None] * _BRADFORD))
+
+
+def white_of(chromaticities: Sequence[float] | Matrix) -> Matrix:
+    """X, Y and Z of the white."""
+    x, y = chromaticities[:2]
+    return np.array([x / y, 1.0, (1 - x - y) / y])
+
+
+def colorants(chromaticities: Sequence[float] | Matrix) -> Matrix | None:
+    """X, Y and Z of red, green and blue, a column each, adapted to D50; None where they span no colors."""
     x, y = np.asarray(chromaticities, np.float64).reshape(4, 2).T
-    if (y <= 0).any():
+    if not np.isfinite([x, y]).all() or y[0] <= 0:
         return None
-    white, *primaries = np.stack([x / y, np.ones(4), (1 - x - y) / y], axis=-1)
-    columns = np.stack(primaries, axis=-1)
-    seen = _BRADFORD @ white
-    if np.linalg.cond(columns) > 1e6 or (seen <= 0).any():
+    white, columns = white_of((x[0], y[0])), np.stack([x, y, 1 - x - y])[:, 1:]  # y of a primary may be below 0
+    if np.linalg.cond(columns) > 1e6 or (_BRADFORD @ white <= 0).any():
         return None
-    adapted = np.linalg.solve(_BRADFORD, ((_BRADFORD @ D50) / seen)[:, None] * _BRADFORD)
-    found: Matrix = adapted @ (columns * np.linalg.solve(columns, white))
+    found: Matrix = adaptation(white) @ (columns * np.linalg.solve(columns, white))
     return found

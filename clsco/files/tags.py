@@ -13,7 +13,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.files.color import LARGEST_PROFILE, Color, chunk_color, icc_color
+from clsco.files.color import LARGEST_PROFILE, Color, chunk_color, exr_color, icc_color
 
 MOST_CHUNKS = 2**20  # of a PNG: its pixels in pieces of 1 kB
 LONGEST = 2**22  # bytes of a tag that is read
@@ -37,11 +37,14 @@ class Tags:
         Its ICC profile; b"" for none.
     chunks : tuple of (bytes, bytes)
         Kind and content of the chunks of a PNG that stand for a profile.
+    chromaticities : tuple of float
+        The attribute of an EXR; () for none.
     """
 
     orientation: int = 1
     icc: bytes = b""
     chunks: tuple[tuple[bytes, bytes], ...] = ()
+    chromaticities: tuple[float, ...] = ()
 
     @property
     def is_laid_down(self) -> bool:
@@ -50,6 +53,8 @@ class Tags:
 
     def color(self, channels: int) -> Color:
         """Color space of the image, which has 1 or 3 channels."""
+        if self.chromaticities:
+            return exr_color(self.chromaticities)
         found = dict(self.chunks)
         return icc_color(self.icc, channels) if self.icc and b"cICP" not in found else chunk_color(found)
 

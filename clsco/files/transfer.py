@@ -84,6 +84,27 @@ def decode(data: NDArray[np.generic], transfer: Transfer) -> NDArray[np.float64]
     return radiance
 
 
+def decode_channels(image: NDArray[np.generic], transfer: Transfer) -> NDArray[np.float64]:
+    """`decode` of an image of any channels: of 2 and 4 the last one is alpha, which is linear."""
+    linear = decode(image, transfer)
+    if has_alpha(image):
+        linear[..., -1] = decode(image[..., -1], "linear")
+    return linear
+
+
+def encode_channels(linear: NDArray[np.floating], bits: int, transfer: Transfer) -> NDArray[Any]:
+    """Codes of an image of any channels; the inverse of `decode_channels`."""
+    codes = encode(linear, bits, transfer)
+    if has_alpha(linear):
+        codes[..., -1] = encode(linear[..., -1], bits, "linear")
+    return codes
+
+
+def has_alpha(image: NDArray[np.generic]) -> bool:
+    """True for gray, or red, green and blue, with a channel more."""
+    return image.ndim == 3 and image.shape[2] in (2, 4)
+
+
 def encode(linear: NDArray[np.floating], bits: int, transfer: Transfer) -> NDArray[np.uint8] | NDArray[np.uint16]:
     """Codes of linear radiance, rounded half up in code values; the inverse of `decode` for every code.
 

@@ -48,8 +48,10 @@ def _write_exr(path: Path, shot: Shot, wanted: TruthFile) -> None:
     channels = [exr_channels(_per_pixel(shot, frame, wanted.arrays(frame))) for frame in shot.views]
     names = [frame.eye for frame in shot.views] if len(shot.views) > 1 else ()
     known = [] if shot.scene is None else [exr_attributes(shot.scene, view.index, eye_of(view)) for view in shot.views]
-    if not shot.color.is_plain:  # its primaries are in its profile, for which an EXR has no place
-        known = [{name: value for name, value in about.items() if name != "chromaticities"} for about in known]
+    if not shot.color.is_plain:  # an EXR without chromaticities where only a profile has its primaries
+        others = known or [{}] * len(shot.views)
+        known = [{k: v for k, v in about.items() if k != "chromaticities"} for about in others]
+        known = [about | shot.color.exr_attributes() for about in known]
     write_exr(path, *channels, names=names, attributes=known)
 
 
@@ -272,7 +274,7 @@ def write_frame(
         Scene that the frame shows, with its resolution: gives an EXR the attributes of its camera, and cam needs it.
     color : Color, optional
         Color space of the PNG, whose curve takes the place of "srgb"; by default sRGB. Of another one the JSON file has
-        the name, and an EXR does not say that its primaries are those of BT.709.
+        the name, and an EXR the chromaticities, as far as they are known.
 
     Returns
     -------

@@ -205,15 +205,17 @@ class Frame:
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     clsco.render_frame(scene).save(f"{folder}/plane.png")
         """
+        from clsco.files.color import exr_color
         from clsco.files.images import save_image, write_exr, write_npz
 
+        color = exr_color(self.metadata.get("chromaticities", ()))
         ending = Path(path).suffix.lower()
         if ending == ".npz":
             write_npz(path, self.arrays())
         elif ending == ".exr":
-            write_exr(path, exr_channels(self.arrays()))
+            write_exr(path, exr_channels(self.arrays()), attributes=[color.exr_attributes()])
         else:
-            save_image(path, self._image(), self.metadata.get("bits", 8))
+            save_image(path, self._image(), self.metadata.get("bits", 8), color)
 
     def __repr__(self) -> str:
         held = self.arrays()

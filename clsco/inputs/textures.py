@@ -123,7 +123,7 @@ def radiance_of(
         draw = PATTERNS[picture]
         return _by_rows((rows, columns), lambda a, b: decode(draw(rows, columns, a, b), transfer))
     stored, curve = picture.data, picture.color.transfer(transfer)
-    matrix = picture.color.to_srgb if to_srgb and stored.ndim == 3 else None
+    matrix = picture.color.to_srgb if to_srgb and stored.ndim == 3 and picture.color.converts(transfer) else None
 
     def converted(linear: Floats) -> Floats:
         return linear if matrix is None else linear @ matrix.T
@@ -222,7 +222,7 @@ def load_scene_textures(
     scene: Scene, load: Callable[..., Texture] = load_texture, color: Callable[[str | LayerInput], Color] = color_of
 ) -> tuple[Scene, tuple[Texture, ...]]:  # fmt: skip
     """Load the textures of all objects, each file once: in the size of the frame, or in their own where they lie on a
-    surface; and in the primaries of sRGB, where images have different color profiles that their codes are decoded by.
+    surface; and in the primaries of sRGB, where images have different color profiles.
 
     Parameters
     ----------
@@ -248,7 +248,7 @@ def load_scene_textures(
     columns, rows = scene.camera.resolution or texture_size(names[0][0])
     camera = scene.camera.model_copy(update={"resolution": (columns, rows)})
     files, transfer = image_files(scene), scene.image.transfer
-    to_srgb = transfer == "srgb" and len(files) > 1 and len({color(image) for image in files}) > 1
+    to_srgb = len(files) > 1 and len({color(image) for image in files}) > 1
     loaded: dict[Hashable, Texture] = {}
     for item, of_item in zip(scene.objects, names, strict=True):
         key = of_item, item.mapped is None

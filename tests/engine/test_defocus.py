@@ -252,3 +252,21 @@ def test_unknown_or_unfit_methods_are_refused(method: str) -> None:
     image, coc = picture(8, 8)
     with pytest.raises(ClscoError, match="method: "):
         defocus(image, coc, method=method)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("channels", [2, 4])
+def test_alpha_of_codes_is_linear(dtype: type[np.unsignedinteger[Any]], channels: int) -> None:
+    """That of a constant stays, that of 0 and 136 becomes 68, whatever the light; colors are as without it."""
+    top = np.iinfo(dtype).max
+    image = np.zeros((64, 48, channels), dtype)
+    image[..., -1] = 68 * (top // 255)
+    image[:, ::2, :-1] = top
+    image[32:, ::2, -1], image[32:, 1::2, -1] = 136 * (top // 255), 0
+    radius, aperture = np.full((64, 48), 6.0), {"shape": "polygon", "blades": 5, "exposure": "area"}
+    blurred = clsco.defocus(image, radius, aperture=aperture)
+    np.testing.assert_allclose(blurred[:12, ..., -1], 68 * (top // 255), atol=1)
+    np.testing.assert_allclose(blurred[-12:, 8:-8, -1] / top, 68 / 255, atol=0.02)
+    alone = clsco.defocus(image[..., :-1], radius, aperture=aperture)
+    np.testing.assert_allclose(blurred[..., :-1].astype(int), alone, atol=1)
+    assert blurred[..., 0].max() < 0.72 * top  # 0.74 of white has half the light, less what five blades hold back

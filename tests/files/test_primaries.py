@@ -3,25 +3,30 @@
 from __future__ import annotations
 
 import io
+import json
 import struct
 from pathlib import Path
 from typing import Any
 
 import imagecodecs
 import numpy as np
+import OpenEXR
 import pytest
 from click.testing import CliRunner
 from numpy.typing import NDArray
 from PIL import Image, ImageCms
+from tifffile import TiffFile
 
 import clsco
 from clsco.cli.main import main
+from clsco.data.record import make_record
 from clsco.files.color import Color, chunk_color, icc_color
 from clsco.files.images import read_image, write_png, write_tiff
 from clsco.files.primaries import CICP_CHROMATICITIES, SRGB_CHROMATICITIES, chromaticities_to_srgb
-from clsco.files.transfer import decode
+from clsco.files.transfer import decode, encode
 from clsco.inputs.files import InputFiles
 from clsco.inputs.textures import load_scene_textures
+from tests.data.samples import drawn
 
 Array = NDArray[Any]
 D65 = [0.3127, 0.329, 1.0]
@@ -191,3 +196,137 @@ def test_colorants_that_are_none_have_no_matrix() -> None:
 
 def test_srgb_is_the_unit() -> None:
     np.testing.assert_array_equal(chromaticities_to_srgb(SRGB_CHROMATICITIES), np.eye(3))
+
+
+ACES = {  # x and y of red, green, blue and white, as OpenEXR has them
+    "AP0": (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.077, 0.32168, 0.33767),
+    "AP1": (0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33767),
+}
+RADIANCE = np.random.default_rng(9).uniform(0.1, 0.6, (48, 64, 3)).astype(np.float32)
+
+
+def saved_exr(path: Path, chromaticities: tuple[float, ...], parts: tuple[str, ...] = ("",)) -> Path:
+    planes = {name: np.ascontiguousarray(RADIANCE[..., k]) for k, name in enumerate("RGB")}
+    header = {"chromaticities": chromaticities, "type": OpenEXR.scanlineimage}
+    held = [planes, {"Z": RADIANCE[..., 0].copy()}]
+    made = [OpenEXR.Part({**header}, channels, name) for channels, name in zip(held, parts, strict=False)]
+    OpenEXR.File(made).write(str(path))
+    return path
+
+
+def chromaticities_in(path: Path) -> Any:
+    return OpenEXR.File(str(path), header_only=True).parts[0].header.get("chromaticities")
+
+
+def by_hand(numbers: tuple[float, ...]) -> Array:
+    """Matrix to linear sRGB from x and y of red, green, blue and white; whites by Bradford."""
+
+    def to_xyz(numbers: Any) -> tuple[Array, Array]:
+        x, y = np.array(numbers).reshape(4, 2).T
+        xyz = np.array([x, y, 1 - x - y])
+        white = xyz[:, 3] / y[3]
+        return xyz[:, :3] * np.linalg.solve(xyz[:, :3], white), white
+
+    cones = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
+    (source, white), (srgb, d65) = to_xyz(numbers), to_xyz((0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329))
+    bradford = np.linalg.inv(cones) @ np.diag((cones @ d65) / (cones @ white)) @ cones
+    return np.asarray(np.linalg.inv(srgb) @ bradford @ source)
+
+
+def test_the_matrix_of_acescg_is_as_published() -> None:
+    published = [[1.70505, -0.62179, -0.08326], [-0.13026, 1.14080, -0.01055], [-0.02400, -0.12897, 1.15297]]
+    np.testing.assert_allclose(by_hand(ACES["AP1"]), published, atol=2e-5)
+
+
+@pytest.mark.parametrize("name", ACES)
+def test_chromaticities_of_an_exr_come_out_of_every_writer(tmp_path: Path, name: str) -> None:
+    """With values as they are; in PNG and TIFF as a profile, by which LittleCMS gets the colors of the matrix."""
+    numbers, image = ACES[name], saved_exr(tmp_path / "image.exr", ACES[name])
+    np.save(tmp_path / "radius.npy", np.zeros((48, 64)))
+    write_png(tmp_path / "mask.png", np.zeros((48, 64), np.uint8))
+    blurred = ["defocus", str(image), str(tmp_path / "radius.npy"), "--unit", "coc"]
+    filled = ["inpaint", str(image), str(tmp_path / "mask.png")]
+    scene = scene_in(tmp_path, "image.exr", "image.exr")
+    (tmp_path / "all").mkdir()
+    runs = [(blurred, "a.exr"), (filled, "b.exr"), (blurred, "a.png"), (blurred, "a.tif"), (filled, "b.tif")]
+    runs += [([*blurred, "--format", "exr"], "folder"), (["render", str(scene), "--format", "exr"], "all")]
+    for words, out in runs:
+        result = CliRunner().invoke(main, [*words, "-o", str(tmp_path / out)])
+        assert (result.exit_code, "left out" in result.stderr) == (0, False), result.output
+    frame = clsco.render_frame(clsco.load_scene(scene))
+    frame.save(tmp_path / "frame.exr")
+    frame.save(tmp_path / "frame.tif")
+    make_record(drawn(1), 0, [[frame]], ("color",), {"color": "float32"}).save(tmp_path / "record.exr")
+    for path in ("a.exr", "b.exr", "folder/frame_0000.exr", "all/frame_0000.exr", "frame.exr", "record.exr"):
+        np.testing.assert_array_equal(chromaticities_in(tmp_path / path), np.array(numbers, np.float32))
+        np.testing.assert_allclose(read_image(tmp_path / path).data, RADIANCE, atol=1e-6)
+    for path in ("folder/frame_0000.json", "all/frame_0000.json"):
+        np.testing.assert_array_equal(
+            json.loads((tmp_path / path).read_text())["chromaticities"], np.array(numbers, np.float32)
+        )
+    matrix = by_hand(numbers)
+    for path in ("a.png", "all/frame_0000.png", "a.tif", "b.tif", "frame.tif"):
+        picture = read_image(tmp_path / path)
+        assert picture.color.to_srgb is not None
+        np.testing.assert_allclose(picture.color.to_srgb, matrix, atol=4e-4)  # D50 has four digits, colorants 16 bits
+        linear = decode(picture.data, picture.color.transfer("srgb"))
+        icc = picture.color.icc
+        if path.endswith("tif"):
+            with TiffFile(tmp_path / path) as tiff:
+                assert tiff.pages[0].iccprofile == icc  # type: ignore[union-attr]
+        wanted = np.clip(RADIANCE.astype(np.float64) @ matrix.T, 0, 1)
+        codes = np.rint(255 * RADIANCE if path.endswith("tif") else encode(RADIANCE, 8, "srgb")).astype(np.uint8)
+        off = np.abs(decode(by_littlecms(codes, icc), "srgb") - wanted)
+        assert off.max() < 0.04  # codes of 8 bits, times 1.7 or 2.5
+        assert off.mean() < 0.005
+        np.testing.assert_allclose(linear, RADIANCE, atol=1e-4)
+
+
+@pytest.mark.parametrize("transfer", ["srgb", "linear"])
+@pytest.mark.parametrize("name", ACES)
+def test_an_exr_beside_another_image_is_converted(tmp_path: Path, name: str, transfer: str) -> None:
+    saved_exr(tmp_path / "image.exr", ACES[name])
+    write_png(tmp_path / "plain.png", PHOTO)
+    path = scene_in(tmp_path, "image.exr", "plain.png", f'image.transfer = "{transfer}"\n')
+    result = CliRunner().invoke(main, ["render", str(path), "-o", str(tmp_path / "out"), "--format", "exr"])
+    assert "frames are in sRGB, and colors of the profile of chromaticities 0.7" in result.stderr
+    assert "are converted to it" in result.stderr
+    np.testing.assert_allclose(chromaticities_in(tmp_path / "out/frame_0000.exr")[:2], (0.64, 0.33), atol=1e-6)
+    found = read_image(tmp_path / "out/frame_0000.exr").data
+    np.testing.assert_allclose(found, RADIANCE.astype(np.float64) @ by_hand(ACES[name]).T, atol=5e-4)
+
+
+def test_chromaticities_of_parts_and_those_that_are_none(tmp_path: Path) -> None:
+    parts = saved_exr(tmp_path / "parts.exr", ACES["AP1"], ("rgb", "depth"))
+    assert read_image(parts).color == read_image(saved_exr(tmp_path / "a.exr", ACES["AP1"])).color
+    assert read_image(saved_exr(tmp_path / "b.exr", (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329))).color.is_plain
+    for wrong in ((0.0,) * 8, (*ACES["AP1"][:7], np.nan)):
+        color = read_image(saved_exr(tmp_path / "c.exr", wrong)).color
+        assert color.is_plain
+        assert color.note.endswith("are left out: they span no colors")
+
+
+CHRM = (np.array(CICP_CHROMATICITIES[12]) * 1e5).round().astype(">u4").tobytes()
+
+
+@pytest.mark.parametrize("chunks", [
+    {b"cICP": bytes([12, 13, 0, 1])}, {b"cICP": bytes([12, 4, 0, 1])}, {b"iCCP": PROFILES["Display P3"]},
+    {b"gAMA": struct.pack(">I", 45455), b"cHRM": CHRM},
+])  # fmt: skip
+def test_primaries_of_a_png_survive_in_tiff_and_exr(tmp_path: Path, chunks: dict[bytes, bytes]) -> None:
+    color = Color("P", chunks[b"iCCP"]) if b"iCCP" in chunks else Color("P", chunks=tuple(chunks.items()))
+    write_png(tmp_path / "image.png", PHOTO, color)
+    np.save(tmp_path / "radius.npy", np.zeros((48, 64)))
+    for out in ("a.tif", "a.exr"):
+        words = ["defocus", str(tmp_path / "image.png"), str(tmp_path / "radius.npy"), "--unit", "coc", "-o"]
+        result = CliRunner().invoke(main, [*words, str(tmp_path / out)])
+        assert (result.exit_code, "no place" in result.stderr) == (0, False), result.output
+    before, tiff = read_image(tmp_path / "image.png"), read_image(tmp_path / "a.tif")
+    np.testing.assert_array_equal(tiff.data, PHOTO)
+    light = [decode(each.data, each.color.transfer("srgb")) for each in (before, tiff)]
+    np.testing.assert_allclose(light[1], light[0], atol=2e-5)
+    np.testing.assert_allclose(read_image(tmp_path / "a.exr").data, light[0], atol=1e-6)
+    p3 = (0.68, 0.32, 0.265, 0.69, 0.15, 0.06, 0.3127, 0.329)
+    np.testing.assert_allclose(chromaticities_in(tmp_path / "a.exr"), p3, atol=2e-4)
+    assert tiff.color.to_srgb is not None
+    np.testing.assert_allclose(tiff.color.to_srgb, by_hand(p3), atol=4e-4)
