@@ -7,21 +7,16 @@ from typing import TYPE_CHECKING
 
 import click
 
-from clsco.cli.inputs import first_scene
 from clsco.cli.options import (
     PATH,
     BenchExtent,
     bench_extent,
     device_option,
-    one_scene,
-    precision_option,
     quick_option,
     quiet_option,
     require_device,
-    set_option,
 )
 from clsco.cli.output import echo
-from clsco.cli.render import request_for
 from clsco.errors import ClscoError
 
 if TYPE_CHECKING:
@@ -61,31 +56,6 @@ def thesis(out: Path, wanted: tuple[str, ...], device: str | None, quiet: bool) 
     values = render(out, figures, numbers, device, quiet)
     write_page(out, name, figures, values)
     echo(f"{click.format_filename(pages[0])}: figures, and numbers as stated and as measured")
-
-
-@dev.command()
-@one_scene
-@set_option
-@device_option
-@precision_option
-def check(scene: Path, overrides: tuple[str, ...], device: str | None, precision: str | None) -> None:
-    """Compare the device with the NumPy reference, output by output.
-
-    Fails where color differs by more than 1e-5 of white; in single precision, by more than 1e-4 in more than 1 of
-    500 pixels.
-    """
-    first = first_scene(scene, overrides, request_for((), precision=precision))
-    require_device(device)
-    from clsco.cli.check import compare_frames
-    from clsco.cli.tables import check_tables, print_tables
-
-    for checked in compare_frames(first.scene, device, precision):
-        print_tables(*check_tables(checked))
-        color = checked.differences[0]
-        if not color.agrees:
-            view = f" ({checked.eye})" if checked.eye else ""
-            got = f"{color.largest:.2g} in frame {checked.index}{view} ({color.count} pixels above)"
-            raise ClscoError(f"{scene}: color must agree within {color.figure:g} of white; got {got}")
 
 
 _bench_out = click.option(

@@ -29,6 +29,7 @@ from clsco.cli.options import (
     memory_option,
     no_color_option,
     one_scene,
+    precision_option,
     quiet_option,
     require_device,
     require_opencl,
@@ -47,7 +48,7 @@ if TYPE_CHECKING:
 
 MODULES = ("dataset", "dev", "examples", "psf", "render", "studio", "video")
 # Former names, and the group of the command now.
-FORMER = {"batch": "dataset", "bench": "dev", "check": "dev", "convert": "dataset", "thesis": "dev"}
+FORMER = {"batch": "dataset", "bench": "dev", "convert": "dataset", "thesis": "dev"}
 
 
 def _of_module(name: str) -> Any:
@@ -148,6 +149,50 @@ def plan(
         echo(json.dumps(planned_values(first.plans, cost, cheaper), indent=2))
     else:
         print_tables(*plan_tables(first.plans, cost, cheaper))
+
+
+@main.command()
+@one_scene
+@click.option(
+    "--rays", metavar="N", type=click.IntRange(min=0), default=2**16, show_default=True,
+    help="Most rays of a pixel; 0: the reference alone, without the extra.",
+)  # fmt: skip
+@click.option(
+    "--seconds", metavar="S", type=click.FloatRange(min=0.0), default=20.0, show_default=True,
+    help="Time for all rays, which ends at a standard error of 1e-3 of white.",
+)  # fmt: skip
+@click.option(
+    "-o", "out", metavar="OUT", type=PATH, help="File: .json for all figures, .png for a picture of the pixels tried."
+)
+@set_option
+@device_option
+@precision_option
+def check(
+    scene: Path,
+    rays: int,
+    seconds: float,
+    out: Path | None,
+    overrides: tuple[str, ...],
+    device: str | None,
+    precision: str | None,
+) -> None:
+    """Compare frames with the NumPy reference, output by output, and with rays through the real lens.
+
+    Fails where color differs from the reference by more than 1e-5 of white (in single precision, by more than 1e-4 in
+    more than 1 of 500 pixels), or pixels from rays by more than 0.01 of white and 5 standard errors. Rays need the
+    extra check.
+    """
+    from clsco.cli.check import check_scene, require_report
+
+    if out is not None:
+        require_report(out)
+    if rays:
+        from clsco.truth import require_rays
+
+        require_rays()
+    first = first_scene(scene, overrides, request_for((), precision=precision))
+    require_device(device)
+    check_scene(scene, first.scene, (rays, seconds), out, device, precision)
 
 
 @main.command()

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from clsco.inpainting.report import Report
     from clsco.opencl.device import Device
     from clsco.opencl.self_test import Check
+    from clsco.truth.judge import Judgement
 
 
 def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], right: Sequence[str] = ()) -> Group:
@@ -57,6 +58,28 @@ def check_tables(checked: Checked) -> list[RenderableType]:
         f"{checked.pass_seconds:.3f} s; reference: {checked.reference_seconds:.3f} s"
     )
     return [compared, Text(times)]
+
+
+def judged_tables(found: Judgement) -> list[RenderableType]:
+    """Deviations of one frame from rays through the lens, by class of pixel and by object, and light of small
+    objects."""
+    columns = ("", "pixels", "RMS", "noise", "dB", "mean", "beyond", "column", "row", "right", "got", "errors")
+    tables: list[RenderableType] = []
+    for title, rows in (("Pixels against rays", found.classes), ("Their objects", found.objects)):
+        cells = [
+            (
+                r.name, f"{r.pixels}", f"{r.rms:.5f}", f"{r.noise:.5f}", f"{r.decibels:.1f}", f"{r.mean:+.5f}",
+                f"{r.beyond}", f"{r.column}", f"{r.row}", f"{r.right:.4f}", f"{r.got:.4f}", f"{min(r.errors, 999):.1f}",
+            )
+            for r in rows
+        ]  # fmt: skip
+        tables.append(table(title, columns, cells, right=columns[1:]))
+    if found.lights:
+        lights = [(r.name, f"{r.right:.4f}", f"{r.error:.4f}", f"{r.got:.4f}", f"{r.own:.4f}") for r in found.lights]
+        names = ("small object", "right", "noise", "got", "its own")
+        tables.append(table("Light around small objects, px of white", names, lights, right=names[1:]))
+    tables.append(Text(f"{found.rays} rays in {found.seconds:.1f} s"))
+    return tables
 
 
 def inpaint_tables(report: Report) -> list[RenderableType]:

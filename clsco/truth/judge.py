@@ -97,6 +97,18 @@ class Judgement:
         """True if there is no such pixel, and no such object."""
         return not (self.deviations.any() or self.dim)
 
+    @property
+    def wrong(self) -> str:
+        """Number of deviations, and the largest of them."""
+        off = np.where(self.deviations, np.abs(self.got - self.right).max(axis=1), -1.0)
+        dim = f"{len(self.dim)} small objects of another light" if self.dim else ""
+        if not self.deviations.any():
+            return dim
+        k = int(off.argmax())
+        place = f"column {self.pixels.column[k]}, row {self.pixels.row[k]}"
+        many = f"{int(self.deviations.sum())} of {len(off)} pixels beyond, by {off[k]:.3f} at {place}"
+        return f"{many}, {dim}" if dim else many
+
     def values(self) -> dict[str, Any]:
         """The same for JSON."""
         pixels, kinds = self.pixels, [CLASSES[k] for k in self.pixels.kind]

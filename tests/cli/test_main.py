@@ -235,7 +235,7 @@ def bad(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("name", BAD_SCENES)
 def test_a_bad_scene_is_reported_in_one_line(name: str, bad: Path) -> None:
     before = names(bad)
-    for command in (["render", bad / name, "-o", bad / "out"], ["plan", bad / name], ["dev", "check", bad / name]):
+    for command in (["render", bad / name, "-o", bad / "out"], ["plan", bad / name], ["check", bad / name]):
         (line,) = messages(clsco_(*command), 1)
         assert line.startswith(f"error: {bad / name}: ")
         assert BAD_SCENES[name][1] in line
@@ -291,7 +291,7 @@ def test_without_a_device_it_says_what_to_install(ball: Path, tmp_path: Path, mo
     monkeypatch.setattr(device, "_devices", lambda: ())
     commands = (
         ["render", ball, "-o", tmp_path / "out"],
-        ["dev", "check", ball],
+        ["check", ball],
         ["devices"],
         ["demo", "-o", tmp_path / "out"],
         ["dev", "thesis", "-o", tmp_path / "out"],
@@ -330,8 +330,11 @@ def test_plan(ball: Path) -> None:
         assert f"blur method {method}" in " ".join(clsco_("plan", ball, *words).output.split())
 
 
-def test_check_agrees(ball: Path) -> None:
-    result = clsco_("dev", "check", ball, "--set", "sequence.frames=2")
+def test_check_agrees(ball: Path, tmp_path: Path) -> None:
+    report = tmp_path / "report.json"
+    result = clsco_(
+        "check", ball, "--rays", 512, "--set", "sequence.frames=2", "--set", "object.0.texture=#c08040", "-o", report
+    )
     assert result.exit_code == 0, result.output
     rows = [line.split() for line in result.output.splitlines()]
     for name in ("color", *TRUTH_NAMES, *MOTION_NAMES):
@@ -339,6 +342,21 @@ def test_check_agrees(ball: Path) -> None:
         assert len(found) == 2
         assert all(row[-2] == "0" for row in found)  # pixels above the figure
     assert result.output.count("reference: ") == 2
+    assert result.output.count("Pixels against rays") == 2
+    views = json.loads(report.read_text())["views"]
+    assert [(view["frame"], view["deviations"]) for view in views] == [(0, 0), (1, 0)]
+    assert {row["name"] for row in views[0]["classes"]} >= {"outline", "random"}
+
+
+def test_check_finds_by_rays_what_the_reference_shares(ball: Path, tmp_path: Path) -> None:
+    """Weights at the centers of pixels alone: device and reference agree, and both are off."""
+    picture = tmp_path / "tried.png"
+    result = clsco_("check", ball, "--rays", 512, "--set", "psf.edge=sampled", "-o", picture)
+    assert result.exit_code == 1
+    assert result.stderr.startswith(f"error: {ball}: pixels must be within 0.01 of white and 5 errors of rays; got ")
+    assert len(np.unique(read_image(picture).data.reshape(-1, 3), axis=0)) > 10
+    (line,) = messages(clsco_("check", ball, "-o", "report.txt"), 1)
+    assert line == "error: -o: must be a file .json or .png; got report.txt"
 
 
 def changed(**places: Any) -> Callable[..., Iterator[Frame]]:
@@ -356,14 +374,14 @@ def changed(**places: Any) -> Callable[..., Iterator[Frame]]:
 
 def test_check_notices_a_wrong_pixel(ball: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(check, "render", changed(color=((5, 7), np.nan), depth=((2, 3), 1.0), mask=((4, 4), True)))
-    result = clsco_("dev", "check", ball)
+    result = clsco_("check", "--rays", 0, ball)
     assert result.exit_code == 1
     assert f"error: {ball}: color must agree within 1e-05 of white; got inf in frame 0 (1 pixels" in result.stderr
     rows = {row[0]: row for row in (line.split() for line in result.stdout.splitlines()) if row}
     assert rows["color"][-4:] == ["5", "7", "1", "1e-05"]
     assert rows["depth"][-4:-1] == ["2", "3", "1"]
     assert rows["sharp"][-2] == "0"
-    assert clsco_("dev", "check", ball, "--precision", "single").exit_code == 1
+    assert clsco_("check", "--rays", 0, ball, "--precision", "single").exit_code == 1
 
 
 def test_devices() -> None:
@@ -400,7 +418,7 @@ def test_schema() -> None:
 
 def test_help_and_version() -> None:
     assert clsco_("--version").output == f"clsco, version {clsco.__version__}\n"
-    for name in ("render", "plan", "psf", "demo", "devices", "schema", "validate", "dev check", "dev thesis"):
+    for name in ("render", "plan", "psf", "demo", "devices", "schema", "validate", "check", "dev thesis"):
         *group, command = name.split()
         assert f"\n  {command} " in clsco_(*group, "--help").output
         assert clsco_(*group, command, "--help").exit_code == 0

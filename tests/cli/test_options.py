@@ -19,7 +19,7 @@ def clsco_(*words: object) -> Result:
     return CliRunner().invoke(main, [str(word) for word in words])
 
 
-@pytest.mark.parametrize("words", [["bench"], ["bench", "--stability"], ["check"], ["thesis"]])
+@pytest.mark.parametrize("words", [["bench"], ["bench", "--stability"], ["thesis"]])
 def test_former_names_of_the_laboratory_say_what_they_are_called(words: list[str]) -> None:
     result = clsco_(*words)
     name = words[-1].removeprefix("--")

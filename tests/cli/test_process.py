@@ -28,7 +28,7 @@ def ended(*words: str, before: str = "", **options: object) -> subprocess.Comple
 
 @pytest.mark.parametrize(
     ("words", "status", "begins"),
-    [(("--version",), 0, "clsco, version"), (("dev", "check", "no such file"), 1, ""), (("no such command",), 2, "")],
+    [(("--version",), 0, "clsco, version"), (("check", "no such file"), 1, ""), (("no such command",), 2, "")],
     ids=["done", "user's error", "usage"],
 )
 def test_the_process_ends_with_its_status_and_all_its_output(words: tuple[str, ...], status: int, begins: str) -> None:

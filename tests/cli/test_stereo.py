@@ -167,7 +167,7 @@ def test_the_plan_reports_both_views(scene: Path) -> None:
 
 
 def test_every_view_is_checked(scene: Path) -> None:
-    result = clsco_("dev", "check", scene, "--set", "sequence.frames=1", "--precision", "double")
+    result = clsco_("check", "--rays", 0, scene, "--set", "sequence.frames=1", "--precision", "double")
     assert result.exit_code == 0, result.output
     for view in ("left", "right"):
         assert f"Frame 0, {view} view, against the reference" in result.output

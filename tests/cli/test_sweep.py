@@ -80,7 +80,7 @@ def test_a_sweep_is_reported_by_the_other_commands(stack: Path, still: Path) -> 
     result = clsco_("plan", stack)
     assert result.output.splitlines()[0] == "the first of 3 scenes, f_number_2:"
     assert "first of" not in clsco_("plan", still).output
-    result = clsco_("dev", "check", stack, "--set", "camera.f_number=[16, 8]")
+    result = clsco_("check", "--rays", 0, stack, "--set", "camera.f_number=[16, 8]")
     assert result.exit_code == 0
     assert result.output.splitlines()[0] == "the first of 2 scenes, f_number_16:"
     assert result.output.count("Frame 0") == 1

@@ -149,7 +149,7 @@ TABLE: Table = (
     ("render good.toml -o out --tolerance {0}", ("0", "-1", "x", ""), 2, "--tolerance"),
     ("render good.toml -o out --tolerance {0}", ("nan", "inf"), 1, "tolerance"),
     ("render good.toml -o out --device {0}", ("no such device", "\n", "\x1b[2J", "é", "9" * 5000), 3, "--device"),
-    ("{0}", ("render", "render good.toml", "render -o out", "plan", "dev check", "defocus image.png",
+    ("{0}", ("render", "render good.toml", "render -o out", "plan", "check", "defocus image.png",
         "inpaint image.png", "validate", "x", "--x"), 2, ""),
     ("render good.toml -o out {0}", ("--set", "--frames", "--x", "-q", "--memory", "--truths"), 2, "{0}"),
     ("render good.toml -o link_out --set {0}", ("camera.f_number=[3,4]",), 1, "f_number_3"),

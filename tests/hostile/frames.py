@@ -1,7 +1,7 @@
 """Random small scenes, rendered: python -m tests.hostile.frames --cases 1000
 
 A case draws every key that changes what is computed (`drawn.py`), and the method; keys that do not go together make it
-one of those that are refused. Its first frame has to agree with the reference as `clsco dev check` asks, in double
+one of those that are refused. Its first frame has to agree with the reference as `clsco check` asks, in double
 precision. A case that does not, or that ends the process, is
 reported with its number, which repeats it: --first N --cases 1.
 """
