@@ -30,7 +30,7 @@ from clsco.scene.model import Camera, Scene
 
 Table = Mapping[str, Any]
 # A scene file for tests that look at files and messages: its frame takes no time.
-PLANE = '[camera]\nresolution = [12, 9]\n[[object]]\nshape = "plane"\n'
+PLANE = '[camera]\nresolution = [12, 9]\nnormalization_distance = 20.0\n[[object]]\nshape = "plane"\n'
 
 
 def scene_of(*items: Any, size: tuple[int, int] = (64, 48), camera: Table | None = None, **sections: Any) -> Scene:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from clsco.plan.device import DeviceFacts
     from clsco.plan.prepare import Prepared, PreparedFile
     from clsco.plan.request import Request
-    from clsco.scene.model import DepthMap
+    from clsco.scene.model import DepthMap, Scene
 
 
 def first_scene(
@@ -43,7 +43,7 @@ def report_inputs(planned: Sequence[PreparedFile]) -> None:
     from clsco.scene.model import DepthMap
 
     for path, labels, prepared in planned:
-        report_stretched(path, prepared)
+        report_scenes(path, labels, prepared)
         for label, each in zip(labels, prepared, strict=True):
             maps = [item for item in each.scene.objects if isinstance(item, DepthMap)]
             if label == labels[0]:  # all scenes of a file have the same images
@@ -61,12 +61,28 @@ def report_inputs(planned: Sequence[PreparedFile]) -> None:
                 echo(f"{click.format_filename(path)}{where}: {each.approximation.line()}", err=True)
 
 
-def report_stretched(path: Path, prepared: Iterable[Prepared]) -> None:
-    """Say on stderr which images of the scenes of a file are stretched, once per size of the frame."""
+def report_scenes(path: Path, labels: Sequence[str], prepared: Sequence[Prepared], close: bool = False) -> None:
+    """Say on stderr which images of the scenes of a file are stretched, once per size of the frame, and what of them is
+    not in sight or black, each line of the first scene that it is of; close: also of a focus so close that sizes are
+    not those of textbooks."""
     from clsco.inputs.textures import stretched
+    from clsco.plan.notes import close_focus_note, sight_notes
+    from clsco.plan.predict import without_lens
 
     for line in stretched(each.scene for each in prepared):
         echo(f"{click.format_filename(path)}: {line}", err=True)
+    known, told = set["Scene"](), set[str]()
+    for label, each in zip(labels, prepared, strict=True):
+        alike = without_lens(each.scene)
+        lines = [] if alike in known else sight_notes(each.plans)
+        known.add(alike)
+        if close and (note := close_focus_note(each.scene.camera)) is not None:
+            lines.append(note)
+            close = False
+        for line in (line for line in lines if line not in told):
+            told.add(line)
+            where = f" (with {label})" if label else ""
+            echo(f"{click.format_filename(path)}{where}: {line}", err=True)
 
 
 def report_notes(path: str, notes: Iterable[str]) -> None:

@@ -17,7 +17,7 @@ import click
 
 from clsco import __version__
 from clsco.cli.focus import focus_at_option, focus_depth_option, focused_files, parsed_focus
-from clsco.cli.inputs import first_scene, report_inputs, report_loss, report_notes, report_stretched
+from clsco.cli.inputs import first_scene, report_inputs, report_loss, report_notes, report_scenes
 from clsco.cli.options import (
     PATH,
     Commands,
@@ -137,7 +137,7 @@ def plan(
     require_uncolored(files, no_color)
     device = ThisMachine(kind="gpu") if gpu else None
     first = first_scene(scene, overrides, request_for(files, memory=memory, color=not no_color), device, machine)
-    report_stretched(scene, [first])
+    report_scenes(scene, ("",), [first], close=True)
     from clsco.cli.plan_tables import plan_tables, planned_values
     from clsco.cli.tables import print_tables
     from clsco.cost.cheaper import cheaper_settings
@@ -250,7 +250,7 @@ def validate(scenes: tuple[Path, ...]) -> None:
             continue
         count = f", {len(labels)} scenes" if labels != ("",) else ""
         echo(f"{click.format_filename(path)}: valid{count}")
-        report_stretched(path, prepared)
+        report_scenes(path, labels, prepared, close=True)
         most = max(prepared, key=lambda each: each.plan.taps)
         if warning := _long_frame(most):
             label = labels[prepared.index(most)]

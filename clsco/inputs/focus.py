@@ -88,7 +88,7 @@ def focused(scene: Scene, files: InputFiles, focus: Focus) -> Scene:
     Returns
     -------
     Scene
-        With `camera.focus_distance`, or where that is infinite with the detector at the focal length.
+        With a focus distance, or where that is infinite with the detector at the focal length.
 
     Raises
     ------

@@ -39,14 +39,14 @@ title = "Ball"
 [camera]
 resolution = [40, 24]
 pixel_pitch = 0.1
+normalization_distance = 20.0
 [sequence]
 frames = 3
 samples = 3
 [[object]]
 name = "ball"
 shape = "sphere"
-[object.motion]
-velocity = [3.0, 0.0, 0.0]
+motion.velocity = [3.0, 0.0, 0.0]
 """
 
 

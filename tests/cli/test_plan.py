@@ -12,7 +12,7 @@ from click.testing import CliRunner, Result
 from clsco.cli.main import main
 from tests.scenes import scene_file
 
-CAMERA = "[camera]\nresolution = [40, 24]\npixel_pitch = 0.1\n"
+CAMERA = "[camera]\nresolution = [40, 24]\npixel_pitch = 0.1\nnormalization_distance = 20.0\n"
 BALL = """
 [sequence]
 frames = 3
@@ -56,10 +56,8 @@ def test_a_sensor_and_ground_truth_are_run_once_a_frame(ball: Path) -> None:
 
 
 def test_validate_warns_of_long_frames(ball: Path, tmp_path: Path) -> None:
-    heavy = scene_file(
-        tmp_path / "heavy.toml",
-        "[camera]\nresolution = [8192, 8192]\npixel_pitch = 0.0004\nf_number = [1.8, 2]\n" + BALL,
-    )
+    camera = CAMERA.replace("[40, 24]", "[8192, 8192]").replace("0.1", "0.0004") + "f_number = [1.8, 2]\n"
+    heavy = scene_file(tmp_path / "heavy.toml", camera + BALL)
     result = clsco_("validate", ball, heavy)
     assert result.exit_code == 0
     assert result.stdout.splitlines() == [f"{ball}: valid", f"{heavy}: valid, 2 scenes"]

@@ -1,0 +1,159 @@
+"""Notes on scenes whose images may not be what was meant, before they are rendered: by geometry alone."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.optics.exposure import shutter_span
+from clsco.optics.lens import ray_step
+from clsco.optics.lens_path import camera_at
+from clsco.optics.light import PlacedLight, place_light
+from clsco.optics.motion import poses_at
+from clsco.optics.quadrics import PlacedSurface, place, predict_inverse_depth
+from clsco.optics.rays import slopes_at
+from clsco.plan.plan import Plan
+from clsco.scene.model import Camera, Object, Rectangle, Scene
+
+CLOSE = 0.02  # share by which sizes may differ from those of textbooks without a word
+LOOKS = 65  # rays per axis of a look at the frame, or at the place of an object that these miss
+MOST_FRAMES = 5  # that are looked at
+MOST_NAMED = 3
+
+Array = NDArray[np.float64]
+
+
+def close_focus_note(camera: Camera) -> str | None:
+    """Line on sizes that are not those of textbooks, where the scene has not chosen."""
+    share = 1.0 - camera.normalization_distance / camera.sensor_distance
+    if "normalization_distance" in camera.model_fields_set or abs(share) <= CLOSE:
+        return None
+    return (
+        f"camera.normalization_distance: image and blur are {100 * share:.2g} % (f/u) smaller than a textbook's, being "
+        'those at the focal length; "sensor" gives the textbook\'s'
+    )
+
+
+@dataclass
+class _Sight:
+    """Record of the bodies of a scene, objects and boxes as a whole: whether each was seen, and how wide."""
+
+    seen: dict[Hashable, bool] = field(default_factory=dict)
+    widest: dict[Hashable, float] = field(default_factory=dict)  # of their images, px
+    names: dict[Hashable, str] = field(default_factory=dict)
+    lit: bool = False
+
+
+def sight_notes(plans: tuple[Plan, ...]) -> list[str]:
+    """Lines on objects that no frame shows, or that are smaller than a pixel, on a light that falls on backs alone, and
+    on frames that are black; none on scenes with depth maps.
+
+    Parameters
+    ----------
+    plans : tuple of Plan
+        Plans of the views of a scene.
+
+    Returns
+    -------
+    list of str
+
+    Notes
+    -----
+    At most MOST_FRAMES frames are looked at, at the begin, middle and end of their exposures.
+    """
+    scene = plans[0].scene
+    if not scene.is_analytic:
+        return []
+    sight, dark = _Sight(), []
+    last = scene.sequence.frames - 1 if scene.moves else 0
+    for frame in np.unique(np.linspace(0, last, MOST_FRAMES).round().astype(int)).tolist():
+        times = np.linspace(*shutter_span(scene.sequence, frame), 3).tolist() if scene.moves else [0.0]
+        looks = [_look(sight, scene, plan, time) for plan in plans for time in times]
+        dark += [] if any(looks) else [frame]
+    notes = []
+    if missing := [sight.names[body] for body, seen in sight.seen.items() if not seen]:
+        notes.append(f"objects that are not in sight, beside or behind the picture or hidden: {_listed(missing)}")
+    small = [f"{sight.names[body]} ({width:.2g} px)" for body, width in sight.widest.items() if 0.0 < width < 1.0]
+    if small:
+        notes.append(f"objects whose image is less than a pixel wide: {_listed(small)}")
+    if scene.light is not None and scene.light.ambient == 0.0 and any(sight.seen.values()) and not sight.lit:
+        notes.append("light: falls on no side that is in sight, so that all of them are black without light.ambient")
+    if dark:
+        which = f"frame{'s' * (len(dark) > 1)} {_listed(dark)}" if any(sight.seen.values()) else "all frames"
+        notes.append(f"nothing is in sight, and all is black, in {which}")
+    return notes
+
+
+def _listed(words: list[str] | list[int]) -> str:
+    more = len(words) - MOST_NAMED
+    return ", ".join(map(str, words[:MOST_NAMED])) + (f" and {more} more" if more > 0 else "")
+
+
+def _body(index: int, item: Object) -> tuple[Hashable, str]:
+    """An object, or of the face of a box the box, and its name."""
+    if isinstance(item, Rectangle) and item.offset:
+        name = item.name.rpartition(" ")[0] or item.name
+        return (item.center, name), name
+    return index, item.name
+
+
+def _look(sight: _Sight, scene: Scene, plan: Plan, time: float) -> bool:
+    """Look at a scene from a view, at a time; True if anything is in sight."""
+    camera, light = camera_at(scene, time), place_light(scene, time, plan.eye)
+    surfaces = [place(*each) for each in zip(scene.objects, poses_at(scene, time, plan.eye), strict=True)]
+    frame = slopes_at(camera, *np.meshgrid(*(_ends(size, plan.guard_px) for size in camera.frame_size)))
+    depths, any_seen = _depths(scene, surfaces, frame), False
+    for k, (item, surface) in enumerate(zip(scene.objects, surfaces, strict=True)):
+        body, name = _body(k, item)
+        sight.names[body] = name
+        rays, w = frame, depths
+        seen = (w[k] > 0) & (w[k] >= w.max(axis=0))
+        if not seen.any() and not sight.seen.get(body) and (near := _around(surface, frame)) is not None:
+            rays, w = near, _depths(scene, surfaces, near)
+            seen = (w[k] > 0) & (w[k] >= w.max(axis=0))
+        sight.seen[body] = sight.seen.get(body, False) or bool(seen.any())
+        if not seen.any():
+            continue
+        any_seen = True
+        low, high = surface.seen.x
+        sight.widest[body] = max(sight.widest.get(body, 0.0), (high - low) / ray_step(camera))
+        if light is not None and not sight.lit and light.members >> k & 1:
+            sight.lit = _is_lit(surface, light, *(each[seen] for each in (*rays, w[k])))
+    return any_seen
+
+
+def _ends(size: int, guard: int) -> Array:
+    """Places (LOOKS,) in px from one edge of frame and guard band to the other."""
+    return np.linspace(-0.5, 0.5, LOOKS) * (size - 1 + 2 * guard)
+
+
+def _depths(scene: Scene, surfaces: list[PlacedSurface], rays: tuple[Array, Array]) -> Array:
+    """Inverse depths (objects, ...) along rays."""
+    pairs = zip(scene.objects, surfaces, strict=True)
+    return np.stack([predict_inverse_depth(item, surface, *rays) for item, surface in pairs])
+
+
+def _around(surface: PlacedSurface, frame: tuple[Array, Array]) -> tuple[Array, Array] | None:
+    """Rays within the bounds of the image of an object; None where these are outside of the frame."""
+    ends = []
+    for slopes, bounds in zip(frame, (surface.seen.x, surface.seen.y), strict=True):
+        low, high = max(float(slopes.min()), bounds[0]), min(float(slopes.max()), bounds[1])
+        if low > high:
+            return None
+        ends.append(np.linspace(low, high, LOOKS))
+    x, y = np.meshgrid(*ends)
+    return x, y
+
+
+def _is_lit(surface: PlacedSurface, light: PlacedLight, x: Array, y: Array, w: Array) -> bool:
+    """True if a light falls on the side of a surface that is seen, anywhere along these rays."""
+    ray = np.stack([x, y, np.ones_like(x)])
+    shape, turn = surface.canonical, surface.turn
+    point = turn @ ray + surface.offset[:, None] * w  # times w
+    normal = turn.T @ (shape.q[:, None] * point + shape.l[:, None] * w)
+    normal *= -np.sign((normal * ray).sum(axis=0))  # towards the lens
+    towards = light.place[:, None] * (w if light.is_near else 1.0) - (ray if light.is_near else 0.0)
+    return bool(((normal * towards).sum(axis=0) > 0.0).any())
