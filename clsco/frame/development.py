@@ -25,7 +25,7 @@ LEAST_SIDE = 2  # px, of frames that can be demosaiced
 
 
 def developed(raw: NDArray[np.uint16], sensor_model: SensorModel) -> NDArray[np.float32]:
-    """Light that codes stand for: (code - black) / (gain electrons), demosaiced where the sensor says so.
+    """Light that codes stand for: (code - black) / (gain white), demosaiced where the sensor says so.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def developed(raw: NDArray[np.uint16], sensor_model: SensorModel) -> NDArray[np.
         colour-demosaicing is missing.
     """
     electrons = (raw.astype(np.float64) - sensor_model.sensor.black_level) / sensor_model.gain
-    light = electrons / of_sites(sensor_model.scale, sensor_model, raw.shape[:2])
+    light = electrons / of_sites(sensor_model.white, sensor_model, raw.shape[:2])
     if sensor_model.sensor.mosaic == "none" or sensor_model.channels == 1:
         return np.asarray(light if light.shape[2] > 1 else light[..., 0], np.float32)
     plane = light[..., 0]

@@ -21,6 +21,7 @@ PLANES = 3
 STREAM_BITS = 8  # of a word that has the stream of a plane, and above it the upper bits of noise_seed
 LEAST_DARK_NOISE = 0.4  # DN rms, below which rounding no longer adds 1/12 DN^2 (EMVA 1288)
 MOST_MEAN = 2.0**24  # electrons of a pixel, beyond any full well
+MOST_SCALE = 1e30  # electrons of white, within float32
 MOST_DOUBLINGS = 100.0  # of the dark current, where any pixel is full
 
 
@@ -32,6 +33,8 @@ class SensorModel:
     ----------
     scale : tuple of float
         Electrons of light of value 1 in red, green, blue, e-.
+    white : tuple of float
+        Electrons that are 1 in the developed image, e-.
     dark : float
         Mean electrons of the dark, e-.
     leak : float
@@ -49,6 +52,7 @@ class SensorModel:
     """
 
     scale: tuple[float, float, float]
+    white: tuple[float, float, float]
     dark: float
     leak: float
     gain: float
@@ -85,7 +89,8 @@ def sensor_model(scene: Scene, channels: int) -> SensorModel:
     -----
     Order and notation are those of EMVA 1288: mean electrons white_electrons qe light + i t, with the dark current
     i = dark_current 2^((temperature - temperature_reference) / temperature_doubling) over the time t that the shutter
-    is open; code gain e + black_level. With iso the light that is 1 makes iso_base / iso as many electrons.
+    is open; code gain e + black_level. With iso the light that is 1 makes iso_base / iso as many electrons. A physical
+    exposure has instead t / reference_shutter (reference_f_number / N)^2 as many with N = s0 / D, by whichever iso.
 
     Examples
     --------
@@ -104,12 +109,17 @@ def sensor_model(scene: Scene, channels: int) -> SensorModel:
     largest = 2**sensor.bits - 1
     gain = sensor.gain or (largest - sensor.black_level) / sensor.full_well / more
     red, green, blue = (sensor.white_electrons * more * each for each in sensor.quantum_efficiency)
+    white = scale = red, green, blue
+    if sensor.exposure == "physical":
+        opening = scene.camera.aperture_diameter / scene.camera.normalization_distance * sensor.reference_f_number
+        passed = scene.sequence.shutter / sensor.reference_shutter * opening**2 / more
+        scale = (min(red * passed, MOST_SCALE), min(green * passed, MOST_SCALE), min(blue * passed, MOST_SCALE))
     if sensor.mosaic != "none":
         filters: tuple[tuple[int, ...], ...] = (MOSAICS[sensor.mosaic],)
     else:
         filters = tuple((k,) * 4 for k in (range(PLANES) if channels > 1 else (GRAY,)))
     dark, leak = sensor.dark_current * time, sensor.full_well * time if sensor.hot_pixels else 0.0
-    return SensorModel((red, green, blue), dark, leak, gain, largest, channels, filters, sensor)
+    return SensorModel(scale, white, dark, leak, gain, largest, channels, filters, sensor)
 
 
 def sensor_values(found: SensorModel) -> dict[str, Any]:

@@ -26,6 +26,8 @@ _DISPLACED: tuple[tuple[str, str | None, str], ...] = (
     ("sensor.gain", None, "sensor.iso_base"),
     ("sensor.iso", None, "sensor.gain"),
     ("sensor.mosaic", "none", "sensor.demosaic"),
+    ("sensor.exposure", "normalized", "sensor.reference_shutter"),
+    ("sensor.exposure", "normalized", "sensor.reference_f_number"),
     *(
         ("aperture.shape", shape, f"aperture.{key}")
         for key, own in APERTURE_KEYS.items()
@@ -131,6 +133,8 @@ def dump(scene: Any) -> dict[str, Any]:
         del data["camera"]["sensor_distance"]
     if scene.sensor is not None and scene.sensor.iso is None:
         del data["sensor"]["iso_base"]
+    if scene.sensor is not None:
+        displace(data, "sensor.exposure", scene.sensor.exposure)
     if not scene.groups:
         del data["group"]
     for key, section in (("aperture.shape", "aperture"), ("psf.model", "psf"), ("motion.warp", "motion")):

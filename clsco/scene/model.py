@@ -225,6 +225,14 @@ class Scene(Strict):
             raise at_keys(found)
         return value
 
+    @field_validator("sensor")
+    @classmethod
+    def _with_an_opening_that_stays(cls, value: Sensor | None, info: ValidationInfo) -> Sensor | None:
+        keys = getattr(info.data.get("lens"), "keyframe", None) or ()
+        if value is not None and value.exposure == "physical" and any(key.f_number is not None for key in keys):
+            raise at_keys([(("exposure",), fault("must be normalized where keyframes have f-numbers"), "physical")])
+        return value
+
     @field_validator("fill")
     @classmethod
     def _of_the_forward_warp(cls, value: Fill, info: ValidationInfo) -> Fill:

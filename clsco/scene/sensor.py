@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from clsco.scene.quantities import Strict, Triple, Within, at_keys, fault
+from clsco.scene.quantities import Duration, FNumber, Strict, Triple, Within, at_keys, fault
 
 MOSAICS = {"rggb": (0, 1, 1, 2), "bggr": (2, 1, 1, 0), "grbg": (1, 0, 2, 1), "gbrg": (1, 2, 0, 1)}
 """Channels of the pixels (0, 0), (0, 1), (1, 0), (1, 1) (row, column) of a Bayer mosaic: red, green, blue."""
@@ -24,7 +24,14 @@ class Sensor(Strict):
     """Image sensor that counts electrons; without one frames are light."""
 
     white_electrons: Electrons = 10_000.0
-    """Electrons that light of value 1 makes in a pixel of quantum efficiency 1, at iso = iso_base; e-."""
+    """Electrons that light of value 1 makes in a pixel of quantum efficiency 1, at iso = iso_base, or at the reference
+    of a physical exposure; e-."""
+    exposure: Literal["normalized", "physical"] = "normalized"
+    """Electrons of light: normalized, the same by any lens and shutter; or physical, as many as these let through."""
+    reference_shutter: Duration = 1.0
+    """Exposure time at which light of value 1 makes white_electrons, s; only with exposure = "physical"."""
+    reference_f_number: FNumber = 1.0
+    """F-number at which light of value 1 makes white_electrons; only with exposure = "physical"."""
     full_well: Electrons = 12_000.0
     """Electrons that a pixel can hold, e-."""
     read_noise: Noise = 2.0
@@ -71,6 +78,13 @@ class Sensor(Strict):
         bits = info.data.get("bits")
         if bits is not None and value >= 2**bits:
             raise fault(f"must be at most {2**bits - 1} with bits = {bits}")
+        return value
+
+    @field_validator("reference_shutter", "reference_f_number")
+    @classmethod
+    def _of_physical_exposure(cls, value: float, info: ValidationInfo) -> float:
+        if info.data.get("exposure") == "normalized":
+            raise fault('belongs to exposure = "physical", not "normalized"')
         return value
 
     @field_validator("iso_base")

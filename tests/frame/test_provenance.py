@@ -39,7 +39,8 @@ def test_every_number_has_a_unit_or_needs_none(shape: str) -> None:
     without |= {"psf.sigma_ratio", "psf.truncation", "object[0].coefficients", "object[0].axis", "object[0].scale"}
     without |= {"light.ambient", "aperture.squeeze", "aperture.rim"}
     without |= {
-        f"sensor.{key}" for key in ("prnu", "hot_pixels", "bits", "iso", "iso_base", "quantum_efficiency", "seed")
+        f"sensor.{key}"
+        for key in ("prnu", "hot_pixels", "bits", "iso", "iso_base", "quantum_efficiency", "seed", "noise_seed")
     }
     numbers: set[str] = set()
 

@@ -198,6 +198,39 @@ def test_what_exposures_share(pair: str) -> None:
     assert abs(difference.mean()) < 5 * np.sqrt(wanted / difference.size) + 1e-9
 
 
+@pytest.mark.parametrize(
+    ("changes", "factor"),
+    [
+        ({}, 1.0),
+        ({"camera.f_number": 4.0}, 1 / 4),
+        ({"sequence.shutter": 0.001}, 1 / 100),
+        ({"sequence.shutter": 0.2}, 2.0),
+        ({"object.0.texture": np.full((1, 1), 0.1, np.float32)}, 0.1 / 0.2),
+        ({"sensor.reference_f_number": 4.0}, 4.0),
+        ({"sensor.reference_shutter": 0.2}, 1 / 2),
+        ({"sensor.iso": 400.0}, 1.0),
+        ({"camera.normalization_distance": "sensor"}, (1 - 20 / 250) ** 2),  # 1 / (1 + m)^2
+        ({"aperture.shape": "ring", "aperture.obstruction": 0.5, "aperture.exposure": "area"}, 3 / 4),
+    ],
+)
+def test_a_physical_exposure(changes: dict[str, Any], factor: float) -> None:
+    """f/2, 0.1 s and light 0.2 make 2000 electrons; by default all but the light changes nothing."""
+    scene = parse_scene(
+        CARD | {"sensor": {"exposure": "physical", "reference_f_number": 2.0, "reference_shutter": 0.1}}
+    )
+    usual = {"camera.f_number": 2.0, "sequence.shutter": 0.1, "object.0.texture": np.full((1, 1), 0.2, np.float32)}
+    for key, value in (usual | changes).items():
+        scene = scene.replace(key, value)
+    frame = clsco.render_frame(scene, truth=("raw", "electrons")).arrays()
+    assert frame["electrons"].mean() == pytest.approx(2000 * factor, rel=1e-4)
+    gain = (4095 - 64) / 12000 * (4.0 if "sensor.iso" in changes else 1.0)
+    assert ((frame["raw"].astype(float) - 64) / gain).mean() == pytest.approx(2000 * factor, rel=0.01)
+    assert frame["color"].mean() == pytest.approx(0.2 * factor * (4.0 if "sensor.iso" in changes else 1.0), rel=0.01)
+    if not any(key.startswith(("object", "sensor", "aperture")) for key in changes):
+        found = clsco.render_frame(scene.replace("sensor", {}), truth="electrons").arrays()["electrons"]
+        assert found.mean() == pytest.approx(2000, rel=1e-4)
+
+
 def test_outputs_are_those_that_are_wanted() -> None:
     scene = named("still")
     for names in ((), ("raw",), ("electrons", "depth"), ("saturated",)):

@@ -19,6 +19,7 @@ EVERY = {
     "white_electrons": 500.0, "full_well": 700.0, "read_noise": 1.5, "dark_current": 3.0, "temperature": -10.0,
     "temperature_reference": 25.0, "temperature_doubling": 6.0, "prnu": 0.01, "dsnu": 2.0, "hot_pixels": 1e-4,
     "bits": 14, "black_level": 512, "iso": 800.0, "iso_base": 200.0, "quantum_efficiency": [0.4, 0.6, 0.5],
+    "exposure": "physical", "reference_shutter": 0.01, "reference_f_number": 2.8,
     "mosaic": "gbrg", "demosaic": "malvar", "seed": 2**63 - 1, "noise_seed": 2**53 - 1,
 }  # fmt: skip
 
@@ -110,6 +111,15 @@ def test_sensors_are_swept() -> None:
             'sensor.demosaic: must be none, bilinear, malvar or menon; got "linear"',
         ),
         ({"seed": -1}, "sensor.seed: must be between 0 and 9.223372e+18; got -1"),
+        ({"exposure": "manual"}, 'sensor.exposure: must be normalized or physical; got "manual"'),
+        (
+            {"reference_shutter": 0.5},
+            'sensor.reference_shutter: belongs to exposure = "physical", not "normalized"; got 0.5',
+        ),
+        (
+            {"exposure": "physical", "reference_f_number": 0.0},
+            "sensor.reference_f_number: must be greater than 0; got 0.0",
+        ),
         ({"noise_seed": 2**53}, "sensor.noise_seed: must be between 0 and 9.007199e+15; got 9007199254740992"),
         ({"seed": 2**63}, "sensor.seed: must be between 0 and 9.223372e+18; got 9223372036854775808"),
     ],
@@ -118,6 +128,15 @@ def test_what_is_refused(sensor: Any, message: str) -> None:
     with pytest.raises(SceneError) as caught:
         parse_scene({"object": [BALL], "sensor": sensor})
     assert caught.value.messages == (f"scene: {message}",)
+
+
+def test_a_physical_exposure_has_one_opening() -> None:
+    keys = {"keyframe": [{"time": 0.0, "f_number": 2.0}]}
+    with pytest.raises(SceneError, match=r"sensor.exposure: must be normalized where keyframes have f-numbers; got "):
+        parse_scene({"object": [BALL], "sensor": {"exposure": "physical"}, "lens": keys})
+    usual = parse_scene({"object": [BALL], "sensor": EVERY}).replace("sensor.exposure", "normalized").sensor
+    assert usual is not None
+    assert (usual.reference_shutter, usual.reference_f_number) == (1.0, 1.0)
 
 
 def test_all_keys_are_tried() -> None:
