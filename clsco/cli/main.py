@@ -353,8 +353,8 @@ def defocus(
 ) -> None:
     """Defocus IMAGE by its depth map DEPTH, a file of the same size.
 
-    DEPTH is a PNG, TIFF, EXR, PFM, DPT, NPY or NPZ. All else is as in a scene with this one object, whose other keys
-    --set reaches. Where --set gives a key of the camera several values, each has a folder in OUT.
+    DEPTH is a PNG, JPEG, TIFF, EXR, PFM, DPT, NPY or NPZ. All else is as in a scene with this one object, whose other
+    keys --set reaches. Where --set gives a key of the camera several values, each has a folder in OUT.
     """
     from clsco.cli.defocus import check_pair, is_image_file, prepare_image, scenes_from_files, write_color
     from clsco.plan.prepare import prepare_files

@@ -1,4 +1,4 @@
-"""Files of depth maps: PNG, TIFF, EXR, PFM, NPY, NPZ, DPT to arrays."""
+"""Files of depth maps: PNG, JPEG, TIFF, EXR, PFM, NPY, NPZ, DPT to arrays."""
 
 from __future__ import annotations
 
@@ -18,16 +18,13 @@ from clsco.files.tagged import read_floats
 
 MOST_ARRAYS = 256  # in an NPZ
 
-DEPTH_FORMATS = {suffix: kind for suffix, kind in IMAGE_FORMATS.items() if kind != "JPEG"} | {
-    ".npz": "NPZ",
-    ".dpt": "DPT",
-}
+DEPTH_FORMATS = IMAGE_FORMATS | {".npz": "NPZ", ".dpt": "DPT"}
 
 
 def read_depth(path: str | os.PathLike[str], layer: str | None = None) -> NDArray[Any]:
     """Read the numbers of a depth file as it stores them; their meaning is for `inverse_depth`.
 
-    PNG (8 or 16 bits; fewer bits become 8), TIFF (integers or floats), PFM, DPT, NPY, NPZ (the array `depth`, or
+    PNG (8 or 16 bits; fewer bits become 8), JPEG, TIFF (integers or floats), PFM, DPT, NPY, NPZ (the array `depth`, or
     the only one with two dimensions) and EXR (a channel of the layer, as `clsco.files.layers.depth_channels`
     chooses it; pixels outside of its data window are NaN). Three equal channels count as one. The scale of a PFM
     is not applied, as in the readers of Middlebury's files.

@@ -296,8 +296,8 @@ class DepthMap(_Bounded):
     MAPPINGS: ClassVar[Mapping[str, Mapped]] = {}
     shape: Literal["depth_map"] = "depth_map"
     depth: DepthInput
-    """File of depths: PNG, TIFF, EXR, PFM, .npy or .npz; a path, relative to the scene file; in Python also a NumPy
-    array."""
+    """File of depths: PNG, JPEG, TIFF, EXR, PFM, DPT, .npy or .npz; a path, relative to the scene file; in Python also
+    a NumPy array."""
     depth_layer: Name | None = None
     """Layer of the depth, an EXR with several, such as "ViewLayer.Depth" or "Depth". Default: the only depth that there
     is."""

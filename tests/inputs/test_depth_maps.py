@@ -269,7 +269,8 @@ ONLY_NUMBERS = "array depth must hold numbers of shape (rows, columns); got "
 
 # fmt: off
 REFUSED: dict[str, tuple[str, bytes, str]] = {
-    "JPEG": ("a.jpg", b"\xff\xd8\xff", "the extension must be one of .png .tif .tiff .exr .pfm .npy .npz .dpt; got "),
+    "JPEG": ("a.jpg", b"\xff\xd8\xff", "must be a whole JPEG; got "),
+    "WebP": ("a.webp", b"RIFF", "the extension must be one of .png .jpg .jpeg .tif .tiff .exr .pfm .npy .npz "),
     "no NPZ": ("a.npz", NPY, "the content must be NPZ, as the extension says; got NPY"),
     "empty": ("a.npz", b"", "the content must be NPZ, as the extension says; got an empty file"),
     "big PNG": ("a.png", stored(Image.new("L", (13000, 13000)).save, "PNG"), f"{LIMIT}13000 x 13000"),

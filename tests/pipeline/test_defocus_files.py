@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +59,56 @@ def test_a_wall_of_depths_is_a_plane(wall: tuple[Path, Path], tmp_path: Path) ->
     # The figure to reach for whole frames; 0.4 m is 1.5e-8 from 400 mm in float32, and so is R.
     np.testing.assert_allclose(read_image(tmp_path / "out.tif").data[inner], frame.color[inner], rtol=0, atol=1e-5)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["depth.npy", "image.tif", "out.tif"]
+
+
+FIGURE, WALL = 900.0, 4000.0  # mm
+INVERSE = np.full((32, 40), 1000 / WALL)  # 1/m
+INVERSE[8:24, 12:28] = 1000 / FIGURE
+RELATIVE = (INVERSE - INVERSE.min()) / np.ptp(INVERSE)
+LENS = ("--focal-length", 50, "--f-number", 2, "--pixel-pitch", 0.1, "--focus-distance", 1500)
+NETWORK = ("--unit", "inverse_m", "--near", FIGURE, "--far", WALL)
+
+
+def pfm(disparity: NDArray[Any]) -> bytes:
+    return b"Pf\n40 32\n-1.0\n" + disparity[::-1].astype("<f4").tobytes()
+
+
+def tiff(depth: NDArray[Any]) -> bytes:
+    tifffile.imwrite(content := io.BytesIO(), depth)
+    return content.getvalue()
+
+
+def missing(codes: NDArray[Any], value: float = 0) -> NDArray[Any]:
+    codes[:4, 30:] = value
+    return codes
+
+
+@pytest.mark.parametrize(("name", "content", "options"), [
+    ("phone.jpg", imagecodecs.jpeg_encode(np.rint(255 * RELATIVE).astype(np.uint8), level=100), NETWORK),
+    ("phone.tif", tiff(INVERSE.astype(np.float16)), ("--unit", "inverse_m")),
+    ("midas.pfm", pfm(37 * INVERSE - 5), NETWORK),
+    ("anything.png", imagecodecs.png_encode(np.rint(65535 * RELATIVE).astype(np.uint16)), NETWORK),
+    ("fitted.pfm", pfm(37 * INVERSE - 5), ("--unit", "inverse_m", "--scale", "1/37", "--offset", 5 / 37)),
+    ("realsense.png", imagecodecs.png_encode(missing(np.rint(1000 / INVERSE).astype(np.uint16))), ()),
+    # Z = B s0 / (p d) = B f / d, f = 500 px
+    ("kitti.png", imagecodecs.png_encode(missing(np.rint(256 * 0.5 * 200 * INVERSE).astype(np.uint16))),
+        ("--unit", "disparity", "--scale", "1/256", "--baseline", 200)),
+    ("disp0.pfm", pfm(missing(0.5 * 193 * INVERSE - 30, np.inf)),
+        ("--unit", "disparity", "--baseline", 193, "--offset", 30)),
+])  # fmt: skip
+def test_depths_of_phones_networks_and_data_sets(
+    tmp_path: Path, name: str, content: bytes, options: tuple[Any, ...]
+) -> None:
+    """As docs/depth_maps.md says; the wall of disp0.pfm has negative disparities."""
+    imagecodecs.imwrite(tmp_path / "image.png", np.full((32, 40), 99, np.uint8))
+    (tmp_path / name).write_bytes(content)
+    words = ("-o", tmp_path / "out", "--truth", "coc", *LENS, *options)
+    result = clsco_("defocus", tmp_path / "image.png", tmp_path / name, *words)
+    assert result.exit_code == 0, result.output
+    assert ("40 of 1280 pixels have no depth" in result.stderr) == (name[0] in "rkd")
+    camera = Camera(focal_length=50, f_number=2, pixel_pitch=0.1, focus_distance=1500)
+    found = np.load(tmp_path / "out/frame_0000.npz")["coc"]
+    np.testing.assert_allclose(found, blur_radius(camera, INVERSE / 1000), atol=0.03)  # R -3 and 3 px
 
 
 def test_a_folder_gets_frames_and_a_file_the_same_image(wall: tuple[Path, Path], tmp_path: Path) -> None:
