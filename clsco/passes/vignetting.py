@@ -41,7 +41,7 @@ class Vignetting:
 
     Notes
     -----
-    Validated against `clsco.reference.blur.vignetting`.
+    Validated against `clsco.optics.vignetting.throughput`.
     """
 
     def __init__(self, session: Session, kind: Kind, colors: int, pixels: int) -> None:

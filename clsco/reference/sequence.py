@@ -9,25 +9,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.frame.frame import ALL_TRUTH, MAPPING_NAMES, MOTION_NAMES, Frame
+from clsco.frame.frame import MAPPING_NAMES, MOTION_NAMES, SENSOR_NAMES, Frame
 from clsco.inputs.depth_maps import load_scene_depths
 from clsco.inputs.pupils import dimmed, scene_point_spread
 from clsco.inputs.textures import Texture as TextureImage
 from clsco.inputs.textures import load_scene_textures
 from clsco.optics.depth_truth import MapPoints, map_flow, map_normal, map_occluded, map_stereo
-from clsco.optics.exposure import frame_exposure, middle_time
+from clsco.optics.exposure import middle_time
 from clsco.optics.lens_path import camera_at, lenses_at
 from clsco.optics.motion import Eye, poses_at
 from clsco.optics.point_spread import PointSpread, exposure_factor
 from clsco.optics.rims import frame_throughput
-from clsco.optics.sensor import camera_word
+from clsco.optics.sensor import camera_word, sensor_model
 from clsco.optics.texture_mapping import texture_map
-from clsco.plan.plan import Plan, make_plan
-from clsco.plan.predict import Maps
-from clsco.plan.request import Request
 from clsco.reference.common.geometry import Array, blur_radius, pixel_ray
+from clsco.reference.exposure import exposure_of, least_samples
 from clsco.reference.inpainting.fill import FillReport
 from clsco.reference.passes import Warped, crop, run, warped_image
+from clsco.reference.plan import ReferencePlan
 from clsco.reference.sensor.sensor import sensor_outputs
 from clsco.reference.trace.line_truth import line_truth
 from clsco.reference.trace.mapping import mapped_texture
@@ -65,10 +64,10 @@ def render(scene: Scene, *, subframes: bool = False, frames: Iterable[int] | Non
     textures = tuple(_texture(scene, psf, *pair, channels) for pair in zip(scene.objects, loaded, strict=True))
     maps = load_scene_depths(scene)
     eyes: tuple[Eye, ...] = ("left",) if scene.stereo is None else ("left", "right")
-    plans = [make_plan(scene, channels, Request(ALL_TRUTH), eye, maps, psf=psf) for eye in eyes]
+    plans = [ReferencePlan.of(scene, channels, eye, maps, psf) for eye in eyes]
     for frame in range(scene.sequence.frames) if frames is None else frames:
         for plan in plans:
-            yield _frame(plan, textures, maps, frame, subframes)
+            yield _frame(plan, textures, frame, subframes)
 
 
 def _texture(scene: Scene, psf: PointSpread, item: Object, texture: TextureImage, channels: int) -> Texture:
@@ -86,47 +85,50 @@ def _with_channels(radiance: NDArray[np.float32], channels: int) -> Array:
     return np.broadcast_to(image, (*image.shape[:2], channels))
 
 
-def _frame(plan: Plan, textures: tuple[Texture, ...], maps: Maps, index: int, subframes: bool) -> Frame:
-    scene, guard = plan.scene, plan.guard_px
-    color, samples = np.zeros((plan.rows, plan.columns, plan.channels)), []
-    missing, alone = np.zeros(color.shape[:2], dtype=bool), []
-    exposure = frame_exposure(scene, index, plan.samples)
-    for time, weights in zip(exposure.times.tolist(), exposure.weights, strict=True):
-        found = run(plan, textures, maps, time, weights[None] if exposure.by_columns else weights, color)
-        color, missing = found.get("frame", found["plane"]), missing | found.get("missing", False)
+def _frame(plan: ReferencePlan, textures: tuple[Texture, ...], index: int, subframes: bool) -> Frame:
+    scene, guard, maps, samples = plan.scene, plan.claimed[1], plan.maps, []
+    color = np.zeros((*plan.shape, plan.channels))
+    missing, alone = np.zeros(plan.shape, dtype=bool), []
+    least = least_samples(scene, maps, plan.eye, index, guard)
+    for time, weights in zip(*exposure_of(scene, index, plan.claimed[0], least), strict=True):
+        found = run(plan, textures, float(time))
+        color = color + (weights if scene.sequence.by_columns else weights[:, None])[..., None] * found["plane"]
+        missing = missing | found.get("missing", False)
         if subframes:
             alone.append(_without_channel(found["plane"]))
-        report = found.get("counts", asdict(FillReport()))
+        report = found.get("counts") or asdict(FillReport())
         report |= {name: found[name] for name in ("depth_layers",) if name in found}
-        samples.append({"time": time, "weight": float(weights.mean()), **report})
-    arrays = _truth(plan, textures, maps, index) | {"filled": np.zeros(color.shape[:2], dtype=np.uint8)}
+        samples.append({"time": float(time), "weight": float(weights.mean()), **report})
+    arrays = _truth(plan, textures, index) | {"filled": np.zeros(color.shape[:2], dtype=np.uint8)}
     if plan.forward or plan.static_map:
-        time = middle_time(scene.sequence, index) if plan.moves else 0.0
+        time = middle_time(scene.sequence, index) if scene.moves else 0.0
         middle = warped_image(scene, textures, maps, guard, time, plan.eye)
         arrays |= {"sharp": crop(middle.sources.radiance, guard), "filled": crop(middle.status, guard)}
         missing = arrays["filled"] > 0 if plan.static_map else missing
         if not scene.is_analytic:
-            arrays |= _map_truth(plan, textures, maps, middle, index)
+            arrays |= _map_truth(plan, textures, middle, index)
     arrays |= {"missing": missing, "subframes": np.stack(alone) if alone else None}
     if scene.darkens or scene.aperture.rim:
-        middle_of_exposure = middle_time(scene.sequence, index) if plan.moves else 0.0
+        middle_of_exposure = middle_time(scene.sequence, index) if scene.moves else 0.0
         arrays["throughput"] = frame_throughput(scene, middle_of_exposure, plan.psf)
     sharp = _without_channel(arrays.pop("sharp"))
     arrays["color"] = _without_channel(color)
-    if plan.sensor_model is not None:
-        arrays |= sensor_outputs(plan.sensor_model, color, camera_word(index, plan.eye), plan.truth)
+    if scene.sensor is not None:
+        model = sensor_model(scene, plan.channels)
+        arrays |= sensor_outputs(model, color, camera_word(index, plan.eye), SENSOR_NAMES)
     eye = plan.eye if scene.stereo else ""
     about = {"intermediate": samples, "f_number": camera_at(scene, middle_time(scene.sequence, index)).opening}
     return Frame(index=index, sharp=sharp, metadata=about, eye=eye, **arrays)
 
 
-def _truth(plan: Plan, textures: tuple[Texture, ...], maps: Maps, index: int) -> dict[str, Any]:
+def _truth(plan: ReferencePlan, textures: tuple[Texture, ...], index: int) -> dict[str, Any]:
     """Ground truth from rays; empty where the scene has depth maps, which are not ray-castable."""
-    if any(depth is not None for depth in maps):
+    scene = plan.scene
+    if not scene.is_analytic:
         return {}
-    made = line_truth if plan.scene.rolls else ground_truth
-    found = vars(made(plan.scene, textures, index, plan.eye))
-    others = (*(() if plan.moves else MOTION_NAMES), *(() if plan.mapped else MAPPING_NAMES))
+    made = line_truth if scene.rolls else ground_truth
+    found = vars(made(scene, textures, index, plan.eye))
+    others = (*(() if scene.moves else MOTION_NAMES), *(() if scene.has_mapped_textures else MAPPING_NAMES))
     return {name: array for name, array in found.items() if name not in others}
 
 
@@ -135,12 +137,12 @@ def _depth(sources: Sources) -> Array:
     return np.where(sources.lit, 1.0 / np.where(sources.lit, sources.inverse_depth, 1.0), np.inf)
 
 
-def _map_truth(plan: Plan, textures: tuple[Texture, ...], maps: Maps, middle: Warped, index: int) -> dict[str, Any]:
+def _map_truth(plan: ReferencePlan, textures: tuple[Texture, ...], middle: Warped, index: int) -> dict[str, Any]:
     """Ground truth of a scene with depth maps: of the pixels in their new places."""
-    scene, guard = plan.scene, plan.guard_px
+    scene, guard, maps = plan.scene, plan.claimed[1], plan.maps
     valid = crop(middle.sources.lit, guard)
     w = crop(middle.sources.inverse_depth, guard)
-    middle_of_exposure = middle_time(scene.sequence, index) if plan.moves else 0.0
+    middle_of_exposure = middle_time(scene.sequence, index) if scene.moves else 0.0
     rays = pixel_ray(camera_at(scene, middle_of_exposure), *padded_grid(scene.camera, 0))
     lenses = lenses_at(scene, middle_of_exposure)
     radii = [np.where(valid, blur_radius(lens, rays, w), 0.0) for lens in lenses]
@@ -149,12 +151,12 @@ def _map_truth(plan: Plan, textures: tuple[Texture, ...], maps: Maps, middle: Wa
     surface = valid & ~np.isin(seen, known)  # the background has radiance and blur, and is no surface
     number = np.where(surface, seen, -1).astype(np.int32)
     depth = np.where(surface, 1.0 / np.where(surface, w, 1.0), np.inf)
-    times = [middle_time(scene.sequence, k) if plan.moves else 0.0 for k in (index, index + 1, index - 1)]
+    times = [middle_time(scene.sequence, k) if scene.moves else 0.0 for k in (index, index + 1, index - 1)]
     now, then, before = ((camera_at(scene, time), poses_at(scene, time, plan.eye)) for time in times)
     shown = MapPoints(scene.objects, depth, number, *now)
     stereo: dict[str, Any] = {}
     moving: dict[str, Any] = {}
-    if plan.moves:
+    if scene.moves:
         following = _depth(warped_image(scene, textures, maps, guard, times[1], plan.eye).sources)
         moving["flow_backward"] = map_flow(shown, *before)
         moving["flow_occluded"] = map_occluded(shown, *then, crop(following, guard))

@@ -1,6 +1,5 @@
 // Exposure of a frame: I(x) = sum_t weight_t(line of x) B_t(x), where B_t is the blurred image of time sample t, and
-// lines are rows, or with SCAN_COLUMNS columns. Twin:
-// clsco/reference/blur/accumulate.py. Host: clsco/passes/accumulate.py, for frames of several time samples.
+// lines are rows, or with SCAN_COLUMNS columns. Host: clsco/passes/accumulate.py, for frames of several time samples.
 //
 // Kahan's sum: `lost` is what rounding has added to `sum` so far, which the next time sample takes back. However many
 // there are, a pixel is off by the rounding of its weights and of one sum. SUMMED_PIXELS of a row at a time took it

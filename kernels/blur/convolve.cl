@@ -1,5 +1,5 @@
-// Blur with one radius for all sources and no tilt: a plain convolution, I(x) = sum_d w(d) L(x - d). Twin:
-// clsco/reference/blur/convolve.py. Host: clsco/passes/convolve.py, which picks it for frames of one blur radius.
+// Blur with one radius for all sources and no tilt: a plain convolution, I(x) = sum_d w(d) L(x - d). Host:
+// clsco/passes/convolve.py, which picks it for frames of one blur radius.
 //
 // A PSF is the sum of two parts, which clsco/optics/stencil.py finds. What is the same everywhere inside of a disc is a
 // union of rectangles, taken from sums over rectangles (sum_across, sum_down) in whole numbers: what is added and taken

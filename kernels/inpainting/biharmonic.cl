@@ -1,8 +1,7 @@
 // The biharmonic equation in holes: conjugate gradients with a preconditioner of splines at all sizes
 // (clsco/inpainting/biharmonic.py has the method and its sources). Unknowns are in lists: `list` holds their pixels,
 // row by row, `index` (rows, columns) their places in the list, -1 at pixels that are none. Vectors are (count,
-// CHANNELS). Sums have a fixed order. One work-item per unknown unless said otherwise. Twin:
-// clsco/reference/inpainting/biharmonic.py.
+// CHANNELS). Sums have a fixed order. One work-item per unknown unless said otherwise.
 
 __constant int STEP_Y[4] = {-1, 1, 0, 0}, STEP_X[4] = {0, 0, -1, 1};
 

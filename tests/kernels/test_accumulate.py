@@ -13,7 +13,6 @@ from clsco.opencl.session import Session
 from clsco.passes.accumulate import FrameSum
 from clsco.passes.blur import Plane
 from clsco.plan.buffers import sum_buffers
-from clsco.reference.blur.accumulate import accumulate
 from tests.kernels.launches import Amid, run
 
 RNG = np.random.default_rng
@@ -50,7 +49,7 @@ def test_many_planes_are_off_by_no_more_than_a_few(session: Session, channels: i
     for weights in ramp:
         frame = found.add(plane, weights, [])
         plain += weights[:, None].astype(np.float32) * image
-        exact = accumulate(exact, np.moveaxis(image, 0, -1).astype(np.float64), weights)
+        exact = exact + weights[:, None, None] * np.moveaxis(image, 0, -1).astype(np.float64)
     error = np.abs(frame.read(session).reshape(exact.shape) - exact)
     assert error.max() < 1.2e-7 < 1e-6 < np.abs(np.moveaxis(plain, 0, -1) - exact).max()
     found.clear()
@@ -71,7 +70,7 @@ def test_planes_of_some_rows_are_added_to_these(session: Session) -> None:
             plane = Plane(copied(session, image), image.shape, count, columns)
             frame = found.add(plane, weights, [], top, rows)
             part = total[top : top + count]
-            total[top : top + count] = accumulate(part, np.moveaxis(image, 0, -1).astype(np.float64), weights)
+            total[top : top + count] = part + weights[:, None, None] * np.moveaxis(image, 0, -1).astype(np.float64)
     np.testing.assert_allclose(frame.read(session), total, atol=3e-7)
 
 
@@ -83,5 +82,5 @@ def test_weights_of_columns(session: Session, columns: int) -> None:
     for k in range(3):
         image, weights = RNG(k).random((1, rows, columns), np.float32), RNG(9 + k).random(columns)
         frame = found.add(Plane(copied(session, image), image.shape, rows, columns), weights, [])
-        total = accumulate(total, np.moveaxis(image, 0, -1).astype(np.float64), weights[None])
+        total = total + weights[:, None] * np.moveaxis(image, 0, -1).astype(np.float64)
     np.testing.assert_allclose(frame.read(session), total[..., 0], atol=3e-7)

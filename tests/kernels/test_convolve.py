@@ -25,8 +25,8 @@ from clsco.passes.pack import grid_struct
 from clsco.plan.buffers import SUMS_BEYOND
 from clsco.plan.methods import BlurSpec
 from clsco.records import flat
-from clsco.reference.blur.convolve import convolve
 from clsco.scene.model import Psf
+from tests.spreads import convolve
 
 Array = NDArray[Any]
 RNG = np.random.default_rng

@@ -17,7 +17,7 @@ from clsco.inputs.textures import Texture
 from clsco.opencl.buffers import download, upload
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Session
-from clsco.optics.lens import Lens, blur_radius
+from clsco.optics.lens import Lens
 from clsco.optics.motion import pose_at
 from clsco.optics.quadrics import place
 from clsco.passes import fill
@@ -32,15 +32,13 @@ from clsco.records import REAL, Real, flat, structs
 from clsco.reference.common.geometry import pixel_ray, solve_quadric
 from clsco.reference.inpainting.fill import (
     Method,
-    far_bounds,
-    fill_ait,
     fill_objects,
     find_spans,
     mark_grown,
     mark_missing,
     settle_sweep,
 )
-from clsco.reference.inpainting.fill_mean_median import fill_mean_median, smooth_median
+from clsco.reference.inpainting.fill_mean_median import smooth_median
 from clsco.reference.inpainting.score import score_mean_median
 from clsco.reference.trace.trace import padded_grid
 from clsco.scene.model import Camera, Fill, Motion, Object, ObjectMotion, Plane, Sphere
@@ -115,20 +113,20 @@ class Planes:
     def seen(self) -> tuple[cl.Buffer, ...]:
         return () if self.filler.planes.object is None else (self.filler.planes.object,)
 
-    def bounded(self, bounds: NDArray[np.float32] | None, *before: Any) -> tuple[Any, ...]:
+    def bounded(self, bounds: NDArray[np.float32] | None) -> tuple[Any, ...]:
         """Arguments of a kernel with bounds on the inverse depth of neighbors, and without."""
         if bounds is None:
             return ()
         cl.enqueue_copy(self.session.queue, self.filler.planes.far[0], np.ascontiguousarray(bounds))
-        return (*before, *self.filler.planes.far)
+        return self.filler.planes.far
 
     def run(self, name: str, size: int, *args: Any, local: int = 8) -> None:
         head = [getattr(self.filler, each) for each in ("grid", "lens") if each in parameters(name)]
         launch(self.session, kernel(self.program, name), (size,), (local,), *head, *args)
 
-    def fill_ait(self, mask: Mask, *rule: Any) -> None:
+    def fill_ait(self, mask: Mask) -> None:
         f, (pixels, count) = self.filler.planes, self.listed(mask)
-        self.run("fill_ait", int(count), pixels, count, *rule, f.valid, f.value, f.w, f.coc, f.status, *self.seen)
+        self.run("fill_ait", int(count), pixels, count, f.valid, f.value, f.w, f.coc, f.status, *self.seen)
 
     def smooth_median(self, mask: Mask, bounds: NDArray[np.float32] | None, *planes: cl.Buffer) -> None:
         """planes: values and inverse depth before, and after."""
@@ -244,30 +242,6 @@ def test_only_the_eight_neighbors_serve(session: Session) -> None:
         assert (planes.read("status") == (listed & west)).all()
 
 
-@pytest.mark.parametrize(("channels", "far"), mostly_slow([(1, None), (3, None), (1, 1), (3, 0)], [(1, 1), (3, None)]))
-def test_a_sweep_of_ait_is_its_twin(session: Session, channels: int, far: int | None) -> None:
-    """far: whether neighbors are bounded (1), or would be but for a stalled sweep (0)."""
-    swept = 0
-    for values, known in cases(60, 20, channels):
-        missing = mark_missing(known, None)
-        if not missing.any():
-            continue
-        planes = Planes(session, values, known, "ait", far=far is not None)
-        given = np.where(known[..., None], values, 0.0)
-        bounds = None if far is None else far_bounds(given[..., -1], known, missing)
-        planes.fill_ait(missing, *planes.bounded(bounds, np.int32(far or 0)))
-        within = np.full_like(bounds, np.inf) if far == 0 else bounds
-        expected, filled, source = fill_ait(given, known, missing, within)
-        assert (planes.read("status") == filled).all()
-        if far is not None:
-            assert (planes.read("object") == objects_of(known).ravel()[source]).all()
-        close(planes.values(), expected)
-        coc = np.where(filled, blur_radius(planes.camera, expected[..., -1]), 0.0)
-        np.testing.assert_allclose(planes.read("coc", np.float64), coc, rtol=1e-12)
-        swept += int(filled.sum())
-    assert swept > 1000
-
-
 @pytest.mark.parametrize(
     ("domain", "method"),
     combined(("span", "surface"), ("ait", "mean_median"), kept=[("span", "mean_median"), ("surface", "ait")]),
@@ -321,57 +295,6 @@ def test_scores_are_those_of_its_twin(session: Session, channels: int) -> None:
         found = score_of_sums(download(session, f.sums, (count, SCORE_SUMS), np.int64), 2**16)
         assert found == score_mean_median(values[..., :-1], known, 2**16)
         assert found.samples or min(shape) < 4
-
-
-@pytest.mark.parametrize(("channels", "far"), mostly_slow([(1, False), (3, False), (1, True)], [(3, False), (1, True)]))
-def test_a_sweep_of_mean_median_is_its_twin(session: Session, channels: int, far: bool) -> None:
-    rng = np.random.default_rng(61)
-    swept = 0
-    for values, known in cases(40, 20, channels):
-        missing = mark_missing(known, None)
-        if not missing.any():
-            continue
-        given = np.where(known[..., None], values, 0.0)
-        bounds = far_bounds(given[..., -1], known, missing) if far else None
-        for minimum in (4, 3, 2, 1, 0) if far else (4, 3, 2, 1):
-            planes, wins = Planes(session, values, known, "mean_median", far=far), rng.random(9) < 0.5
-            wins[:4] = False
-            pixels, count = planes.listed(missing)
-            f, bits = planes.filler.planes, np.int32((wins << np.arange(9)).sum())
-            planes_out = (f.valid, f.value, f.w, f.coc, f.status, *planes.seen)
-            args = (pixels, count, bits, np.int32(minimum), *planes.bounded(bounds), *planes_out)
-            planes.run("fill_mean_median", -(-int(count) // FILL_LANES), *args)
-            within = bounds if minimum or bounds is None else np.full_like(bounds, np.inf)
-            expected, filled, source = fill_mean_median(given, known, missing, wins, minimum, within)
-            assert (planes.read("status") == filled).all()
-            if far:
-                assert (planes.read("object") == objects_of(known).ravel()[source]).all()
-            close(planes.values(), expected)
-            coc = np.where(filled, blur_radius(planes.camera, expected[..., -1]), 0.0)
-            np.testing.assert_allclose(planes.read("coc", np.float64), coc, rtol=1e-12)
-            swept += int(filled.sum())
-    assert swept > 1000
-
-
-@pytest.mark.parametrize(("channels", "far"), [(1, False), (3, False), (3, True)])
-def test_a_round_of_smoothing_is_its_twin(session: Session, channels: int, far: bool) -> None:
-    rng = np.random.default_rng(67)
-    alone = 0
-    for values, valid in cases(40, 20, channels):
-        filled = valid & (rng.random(valid.shape) < 0.6)
-        if not filled.any():
-            continue
-        planes = Planes(session, values, valid, "mean_median", far=far)
-        f = planes.filler.planes
-        bounds = rng.random(valid.shape).astype(np.float32) if far else None
-        for source, target in ((f.value, f.other_value), (f.w, f.other_w)):
-            cl.enqueue_copy(session.queue, target, source, byte_count=source.size)
-        planes.smooth_median(filled, bounds, f.other_value, f.other_w, f.value, f.w)
-        given = np.where(valid[..., None], values, 0.0)
-        expected = smooth_median(given, filled, valid, bounds)
-        close(planes.values(), expected)
-        alone += int((expected == given)[filled].all(axis=-1).sum())
-    assert not far or alone > 50  # pixels that no neighbor may serve
 
 
 def test_smoothing_writes_all_that_is_listed(session: Session) -> None:

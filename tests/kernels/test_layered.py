@@ -144,7 +144,7 @@ def test_labels_are_those_of_the_twin(session: Session) -> None:
     view = View((-4.2, -1.4, 1.2, 3.9), shape=(150, 140), guard=9, channels=3, holes=True)
     device = Device(session, view)
     _, count = device.image()
-    low, bins = twin.bins_of(view.largest)
+    low, bins = depth_layers.bins_of(view.largest)
     assert (device.clusters.low, device.clusters.bins) == (low, bins)
     latest, largest_sum = twin.find_discontinuities(
         view.coc, view.valid, low, bins, 2 * point_spread(view.psf).reach(view.largest) + 1
@@ -152,10 +152,12 @@ def test_labels_are_those_of_the_twin(session: Session) -> None:
     device.clusters.find(device.at, Image(empty(session, 1), device.maps))
     found = download(session, device.clusters.buffers["latest"], (latest.size + 1,), np.int32)
     np.testing.assert_array_equal(found, [*latest.ravel(), largest_sum])
-    layer = twin.label_depth_layers(view.coc, view.valid, low, bins, twin.layer_bounds(latest))
+    layer = twin.label_depth_layers(view.coc, view.valid, low, bins, depth_layers.layer_bounds(latest.astype(np.int32)))
     seed = twin.seed_hidden(view.coc, layer)
     offset = twin.column_seeds(seed)
-    hidden, edge = twin.reach_hidden(layer, seed, offset, twin.depth_of_hidden(point_spread(view.psf), largest_sum))
+    hidden, edge = twin.reach_hidden(
+        layer, seed, offset, depth_layers.depth_of_hidden(point_spread(view.psf), largest_sum)
+    )
     assert count == layer.max() > 3
     assert (hidden > 0).any()
     assert not edge.all()
@@ -181,7 +183,7 @@ def test_seeds_of_frames_taller_than_any_blur(session: Session) -> None:
     assert np.abs(offset[:, 1]).max() > 10000
     np.testing.assert_array_equal(device.read("seed", np.uint8), seed)
     np.testing.assert_array_equal(device.read("offset", np.int32), offset)
-    deep = twin.depth_of_hidden(point_spread(view.psf), 7)
+    deep = depth_layers.depth_of_hidden(point_spread(view.psf), 7)
     hidden, edge = twin.reach_hidden(layer, seed, offset, deep)
     np.testing.assert_array_equal(device.read("hidden", np.uint8), hidden)
     np.testing.assert_array_equal(device.read("edge", np.bool_), edge)
@@ -195,33 +197,16 @@ def test_the_last_layer_is_extended_as_by_the_twin(session: Session) -> None:
     device.image()
     layer, hidden = device.read("layer", np.uint8), device.read("hidden", np.uint8)
     _, largest_sum = twin.find_discontinuities(
-        view.coc, view.valid, *twin.bins_of(4.5), 2 * point_spread(view.psf).reach(view.largest) + 1
+        view.coc, view.valid, *depth_layers.bins_of(4.5), 2 * point_spread(view.psf).reach(view.largest) + 1
     )
-    deep = twin.depth_of_hidden(point_spread(view.psf), largest_sum)
+    deep = depth_layers.depth_of_hidden(point_spread(view.psf), largest_sum)
     value, radius, there = twin.extend_depth_layer(view.radiance, view.coc, layer, hidden, int(layer.max()), deep)
-    assert [twin.level_count(n) for n in range(1, 99)] == [depth_layers.level_count(n) for n in range(1, 99)]
     size = view.coc.shape
     found = np.moveaxis(download(session, device.clusters.buffers["value"], (4, *size), np.float32), 0, -1)
     # A mean of means, each of 16 terms: a few roundings of 2^-24 of values up to 4.
     np.testing.assert_allclose(found, value, rtol=0, atol=1e-6)
     np.testing.assert_allclose(device.read("coc", np.float64), radius, rtol=0, atol=2e-6)
     np.testing.assert_array_equal(device.read("valid", np.bool_), there)
-
-
-def test_bounds_of_the_host_are_those_of_the_twin() -> None:
-    rng = RNG(12)
-    assert depth_layers.MOST_LAYERS == twin.MOST_LAYERS
-    low, bins = twin.bins_of(30.0)
-    assert depth_layers.bins_of(30.0) == (low, bins)
-    counts = set()
-    for surfaces in (1, 2, 3, 6, 12, 40):
-        coc = rng.uniform(-30, 30, surfaces)[rng.integers(0, surfaces, (20, 20))]
-        latest, _ = twin.find_discontinuities(coc, rng.random((20, 20)) < 0.9, low, bins, 5)
-        bounds = depth_layers.layer_bounds(latest.astype(np.int32))
-        assert bounds == twin.layer_bounds(latest)
-        counts.add(len(bounds))
-    assert {0, 1} < counts
-    assert max(counts) < twin.MOST_LAYERS
 
 
 @pytest.mark.slow

@@ -8,7 +8,6 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
-import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
@@ -25,12 +24,11 @@ from clsco.inpainting.mean_median import (
     Stages,
     blend_border,
     dilated,
-    group_size,
     score_image,
 )
 from clsco.inpainting.rules import MeanMedian, bits_of, most_sweeps, score_of_sums
 from clsco.opencl import source_text
-from clsco.opencl.buffers import copied, download, empty, upload
+from clsco.opencl.buffers import copied, download, upload
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Program, Session
 from clsco.passes.pack import grid_struct
@@ -241,42 +239,6 @@ def test_a_lone_pixel_is_filled_by_one_launch_and_smoothed(session: Session, mon
     smoothed = smooth_median(filled, missing, np.ones_like(missing))
     assert smoothed[2, 2] != filled[2, 2]
     assert (holes.smooth(1, lambda share: None) == smoothed[missing]).all()
-
-
-def test_a_sweep_and_its_end_are_their_twins(session: Session) -> None:
-    rng = np.random.default_rng(19)
-    missing = rng.random((40, 37)) < 0.7
-    image = rng.random((40, 37, 2)).astype(np.float32)
-    built, layout = program(session, 2), Layout(missing)
-    holes = Holes(session, built, layout, image)
-    taken = (twin.settle_holes(~missing, missing, np.zeros_like(missing))[2] >= 4) & missing
-    entries = rng.permutation(layout.at[taken[missing]])
-    size, slots = layout.pixels.size, layout.slots
-    lists = empty(session, 16 * size)
-    cl.enqueue_copy(session.queue, lists, np.concatenate([np.full(7, -1, np.int32), entries]))
-    state = copied(session, np.zeros((5, 2), np.int32))
-    part = (holes.slots, np.int32(7), np.int32(7 + entries.size))
-    args = (*part, np.int32(bits_of(SOME_WIN)), lists, holes.beside, holes.value, holes.found)
-    launch(session, kernel(built, "fill_holes"), (-(-entries.size // FILL_LANES),), VECTORS, *args)
-    values = np.where(missing[..., None], np.float32(0), image)
-    expected, filled = twin.fill_holes(values, ~missing, missing, SOME_WIN, 4)
-    assert (filled == taken).all()
-    assert (holes.values() == np.inf).all()
-    ending = (holes.beside, holes.missing, np.int32(4), holes.found, holes.value, holes.near, lists, state)
-    group = min(group_size(session), 64)
-    launch(session, kernel(built, "settle_holes"), (1 if group == 1 else entries.size,), (group,), *part, *ending)
-    known, left, counts = twin.settle_holes(~missing, missing, filled)
-    found, valid = holes.values(), known[missing]
-    assert (found[valid] == expected[missing][valid]).all()
-    assert (found[~valid] == np.inf).all()
-    assert (download(session, holes.near, (slots,), np.int32)[layout.at] == counts[missing]).all()
-    ends, listed = download(session, state, (5, 2), np.int32), download(session, lists, (4, size), np.int32)
-    assert ends[0, 1] == filled.sum()
-    before = holes.level
-    for k in range(1, 5):
-        come = (before < k) & (counts[missing] >= k)
-        assert sorted(listed[k - 1, : ends[k, 1]]) == layout.at[come].tolist()
-    assert (left == (missing & ~filled)).all()
 
 
 @pytest.mark.parametrize(("shape", "channels"), [((1, 1), 1), ((1, 9), 1), ((2, 70), 3), ((50, 43), 3), ((33, 8), 16)])

@@ -22,7 +22,6 @@ from clsco.reference.warp.warp import (
     reproject_depth,
     reproject_gaps,
     reproject_gather,
-    reproject_nearest,
     reproject_rest,
     reproject_targets,
     reproject_winner,
@@ -140,7 +139,7 @@ def test_each_kernel_is_its_twin(session: Session, any_warp: Warp, make_case: Ma
     assert (target == expected_target).all()
     np.testing.assert_allclose(moved, expected_moved, rtol=1e-12)
     key = moved.astype(np.float32)
-    expected_winner = narrow(reproject_nearest(expected_target, key, pixels))
+    expected_winner = narrow(reproject_winner(expected_target, key, reproject_depth(expected_target, key, pixels)))
     if owned:
         for row, rows in enumerate(target.reshape(rest.shape)):
             for i, (low, high) in enumerate(bounds.reshape(rest.shape[0], -1, 2)[row]):
@@ -217,7 +216,8 @@ def test_of_equal_sources_the_first_wins(session: Session, make_case: Maker) -> 
     rng = np.random.default_rng(13)
     moved = rng.integers(1, 4, 200) * (1 / 250.0) * (1 + 1e-10 * rng.random(200))
     target = rng.integers(-1, 40, 200).astype(np.int32)
-    expected = narrow(reproject_nearest(target.astype(np.int64), moved.astype(np.float32), 200))
+    given = target.astype(np.int64), moved.astype(np.float32)
+    expected = narrow(reproject_winner(*given, reproject_depth(*given, 200)))
     best = reproject_depth(target.astype(np.int64), moved.astype(np.float32), 200)
     ties = sum(target[i] >= 0 and np.float32(moved[i]) == best[target[i]] for i in range(200))
     assert ties > (expected != NO_WINNER).sum() + 20

@@ -76,7 +76,7 @@ TESTS = {
     "inpainting/lanes.clh": "kernels/test_fill",
     "inpainting/mean_median.cl": "kernels/test_mean_median inpainting/test_inpaint",
     "inpainting/score.cl": "kernels/test_mean_median kernels/test_fill",
-    "layered/layered.cl": "kernels/test_layered_amid kernels/test_layered engine/test_defocus",
+    "layered/layered.cl": "kernels/test_layered engine/test_defocus",
     "sensor/noise.clh": "kernels/test_sensor",
     "sensor/sensor.cl": "kernels/test_sensor pipeline/test_sensor",
     "trace/light.clh": "pipeline/test_light",
@@ -91,7 +91,7 @@ TESTS = {
     "trace/truth.cl": "kernels/test_trace kernels/test_trace_bounds kernels/test_trace_hidden",
     "trace/trace.cl": "kernels/test_silhouettes kernels/test_trace_hidden kernels/test_trace_bounds "
     "kernels/test_trace kernels/test_geometry pipeline/test_views pipeline/test_scenes",
-    "warp/warp.cl": "kernels/test_warp_amid kernels/test_warp_kernels kernels/test_warp pipeline/test_scenes",
+    "warp/warp.cl": "kernels/test_warp_kernels kernels/test_warp pipeline/test_scenes",
 }
 """File -> tests that reach it, the quickest first; kernels by their folder there."""
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -49,7 +48,6 @@ def exposed(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[int], Array]
             times = frame_exposure(scene, frame, samples).times
             return Exposure(times, weights(len(times)))
 
-        import_module("clsco.reference.sequence")  # imported later, it would keep what is changed for this test
         for name, module in list(sys.modules.items()):
             if name.startswith("clsco.") and vars(module).get("frame_exposure") is frame_exposure:
                 monkeypatch.setattr(module, "frame_exposure", changed)
@@ -70,25 +68,22 @@ def ramp(samples: int) -> Array:
 
 @pytest.mark.parametrize("name", mostly_slow(CASES, ["visibility"]))
 def test_rows_are_those_of_their_time_samples(name: str, exposed: Callable[[Callable[[int], Array]], None]) -> None:
-    """To the bit, on the device and in the reference."""
+    """To the bit."""
     wanted, row = scene(CASES[name], MOVING, CARD), np.arange(ROWS)
     exposed(rolling)
-    (frame,), (exact,) = clsco.render(wanted, truth=("subframes",)), reference.render(wanted, subframes=True)
-    for found in (frame, exact):
-        assert found.subframes is not None
-        np.testing.assert_array_equal(found.color, found.subframes[row * SAMPLES // ROWS, row])
-        assert (found.subframes[0] != found.subframes[-1]).any()
-    np.testing.assert_allclose(frame.color, exact.color, atol=1e-5)
+    (frame,) = clsco.render(wanted, truth=("subframes",))
+    assert frame.subframes is not None
+    np.testing.assert_array_equal(frame.color, frame.subframes[row * SAMPLES // ROWS, row])
+    assert (frame.subframes[0] != frame.subframes[-1]).any()
 
 
 def test_a_still_scene_is_as_bright_as_its_weights(exposed: Callable[[Callable[[int], Array]], None]) -> None:
     still = scene({}, CARD)
-    (plain,), (exact,) = clsco.render(still, truth=()), reference.render(still)
+    (plain,) = clsco.render(still, truth=())
     exposed(lambda samples: np.linspace(0.25, 1.75, ROWS)[None])
-    (frame,), (weighted,) = clsco.render(still, truth=()), reference.render(still)
+    (frame,) = clsco.render(still, truth=())
     gain = np.linspace(0.25, 1.75, ROWS)[:, None]
     np.testing.assert_allclose(frame.color, gain * plain.color, rtol=2.0**-22)
-    np.testing.assert_allclose(weighted.color, gain * exact.color, rtol=1e-15)
 
 
 def test_weights_of_a_row_are_those_of_the_frame_in_strips(
@@ -96,14 +91,13 @@ def test_weights_of_a_row_are_those_of_the_frame_in_strips(
 ) -> None:
     wanted = scene({}, MOVING, CARD)
     exposed(ramp)
-    (whole,), (exact,) = clsco.render(wanted, truth=("subframes",)), reference.render(wanted)
+    (whole,) = clsco.render(wanted, truth=("subframes",))
     memory = device_bytes(prepare(wanted, Request(("subframes",)), choose()).plan) - 1
     (tight,) = clsco.render(wanted, truth=("subframes",), memory=memory)
     assert tight.metadata["strips"] > whole.metadata["strips"] == 1
     assert whole.subframes is not None
     np.testing.assert_array_equal(tight.color, whole.color)
     np.testing.assert_array_equal(tight.subframes, whole.subframes)
-    np.testing.assert_allclose(whole.color, exact.color, atol=1e-5)
     summed = np.einsum("tr,trc->rc", ramp(SAMPLES), whole.subframes.astype(np.float64))
     np.testing.assert_allclose(whole.color, summed, atol=1.2e-7)
     assert np.abs(whole.color - whole.subframes.mean(axis=0)).max() > 0.01

@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 
 from clsco.optics.point_spread import point_spread
 from clsco.optics.visibility import OcclusionGroup
-from clsco.reference.blur.accumulate import accumulate
-from clsco.reference.blur.blur import gather, prepare_sources, renormalize, resolve, scatter, tilt_factor
-from clsco.reference.blur.convolve import convolve
+from clsco.reference.blur.blur import prepare_sources, renormalize, scatter, tilt_factor
 from clsco.reference.common.geometry import tilt_slope
 from clsco.reference.trace.trace import Sources, SubpixelSources, mark_silhouettes, trace, trace_subpixels, view_at
 from clsco.scene.model import Plane, Psf, Scene, Sphere
@@ -126,7 +124,6 @@ def test_scatter_is_the_plain_sum(psf: Psf, tilt: bool, border: str) -> None:
         assert expected.max() > 0.3
         # A few hundred terms below 1 each, added in another order.
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13)
-        assert (gather(spec_of(psf), sources, some, (11, 15), 3) == found).all()
 
 
 @pytest.mark.parametrize("tilt", [True, False])
@@ -172,19 +169,6 @@ def test_constant_image_stays_constant(psf: Psf, radius: float) -> None:
     np.testing.assert_allclose(color, 0.7, rtol=1e-12)  # the weights' own sum is 1 to 1e-12
     if guard > 1:
         assert scatter(spec_of(psf), sources, None, (9 + 2 * guard, 12 + 2 * guard), 0).min() < 0.69  # border loses
-
-
-@pytest.mark.parametrize("psf", PSFS, ids=name_of)
-def test_convolve_is_scatter_of_one_radius(psf: Psf) -> None:
-    sources = random_sources((18, 20), 1.0, 0.0, channels=3)
-    sources = replace(sources, radius=np.where(sources.lit, -2.3, 0.0))
-    expected = scatter(spec_of(psf), sources, None, (12, 14), 3)
-    np.testing.assert_allclose(convolve(point_spread(psf), sources.radiance, -2.3, 3), expected, atol=1e-13)
-    dx, dy = np.meshgrid(np.arange(-9.0, 10), np.arange(-9.0, 10))
-    plain = point_spread(psf).weights(dx, dy, np.asarray(2.3))
-    lit = np.zeros((19, 19, 1))
-    lit[9, 9] = 1.0
-    np.testing.assert_allclose(convolve(point_spread(psf), lit, 2.3, 0)[..., 0], plain, atol=1e-15)
 
 
 def test_renormalizing_gives_all_light_back_to_the_frame() -> None:
@@ -323,15 +307,3 @@ def test_silhouette_of_a_sphere_gains_from_subpixels() -> None:
     assert fine.min() < 0.01
     one, four = (np.sqrt(np.mean((image(s, everywhere=False) - fine) ** 2)) for s in (1, 4))
     assert four < 0.5 * one
-
-
-def test_resolve_undoes_the_scale() -> None:
-    light = np.array([0.0, 0.25, 3.0])
-    assert (resolve(np.floor(light * 2**20 + 0.5).astype(np.int64), 2**20) == light).all()
-
-
-def test_accumulate_is_a_weighted_sum() -> None:
-    first, second = np.full((2, 3, 1), 1.0), np.full((2, 3, 1), 4.0)
-    total = accumulate(accumulate(np.zeros((2, 3, 1)), first, 0.25), second, np.array([0.75, 0.5]))
-    assert (total[0] == 3.25).all()
-    assert (total[1] == 2.25).all()

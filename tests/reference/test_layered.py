@@ -9,18 +9,15 @@ import pytest
 from numpy.typing import NDArray
 
 from clsco.constants import DISCONTINUITY, LAYER_BIN, NO_SEED
+from clsco.optics.depth_layers import MOST_LAYERS, bins_of, layer_bounds, level_count
 from clsco.reference.blur.blur import prepare_sources, scatter
 from clsco.reference.layered.layered import (
-    MOST_LAYERS,
-    bins_of,
     column_seeds,
     composite,
     extend_depth_layer,
     find_discontinuities,
     label_depth_layers,
-    layer_bounds,
     layered,
-    level_count,
     open_depth_layer,
     pull,
     push,
@@ -46,7 +43,7 @@ def blob(shape: tuple[int, int]) -> Array:
 
 def cuts(coc: Array, valid: Mask, largest: float) -> list[int]:
     reach = PILLBOX.psf.reach(largest)
-    return layer_bounds(find_discontinuities(coc, valid, *bins_of(largest), 2 * reach + 1)[0])
+    return layer_bounds(find_discontinuities(coc, valid, *bins_of(largest), 2 * reach + 1)[0].astype(np.int32))
 
 
 def unsliced(radiance: Array, coc: Array, shape: tuple[int, int], guard: int) -> Array:
@@ -110,7 +107,9 @@ def test_without_a_jump_there_is_one_layer() -> None:
 
 def test_too_many_jumps_leave_the_smallest_alone() -> None:
     coc = np.repeat(np.array([-20.0, -18.5] * 8 + [0.0, 5.0, 6.5, 8.0, 9.5, 11, 12.5, 14, 15.5, 17]), 2)[None]
-    bounds = layer_bounds(find_discontinuities(coc, np.ones(coc.shape, dtype=bool), *bins_of(20.0), 9)[0])
+    bounds = layer_bounds(
+        find_discontinuities(coc, np.ones(coc.shape, dtype=bool), *bins_of(20.0), 9)[0].astype(np.int32)
+    )
     assert 0 < len(bounds) < MOST_LAYERS
     low, bins = bins_of(20.0)
     layer = label_depth_layers(coc, np.ones(coc.shape, dtype=bool), low, bins, bounds)[0]

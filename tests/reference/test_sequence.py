@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from clsco.frame.frame import TRUTH_NAMES, Frame
 from clsco.optics.point_spread import point_spread
-from clsco.reference.blur.convolve import convolve
 from clsco.reference.inpainting.fill import Method
 from clsco.reference.sequence import render
 from clsco.scene.model import Cylinder, Fill, Motion, ObjectMotion, Plane, Psf, Quadric, Scene, Sequence, Sphere
 from tests.scenes import scene_of
+from tests.spreads import convolve
 
 SHAPE = (24, 32)
 SIZE = SHAPE[::-1]

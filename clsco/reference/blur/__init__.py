@@ -1,1 +1,1 @@
-"""Scattering of sources by their PSF, the twin of kernels/blur."""
+"""Scattering of sources by their PSF, as kernels/blur has it."""

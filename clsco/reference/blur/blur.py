@@ -274,16 +274,3 @@ def scatter(spec: BlurSpec, sources: Sources, sub: SubpixelSources | None, shape
         for source, target, share in _subpixel_shares(spec, sub, shape, guard):
             np.add.at(color, target, share[:, None] * radiance[source])
     return color.reshape(m, n, -1)
-
-
-def resolve(sums: NDArray[np.int64], scale: float) -> Array:
-    """Irradiance from sums in fixed point, which a device's `scatter` forms so that their order does not matter.
-
-    sums: any shape, irradiance x scale, rounded half up. The reference adds in float64 and has no use for it.
-    """
-    return np.asarray(sums / scale)
-
-
-def gather(spec: BlurSpec, sources: Sources, sub: SubpixelSources | None, shape: Shape, guard: int) -> Array:
-    """The same sum as `scatter`, which a kernel forms target by target; arguments and result as there."""
-    return scatter(spec, sources, sub, shape, guard)

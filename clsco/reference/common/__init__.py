@@ -1,1 +1,1 @@
-"""Geometry and visibility, the twin of kernels/common."""
+"""Geometry and visibility, as kernels/common has it."""

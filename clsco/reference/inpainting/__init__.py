@@ -1,1 +1,1 @@
-"""Filling of missing pixels, the twin of kernels/inpainting."""
+"""Filling of missing pixels, as kernels/inpainting has it."""

@@ -57,11 +57,6 @@ def sweep_holes(values: Array, known: Mask, missing: Mask, wins: Mask, minimum: 
     return values, sweeps
 
 
-def smooth_holes(values: Array, missing: Mask) -> Array:
-    """Stage 2: one round of the 3x3 median without the center over missing pixels (H, W), all of which are filled."""
-    return smooth_median(values, missing, np.ones_like(missing))
-
-
 def blend_border(values: Array, border: Mask) -> tuple[Array, Array]:
     """Stage 3: squared magnitude of Sobel's gradient (N,), of the channels the largest, and 3x3 medians (N, K).
 
@@ -103,7 +98,7 @@ def inpaint(image: NDArray[Any], missing: Mask, span: float, constants: MeanMedi
     filled, sweeps = sweep_holes(values, ~missing, missing, wins, constants.minimum)
     smoothed = filled
     for _ in range(constants.smoothing_rounds):
-        smoothed = smooth_holes(smoothed, missing)
+        smoothed = smooth_median(smoothed, missing, np.ones_like(missing))  # stage 2
     border, histogram, blended = border_pixels(missing), None, smoothed.copy()
     if border.any():
         steepness, medians = blend_border(smoothed, border)

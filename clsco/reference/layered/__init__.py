@@ -1,1 +1,1 @@
-"""Layered occlusion, the twin of kernels/layered."""
+"""Layered occlusion, as kernels/layered has it."""

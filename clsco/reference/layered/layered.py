@@ -9,13 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from math import ceil, log2
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsco.constants import DISCONTINUITY, DISCONTINUITY_CLASSES, LAYER_BIN, NO_SEED
-from clsco.optics.point_spread import PointSpread
+from clsco.optics.depth_layers import bins_of, depth_of_hidden, layer_bounds, level_count
 from clsco.plan.methods import BlurSpec
 from clsco.reference.blur.blur import prepare_sources, scatter
 from clsco.reference.common.geometry import Array
@@ -25,7 +24,6 @@ Mask = NDArray[np.bool_]
 Labels = NDArray[np.uint8]
 Integers = NDArray[np.int64]
 
-MOST_LAYERS = 8
 NEVER = 1 << 24  # beyond the last pixel of any frame
 TENT = (0.125, 0.375, 0.375, 0.125)  # of a coarse pixel, over 4 fine ones per axis
 GROWTH = 4.0  # a coarse pixel is known whole once a quarter of its tent is
@@ -34,12 +32,6 @@ GROWTH = 4.0  # a coarse pixel is known whole once a quarter of its tent is
 def _bin(coc: Array, low: float, bins: int) -> Integers:
     """Number of the bin of a radius."""
     return np.clip(np.floor((coc - low) / LAYER_BIN), 0, bins - 1).astype(np.int64)
-
-
-def bins_of(largest: float) -> tuple[float, int]:
-    """Lower end in px of the first bin, and the number of bins, for radii in [-largest, largest] px."""
-    half = int(np.ceil(largest / LAYER_BIN)) + 1
-    return -half * LAYER_BIN, 2 * half
 
 
 def find_discontinuities(coc: Array, valid: Mask, low: float, bins: int, far: int) -> tuple[Integers, int]:
@@ -63,23 +55,6 @@ def find_discontinuities(coc: Array, valid: Mask, low: float, bins: int, far: in
         )
         np.maximum.at(latest, (size, _bin(away, low, bins)), _bin(near, low, bins) + 1)
     return latest, largest_sum
-
-
-def layer_bounds(latest: Integers) -> list[int]:
-    """First bins of the second and each further depth layer, at most MOST_LAYERS - 1 of them, in rising order.
-
-    latest: (DISCONTINUITY_CLASSES, bins) from `find_discontinuities`. From near to far, a discontinuity that no bound
-    splits yet gets one in the middle of where it can be; where that makes too many, those of the smallest class are
-    left alone.
-    """
-    for smallest in range(DISCONTINUITY_CLASSES):
-        bounds: list[int] = []
-        for far_bin, near_bin in enumerate((latest[smallest:].max(axis=0) - 1).tolist()):
-            if near_bin >= 0 and (not bounds or bounds[-1] <= near_bin):
-                bounds.append((near_bin + 1 + far_bin + 1) // 2)
-        if len(bounds) < MOST_LAYERS:
-            return bounds
-    return bounds[: MOST_LAYERS - 1]
 
 
 def label_depth_layers(coc: Array, valid: Mask, low: float, bins: int, bounds: list[int]) -> Labels:
@@ -233,16 +208,6 @@ def extend_depth_layer(
     return take_depth_layer(radiance, coc, layer, hidden, coarse, which)
 
 
-def level_count(deep: int) -> int:
-    """Levels above the finest one of a pyramid."""
-    return ceil(log2(deep + 2))
-
-
-def depth_of_hidden(psf: PointSpread, largest_sum: int) -> int:
-    """Distance behind an edge at which surface may be seen, px: the blurs of both sides reach together as far."""
-    return ceil(largest_sum * psf.extent + 2.0 * psf.pupil.margin) + 2
-
-
 def layered(
     spec: BlurSpec, radiance: Array, coc: Array, valid: Mask, shape: tuple[int, int], guard: int
 ) -> tuple[Array, int]:
@@ -262,7 +227,7 @@ def cluster(spec: BlurSpec, coc: Array, valid: Mask) -> tuple[Labels, int]:
     for `layered`."""
     low, bins = bins_of(spec.largest)
     latest, largest_sum = find_discontinuities(coc, valid, low, bins, 2 * spec.psf.reach(spec.largest) + 1)
-    labels = label_depth_layers(coc, valid, low, bins, layer_bounds(latest))
+    labels = label_depth_layers(coc, valid, low, bins, layer_bounds(latest.astype(np.int32)))
     return labels, depth_of_hidden(spec.psf, largest_sum)
 
 

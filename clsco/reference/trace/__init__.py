@@ -1,1 +1,1 @@
-"""Rays to surfaces, the twin of kernels/trace."""
+"""Rays to surfaces, as kernels/trace has it."""

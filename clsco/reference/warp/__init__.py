@@ -1,1 +1,1 @@
-"""Reprojection, the twin of kernels/warp."""
+"""Reprojection, as kernels/warp has it."""

@@ -116,14 +116,6 @@ def reproject_winner(
     return winner
 
 
-def reproject_nearest(target: NDArray[np.int64], key: NDArray[np.float32], pixels: int) -> NDArray[np.int64]:
-    """Winner (pixels,) of the whole depth test: the first of the nearest sources, or NO_WINNER.
-
-    target, key: as for `reproject_depth`.
-    """
-    return reproject_winner(target, key, reproject_depth(target, key, pixels))
-
-
 def reproject_gaps(winner: NDArray[np.int64], depth: NDArray[np.float32], columns: int) -> NDArray[np.bool_]:
     """Mark known pixels (H, W): winners, but for those that only show through a nearer surface, which has grown and
     left gaps.

@@ -1,0 +1,188 @@
+"""The reference's own plan, which leaves nothing out: what the device decides, it does not.
+
+Each object is blurred by itself, and any other may hide it wherever visibility tests are the physics; sub-pixel sources
+are at all pixels that an outline can touch; the guard band is twice as wide as what lights the frame. There is no
+merging, no clipped radius, no part that stands still. Shared with the device are the formulas of `clsco.optics`, and
+what is an approximation by design: cells of the lens, edges of occluders, taps, depth layers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.optics.lens_path import lens_at, reference_camera
+from clsco.optics.motion import Eye
+from clsco.optics.point_spread import PointSpread, spreads_of_colors
+from clsco.optics.pupils.circle import Circle
+from clsco.optics.quadrics import cutting_bounds
+from clsco.optics.visibility import OcclusionGroup
+from clsco.plan.methods import BlurSpec, Occlusion
+from clsco.plan.plan import make_plan
+from clsco.plan.request import Request
+from clsco.reference.common.geometry import Array, blur_radius, nearest_surface, pixel_ray
+from clsco.reference.trace.trace import SILHOUETTE_RANGE, View, everything, mark_silhouettes, padded_grid
+from clsco.scene.model import Object, Plane, Rectangle, Scene
+
+Maps = Sequence[Array | None]  # inverse depths in 1/mm, None of analytic objects
+ROUND, BEYOND = 0.01, 1.1  # part of R by which an ellipse differs from a disc at least; and what is room for it
+CASTS = 4  # rays per pixel, along each axis, that look for what no ray through a middle hits
+WIDEST_BAND = 1024  # px
+
+
+@dataclass(frozen=True, eq=False)
+class ReferencePlan:
+    """What a view of a scene needs, as the reference sees it.
+
+    scene: with its resolution; psf: of its lens; spreads: of red, green and blue, where each is blurred by itself;
+    only: the color that it is for, None for all; channels: of the frame; claimed: time samples, guard band and largest
+    |R| of the device. Moving pictures depend on the first, depth layers and moved pixels on the others: they are taken
+    where they are enough.
+    """
+
+    scene: Scene
+    psf: PointSpread
+    spreads: tuple[PointSpread, ...]
+    eye: Eye
+    channels: int
+    maps: Maps
+    claimed: tuple[int, int, float]
+    only: int | None = None
+
+    @classmethod
+    def of(cls, scene: Scene, channels: int, eye: Eye, maps: Maps, psf: PointSpread) -> ReferencePlan:
+        """Plan of a view. Raises SceneError as the device's does."""
+        device = make_plan(scene, channels, Request(), eye, maps, psf=psf)
+        plan = cls(scene, psf, (), eye, channels, maps, (device.samples, device.guard_px, device.largest_blur))
+        distortion = lens_at(scene, 0.0).distortion
+        round_discs = type(psf.pupil) is Circle and psf.edge == "integrated" and not psf.rims
+        if distortion is not None and round_discs and plan.by_rays:
+            rays = pixel_ray(reference_camera(scene), *padded_grid(scene.camera, 0))
+            off = float(distortion.ellipticity(rays[..., 0], rays[..., 1]).max())
+            psf = replace(psf, stretched=BEYOND * off) if off > ROUND else psf
+        apart = scene.separates_colors or (channels > 1 and scene.psf.is_colored)
+        spreads = spreads_of_colors(psf, scene.psf, scene.camera) if apart else ()
+        return replace(plan, psf=max(spreads, key=lambda each: each.pupil.margin, default=psf), spreads=spreads)
+
+    @cached_property
+    def apart(self) -> tuple[ReferencePlan, ...]:
+        """Plans of the light that is blurred by itself: of each color, or of all."""
+        colors = (replace(self, channels=1, psf=psf, spreads=(), only=k) for k, psf in enumerate(self.spreads))
+        return tuple(colors) or (self,)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the frame."""
+        return self.scene.camera.frame_size[1], self.scene.camera.frame_size[0]
+
+    @property
+    def static_map(self) -> bool:
+        """True if each pixel of a depth map is at its own place."""
+        scene = self.scene
+        stays = not (scene.moves or scene.shifts_colors) and scene.stereo is None
+        return not scene.is_analytic and len(scene.objects) == 1 and stays
+
+    @property
+    def forward(self) -> bool:
+        """True if pixels of the reference pose are moved to their places."""
+        scene = self.scene
+        moved = scene.is_displaced or self.is_displaced_view
+        return not self.static_map if not scene.is_analytic else scene.motion.warp == "forward" and moved
+
+    @property
+    def is_displaced_view(self) -> bool:
+        """True if a view of a stereo pair sees the scene from elsewhere than the textures."""
+        return self.scene.stereo is not None and (self.eye == "right" or self.scene.stereo.toe_in > 0.0)
+
+    @property
+    def by_rays(self) -> bool:
+        """True if sources come from rays, and are not pixels of an image in depth layers."""
+        return not (self.static_map or self.forward or self.occlusion == "layered")
+
+    @property
+    def occlusion(self) -> Occlusion:
+        """How nearer surfaces hide farther ones: as the scene has it wherever any two can, or an object itself."""
+        scene = self.scene
+        if scene.psf.occlusion == "none" or (
+            len(scene.objects) == 1 and scene.is_analytic and not _hollow(scene.objects[0])
+        ):
+            return "none"
+        return scene.psf.occlusion if not (self.static_map or self.forward) else "layered"
+
+    @cached_property
+    def groups(self) -> tuple[OcclusionGroup, ...]:
+        """Occlusion groups: each object, of hollow ones each root, with all others before it."""
+        items = self.scene.objects
+        if self.occlusion != "visibility":
+            return (everything(self.scene),)
+        others = [(1 << len(items)) - 1 - (1 << k) for k in range(len(items))]
+        found = []
+        for k, item in enumerate(items):
+            if _hollow(item):
+                found += [OcclusionGroup(1 << k, others[k] | 1 << k, k, root) for root in (1, 2)]
+            else:
+                found.append(OcclusionGroup(1 << k, others[k]))
+        return tuple(found)
+
+    @property
+    def spec(self) -> BlurSpec:
+        """The blur, as far as the reference has a use for it."""
+        scene, psf = self.scene, self.psf
+        return BlurSpec(psf, "scatter", 0.0, self.claimed[2], tilt=scene.psf.tilt, border=scene.psf.border)
+
+
+def _hollow(item: Object) -> bool:
+    """True if an object can hide its own inside: it is curved, and cut open."""
+    return not isinstance(item, Plane | Rectangle) and cutting_bounds(item) is not None
+
+
+def band_of(plan: ReferencePlan, view: View) -> int:
+    """Width in px of the guard band of a view: twice what lights the frame by |R| of all surfaces that rays meet there,
+    whatever is before them."""
+    if plan.scene.psf.border == "renormalize":
+        return 0
+    bounds = [cutting_bounds(item) for item in view.scene.objects]
+    guard, needed = 0, 0
+    while guard <= WIDEST_BAND:
+        row, column = padded_grid(view.scene.camera, guard)
+        rays, largest = pixel_ray(view.scene.camera, row, column), np.zeros((row.size, column.size))
+        for group in plan.groups:
+            w, label, _ = nearest_surface(view.surfaces, bounds, group, rays)
+            largest = np.maximum(largest, np.where(label > 0, np.abs(blur_radius(view.lens, rays, w)), 0.0))
+        away = np.maximum(
+            *(np.maximum(-each, each - size + 1) for each, size in zip((row, column), plan.shape, strict=True))
+        )
+        reach = plan.psf.reaches(largest.ravel(), subpixel=True).reshape(largest.shape) + SILHOUETTE_RANGE
+        needed = max(needed, int(np.where(reach >= away, np.maximum(away, reach if guard == 0 else 0), 0).max()))
+        if guard >= 2 * needed:
+            return guard
+        guard = 2 * needed
+    return guard
+
+
+def silhouettes_of(view: View, group: OcclusionGroup, guard: int, label: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Pixels (H, W) that get sub-pixel sources: near a change of the labels (H, W), and near what no ray through a
+    middle within SILHOUETTE_RANGE px hits."""
+    row, column = padded_grid(view.scene.camera, guard)
+    bounds, center = [cutting_bounds(item) for item in view.scene.objects], label & 127
+    missed = np.zeros(label.shape, dtype=bool)
+    shown = [item for k, item in enumerate(view.scene.objects) if group.members >> k & 1]
+    if len(shown) == 1 and isinstance(shown[0], Plane) and shown[0].bounds is None:  # half of the view at least
+        return mark_silhouettes(label)
+    places = (np.arange(CASTS) + 0.5) / CASTS - 0.5
+    for below, right in ((y, x) for y in places for x in places):
+        rays = pixel_ray(view.scene.camera, row + below, column + right)
+        _, found, _ = nearest_surface(view.surfaces, bounds, group, rays)
+        for one in np.unique(found[found != center]).tolist():
+            missed |= (found == one) & ~_near(center == one)
+    return mark_silhouettes(label) | _near(missed)
+
+
+def _near(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Pixels (H, W) within SILHOUETTE_RANGE px of some, rows and columns counted separately."""
+    padded, size = np.pad(mask, SILHOUETTE_RANGE), 2 * SILHOUETTE_RANGE + 1
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, (size, size)).any(axis=(-1, -2)))

@@ -1,0 +1,167 @@
+"""Faults that are planted in what the device decides, prepares or is handed: `clsco dev check` finds each of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pkgutil import resolve_name
+from typing import Any
+
+import numpy as np
+import pytest
+
+from clsco.cli.check import compare_frames
+from clsco.constants import BAND
+from clsco.frame.strips import Strip
+from clsco.optics.quadrics import Extent
+from clsco.optics.visibility import OcclusionGroup
+from clsco.plan.choice import Choice
+from clsco.scene.model import Scene
+from tests.scenes import scene_from
+
+Tables = dict[str, Any]
+Fault = Callable[..., Any]
+"""Makes the faulty function: gets the right one, and what it is called with."""
+
+CAMERA = {"resolution": [32, 24], "pixel_pitch": 0.25, "f_number": 0.6, "focus_distance": 220.0}
+BALL: Tables = {"shape": "sphere", "center": [-6.0, 3.0, 150.0], "radius": 8.0, "texture": "#ff8040"}
+CARD: Tables = {"shape": "rectangle", "center": [9.0, -4.0, 165.0], "size": [18.0, 11.0], "rotation": [0.0, 40.0, 10.0]}
+WALL: Tables = {"shape": "plane", "distance": 300.0, "slope_x": 0.4, "texture": "bricks"}
+TURNED = {"velocity": [120.0, 20.0, 0.0], "angular_velocity": [0.0, 90.0, 0.0]}
+GOING = CARD | {"motion": TURNED}
+MOVING: Tables = {"sequence": {"shutter": 0.1, "samples": 3, "shutter_curve": "triangle"}}
+LAID = CARD | {"texture_mapping": "surface", "texture": np.random.default_rng(5).random((48, 48)).astype(np.float32)}
+TWO: Tables = {"camera": CAMERA, "psf": {"silhouette_samples": 2}}
+SCENES: dict[str, Scene] = {
+    "still": scene_from(TWO, BALL, CARD, WALL),
+    "moving": scene_from(TWO | MOVING, BALL, GOING, WALL),
+    "auto": scene_from(TWO, GOING, WALL, sequence={"shutter": 0.05}),
+    "rolling": scene_from(TWO | MOVING, GOING, WALL, sequence={"readout": 0.05}),
+    "high": scene_from(TWO, BALL, WALL, camera=CAMERA | {"resolution": [12, BAND + 16]}),
+    "stereo": scene_from(TWO, CARD, WALL, stereo={"baseline": 10.0}),
+    "rims": scene_from(TWO, CARD, WALL, aperture={"rim": [{"distance": 25.0, "diameter": 30.0}]}),
+    "laid": scene_from(TWO, LAID, WALL),
+    "layered": scene_from(TWO, BALL, WALL, psf={"occlusion": "layered"}),
+}
+
+
+def always(value: Any) -> Fault:
+    return lambda right, *given, **named: value
+
+
+def changed(**fields: Callable[[Any], Any]) -> Fault:
+    """The right result with other values of some fields."""
+
+    def fault(right: Fault, *given: Any, **named: Any) -> Any:
+        found = right(*given, **named)
+        return replace(found, **{name: change(getattr(found, name)) for name, change in fields.items()})
+
+    return fault
+
+
+def altered(change: Callable[[Any], Any]) -> Fault:
+    return lambda right, *given, **named: change(right(*given, **named))
+
+
+def half(ends: tuple[float, float]) -> tuple[float, float]:
+    middle, size = 0.5 * sum(ends), 0.25 * (ends[1] - ends[0])
+    return middle - size, middle + size
+
+
+def smaller(surface: Any) -> Any:
+    if not np.isfinite(surface.ball[3]):
+        return surface
+    seen = Extent(half(surface.seen.x), half(surface.seen.y), surface.seen.w)
+    return replace(surface, seen=seen, ball=surface.ball * [1.0, 1.0, 1.0, 0.5])
+
+
+def without_apron(strips: tuple[Strip, ...]) -> tuple[Strip, ...]:
+    return tuple(replace(one, above=one.above if one.top == 0 else 0) for one in strips)
+
+
+def alone(right: Fault, scene: Scene, psf: Any, *others: Any) -> Any:
+    choice, groups, extents = right(scene, psf, *others)
+    return choice, groups[1:], extents
+
+
+def blind(right: Fault, scene: Scene, psf: Any, *others: Any) -> Any:
+    choice, groups, extents = right(scene, psf, *others)
+    return choice, tuple(replace(group, occluders=0) for group in groups), extents
+
+
+def left(right: Fault, scene: Scene, time: float, eye: str = "left") -> Any:
+    return right(scene, time, "left")
+
+
+def boxed(right: Fault, curve: Any, time: Any) -> Any:
+    return np.clip(time, 0.0, 1.0)
+
+
+def mirrored(planes: Any) -> Any:
+    return planes[:, ::-1].copy()
+
+
+def coarser(right: Fault, images: Any, out: Any = None) -> Any:
+    """Levels that are blurred twice as much."""
+    found = right(images, out)
+    for fine, level in zip(found[1:], found, strict=False):
+        level[...] = np.repeat(np.repeat(fine, 2, axis=1), 2, axis=2)[:, : level.shape[1], : level.shape[2]]
+    return found
+
+
+PLAN, SEEN, PLACED = "clsco.plan.decisions", "clsco.plan.plan", "clsco.passes.placed"
+TOGETHER = Choice("none"), (OcclusionGroup(7, 0),), ()
+NO_SECOND_LOOK: dict[str, Fault] = {"clsco.engine.renderer.larger_plan": always(None)}
+NOT_KEPT: dict[str, Fault] = {f"{PLACED}.PlacedScene.content": always(None)}  # textures of other tests, and theirs
+IN_STRIPS: dict[str, Fault] = {"clsco.engine.sequence.fitted": changed(strip_rows=lambda _: BAND)}
+FAULTS: dict[str, tuple[str, dict[str, Fault]]] = {
+    "no occlusion": ("still", {f"{PLAN}.choose_occlusion": always(TOGETHER)}),
+    "no occluders": ("still", {f"{PLAN}.choose_occlusion": blind}),
+    "no guard band": ("still", {"clsco.plan.predict.guard_band": always(0)}),
+    "no silhouettes": ("still", {f"{PLAN}.choose_silhouettes": always(Choice(0))}),
+    "one time sample": ("auto", {f"{PLAN}.choose_samples": always(Choice(1))}),
+    "half the time samples": ("auto", {f"{PLAN}.choose_samples": changed(value=lambda count: count // 2)}),
+    "objects that are smaller": ("still", {f"{PLACED}.place": altered(smaller)}),
+    "no tilt": ("still", {f"{PLAN}.choose_tilt": always(Choice(False))}),
+    "radii that are clipped": (
+        "still", {f"{SEEN}.predict": changed(largest=lambda size: 0.6 * size)} | NO_SECOND_LOOK,
+    ),
+    "a group that is dropped": ("still", {f"{PLAN}.choose_occlusion": alone}),
+    "strips without an apron": ("high", IN_STRIPS | {f"{SEEN}.strips_of": altered(without_apron)}),
+    "what moves taken for still": ("moving", {"clsco.optics.still._same_place": always(True)}),
+    "sources merged unasked": ("still", {"clsco.plan.prepare.fitted": changed(merged=lambda _: 1.0)}),
+    "a shutter without its curve": ("moving", {"clsco.optics.exposure.curve_integral": boxed}),
+    "lines in the other order": ("rolling", {"clsco.optics.exposure.line_openings": altered(np.flip)}),
+    "half an exposure": ("moving", {"clsco.engine.film.frame_exposure": changed(times=lambda times: 0.5 * times)}),
+    "the left eye twice": ("stereo", {f"{PLACED}.poses_at": left}),
+    "no rims": ("rims", {f"{SEEN}.elliptic_spread": changed(rims=lambda _: ())}),
+    "mipmaps that are coarser": ("laid", {"clsco.inputs.textures.mipmap": coarser} | NOT_KEPT),
+    "red and blue exchanged": ("still", {f"{PLACED}.texture_planes": altered(mirrored)} | NOT_KEPT),
+    "depth layers taken for one": ("layered", {f"{PLAN}.choose_occlusion": always(TOGETHER)}),
+}  # fmt: skip
+
+
+def disagreeing(scene: Scene) -> set[str]:
+    """Outputs in which the check finds that a device differs from the reference."""
+    return {each.output for found in compare_frames(scene, None, None) for each in found.differences if not each.agrees}
+
+
+def plant(monkeypatch: pytest.MonkeyPatch, faults: dict[str, Fault]) -> None:
+    for target, fault in faults.items():
+        right = resolve_name(target)
+        planted = partial(fault, right)
+        monkeypatch.setattr(target, property(planted) if isinstance(right, property) else planted)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_without_a_fault_all_agree(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    plant(monkeypatch, IN_STRIPS if name == "high" else {})
+    assert disagreeing(SCENES[name]) == set()
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_each_fault_is_found(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, faults = FAULTS[name]
+    plant(monkeypatch, faults)
+    assert "color" in disagreeing(SCENES[scene])
