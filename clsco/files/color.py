@@ -222,10 +222,8 @@ def _primaries(tags: Mapping[bytes, bytes], version: int) -> tuple[float, ...] |
         white = np.linalg.solve(adapted, D50)
     elif version < 4 and len(medium) >= 20:
         white = np.frombuffer(medium, ">i4", 3, 8) / 65536
-    for known in (white, D50):
-        if (known > 0).all() and np.isfinite(found := colorants_to_chromaticities(xyz, known)).all():
-            return found if chromaticities_to_srgb(found) is not None else None
-    return None
+    numbers = colorants_to_chromaticities(xyz, white if (white > 0).all() else D50)
+    return numbers if chromaticities_to_srgb(numbers) is not None else None
 
 
 def _profile(name: str, chromaticities: Sequence[float], curve: bytes) -> bytes:

@@ -53,8 +53,9 @@ def colorants_to_chromaticities(xyz: Matrix, white: Matrix = D50) -> tuple[float
 
     white: X, Y and Z of the white that they were adapted from, by Bradford.
     """
-    native = np.linalg.solve(adaptation(white), np.column_stack([xyz.sum(axis=1), xyz]))
-    return tuple((native[:2] / native.sum(axis=0)).T.ravel().tolist())
+    with np.errstate(all="ignore"):  # numbers that are none span no colors
+        native = np.linalg.inv(adaptation(white)) @ np.column_stack([xyz.sum(axis=1), xyz])
+        return tuple((native[:2] / native.sum(axis=0)).T.ravel().tolist())
 
 
 def adaptation(white: Matrix) -> Matrix:

@@ -190,8 +190,14 @@ def test_colorants_that_are_none_have_no_matrix() -> None:
     icc = made("adobergb")
     start = icc.index(b"gXYZ", 128)
     (at,) = struct.unpack_from(">I", icc, start + 4)
-    damaged = icc[:at] + b"none" + icc[at + 4 :]
-    assert (icc_color(damaged, 3).to_srgb, icc_color(damaged, 3).note) == (None, "")
+    for wrong in (b"none", b"XYZ " + bytes(16)):
+        damaged = icc[:at] + wrong + icc[at + len(wrong) :]
+        assert (icc_color(damaged, 3).to_srgb, icc_color(damaged, 3).note) == (None, "")
+    for white in (0.0, 1e-5, -1.0):  # of the medium or before its adaptation: conversions do not need it
+        for tag in (b"wtpt", b"chad"):
+            (at,) = struct.unpack_from(">I", icc, icc.index(tag, 128) + 4) if tag in icc else (len(icc),)
+            damaged = icc[: at + 8] + struct.pack(">i", round(65536 * white)) * 3 + icc[at + 20 :]
+            assert icc_color(damaged, 3).note == ""
 
 
 def test_srgb_is_the_unit() -> None:

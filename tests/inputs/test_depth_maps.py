@@ -28,7 +28,6 @@ from clsco.scene.model import Camera, DepthMap
 
 Array = NDArray[Any]
 CAMERA = Camera()  # kappa = 10,000 px mm, in focus at 250.017 mm, 39.997 px at infinity
-BASELINE = 60.0
 
 
 def numbers(dtype: str, shape: tuple[int, ...] = (5, 7)) -> Array:
@@ -344,19 +343,3 @@ def test_sizes_must_be_the_same() -> None:
         str(caught.value)
         == "b.exr: the size must be that of a.png, 640 x 480 pixels; got 480 x 640 (one of them lies on its side)"
     )
-
-
-def test_files_of_kitti_and_middlebury_work_as_they_are(tmp_path: Path) -> None:
-    meters = np.array([[0.5, 1.25], [80.0, 0.0]])
-    (tmp_path / "kitti.png").write_bytes(imagecodecs.png_encode((256 * meters).astype(np.uint16)))
-    values = inverse_depth(read_depth(tmp_path / "kitti.png"), DepthMap(depth="z", unit="m", scale=1 / 256), CAMERA)
-    np.testing.assert_allclose(values.inverse_depth, [[1 / 500, 1 / 1250], [1 / 80000, 0]], rtol=3 * 2.0**-53)
-    assert values.zero == 1
-
-    disparity = np.array([[240.0, np.inf], [120.5, 480.0]], np.float32)
-    save_pfm(tmp_path / "disp0.pfm", disparity, "-0.003922")
-    item = DepthMap(depth="z", unit="disparity", baseline=BASELINE)
-    values = inverse_depth(read_depth(tmp_path / "disp0.pfm"), item, CAMERA)
-    wanted = np.where(np.isinf(disparity), 0, 0.01 * disparity.astype(np.float64) / (BASELINE * 20.0))
-    np.testing.assert_allclose(values.inverse_depth, wanted, rtol=4 * 2.0**-53)
-    assert values.infinite == 1
