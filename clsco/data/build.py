@@ -92,7 +92,7 @@ class Builder:
             table = table.setdefault(part, {}) if isinstance(table, dict) else table[part]
         if isinstance(value, Placed):
             self._placed.append((name, table, location[-1]))
-        table[location[-1]] = self._parameters[name] = value
+        table[location[-1]] = self._parameters[name] = copied(value)
 
     def _add(self, population: Population, element: int, member: Sequence[Any]) -> None:
         """An object of a population."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -364,7 +365,9 @@ def _with_strides(parameters: list[Parameter]) -> tuple[Parameter, ...]:
 
 
 def copied(value: Any) -> Any:
-    """Copy tables and lists; their other values are shared."""
+    """Copy tables and lists; their other values are shared, but for inf, which JSON has as a text alone."""
     if isinstance(value, dict):
         return {key: copied(entry) for key, entry in value.items()}
-    return [copied(entry) for entry in value] if isinstance(value, list) else value
+    if isinstance(value, list):
+        return [copied(entry) for entry in value]
+    return "inf" if isinstance(value, float) and value == math.inf else value

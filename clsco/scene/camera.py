@@ -54,6 +54,8 @@ class FollowedDistance(float):
         """Equal to others that follow alone: those that are numbers stay when the lens changes."""
         return isinstance(other, FollowedDistance) and float(self) == float(other)
 
+    __ne__ = object.__ne__  # its inverse, which that of float is not
+
 
 def _followed(value: Any, check: ValidatorFunctionWrapHandler, info: ValidationInfo) -> float:
     """The sensor distance where a value says so."""

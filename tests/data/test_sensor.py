@@ -64,3 +64,9 @@ def test_codes_need_an_image(name: str, tmp_path_factory: pytest.TempPathFactory
     found = CliRunner().invoke(main, command)
     assert found.exit_code == 2
     assert f"--no-color: makes no image, so --truth must be without {name}" in found.output
+
+
+def test_an_infinite_focus_is_a_text_in_json(load: Load) -> None:
+    sample = load("[vary.camera]\nfocus_distance = { choice = [inf] }\n").draw(1, 0)
+    assert sample.table["camera"]["focus_distance"] == sample.parameters["camera.focus_distance"] == "inf"
+    assert sample.scenes[0].camera.sensor_distance == 20.0
