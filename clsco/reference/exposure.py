@@ -96,8 +96,8 @@ def least_samples(scene: Scene, maps: Sequence[Array | None], eye: Eye, index: i
                 places[n] = np.stack(project(camera, point), axis=-1)
                 radii[n] = _radii(lenses[n], point / point[:, 2:], 1.0 / point[:, 2])
             rows_columns = np.array(scene.camera.frame_size[::-1])
-            inside = ((places >= -guard - 0.5) & (places <= rows_columns + guard - 0.5)).all(axis=-1)
-            steps = np.linalg.norm(np.diff(places, axis=0), axis=-1) * (inside[1:] & inside[:-1])
+            inside = np.all((places >= -guard - 0.5) & (places <= rows_columns + guard - 0.5), axis=-1)
+            steps = np.linalg.norm(np.diff(places, axis=0), axis=-1) * np.logical_and(inside[1:], inside[:-1])
             steps[jumps] = 0.0
             way = line * steps.sum(axis=0)
             if sequence.sampling == "midpoint":

@@ -36,7 +36,7 @@ WIDEST_BAND = 1024  # px
 
 @dataclass(frozen=True, eq=False)
 class ReferencePlan:
-    """What a view of a scene needs, as the reference sees it.
+    """Plan of a view of a scene, as the reference sees it.
 
     scene: with its resolution; psf: of its lens; spreads: of red, green and blue, where each is blurred by itself;
     only: the color that it is for, None for all; channels: of the frame; claimed: time samples, guard band and largest
@@ -105,7 +105,7 @@ class ReferencePlan:
 
     @property
     def occlusion(self) -> Occlusion:
-        """How nearer surfaces hide farther ones: as the scene has it wherever any two can, or an object itself."""
+        """Method by which nearer surfaces hide farther ones: that of the scene, wherever anything can hide at all."""
         scene = self.scene
         if scene.psf.occlusion == "none" or (
             len(scene.objects) == 1 and scene.is_analytic and not _hollow(scene.objects[0])
