@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,9 +17,8 @@ from clsco.plan.image import ImagePlan
 from clsco.plan.larger import Met, larger_plan
 from clsco.plan.memory import limit_of
 from clsco.plan.methods import BlurSpec
-from clsco.plan.passes import Kind, Pass, run_passes
+from clsco.plan.passes import Pass, run_passes
 from clsco.plan.plan import Plan, make_plan
-from clsco.reference.passes import RUN
 from clsco.scene.model import DepthMap, Motion, ObjectMotion, Plane, Psf, Sequence, Sphere
 from tests.scenes import plan_of, scene_of
 
@@ -70,10 +69,6 @@ def test_a_pass_that_lacks_what_it_takes_is_refused() -> None:
         run_passes([Pass("sources", (), {}, ("image",), ("sources",))], lambda step, *given: given)
     with pytest.raises(ValueError, match="argument 2 is longer"):
         run_passes([Pass("pinhole", (), {})], lambda step: ["more than it names"])
-
-
-def test_the_reference_runs_all_kinds() -> None:
-    assert {*get_args(Kind)} - {"sensor", "ground truth"} == RUN.keys()
 
 
 def met(plan: Plan, **changes: Any) -> Met:
