@@ -29,23 +29,14 @@ from clsco.plan.buffers import has_spans
 from clsco.plan.passes import ONCE_A_FRAME, Pass
 from clsco.plan.plan import Plan
 from clsco.plan.predict import Maps
+from clsco.reference.common.equation import WIDE_LENS, Points, division_of
 from clsco.reference.common.geometry import (
     along_rays,
     blur_radius,
     nearest_surface,
     pixel_ray,
 )
-from clsco.reference.common.visibility import (
-    CLEAR,
-    HIDDEN,
-    PARTLY,
-    WIDE_LENS,
-    Points,
-    division_of,
-    meet_occluder,
-    meet_rims,
-    out_of_the_way,
-)
+from clsco.reference.common.visibility import CLEAR, HIDDEN, PARTLY, meet_occluder, meet_rims, out_of_the_way
 from clsco.reference.trace.footprint import parts_of
 from clsco.reference.trace.mapping import MappedTexture, along_axis, mapped_point, texel_change
 from clsco.reference.trace.trace import SILHOUETTE_RANGE, View, gradient_of, view_at

@@ -35,6 +35,7 @@ POCL_DECLARATIONS, WITHOUT_HEADER = "common/cpu/pocl.clh", "-D_OPENCL_H_"
 SINGLE_TAPS, GATHERED_TAPS = "common/lanes.clh", "common/cpu/lanes.clh"
 TAP_BLOCKS = "common/cpu/blocks.clh"
 OCCLUSION_HEADERS = ("common/occluder.clh", "common/visibility.clh", "common/visibility_test.clh")
+SPREAD_HEADERS = ("common/psf.clh", "common/source_visibility.clh")
 OF_SOURCES = ("discs", "quadrants", "cut", "shapes", "ellipses", "gaussians", "columns")
 GATHER_HEADERS = tuple(f"blur/cpu/{name}.clh" for name in ("vectors", "many", *OF_SOURCES, "spans"))
 # With the feature TEXTURED.
@@ -49,13 +50,13 @@ HEADERS_OF = {
         "trace/still.clh",
     ),
     "trace/truth.cl": (*MAPPING_HEADERS, "trace/light.clh", "trace/texture.clh"),
-    "blur/blur.cl": ("common/sources.clh", "common/psf.clh"),
+    "blur/blur.cl": ("common/sources.clh", *SPREAD_HEADERS),
     "blur/cpu/gather.cl": (
         "common/sources.clh",
-        "common/psf.clh",
+        *SPREAD_HEADERS,
         *GATHER_HEADERS,
     ),
-    "blur/tiles.cl": ("common/sources.clh", "common/psf.clh"),
+    "blur/tiles.cl": ("common/sources.clh", *SPREAD_HEADERS),
     "sensor/sensor.cl": ("sensor/noise.clh",),
     "inpainting/fill.cl": ("inpainting/lanes.clh", "inpainting/estimate.clh"),
     "inpainting/mean_median.cl": ("inpainting/lanes.clh", "inpainting/estimate.clh"),

@@ -19,6 +19,7 @@ from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Program, Session
 from clsco.optics.depth_layers import LayerBounds
 from clsco.optics.psf_tables import psf_features
+from clsco.optics.ray_means import has_ray_means, ray_means
 from clsco.optics.visibility import NO_GROUP, OcclusionGroup, lens_floats
 from clsco.passes.pack import psf_struct
 from clsco.passes.tables import tables_of
@@ -57,6 +58,7 @@ PLAIN = dict.fromkeys(
         "CURVED",
         "MERGED",
         "SHARED",
+        "RAYS",
     ),
     0,
 )
@@ -98,6 +100,7 @@ def blur_features(spec: BlurSpec, channels: int, fp64: bool, maps: Maps) -> dict
             "CURVED": spec.curved,
             "MERGED": int(spec.merged > 0.0),
             "SHARED": int(spec.shared),
+            "RAYS": int(spec.occluders > 0 and has_ray_means(psf)),
             "GATHER": int(method == "gather"),
             "BY_ROWS": int(scratch == "rows"),
             "BY_COLUMNS": int(scratch == "columns"),
@@ -310,6 +313,9 @@ class BlurredPlane(ABC):
         self.struct = psf_struct(spec.psf, *self.weights, target.real)
         self.pad, self.pitch = margin(tallest.columns, tallest.guard, spec.reach)
         self.total = empty(target.session, sizes["total"])
+        self.rays = None
+        if spec.occluders and has_ray_means(spec.psf):
+            self.rays = upload(target.session, ray_means(spec.psf, spec.largest).floats())
         self.lens_cells = upload(target.session, lens_floats(spec.psf).astype(np.float32)) if spec.occluders else None
 
     @property
@@ -375,7 +381,8 @@ class TableBlur(BlurredPlane):
             size = int(self.grid["columns"]), int(self.grid["height"])
             self.target.run("renormalize", size, PIXELS, events, *head, *tail, *bends)
         if sources.group is not None:
-            tail += (sources.lens, sources.surfaces, sources.group, self.lens_cells, sources.depth)
+            tail += (sources.lens, sources.surfaces, sources.group, self.lens_cells)
+            tail += (sources.depth,) if self.rays is None else (self.rays, sources.depth)
             tail += (sources.sub_depth,) if self.spec.subpixels else ()
         self.spread(head, (*tail, *bends), events)
 

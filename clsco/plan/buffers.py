@@ -36,6 +36,7 @@ from clsco.inputs.textures import mapped_size
 from clsco.optics.depth_layers import bins_of, levels_of, most_deep
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_tables import rounded_span, table_sizes
+from clsco.optics.ray_means import has_ray_means, ray_floats
 from clsco.optics.sensor import SensorModel
 from clsco.optics.stencil import is_by_axes, is_summed, stencil_sizes
 from clsco.optics.visibility import lens_floats
@@ -116,7 +117,7 @@ def has_spans(spec: BlurSpec, fp64: bool) -> bool:
 
 
 def _is_uniform(spec: BlurSpec) -> bool:
-    return spec.psf.uniform and not spec.psf.stretched
+    return spec.psf.uniform and not spec.psf.stretched and not has_ray_means(spec.psf)
 
 
 def _in_parts(reach: int) -> bool:
@@ -248,6 +249,8 @@ def _table_buffers(spec: BlurSpec) -> Sizes:
         sizes |= {f"subpixel {name}": sub[name] for name in ("intervals", "coefficients")}
     if spec.occluders:
         sizes["lens"] = 4 * lens_floats(spec.psf).size
+    if spec.occluders and has_ray_means(spec.psf):
+        sizes["rays"] = 4 * ray_floats(spec.psf, spec.largest)
     return sizes
 
 

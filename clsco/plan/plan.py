@@ -325,6 +325,7 @@ class Plan:
             "CURVED": curvature_of(scene),
             "MERGED": int(spec.merged > 0.0),
             "SHARED": int(spec.shared),
+            "RAYS": 0,
             **{name: psf[name] for name in ("SAMPLED", "GENERAL", "EDGES", "RIMS", "WAVES", "ELLIPSES")},
         }
 

@@ -18,8 +18,9 @@ from clsco.optics.quadrics import place
 from clsco.optics.vignetting import throughput
 from clsco.optics.visibility import NO_GROUP
 from clsco.reference.blur.blur import prepare_sources, scatter
+from clsco.reference.common.equation import Points
 from clsco.reference.common.geometry import Array, along_rays, blur_radius, pixel_ray
-from clsco.reference.common.visibility import HIDDEN, PARTLY, Points, check_visibility
+from clsco.reference.common.visibility import HIDDEN, PARTLY, check_visibility
 from clsco.reference.common.visibility_test import rim_share
 from clsco.reference.inpainting.fill import FILLED, UNFILLED, FillReport, fill_objects
 from clsco.reference.layered.layered import cluster, spread_depth_layers

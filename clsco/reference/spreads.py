@@ -19,7 +19,8 @@ from clsco.optics.psf_tables import psf_table, table_weights
 from clsco.optics.rays import ray_slopes
 from clsco.optics.visibility import NO_GROUP
 from clsco.plan.prepare import Prepared, prepare
-from clsco.reference.common.visibility import HIDDEN, PARTLY, Points, check_visibility
+from clsco.reference.common.equation import Points
+from clsco.reference.common.visibility import HIDDEN, PARTLY, check_visibility
 from clsco.reference.common.visibility_test import cell_visibility, tap_share
 from clsco.scene.file import SceneLike, scene_of
 from clsco.scene.model import Camera

@@ -98,7 +98,7 @@ __kernel void scatter(const grid_t grid, const psf_t psf, __global const float *
             } else
 #endif
             if (visibility)
-                source_visibility(grid, lens, surfaces, group, psf, lens_cells, sub_row, sub_column, sub_depth[id],
+                source_visibility(grid, lens, surfaces, group, psf, lens_cells RAY_VALUES, sub_row, sub_column, sub_depth[id],
                                   spread, &p, (real)1 / SUBPIXELS, &seen);
 #endif
             for (int k = 0; k < CHANNELS; ++k)
@@ -116,7 +116,7 @@ __kernel void scatter(const grid_t grid, const psf_t psf, __global const float *
     visibility_t seen;
     const visibility_t *visibility = IS_PARTLY(as_int(s.w)) ? &seen : 0;
     if (visibility)
-        source_visibility(grid, lens, surfaces, group, psf, lens_cells, grid.top + row, column, depth[at], spread, &s,
+        source_visibility(grid, lens, surfaces, group, psf, lens_cells RAY_VALUES, grid.top + row, column, depth[at], spread, &s,
                           (real)1, &seen);
 #endif
     for (int k = 0; k < CHANNELS; ++k)

@@ -22,8 +22,9 @@ from clsco.optics.visibility import OcclusionGroup, lens_floats
 from clsco.passes.pack import camera_grid, group_struct, lens_struct, psf_struct, surface_structs
 from clsco.plan.plan import make_plan
 from clsco.records import Real
+from clsco.reference.common.equation import Points
 from clsco.reference.common.geometry import blur_radius, nearest_surface, pixel_ray
-from clsco.reference.common.visibility import CLEAR, PARTLY, Points, check_visibility
+from clsco.reference.common.visibility import CLEAR, PARTLY, check_visibility
 from clsco.reference.common.visibility_test import cell_visibility, tap_share
 from clsco.scene.model import Camera, Cone, Cylinder, Disc, Ellipsoid, Object, Plane, Psf, Quadric, Scene, Sphere
 from tests.slow import mostly_slow

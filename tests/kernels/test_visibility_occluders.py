@@ -19,8 +19,9 @@ from clsco.optics.quadrics import cutting_bounds, place
 from clsco.optics.visibility import OcclusionGroup
 from clsco.passes.pack import lens_struct, surface_structs
 from clsco.records import REAL, Real
+from clsco.reference.common.equation import Points
 from clsco.reference.common.occluder import Occluder
-from clsco.reference.common.visibility import CLEAR, HIDDEN, PARTLY, Points, check_visibility
+from clsco.reference.common.visibility import CLEAR, HIDDEN, PARTLY, check_visibility
 from clsco.scene.model import Camera, Cone, Cylinder, Ellipsoid, Object, Plane, Psf, Quadric, Sphere
 
 Array = NDArray[Any]

@@ -12,8 +12,9 @@ from clsco.opencl.buffers import download, empty
 from clsco.opencl.session import Session
 from clsco.optics.point_spread import point_spread
 from clsco.optics.visibility import lens_floats
+from clsco.reference.common.equation import SOFT_BOX
 from clsco.reference.common.occluder import Occluder
-from clsco.reference.common.visibility import SOFT_BOX, Visibility
+from clsco.reference.common.visibility import Visibility
 from clsco.reference.common.visibility_test import cell_visibility, tap_share
 from clsco.scene.model import Psf
 

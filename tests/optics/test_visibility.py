@@ -16,8 +16,9 @@ from clsco.optics.point_spread import point_spread
 from clsco.optics.quadrics import Extent, place
 from clsco.optics.visibility import OcclusionGroup, extent, is_hollow, may_hide, occlusion_groups
 from clsco.plan.plan import Plan, make_plan
+from clsco.reference.common.equation import Points
 from clsco.reference.common.geometry import nearest_surface, pixel_ray
-from clsco.reference.common.visibility import CLEAR, HIDDEN, Points, check_visibility
+from clsco.reference.common.visibility import CLEAR, HIDDEN, check_visibility
 from clsco.reference.common.visibility_test import cell_visibility, tap_share
 from clsco.scene.model import (
     Camera,

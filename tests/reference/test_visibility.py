@@ -14,9 +14,10 @@ from clsco.optics.motion import Pose, rest_center, rotation_matrix
 from clsco.optics.point_spread import PointSpread, point_spread
 from clsco.optics.quadrics import place
 from clsco.optics.visibility import OcclusionGroup
+from clsco.reference.common.equation import Points
 from clsco.reference.common.geometry import nearest_surface, solve_quadric, surface_normal
 from clsco.reference.common.occluder import Part, leave_free, soft_step
-from clsco.reference.common.visibility import CLEAR, HIDDEN, Points, check_visibility
+from clsco.reference.common.visibility import CLEAR, HIDDEN, check_visibility
 from clsco.reference.common.visibility_test import cell_visibility, tap_share
 from clsco.scene.model import Camera, Cone, Cylinder, Disc, Ellipsoid, Object, Plane, Psf, Quadric, Sphere
 

@@ -41,6 +41,10 @@ class CurvedPolygon(Outline):
     squeeze: float = 1.0
 
     @property
+    def is_convex(self) -> bool:
+        return self.curvature >= 0.0
+
+    @property
     def label(self) -> str:
         return f"{self.blades} blades, curved by {self.curvature:g}"
 

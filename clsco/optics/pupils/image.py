@@ -53,6 +53,11 @@ class Image(Pupil):
         return max(1.0, 1.0 / self.squeeze)
 
     @property
+    def is_convex(self) -> bool:
+        """False: nobody knows."""
+        return False
+
+    @property
     def edges(self) -> Edges:
         """None of a circle's rim; of an ellipse's those that stand for it."""
         return () if self.squeeze == 1.0 else Ellipse(self.squeeze).edges

@@ -69,6 +69,11 @@ class Pupil(ABC):
         return 1.0
 
     @property
+    def is_convex(self) -> bool:
+        """All places between two that light passes at let some through."""
+        return True
+
+    @property
     def edges(self) -> Edges:
         """Straight edges (x, y, distance), inside where x l_x + y l_y <= distance; none where the rim is round."""
         return ()

@@ -93,7 +93,7 @@ class Traced(FourierDiffracted):
         """Light at the nodes of a panel, in the cells (nodes, y, x) of spots."""
         nodes = panel_nodes(np.array([number]), self.panel, POWERS)[0]
         parts, reach, count = self._sizes(number)
-        x, y, light, bent_x, bent_y = _rays(self.opening, self.wavefront, count)
+        x, y, light, bent_x, bent_y = bent_rays(self.opening, self.wavefront, count)
         pitch, found = self.extent / (count * sqrt(self.second_moment)), []
         for radius in nodes.tolist():
             columns = ends(parts * (radius * x + bent_x), light, pitch, parts * reach)
@@ -168,7 +168,7 @@ def pixels(cells: Array, response: Array, parts: int) -> Array:
 
 
 @lru_cache(maxsize=4)
-def _rays(opening: Pupil, wavefront: Wavefront, count: int) -> tuple[Array, Array, Array, Array, Array]:
+def bent_rays(opening: Pupil, wavefront: Wavefront, count: int) -> tuple[Array, Array, Array, Array, Array]:
     """Lens points of rays, x right and y down, their light, which adds up to 1, and what bends them, px."""
     light = opening.cells(count)
     at = (np.arange(2.0 * count) + 0.5 - count) * (opening.extent / count)

@@ -12,17 +12,30 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import ceil
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.constants import LENS_CELLS
 from clsco.optics.lens import Lens
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import PlacedSurface
+from clsco.optics.ray_means import RayMeans, has_ray_means, ray_means
 from clsco.optics.rims import rim_circle
 from clsco.optics.visibility import OcclusionGroup
+from clsco.reference.common.equation import (
+    SOFT_BOX,
+    Division,
+    Equation,
+    Points,
+    Slopes,
+    crossing_place,
+    division_of,
+    edge_width,
+    equation_of,
+    slopes_of,
+)
 from clsco.reference.common.geometry import (
     Array,
     Bounds,
@@ -34,15 +47,12 @@ from clsco.reference.common.geometry import (
 from clsco.reference.common.occluder import TINY, Mask, Occluder, hides_all
 
 CLEAR, PARTLY, HIDDEN = (np.uint8(state) for state in range(3))
-SOFT_BOX = (5.0 / 12.0) ** 0.5  # half width of the cubic step that has the variance of a box 1 wide
 RIM_MARGIN = 1.5  # cells from the rim of the lens to a circle that cuts none of its taps
-WIDE_LENS = 3.2  # px: a lens at least so wide is tested once per tap, others on a grid of cells
-PLANES = ("radius", "wide", "point", "x", "y", "lean", "limb", "nearest", "bent")  # of `Visibility`
+PLANES = (  # of `Visibility`
+    "radius", "wide", "point", "x", "y", "lean", "limb", "nearest", "bent", "ray_numbers", "ray_parts", "ray_scale",
+    "behind",
+)  # fmt: skip
 SHARP_EDGE = 2.0  # px: a blurred outline this narrow needs sub-pixel sources
-
-
-def _dot(weights: Array, vectors: Array) -> Array:
-    return np.asarray(vectors @ weights)
 
 
 def _limits(surface: PlacedSurface, bounds: Bounds | None, w: Array, rays: Array, equation: Equation) -> list[Array]:
@@ -62,133 +72,6 @@ def _limits(surface: PlacedSurface, bounds: Bounds | None, w: Array, rays: Array
                 head = np.stack([own[:, axis] - limit * w, np.full(w.shape, at - limit)], axis=-1)
                 found.append(np.concatenate([head, along], axis=-1) * sign)
     return found
-
-
-@dataclass(frozen=True, eq=False)
-class Points:
-    """Surface points of visibility tests: rays (N, 3), inverse depth w (N,) in 1/mm, signed blur radius (N,) in px,
-    place x, y (N,) of the source in its pixel, px, the width of the sources, px, and the gradient (N, 2) of the blur
-    radius, px per px, right and down, 0 where the tilt of surfaces does not count; limb (N,): at a limb."""
-
-    rays: Array
-    w: Array
-    radius: Array
-    x: Array
-    y: Array
-    width: Array | float
-    gradient: Array
-    limb: Mask | bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class Division:
-    """Division of the lens into cells for N sources.
-
-    cells (N,): per lens radius, signed as the blur radius; wide (N,): a cell is a pixel; blur (N,): |R| extent, px;
-    extent: of the lens in lens radii; width: of the sources, px; gradient (N, 2): of their blur radius.
-    """
-
-    cells: Array
-    blur: Array
-    extent: float
-    width: Array | float
-    wide: Mask
-    gradient: Array
-
-    @property
-    def most(self) -> Array:
-        """Cells (N,) to the farthest tap."""
-        return np.asarray(self.extent * np.abs(self.cells) + 1.5)
-
-
-def division_of(radius: Array, extent: float, width: Array | float, gradient: Array) -> Division:
-    """Cells for sources of blur radius (N,) px."""
-    blur = np.abs(radius) * extent
-    wide = blur >= WIDE_LENS
-    cells = np.where(wide, radius, np.where(radius < 0, -LENS_CELLS, LENS_CELLS) / extent)
-    return Division(cells, blur, extent, width, wide, gradient)
-
-
-@dataclass(frozen=True, eq=False)
-class Equation:
-    """C v^2 + 2 B v + F = 0 of one surface and N points, in the middle of the lens and with C > 0.
-
-    B, F (N,), C. point (N, 3): times w, in the canonical frame; along_x, along_y (N, 3): way of the lens point per
-    cell, right and down, of `right` (N,) mm; linear (N,): l . point; sign: by which the surface's own equation was
-    multiplied; once (N,): there is one crossing at most; flat: the surface is a plane.
-    """
-
-    B: Array
-    F: Array
-    C: float
-    point: Array
-    along_x: Array
-    along_y: Array
-    right: Array
-    linear: Array
-    sign: float
-    once: Mask
-    flat: bool
-
-
-def equation_of(lens: Lens, surface: PlacedSurface, rays: Array, w: Array, cells: Array, own: bool) -> Equation:
-    """The equation of points on rays (N, 3); own: they are on the surface, F = 0."""
-    q, l, k, o = surface.canonical.q, surface.canonical.l, surface.canonical.k, surface.offset  # noqa: E741
-    p = o * w[:, None] + turned(surface.turn, rays)
-    right = lens.radius / cells
-    along_x, along_y = (way[:, None] * surface.turn[:, i] for i, way in enumerate((right, -right)))
-    sign = -1.0 if surface.constant < 0 else 1.0
-    f = np.zeros_like(w) if own else sign * (_dot(q, p * p) + w * (2 * _dot(l, p) - k * w))
-    b = sign * (_dot(q, p * o) + _dot(l, p) + w * (l @ o - k))
-    flat = not q.any()
-    return Equation(b, f, sign * surface.constant, p, along_x, along_y, right, _dot(l, p), sign, f <= 0, flat)
-
-
-@dataclass(frozen=True, eq=False)
-class Slopes:
-    """B, C and D = B^2 - C F, which is 0 at the outline, as polynomials of the tap (x, y); (N,) each."""
-
-    D: Array
-    B_x: Array
-    B_y: Array
-    C_x: Array
-    C_y: Array
-    C_xx: Array
-    C_xy: Array
-    C_yy: Array
-    D_x: Array
-    D_y: Array
-    D_xx: Array
-    D_xy: Array
-    D_yy: Array
-
-
-def slopes_of(surface: PlacedSurface, e: Equation, w: Array, d: Array) -> Slopes:
-    """Derivatives of the coefficients by the tap; d: D (N,) in the middle of the lens."""
-    q, l, o, side = surface.canonical.q, surface.canonical.l, surface.offset, e.sign  # noqa: E741
-    ex, ey = e.along_x, e.along_y
-    bx, by = (side * (_dot(q, e.point * u) + w * _dot(l, u)) for u in (ex, ey))
-    cx, cy = (side * 2 * (_dot(q, o * u) + _dot(l, u)) for u in (ex, ey))
-    cxx, cyy, cxy = side * _dot(q, ex * ex), side * _dot(q, ey * ey), side * 2 * _dot(q, ex * ey)
-    dx, dy = 2 * e.B * bx - cx * e.F, 2 * e.B * by - cy * e.F
-    dxx, dyy, dxy = bx * bx - cxx * e.F, by * by - cyy * e.F, 2 * bx * by - cxy * e.F
-    return Slopes(d, bx, by, cx, cy, cxx, cxy, cyy, dx, dy, dxx, dxy, dyy)
-
-
-def crossing_place(lens: Lens, e: Equation, d: Array) -> Array:
-    """Distance in the image at which the line meets the surface, or passes it, (N,), px per lens radius."""
-    root = np.sqrt(np.maximum(d, 0.0))
-    # The outline itself is at sqrt(F / C): half of it keeps its edge from growing endlessly where the line passes the
-    # surface next to the point.
-    passed = np.maximum(np.abs(e.B), 0.5 * np.sqrt(np.maximum(e.C * e.F, 0.0))) / e.C
-    v = np.where(e.once, np.where(e.B < 0, (root - e.B) / e.C, -e.F / (e.B + root)), passed)
-    return np.maximum(np.abs(lens.blur_scale * v), TINY)
-
-
-def edge_width(division: Division, place: Array) -> Array:
-    """Half width (N,) of the edge of an occluder, in cells: over the cell, and the part that a source's width adds."""
-    away = division.cells / place
-    return np.asarray(SOFT_BOX * np.hypot(1.0, division.width * np.where(division.wide, away - 1, away)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -431,7 +314,8 @@ class Visibility:
     lens, part of which is behind the surface, else 0; limb (M,): at a limb; nearest (M,): least `crossing_place` of
     what hides it in part; circles: rims that cut its light; waves: light goes beyond the rim; signed: cells turn over
     where R < 0; round: the rim is a circle; bent (M, 3): xx, xy, yy from taps to an ellipse's disc, or from a narrow
-    lens' cells to it; None: discs.
+    lens' cells to it; None: discs. rays: mean lens points of
+    wide lenses, and which of them, `RayMeans.around` (M, k); behind (M,): all is hidden, at the scale of these.
     """
 
     row: NDArray[np.int64]
@@ -452,6 +336,11 @@ class Visibility:
     signed: bool = False
     round: bool = True
     bent: Array | None = None
+    rays: RayMeans | None = None
+    ray_numbers: NDArray[np.int64] | None = None
+    ray_parts: Array | None = None
+    ray_scale: Array | None = None
+    behind: Mask | None = None
 
     def of(self, chosen: NDArray[Any] | slice) -> Visibility:
         """The same for some of the sources."""
@@ -477,18 +366,16 @@ def check_visibility(
     """
     lens = along_rays(lens, points.rays)
     division = division_of(points.radius, psf.extent, points.width, points.gradient)
-    state, edge = np.full(points.w.shape, CLEAR), np.zeros(points.w.shape, dtype=bool)
-    found, nearest = [], np.full(points.w.shape, np.inf)
-    for k, surface in enumerate(surfaces):
-        # The near one of two roots has nothing of its own surface before it.
-        if group.occluders >> k & 1 and not (k == group.own and group.root == (2 if surface.constant < 0 else 1)):
-            one, changes, occluder, place = meet_occluder(lens, surface, bounds[k], points, division, k == group.own)
-            nearest = np.where(one == PARTLY, np.minimum(nearest, place), nearest)
-            state, edge = np.maximum(state, one), edge ^ changes
-            found.append((one == PARTLY, occluder))
+    state, edge, found, nearest = _meet_occluders(lens, surfaces, bounds, group, points, division)
     cut, circles = meet_rims(lens, psf, points, division)
     state = np.maximum(state, cut)
     partly = state == PARTLY
+    rays: dict[str, Any] = {}
+    if has_ray_means(psf) and partly.any():
+        division, rays = _by_rays(psf, points, division)
+        again, _, found, _ = _meet_occluders(lens, surfaces, bounds, group, points, division)
+        rays |= {"behind": again == HIDDEN}
+        rays = {name: value if name == "rays" else value[partly] for name, value in rays.items()}
     occluders = tuple((mask[partly], occluder.of(mask & partly)) for mask, occluder in found)
     # What is hidden and what the tilt ends go together: both are parts of the lens behind a surface seen edge-on.
     leans = (np.hypot(*division.gradient.T) * division.extent > 1.0) & ~division.wide & (division.width < 1.0)
@@ -499,5 +386,34 @@ def check_visibility(
         occluders, division.extent, psf.lens_cells(), np.array(psf.pupil.edges).reshape(-1, 3),
         lean[partly], np.broadcast_to(points.limb, partly.shape)[partly], nearest[partly],
         tuple(circle.of(partly) for circle in circles), psf.diffracted, psf.signed,
-        not (psf.signed or psf.diffracted or psf.pupil.edges),
+        not (psf.signed or psf.diffracted or psf.pupil.edges), **rays,
     )  # fmt: skip
+
+
+def _meet_occluders(
+    lens: Lens, surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], group: OcclusionGroup,
+    points: Points, division: Division,
+) -> tuple[NDArray[np.uint8], Mask, list[tuple[Mask, Occluder]], Array]:  # fmt: skip
+    """State of the lens (N,), where an edge is (N,), what hides it in part, and least `crossing_place` of that (N,)."""
+    state, edge = np.full(points.w.shape, CLEAR), np.zeros(points.w.shape, dtype=bool)
+    found, nearest = [], np.full(points.w.shape, np.inf)
+    for k, surface in enumerate(surfaces):
+        # The near one of two roots has nothing of its own surface before it.
+        if group.occluders >> k & 1 and not (k == group.own and group.root == (2 if surface.constant < 0 else 1)):
+            one, changes, occluder, place = meet_occluder(lens, surface, bounds[k], points, division, k == group.own)
+            nearest = np.where(one == PARTLY, np.minimum(nearest, place), nearest)
+            state, edge = np.maximum(state, one), edge ^ changes
+            found.append((one == PARTLY, occluder))
+    return state, edge, found, nearest
+
+
+def _by_rays(psf: PointSpread, points: Points, division: Division) -> tuple[Division, dict[str, Any]]:
+    """Cells of wide lenses by the scale of their rays, and what `Visibility` has of these; aberrated ones are wide."""
+    rays, count = ray_means(psf, ceil(float(np.abs(points.radius).max()))), len(points.w)
+    places, shares = np.zeros((1, count), dtype=np.int64), np.ones((1, count))
+    if psf.varying is not None and points.place is not None:
+        places, shares = psf.varying.blend(points.place[1], points.place[0])
+    numbers, parts, scale = rays.around(points.radius, places, shares)
+    wide = np.ones(count, dtype=bool) if psf.diffracted else division.wide
+    division = replace(division, wide=wide, cells=np.where(wide, scale, division.cells))
+    return division, {"rays": rays, "ray_numbers": numbers, "ray_parts": parts, "ray_scale": scale}

@@ -42,10 +42,15 @@ def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
     rim = np.maximum(np.abs(visibility.radius) * visibility.extent, 1.0)
     if visibility.bent is not None:
         x, y = (np.where(visibility.wide, *both) for both in zip(_bent(visibility.bent, x, y), (x, y), strict=True))
-    moved = inwards_of(visibility, 0.5 * rim - (x * x + y * y) / (2 * rim))
-    inwards = np.where(visibility.wide, 1 - moved / rim, 1.0)
-    x, y = (x * inwards, y * inwards) if visibility.mask.size == 0 else _inside(visibility, x, y)
-    if visibility.waves:
+    if visibility.rays is not None:
+        x, y = _by_rays(visibility, x, y)
+    elif visibility.mask.size:
+        x, y = _inside(visibility, x, y)
+    else:
+        moved = inwards_of(visibility, 0.5 * rim - (x * x + y * y) / (2 * rim))
+        inwards = np.where(visibility.wide, 1 - moved / rim, 1.0)
+        x, y = x * inwards, y * inwards
+    if visibility.waves and visibility.rays is None:
         distance = np.hypot(x, y)
         within = np.where(visibility.wide & (distance > rim), rim / np.maximum(distance, rim), 1.0)
         x, y = x * within, y * within
@@ -54,7 +59,8 @@ def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
         left = Part(share[mask], across[mask], down[mask])
         left = leave_free(left, occluded_part(occluder, x[mask], y[mask]))
         share[mask], across[mask], down[mask] = left.share, left.x, left.y
-    return share * rim_share(visibility, x, y)
+    share = share * rim_share(visibility, x, y)
+    return share if visibility.behind is None else np.where(visibility.behind, 0.0, share)
 
 
 def inwards_of(visibility: Visibility, s: Array) -> Array:
@@ -95,6 +101,15 @@ def rim_share(visibility: Visibility, x: Array, y: Array) -> Array:
         soft = np.where(t < 0, 0.5 * (1 + t) ** 2, 1 - 0.5 * (1 - t) ** 2)
         share *= np.where(circle.cuts, soft, 1.0)
     return share
+
+
+def _by_rays(visibility: Visibility, x: Array, y: Array) -> tuple[Array, Array]:
+    """Taps of wide lenses, moved to the means of the lens points that light comes from."""
+    rays, numbers, parts, scale = visibility.rays, visibility.ray_numbers, visibility.ray_parts, visibility.ray_scale
+    assert rays is not None and numbers is not None  # noqa: PT018
+    assert parts is not None and scale is not None  # noqa: PT018
+    places = scale * rays.lens_points(numbers, parts, x, y)
+    return np.where(visibility.wide, places[0], x), np.where(visibility.wide, places[1], y)
 
 
 def _inside(visibility: Visibility, x: Array, y: Array) -> tuple[Array, Array]:

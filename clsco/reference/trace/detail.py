@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from clsco.constants import MAP_TRIPLANAR
 from clsco.optics.quadrics import PlacedSurface
+from clsco.reference.common.equation import WIDE_LENS
 from clsco.reference.common.geometry import Array
-from clsco.reference.common.visibility import WIDE_LENS
 from clsco.reference.trace.footprint import footprint_of, mean_texture, sharpening
 from clsco.reference.trace.mapping import (
     Mapped,

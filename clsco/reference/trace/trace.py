@@ -22,6 +22,7 @@ from clsco.optics.point_spread import PointSpread, subpixel_offsets
 from clsco.optics.quadrics import PlacedSurface, cutting_bounds, place
 from clsco.optics.rays import ray_changes
 from clsco.optics.visibility import OcclusionGroup
+from clsco.reference.common.equation import Points
 from clsco.reference.common.geometry import (
     HALF_PIXEL,
     SMALLEST_RADIUS,
@@ -37,7 +38,7 @@ from clsco.reference.common.geometry import (
     surface_slope,
     tilt_slope,
 )
-from clsco.reference.common.visibility import HIDDEN, Points, Visibility, check_visibility
+from clsco.reference.common.visibility import HIDDEN, Visibility, check_visibility
 from clsco.reference.common.visibility_test import bend_visibility
 from clsco.reference.trace.detail import detailed_texture, is_shared
 from clsco.reference.trace.footprint import parts_of, sharpening, surface_texture
@@ -255,6 +256,7 @@ def trace(view: View, group: OcclusionGroup, guard: int) -> Sources:
         rays, own = pixel_ray(scene.camera, row, column)[lit], None if widening is None else widening[lit]
         here, radius = np.zeros(len(rays)), hit.radius[lit]
         points = Points(rays, hit.w[lit], radius, here, here, 1.0, _tilted(view, radius, hit.gradient[lit], own))
+        points = replace(points, place=np.stack([np.broadcast_to(at, lit.shape)[lit] for at in (row, column)]))
         state, edge, seen = check_visibility(view.lens, view.surfaces, bounds, group, view.psf, points)
         label[lit] |= edge.astype(np.uint8) << 7
         number = np.full(lit.size, -1)
@@ -379,6 +381,8 @@ def trace_subpixels(
         points = Points(
             rays, hit.w[lit], lens_radius[lit], x, y, 1.0 / samples, tilted[lit] * scene.psf.tilt, limb[lit]
         )
+        pixels = (np.broadcast_to(at[:, None, None], lit.shape)[lit] - guard for at in (row, column))
+        points = replace(points, place=np.stack(list(pixels)))
         if sources is not None and cut.any() and view.psf.shares_lens:
             points = _from_middles(view, points, sources, (row, column), cut, lit, guard)
         state, _, visibility = check_visibility(view.lens, view.surfaces, bounds, group, view.psf, points)

@@ -261,7 +261,7 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
                 if (IS_PARTLY(as_int(p.w))) {
                     left -= HIDDEN_WORK + HIDDEN_TAPS * vectors;
                     visibility_t visibility;
-                    source_visibility(grid, lens, surfaces, group, psf, lens_cells, grid.top + y + spread.oy,
+                    source_visibility(grid, lens, surfaces, group, psf, lens_cells RAY_VALUES, grid.top + y + spread.oy,
                                       x - grid.guard + spread.ox,
                                       sub_depth[id], spread, &p, (real)1 / SUBPIXELS, &visibility);
                     float light[CHANNELS];
@@ -298,7 +298,7 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
         if (IS_PARTLY(as_int(s.w))) {
             left -= HIDDEN_WORK + HIDDEN_TAPS * vectors;
             visibility_t visibility;
-            source_visibility(grid, lens, surfaces, group, psf, lens_cells, grid.top + y, x - grid.guard, depth[at],
+            source_visibility(grid, lens, surfaces, group, psf, lens_cells RAY_VALUES, grid.top + y, x - grid.guard, depth[at],
                               spread, &s, source_width(s), &visibility);
             float light[CHANNELS];
             light_of(value + at, plane, grid.width, s, light);

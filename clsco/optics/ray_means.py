@@ -1,0 +1,151 @@
+"""Mean lens points of the light that pixels get of a source: where wide lenses are tested for what hides them, if light
+from a lens point l does not arrive at R l alone, or if the opening is not convex (float64, pure).
+
+A ray through l arrives at R l + 2 grad W px from its source (`clsco.optics.pupils.wavefront`). Of all rays that a pixel
+gets from a source the mean of l stands for the place in the lens that it sees the source through.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from math import ceil
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.constants import TAP_LANES
+from clsco.optics.point_spread import PointSpread
+from clsco.optics.pupils.pupil import Array, Pupil
+from clsco.optics.pupils.traced import Traced, bent_rays
+from clsco.optics.pupils.wavefront import Wavefront
+
+STEPS = 4  # radii per px that means are made for; between two of them they change in proportion
+PER_PX, FEWEST, MOST = 3, 24, 128  # rays per radius of the lens
+LEAST_LIGHT = 1e-6  # of all, from which on a pixel has a mean of its own
+ROUNDING = 1e-3  # px: of places of sources in their pixels
+SPREADINGS = 2  # px that means go on beyond the blur
+IN_FOCUS = 0.577  # px per lens radius: an edge as soft as a cell of this scale hides what it hides of a whole disc
+
+
+@dataclass(frozen=True, eq=False)
+class RayMeans:
+    """Mean lens points by blur radius and pixel.
+
+    Attributes
+    ----------
+    first : int
+        Radius that the first ones are for, in steps of 1 / STEPS px; negative radii come first.
+    half_width : int
+        Farthest pixel from the source, px along an axis.
+    scales : ndarray, (places, radii)
+        px per lens radius of the blur, by its second moments, without a sign; of each place of the field.
+    means : ndarray, (places, radii, 2, rows, pitch)
+        x and y of lens points, in radii of the lens; row and column from the source, the rest of a row is 0.
+    """
+
+    first: int
+    half_width: int
+    scales: Array
+    means: Array
+
+    def floats(self) -> NDArray[np.float32]:
+        """As kernels read it: first, radii, half-width, pitch; then of each place and radius its scale and, after
+        TAP_LANES floats, its means."""
+        places, radii, _, _, pitch = self.means.shape
+        head = np.zeros(TAP_LANES)
+        head[:4] = self.first, radii, self.half_width, pitch
+        scales = np.repeat(self.scales[..., None], TAP_LANES, axis=-1)
+        each = np.concatenate([scales, self.means.reshape(places, radii, -1)], axis=-1)
+        return np.concatenate([head, each.ravel(), np.zeros(2 * TAP_LANES)]).astype(np.float32)
+
+    def around(self, radius: Array, places: NDArray[np.int64], shares: Array) -> tuple[NDArray[np.int64], Array, Array]:
+        """Which means are around sources of signed radii (n,), between places (k, n) of the field with these shares:
+        numbers (n, 2 k) in a list of all, their parts, and scales (n,), signed."""
+        at = np.clip(radius * STEPS - self.first, 0.0, self.means.shape[1] - 1.0)
+        number = np.minimum(at.astype(np.int64), self.means.shape[1] - 2)
+        first, above = places * self.means.shape[1] + number, at - number
+        numbers = np.concatenate([first, first + 1]).T
+        parts = np.concatenate([shares * (1.0 - above), shares * above]).T
+        scale = (parts * self.scales.ravel()[numbers]).sum(axis=-1)
+        return numbers, parts, np.where(radius < 0.0, -scale, scale)
+
+    def lens_points(self, numbers: NDArray[np.int64], parts: Array, x: Array, y: Array) -> Array:
+        """Mean lens points (2, n) of taps x, y (n,) px from sources, in radii of the lens, by what `around` gives."""
+        far, means = self.half_width, self.means.reshape(-1, *self.means.shape[2:])
+        left, top = (np.floor(at + ROUNDING) for at in (x, y))
+        column, row = (np.clip(at, -far, far - 1).astype(np.int64)[:, None] + far for at in (left, top))
+        found = np.zeros((2, len(x)))
+        for i, below in enumerate((1.0 - (y - top), y - top)):
+            for j, beside in enumerate((1.0 - (x - left), x - left)):
+                for axis in range(2):
+                    found[axis] += below * beside * (parts * means[numbers, axis, row + i, column + j]).sum(axis=-1)
+        return found
+
+
+def has_ray_means(psf: PointSpread) -> bool:
+    """True if lens points do not follow from places in the blur alone."""
+    return isinstance(psf.pupil, Traced) or not (psf.diffracted or psf.pupil.is_convex)
+
+
+def ray_floats(psf: PointSpread, largest: float) -> int:
+    """Floats that `RayMeans.floats` gives for |blur radii| up to `largest` px."""
+    half_width = _half_width(psf, largest)
+    rows, radii = 2 * half_width + 1, 2 * (ceil(largest * STEPS) + 1) + 1
+    return 3 * TAP_LANES + len(psf.places) * radii * (TAP_LANES + 2 * rows * _pitch(half_width))
+
+
+@lru_cache(maxsize=8)
+def ray_means(psf: PointSpread, largest: float) -> RayMeans:
+    """Mean lens points for |blur radii| up to `largest` px."""
+    half_width, last = _half_width(psf, largest), ceil(largest * STEPS) + 1
+    radii = np.arange(-last, last + 1) / STEPS
+    shape = len(psf.places), len(radii)
+    scales, means = np.zeros(shape), np.zeros((*shape, 2, 2 * half_width + 1, _pitch(half_width)))
+    for k, place in enumerate(psf.places):
+        opening, wavefront = place.pupil, Wavefront()
+        if isinstance(opening, Traced):
+            wavefront, opening = opening.wavefront, opening.opening
+        for n, radius in enumerate(radii.tolist()):
+            scales[k, n], found = _means(opening, wavefront, radius, half_width)
+            means[k, n, :, :, : 2 * half_width + 1] = found
+    return RayMeans(-last, half_width, scales, means)
+
+
+def _half_width(psf: PointSpread, largest: float) -> int:
+    return psf.reach(largest) + SPREADINGS
+
+
+def _pitch(half_width: int) -> int:
+    return (-(-(2 * half_width + 1) // TAP_LANES) + 1) * TAP_LANES
+
+
+def _means(opening: Pupil, wavefront: Wavefront, radius: float, half_width: int) -> tuple[float, Array]:
+    """Scale of a blur, and mean lens points (2, rows, columns), of sources that are pixels: rays light four pixels."""
+    reach = abs(radius) * opening.extent + 2.0 * wavefront.slope
+    x, y, light, right, down = bent_rays(opening, wavefront, min(max(ceil(PER_PX * reach), FEWEST), MOST))
+    at_x, at_y, side = radius * x + right, radius * y + down, 2 * half_width + 1
+    column, row = (np.clip(np.floor(at), -half_width, half_width - 1).astype(np.int64) for at in (at_x, at_y))
+    parts = [np.clip(at - cell, 0.0, 1.0) for at, cell in ((at_x, column), (at_y, row))]
+    sums, first = np.zeros((3, side * side)), (row + half_width) * side + column + half_width
+    for i, part_y in enumerate((1.0 - parts[1], parts[1])):
+        for j, part_x in enumerate((1.0 - parts[0], parts[0])):
+            each = light * part_x * part_y
+            for total, value in zip(sums, (each, each * x, each * y), strict=True):
+                total += np.bincount(first + i * side + j, value, side * side)
+    spread = [float((light * at * at).sum() - (light * at).sum() ** 2) for at in (at_x, at_y, x, y)]
+    scale = max(((spread[0] + spread[1]) / (spread[2] + spread[3])) ** 0.5, IN_FOCUS)
+    weight = np.where(sums[0] > LEAST_LIGHT, sums[0], 0.0).reshape(side, side)
+    means = sums[1:].reshape(2, side, side) * (weight > 0.0) / np.where(weight > 0.0, weight, 1.0)
+    for _ in range(SPREADINGS):
+        around = [_neighbors(each * (weight > 0.0)) for each in (*means, np.ones_like(weight))]
+        means = np.where(weight > 0.0, means, np.stack(around[:2]) / np.maximum(around[2], 1.0))
+        weight = np.maximum(weight, around[2] > 0.0)
+    return scale, means
+
+
+def _neighbors(plane: Array) -> Array:
+    """Sum of the pixels around each of a plane, and its own."""
+    padded = np.pad(plane, 1)
+    rows = padded[:-2] + padded[1:-1] + padded[2:]
+    return np.asarray(rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:])

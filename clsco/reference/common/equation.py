@@ -1,0 +1,152 @@
+"""Crossings of lines to the lens with a surface: the equation of `clsco.reference.common.visibility`, and the cells of
+the lens that it is for, in NumPy float64."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.constants import LENS_CELLS
+from clsco.optics.lens import Lens
+from clsco.optics.quadrics import PlacedSurface
+from clsco.reference.common.geometry import Array, turned
+from clsco.reference.common.occluder import TINY, Mask
+
+SOFT_BOX = (5.0 / 12.0) ** 0.5  # half width of the cubic step that has the variance of a box 1 wide
+WIDE_LENS = 3.2  # px: a lens at least so wide is tested once per tap, others on a grid of cells
+
+
+def _dot(weights: Array, vectors: Array) -> Array:
+    return np.asarray(vectors @ weights)
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Surface points of visibility tests: rays (N, 3), inverse depth w (N,) in 1/mm, signed blur radius (N,) in px,
+    place x, y (N,) of the source in its pixel, px, the width of the sources, px, and the gradient (N, 2) of the blur
+    radius, px per px, right and down, 0 where the tilt of surfaces does not count; limb (N,): at a limb; place (2, N):
+    row and column of the pixel in the frame, px."""
+
+    rays: Array
+    w: Array
+    radius: Array
+    x: Array
+    y: Array
+    width: Array | float
+    gradient: Array
+    limb: Mask | bool = False
+    place: NDArray[Any] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Division:
+    """Division of the lens into cells for N sources.
+
+    cells (N,): per lens radius, signed as the blur radius; wide (N,): a cell is a pixel; blur (N,): |R| extent, px;
+    extent: of the lens in lens radii; width: of the sources, px; gradient (N, 2): of their blur radius.
+    """
+
+    cells: Array
+    blur: Array
+    extent: float
+    width: Array | float
+    wide: Mask
+    gradient: Array
+
+    @property
+    def most(self) -> Array:
+        """Cells (N,) to the farthest tap."""
+        return np.asarray(self.extent * np.abs(self.cells) + 1.5)
+
+
+def division_of(radius: Array, extent: float, width: Array | float, gradient: Array) -> Division:
+    """Cells for sources of blur radius (N,) px."""
+    blur = np.abs(radius) * extent
+    wide = blur >= WIDE_LENS
+    cells = np.where(wide, radius, np.where(radius < 0, -LENS_CELLS, LENS_CELLS) / extent)
+    return Division(cells, blur, extent, width, wide, gradient)
+
+
+@dataclass(frozen=True, eq=False)
+class Equation:
+    """C v^2 + 2 B v + F = 0 of one surface and N points, in the middle of the lens and with C > 0.
+
+    B, F (N,), C. point (N, 3): times w, in the canonical frame; along_x, along_y (N, 3): way of the lens point per
+    cell, right and down, of `right` (N,) mm; linear (N,): l . point; sign: by which the surface's own equation was
+    multiplied; once (N,): there is one crossing at most; flat: the surface is a plane.
+    """
+
+    B: Array
+    F: Array
+    C: float
+    point: Array
+    along_x: Array
+    along_y: Array
+    right: Array
+    linear: Array
+    sign: float
+    once: Mask
+    flat: bool
+
+
+def equation_of(lens: Lens, surface: PlacedSurface, rays: Array, w: Array, cells: Array, own: bool) -> Equation:
+    """The equation of points on rays (N, 3); own: they are on the surface, F = 0."""
+    q, l, k, o = surface.canonical.q, surface.canonical.l, surface.canonical.k, surface.offset  # noqa: E741
+    p = o * w[:, None] + turned(surface.turn, rays)
+    right = lens.radius / cells
+    along_x, along_y = (way[:, None] * surface.turn[:, i] for i, way in enumerate((right, -right)))
+    sign = -1.0 if surface.constant < 0 else 1.0
+    f = np.zeros_like(w) if own else sign * (_dot(q, p * p) + w * (2 * _dot(l, p) - k * w))
+    b = sign * (_dot(q, p * o) + _dot(l, p) + w * (l @ o - k))
+    flat = not q.any()
+    return Equation(b, f, sign * surface.constant, p, along_x, along_y, right, _dot(l, p), sign, f <= 0, flat)
+
+
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """B, C and D = B^2 - C F, which is 0 at the outline, as polynomials of the tap (x, y); (N,) each."""
+
+    D: Array
+    B_x: Array
+    B_y: Array
+    C_x: Array
+    C_y: Array
+    C_xx: Array
+    C_xy: Array
+    C_yy: Array
+    D_x: Array
+    D_y: Array
+    D_xx: Array
+    D_xy: Array
+    D_yy: Array
+
+
+def slopes_of(surface: PlacedSurface, e: Equation, w: Array, d: Array) -> Slopes:
+    """Derivatives of the coefficients by the tap; d: D (N,) in the middle of the lens."""
+    q, l, o, side = surface.canonical.q, surface.canonical.l, surface.offset, e.sign  # noqa: E741
+    ex, ey = e.along_x, e.along_y
+    bx, by = (side * (_dot(q, e.point * u) + w * _dot(l, u)) for u in (ex, ey))
+    cx, cy = (side * 2 * (_dot(q, o * u) + _dot(l, u)) for u in (ex, ey))
+    cxx, cyy, cxy = side * _dot(q, ex * ex), side * _dot(q, ey * ey), side * 2 * _dot(q, ex * ey)
+    dx, dy = 2 * e.B * bx - cx * e.F, 2 * e.B * by - cy * e.F
+    dxx, dyy, dxy = bx * bx - cxx * e.F, by * by - cyy * e.F, 2 * bx * by - cxy * e.F
+    return Slopes(d, bx, by, cx, cy, cxx, cxy, cyy, dx, dy, dxx, dxy, dyy)
+
+
+def crossing_place(lens: Lens, e: Equation, d: Array) -> Array:
+    """Distance in the image at which the line meets the surface, or passes it, (N,), px per lens radius."""
+    root = np.sqrt(np.maximum(d, 0.0))
+    # The outline itself is at sqrt(F / C): half of it keeps its edge from growing endlessly where the line passes the
+    # surface next to the point.
+    passed = np.maximum(np.abs(e.B), 0.5 * np.sqrt(np.maximum(e.C * e.F, 0.0))) / e.C
+    v = np.where(e.once, np.where(e.B < 0, (root - e.B) / e.C, -e.F / (e.B + root)), passed)
+    return np.maximum(np.abs(lens.blur_scale * v), TINY)
+
+
+def edge_width(division: Division, place: Array) -> Array:
+    """Half width (N,) of the edge of an occluder, in cells: over the cell, and the part that a source's width adds."""
+    away = division.cells / place
+    return np.asarray(SOFT_BOX * np.hypot(1.0, division.width * np.where(division.wide, away - 1, away)))
