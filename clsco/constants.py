@@ -14,6 +14,7 @@ STATISTIC_SLOTS = 2
 STATISTIC_BEYOND = 3  # 1 where a hit is not where its object was predicted
 STATISTIC_OUTSIDE = 4  # 1 where a source is not still that was predicted to be (kernels/trace/still.clh)
 PLACE_NUMBERS = 10  # of the place of an object at a time sample
+NARROW_IMAGE = 4  # px: surfaces whose images are less wide are small (kernels/trace/small.clh)
 MOVING_MARGIN = 4  # px around what moves, within which sources are not still
 
 # Bits of the feature CURVED (kernels/common/geometry.clh).

@@ -47,6 +47,7 @@ HEADERS_OF = {
         "trace/light.clh",
         "trace/texture.clh",
         "trace/outline.clh",
+        "trace/small.clh",
         "trace/still.clh",
     ),
     "trace/truth.cl": (*MAPPING_HEADERS, "trace/light.clh", "trace/texture.clh"),

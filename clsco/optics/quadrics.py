@@ -7,7 +7,7 @@ axes. One ray-surface solution serves all of them, in a form without cancellatio
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, pi
 
 import numpy as np
@@ -101,8 +101,8 @@ class PlacedSurface:
     seen : Extent
         Bounds of the surface in the image and in depth.
     width : float
-        About how wide the image of a bounded flat surface is across its longest way, a slope of rays; infinite of
-        others.
+        About how wide the image is across its longest way, a slope of rays; infinite of surfaces without an end; below
+        0 where it is another at each place, between two lines, as of cylinders and cones.
     """
 
     canonical: Canonical
@@ -248,17 +248,49 @@ def place(item: Object, pose: Pose) -> PlacedSurface:
     else:
         constant = float(shape.q @ offset**2 + 2.0 * (shape.l @ offset) - shape.k)
     ways, ball = (turn, offset, body_turn, body_offset, own_turn, own_offset), _ball(item, pose)
-    return PlacedSurface(shape, *ways, rest, constant, ball, _seen(*ball.tolist()), _width(item, constant, ball))
+    placed = PlacedSurface(shape, *ways, rest, constant, ball, _seen(*ball.tolist()))
+    return replace(placed, width=_width(item, placed))
 
 
-def _width(item: Object, distance: float, ball: Vector) -> float:
+def outline_form(surface: PlacedSurface) -> NDArray[np.float64]:
+    """Symmetric matrix M (3, 3) of the discriminant r M r of a curved surface along rays r, whose sign is that of a
+    hit: its outline in the image is the conic r M r = 0."""
+    gradient = (surface.canonical.q * surface.offset + surface.canonical.l) @ surface.turn
+    square = surface.turn.T @ (surface.canonical.q[:, None] * surface.turn)
+    return np.asarray(np.outer(gradient, gradient) - surface.constant * square)
+
+
+def outline_lines(surface: PlacedSurface, x: Vector, y: Vector) -> tuple[Vector, Vector]:
+    """How far rays of slopes x and y (any one shape) are from the middle of the pair of lines that are the outline of a
+    cylinder or a cone, about, and half of the width between the lines there; infinite where these are far apart."""
+    form = outline_form(surface)
+    bend = -float(form[0, 0] + form[1, 1])
+    if not bend > 0.0:
+        return np.full_like(x, inf), np.full_like(x, inf)
+    along, up, value = (row[0] * x + row[1] * y + row[2] for row in form)
+    off = np.hypot(along, up) / bend
+    return off, np.sqrt(np.maximum((along * x + up * y + value) / bend + off**2, 0.0))
+
+
+def _width(item: Object, surface: PlacedSurface) -> float:
     """See `PlacedSurface.width`: an area A at depth Z on a plane that the lens is so far from, mm, has the image
     A distance / Z^3, which is no longer than that of the ball."""
-    if not isinstance(item, Rectangle | Disc):
-        return inf
-    area = pi * item.radius**2 if isinstance(item, Disc) else item.size[0] * item.size[1]
-    depth, radius = ball[2:].tolist()
-    return area * abs(distance) / (2.0 * radius * depth**2) if depth > radius else inf
+    depth, radius = surface.ball[2:].tolist()
+    whole = 2.0 * radius / depth if depth > radius else inf
+    shape = surface.canonical
+    if shape.q.any():
+        if not shape.l.any() and (shape.k == 0.0 or not shape.q.all()):
+            return -1.0
+        form = outline_form(surface)
+        bends = np.linalg.eigvalsh(-form[:2, :2])
+        if not bends[0] > 0.0:
+            return whole
+        most = form[2, 2] - form[2, :2] @ np.linalg.solve(form[:2, :2], form[:2, 2])
+        return min(whole, 2.0 * float(np.sqrt(most / bends[1]))) if most > 0.0 else whole
+    if isinstance(item, Rectangle | Disc):
+        area = pi * item.radius**2 if isinstance(item, Disc) else item.size[0] * item.size[1]
+        return area * abs(surface.constant) / (2.0 * radius * depth**2) if depth > radius else inf
+    return whole
 
 
 def _ball(item: Object, pose: Pose) -> Vector:

@@ -28,7 +28,13 @@ from clsco.records import REAL, Struct, structs
 
 SPARE_SLOTS = 1.25  # times those that a time sample has taken, as the next one may take more
 ROUNDED = 1e-5  # relative: far more than rays and depths in single precision differ from those of the host
-TRACE_FILES = ("trace/trace.cl", "trace/bend.cl", "trace/truth.cl", "trace/merge.cl")  # the kernels that cast rays
+TRACE_FILES = (
+    "trace/trace.cl",
+    "trace/small.cl",
+    "trace/bend.cl",
+    "trace/truth.cl",
+    "trace/merge.cl",
+)  # the kernels that cast rays
 # What of the statistics a frame must begin with: no radius met, no slot taken (trace.cl).
 EMPTY_STATISTICS = np.zeros(STATISTICS, np.int32)
 EMPTY_STATISTICS[STATISTIC_SMALLEST] = np.iinfo(np.int32).max
@@ -204,6 +210,8 @@ class Tracer:
         run("label_subpixels", size, PIXELS[:1], at.events, *labeled)
         traced = (*slotted, labels, depth, statistics, *self._exposure(at))
         run("trace_subpixels", size, PIXELS[:1], at.events, *traced)
+        if self.plan.small:
+            run("trace_small", size, PIXELS[:1], at.events, *traced)
         value = sources.value
         if "sharper" in buffers:
             run("trace_detail", size, PIXELS[:1], at.events, *slotted, depth, statistics)

@@ -48,7 +48,7 @@ from clsco.plan.features import curvature_of, shape_features
 from clsco.plan.image import blur_passes, light_of, named, strips_of
 from clsco.plan.methods import MANY_RADII, Blur, BlurSpec, check_shape, occluder_room
 from clsco.plan.passes import Kind, Parameters, Pass
-from clsco.plan.predict import Maps, Prediction, displaced, is_static_map, predict, slopes_where
+from clsco.plan.predict import Maps, Prediction, displaced, has_small_images, is_static_map, predict, slopes_where
 from clsco.plan.request import Request
 from clsco.plan.sensor import sensor_pass
 from clsco.plan.vignetting import vignetting_pass
@@ -98,6 +98,8 @@ class Plan:
         Predicted extents of the objects that `groups` are for; empty where they are for any.
     merged : float
         |R| in px from which on a tolerance merges sources that are hidden in part; 0 for none.
+    small : bool
+        True where an object may be narrow in the image, with sub-pixel sources of what it covers.
     """
 
     scene: Scene
@@ -119,6 +121,7 @@ class Plan:
     strip_rows: int = 0
     extents: tuple[Extent, ...] = ()
     merged: float = 0.0
+    small: bool = False
 
     @property
     def divided(self) -> bool:
@@ -322,6 +325,7 @@ class Plan:
             "DIVIDED": int(self.divided),
             "TILT": int(self.tilt),
             "SUBPIXELS": self.silhouettes,
+            "SMALL": int(self.small),
             "CURVED": curvature_of(scene),
             "MERGED": int(spec.merged > 0.0),
             "SHARED": int(spec.shared),
@@ -391,6 +395,7 @@ def make_plan(
     plan = Plan(
         scene, psf, device, eye, channels + alpha, rows, columns, guard, seen.smallest, seen.largest, choices, groups,
         taps=0.0, spreads=spreads, alpha=alpha, extents=extents,
+        small=choices.silhouettes.value > 0 and has_small_images(scene, seen),
     )  # fmt: skip
     return replace(plan, taps=_predicted_taps(plan, seen)) if blur != "none" and plan.color else plan
 

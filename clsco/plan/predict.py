@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.cache import Cache
-from clsco.constants import TAP_LANES
+from clsco.constants import NARROW_IMAGE, TAP_LANES
 from clsco.errors import SceneError
 from clsco.optics.distortion import distortion_of
 from clsco.optics.exposure import middle_time, sequence_times, shutter_span
@@ -19,7 +19,7 @@ from clsco.optics.lens import Lens as LensOptics
 from clsco.optics.lens_path import camera_at, colored, lenses_at, reference_camera
 from clsco.optics.motion import Eye, Pose, poses_at, rest_center, static_rotation
 from clsco.optics.point_spread import PointSpread
-from clsco.optics.quadrics import cutting_bounds, place, predict_inverse_depth
+from clsco.optics.quadrics import PlacedSurface, cutting_bounds, outline_lines, place, predict_inverse_depth
 from clsco.optics.rays import slopes_at
 from clsco.scene.model import Camera, Disc, Lens, Object, ObjectMotion, Plane, Rectangle, Scene
 
@@ -109,9 +109,27 @@ def _inverse_depths(scene: Scene, samples: Sequence[Sample], maps: Maps, guard: 
     for k, (item, depth) in enumerate(zip(scene.objects, maps, strict=True)):
         for time, (_, poses) in enumerate(samples):
             if depth is None:
-                found[k, time] = predict_inverse_depth(item, place(item, poses[k]), *rays[time])
+                surface = place(item, poses[k])
+                found[k, time] = predict_inverse_depth(item, surface, *rays[time])
+                if not found[k, time].any():
+                    found[k, time] = _between_rays(surface, *rays[time])
             else:
                 found[k, time] = _moved_map(scene, item, depth, poses[k])
+    return found
+
+
+def _between_rays(surface: PlacedSurface, x: Array, y: Array) -> Array:
+    """Inverse depths (GRID, GRID) of a surface at rays beside it, as it is between them; 0 where it is not."""
+    found, (right, up, depth, radius) = np.zeros(x.shape), surface.ball.tolist()
+    aside = np.maximum(*(np.abs(slope - place / depth) for slope, place in ((x, right), (y, up)))) if depth > 0 else x
+    spacing = max(x[0, 1] - x[0, 0], abs(y[1, 0] - y[0, 0]))
+    if depth > radius:
+        found[aside <= spacing + radius / depth] = 1.0 / depth
+    elif surface.width < 0.0:
+        off, _ = outline_lines(surface, x, y)
+        gradient = (surface.canonical.q * surface.offset + surface.canonical.l) @ surface.turn
+        w = -(gradient[0] * x + gradient[1] * y + gradient[2]) / surface.constant
+        found = np.where((off <= spacing) & (w > 0.0), w, 0.0)
     return found
 
 
@@ -225,6 +243,24 @@ class Prediction:
     def nearest(self) -> Array:
         """Inverse depth of the nearest object, (times, GRID, GRID)."""
         return np.asarray(self.w.max(axis=0))
+
+
+def has_small_images(scene: Scene, seen: Prediction) -> bool:
+    """True if an object may be narrower in the image, at some time, than rays through pixels tell."""
+    for time, poses in zip(seen.times, seen.poses, strict=True):
+        most = NARROW_IMAGE * ray_step(camera_at(scene, time))
+        for item, pose in zip(scene.objects, poses, strict=True):
+            surface = place(item, pose)
+            width = surface.width
+            if width < 0.0:
+                half = outline_lines(surface, *seen.slopes)[1]
+                if not np.isfinite(half).all():
+                    continue
+                change = max(float(np.abs(np.diff(half, axis=axis)).max()) for axis in (0, 1))
+                width = 2.0 * (float(half.min()) - change)
+            if width < most:
+                return True
+    return False
 
 
 def _check_curvature(scene: Scene, lens: LensOptics, slopes: Slopes) -> None:

@@ -14,7 +14,7 @@ from clsco.constants import LENS_CELLS
 from clsco.inputs.textures import radiance_span
 from clsco.optics.lens_path import camera_at, colored, lens_at
 from clsco.optics.motion import Eye, poses_at, rest_poses
-from clsco.optics.quadrics import place
+from clsco.optics.quadrics import cutting_bounds, place
 from clsco.optics.vignetting import throughput
 from clsco.optics.visibility import NO_GROUP
 from clsco.reference.blur.blur import prepare_sources, scatter
@@ -26,6 +26,7 @@ from clsco.reference.inpainting.fill import FILLED, UNFILLED, FillReport, fill_o
 from clsco.reference.layered.layered import cluster, spread_depth_layers
 from clsco.reference.plan import Maps, ReferencePlan, band_of, silhouettes_of
 from clsco.reference.trace.mapping import MappedTexture
+from clsco.reference.trace.small import small_members
 from clsco.reference.trace.trace import (
     Sources,
     Texture,
@@ -70,7 +71,9 @@ def _plane_of_rays(plan: ReferencePlan, textures: tuple[Texture, ...], time: flo
         cast = trace(view, group, guard)
         sources, finer = spread_sources(cast) if psf.tilt and not plan.psf.diffracted else cast, None
         if psf.silhouette_samples > 1:
-            marked = silhouettes_of(view, group, guard, cast.label)
+            bounds, grid = [cutting_bounds(item) for item in view.scene.objects], padded_grid(view.scene.camera, guard)
+            small = small_members(view.scene.camera, view.surfaces, bounds, group, *grid).any(axis=0)
+            marked = silhouettes_of(view, group, guard, cast.label) | small
             several = marked if cast.parts is None else marked | (cast.parts > 0)
             finer = trace_subpixels(view, group, guard, marked, cast) if several.any() else None
             sources = sharpen(sources, several)

@@ -26,11 +26,11 @@ static float2 ellipse_tilt(const grid_t grid, bend_t bend, real radius)
 #endif
 
 // Record of a hit, as the lens takes it; below 0 where none of its radiance reaches the lens, which is tested from the
-// hit `seen` of inverse depth seen_w. subpixel: the source is one of SUBPIXELS^2. In and out: label, statistics.
-// bend, seen_bend: of the two rays.
+// hit `seen` of inverse depth seen_w. subpixel: the source is one of SUBPIXELS^2; small: of a small surface. In and out:
+// label, statistics. bend, seen_bend: of the two rays.
 static float4 source_record(const grid_t grid, lens_t lens, __constant surface_t *surfaces, const group_t group,
                             const psf_t psf, real3 ray, bend_t bend, real w, real3 seen_ray, bend_t seen_bend,
-                            real seen_w, int subpixel, uchar *label, __global int *statistics)
+                            real seen_w, int subpixel, bool small, uchar *label, __global int *statistics)
 {
     float4 record = (float4)(-1, 0, 0, as_float(WHOLE));
     if (*label == 0)
@@ -43,8 +43,18 @@ static float4 source_record(const grid_t grid, lens_t lens, __constant surface_t
     float2 tilt = 0;
     real spread = radius;
 #if TILT
-    const real2 gradient = blur_gradient(grid, lens, bend, surface_slope(surface, ray, w), ray, w);
+    real2 slope;
+#if SMALL
+    if (small)
+        outline_plane(surface, ray, &slope);
+    else
+#endif
+        slope = surface_slope(surface, ray, w);
+    const real2 gradient = blur_gradient(grid, lens, bend, slope, ray, w);
     tilt = subpixel ? tilt_slope(gradient, radius) : pixel_tilt(gradient, radius, &spread);
+#if SMALL
+    tilt *= small ? (float)MIN(ABS(radius), (real)1) : 1;  // as in detail.clh
+#endif
 #if ELLIPSES
     tilt += ellipse_tilt(grid, seen_bend, spread);
 #endif
@@ -71,14 +81,14 @@ static float4 source_record(const grid_t grid, lens_t lens, __constant surface_t
 }
 
 // Radiance of a hit on a pixel's ray, times its part of the pixel, to a plane of `values` per channel; 0 without one.
-// sources: per axis of a pixel. Returns what `surface_texture` does, 0 of a projected one.
+// share: what light leaves of it; sources: per axis of a pixel. Returns what `surface_texture` does, 0 of a projected
+// one.
 static float take_radiance(const grid_t grid, __constant surface_t *surfaces, real3 ray, real w, uchar label, int row,
-                           int column, int sources, float part,
-                           __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global float *values, int plane)
+                           int column, int sources, float share, float part,
+                           __global const float *texture OF_TEXTURE_MAPS, __global float *values, int plane)
 {
     const int object = MAX(label - 1, 0) / 2;
     __constant surface_t *surface = surfaces + object;
-    const float share = label ? SHADE(surfaces, object, ray, w) : 0;
 #if TEXTURED
     if (label && maps[object].kind != MAP_PROJECTED) {
         float mean[CHANNELS];
@@ -93,25 +103,6 @@ static float take_radiance(const grid_t grid, __constant surface_t *surfaces, re
         values[c * plane] = label ? OF_CHANNEL(share, c) * part * radiance(texture, surface, grid, c, point) : 0;
     return 0;
 }
-
-#if TEXTURED && SUBPIXELS
-// Record of a pixel with a texture on a surface, marked where it needs sub-pixel sources. Out: its share in what
-// neighbors exchange, 0 where it has no part in it. root: the label before any visibility test.
-static float4 with_detail(const grid_t grid, const lens_t lens, __constant texture_map_t *maps, float4 record,
-                          real3 ray, real w, uchar root, float texels, __global float *share)
-{
-    *share = 0;
-    if (record.x >= 0 && maps[(root - 1) / 2].kind != MAP_PROJECTED) {
-        __constant texture_map_t *map = maps + (root - 1) / 2;
-        const real radius = blur_radius(lens_along(grid, lens, ray), ray, w);
-        *share = sharpening(map, radius);
-        const int detail = detail_of(map, texels, radius);
-        if (detail != WHOLE)
-            record.w = as_float(detail);
-    }
-    return record;
-}
-#endif
 
 // Hits of the rays through all pixels of frame and apron with the nearest object of occlusion group `group`, for all
 // lenses, or for one by which sources are told apart. Out: value, depth, label. With textures on surfaces value has a
@@ -140,8 +131,8 @@ __kernel void cast(const grid_t grid, __constant surface_t *surfaces, const grou
         return;
 #endif
     const int plane = grid.height * grid.width;
-    const float texels = take_radiance(grid, surfaces, ray, w, root, row, column, 1, 1,
-                                       texture TEXTURE_MAPS LIGHT, value + at, plane);
+    const float texels = take_radiance(grid, surfaces, ray, w, root, row, column, 1, SHADE_OF(surfaces, root, ray, w), 1,
+                                       texture TEXTURE_MAPS, value + at, plane);
 #if TEXTURED
     value[CHANNELS * plane + at] = texels;
 #endif
@@ -188,7 +179,7 @@ __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *su
     }
 #endif
     float4 record = source_record(grid, lens, surfaces, group, psf, ray, bend, depth[at], ray, bend, depth[at], 0,
-                                  &root, statistics);
+                                  false, &root, statistics);
 #if TEXTURED && SUBPIXELS
     const float texels = value[CHANNELS * grid.height * grid.width + at];
     record = with_detail(grid, lens, maps, record, ray, depth[at], hit, texels, share + at);
@@ -201,19 +192,18 @@ __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *su
     if (still != exposure.still)
         record.x = ELSEWHERE;
 #endif
+#if SMALL
+    if (small_members(grid, surfaces, group, FRAME_ROW(grid, y), x - grid.guard))
+        record.w = as_float(SMALL_WITHIN);
+#endif
     if (source)
         put_source(source, grid.height * grid.width, at, record);
 #if SEVERAL
     if (hit && is_beyond(extents + 6 * ((hit - 1) / 2), ray, depth[at]))
         atomic_max(statistics + STATISTIC_BEYOND, 1);
 #endif
-#if SUBPIXELS && BOUNDED
-    if (passes_between(grid, surfaces, group, FRAME_ROW(grid, y), x - grid.guard, ray, hit ? (hit - 1) / 2 : -1))
-        label[at] = root | EDGE;
-    else
-#endif
-#if SUBPIXELS && (OCCLUDED || BOUNDED)
-        label[at] = root;
+#if SUBPIXELS && OCCLUDED
+    label[at] = root;
 #endif
 }
 
@@ -229,7 +219,7 @@ __kernel void mark_silhouettes(const grid_t grid, __global const uchar *label, c
     if (begin >= grid.width || y >= grid.height)
         return;
     const bool alike = has_one_label(grid, label, begin, y);
-    if (alike && !TEXTURED)
+    if (alike && !TEXTURED && !SMALL)
         return;
     __global float *marks = MARKS(source, grid.height * grid.width);
     for (int x = begin; x < MIN(begin + TAP_LANES, grid.width); ++x) {
@@ -245,7 +235,10 @@ __kernel void mark_silhouettes(const grid_t grid, __global const uchar *label, c
         fine = as_int(marks[at]) == FINE;
         detailed = fine || as_int(marks[at]) == DETAILED;
 #endif
-        const bool differs = !alike && is_at_silhouette(grid, label, x, y);
+        bool differs = !alike && is_at_silhouette(grid, label, x, y);
+#if SMALL
+        differs |= as_int(marks[at]) == SMALL_WITHIN;
+#endif
         if (!differs && !detailed)
             continue;
         const int slot = atomic_inc(statistics + STATISTIC_SLOTS);
@@ -256,17 +249,8 @@ __kernel void mark_silhouettes(const grid_t grid, __global const uchar *label, c
     }
 }
 
-// The ray through a cell of a pixel of the padded grid, and right and down of its middle by cells.
-static real3 cell_ray(const grid_t grid, int pixel, int sub, real right, real down)
-{
-    const int row = FRAME_ROW(grid, pixel / grid.width), column = pixel % grid.width - grid.guard;
-    const real below = (sub / SUBPIXELS + (real)0.5 + down) / SUBPIXELS - (real)0.5;
-    const real aside = (sub % SUBPIXELS + (real)0.5 + right) / SUBPIXELS - (real)0.5;
-    return pixel_ray(grid, row + below, column + aside);
-}
-
-// Hits of the rays through the middles of SUBPIXELS x SUBPIXELS cells of every marked pixel. Out, per slot and cell in
-// row-major order: sub_label uchar, before any visibility test, sub_depth real.
+// Hits of the rays through the middles of SUBPIXELS x SUBPIXELS cells of every marked pixel with what is not small. Out,
+// per slot and cell in row-major order: sub_label uchar, before any visibility test, sub_depth real.
 __kernel void label_subpixels(const grid_t grid, __constant surface_t *surfaces, const group_t group,
                               __global const int *pixels, const int capacity, __global uchar *sub_label,
                               __global real *sub_depth, __global const int *statistics)
@@ -275,11 +259,19 @@ __kernel void label_subpixels(const grid_t grid, __constant surface_t *surfaces,
     if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] < 0)
         return;
     const int pixel = pixels[slot];
+    group_t behind = group;
+#if SMALL
+    behind.members &= ~small_members(grid, surfaces, group, FRAME_ROW(grid, pixel / grid.width),
+                                     pixel % grid.width - grid.guard);
+#endif
     for (int sub = 0; sub < each; ++sub) {
         uchar root;
         int object;
         const real3 ray = cell_ray(grid, pixel, sub, 0, 0);
-        sub_depth[slot * each + sub] = nearest_surface(surfaces, group, ray, &root, &object);
+        sub_depth[slot * each + sub] = nearest_surface(surfaces, behind, ray, &root, &object);
+#if SMALL
+        root = behind.members ? root : 0;
+#endif
         sub_label[slot * each + sub] = root;
     }
 }
@@ -308,7 +300,7 @@ __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant s
     const bool pixel_still = (source[pixel] <= ELSEWHERE) != exposure.still;
 #endif
     for (int sub = 0; sub < each; ++sub) {
-        const int id = slot * each + sub, cell = (sub / SUBPIXELS + 1) * CELLS_AROUND + sub % SUBPIXELS + 1;
+        const int id = slot * each + sub, cell = CELL_AROUND(sub);
         const real3 middle = cell_ray(grid, pixel, sub, 0, 0);
         const real depth = sub_depth[id];
         uchar root = sub_label[id];
@@ -340,11 +332,11 @@ __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant s
                 w = there == root ? moved_w : w;
             }
         }
-        take_radiance(grid, surfaces, ray, w, root, row, column, SUBPIXELS, covered / each, texture TEXTURE_MAPS LIGHT,
-                      sub_value + id, capacity * each);
+        take_radiance(grid, surfaces, ray, w, root, row, column, SUBPIXELS, SHADE_OF(surfaces, root, ray, w),
+                      covered / each, texture TEXTURE_MAPS, sub_value + id, capacity * each);
         // The lens is tested from the middle of the cell, as by the blur.
         const float4 record = source_record(grid, lens, surfaces, group, psf, ray, bend_along(grid, lens, ray), w,
-                                            middle, bend_along(grid, lens, middle), depth, 1, &root, statistics);
+                                            middle, bend_along(grid, lens, middle), depth, 1, false, &root, statistics);
         sub_source[id] = with_limb(grid, surfaces, sub_label[id], ray, aside, record);
     }
 }
@@ -490,8 +482,8 @@ __kernel void pinhole(const grid_t grid, const lens_t lens, __constant surface_t
     uchar root;
     int object;
     const real w = nearest_surface(surfaces, group, ray, &root, &object);
-    take_radiance(grid, surfaces, ray, w, root, row, column, 1, 1, texture TEXTURE_MAPS LIGHT, value + at,
-                  grid.height * grid.width);
+    take_radiance(grid, surfaces, ray, w, root, row, column, 1, SHADE_OF(surfaces, root, ray, w), 1,
+                  texture TEXTURE_MAPS, value + at, grid.height * grid.width);
     const bend_t bend = KEPT_BEND(grid, lens, at, ray);
     coc[at] = root ? bend.stretch * bent_radius(lens, bend.focus, w) : 0;
     valid[at] = root != 0;

@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 
 from clsco.optics.lens import ray_step
 from clsco.optics.quadrics import PlacedSurface
-from clsco.optics.visibility import OcclusionGroup
 from clsco.reference.common.geometry import Array, Bounds, both_roots, pixel_ray, quarter_discriminant, turned
 from clsco.scene.model import Camera
 
 UNMARKED = 255  # the label of cells without sources of their own
-NARROW_IMAGE = 2.0  # px: images of flat surfaces that are less wide may be between rays
 Labels = NDArray[np.uint8]
 Index = NDArray[np.intp]
 
@@ -58,25 +56,6 @@ def root_margins(
     if shape.radius < np.inf:
         margins.append(shape.radius * w - np.hypot(*(surface.offset[k] * w + d[..., k] for k in range(2))))
     return w, np.stack(margins)
-
-
-def passes_between(
-    surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], group: OcclusionGroup, camera: Camera,
-    row: NDArray[np.int64], column: NDArray[np.int64], number: NDArray[np.int32],
-) -> NDArray[np.bool_]:  # fmt: skip
-    """True (H, W) of pixels in which a bounded flat surface with a narrow image may be, other than the object that the
-    ray through the middle hits: at corners of it each condition holds.
-
-    group: its members count; row, column: of the middles, px, which broadcast; number: of those objects, -1 for none.
-    """
-    found = np.zeros(number.shape, dtype=bool)
-    for k, surface in enumerate(surfaces):
-        if not group.members >> k & 1 or not surface.width < NARROW_IMAGE * ray_step(camera):
-            continue
-        corners = (pixel_ray(camera, row + down, column + right) for down in (-0.5, 0.5) for right in (-0.5, 0.5))
-        holds = [root_margins(surfaces, bounds, 2 * k + 1, rays)[1] >= 0.0 for rays in corners]
-        found |= np.logical_or.reduce(holds).all(axis=0) & (number != k)
-    return found
 
 
 def is_curved(surface: PlacedSurface) -> bool:

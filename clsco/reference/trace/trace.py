@@ -44,7 +44,8 @@ from clsco.reference.trace.detail import detailed_texture, is_shared
 from clsco.reference.trace.footprint import parts_of, sharpening, surface_texture
 from clsco.reference.trace.light import shade
 from clsco.reference.trace.mapping import MappedTexture
-from clsco.reference.trace.outline import UNMARKED, cell_coverage, is_at_limb, labels_around, passes_between
+from clsco.reference.trace.outline import UNMARKED, cell_coverage, is_at_limb, labels_around
+from clsco.reference.trace.small import cast_behind, small_members, with_small
 from clsco.scene.model import Camera, Scene
 
 SILHOUETTE_RANGE = 2  # px, Chebyshev distance from a silhouette within which pixels get sub-pixel sources
@@ -265,7 +266,6 @@ def trace(view: View, group: OcclusionGroup, guard: int) -> Sources:
         if shape is not None:
             visibility = bend_visibility(visibility, shape[lit][seen.row >= 0])
         lit[lit] = state != HIDDEN
-    label[passes_between(view.surfaces, bounds, group, scene.camera, row, column, hit.number)] |= 1 << 7
     return Sources(
         hit.radiance,
         hit.w,
@@ -356,9 +356,19 @@ def trace_subpixels(
     at_row = (row - guard)[:, None, None] + offsets[:, None]
     at_column = (column - guard)[:, None, None] + offsets[None, :]
     texel = ((row - guard)[:, None, None], (column - guard)[:, None, None])
-    hit = cast(view, group, at_row, at_column, texel, samples)
+    bounds = [cutting_bounds(item) for item in scene.objects]
+    small = small_members(scene.camera, view.surfaces, bounds, group, row - guard, column - guard)
+    small &= marked[row, column]
+    hit = cast_behind(cast, view, group, small, at_row, at_column, texel, samples)
     lens_radius = hit.radius  # of visibility tests
-    hit, limb = _covering(view, group, hit, marked, (row, column), guard)
+    base = hit.label
+    hit, limb, covered = _covering(view, group, hit, marked, (row, column), guard)
+    if small.any():
+        hit, owned = with_small(cast, view, group, hit, base, covered, small, (row - guard, column - guard))
+        limb &= ~owned
+        lens_radius = np.where(
+            owned, blur_radius(view.lens, pixel_ray(scene.camera, at_row, at_column), hit.w), lens_radius
+        )
     cut = parts[row, column]
     if sources is not None and cut.any():
         hit = _with_parts(view, hit, sources, (row, column), cut, guard)
@@ -371,7 +381,6 @@ def trace_subpixels(
     if group.occluders or view.psf.rims:
         rays = pixel_ray(scene.camera, at_row, at_column)[lit]
         x, y = (np.broadcast_to(n, lit.shape)[lit] for n in (offsets[None, :], offsets[:, None]))
-        bounds = [cutting_bounds(item) for item in scene.objects]
         # Records have the gradient over the radius of what is covered.
         size = np.maximum(np.abs(lens_radius), SMALLEST_RADIUS) * np.where(lens_radius < 0.0, -1.0, 1.0)
         tilted = tilt_slope(hit.gradient, hit.radius, view.psf.diffracted)
@@ -422,11 +431,11 @@ def _from_middles(
 def _covering(
     view: View, group: OcclusionGroup, hit: Cast, marked: NDArray[np.bool_],
     pixel: tuple[NDArray[np.intp], NDArray[np.intp]], guard: int,
-) -> tuple[Cast, NDArray[np.bool_]]:  # fmt: skip
+) -> tuple[Cast, NDArray[np.bool_], Array]:  # fmt: skip
     """Replace radius, gradient and radiance of hits of rays (M, S, S) beside outlines by those of what they cover.
 
-    Returns hits, and which are at limbs (`is_at_limb`). marked: (H, W); pixel: rows and columns (M,), of which those
-    that are not marked keep theirs.
+    Returns hits, which are at limbs (`is_at_limb`), and how much they cover. marked: (H, W); pixel: rows and columns
+    (M,), of which those that are not marked keep theirs.
     """
     samples, bounds = view.scene.psf.silhouette_samples, [cutting_bounds(item) for item in view.scene.objects]
     label = np.where(marked[pixel][:, None, None], hit.label, UNMARKED).astype(np.uint8)
@@ -452,7 +461,7 @@ def _covering(
     for one in np.unique(hit.label[beside]).tolist():
         own = hit.label[beside] == one
         limb[slot[own], i[own], j[own]] = is_at_limb(view.scene.camera, view.surfaces, one, rays[own], samples)
-    return replace(hit, **planes), limb
+    return replace(hit, **planes), limb, covered
 
 
 def _with_parts(

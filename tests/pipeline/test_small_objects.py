@@ -1,0 +1,195 @@
+"""Small things give their light: radiance times the area of the image, wherever they are between rays."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import clsco
+from clsco.optics.lens import ray_step
+from clsco.plan.plan import make_plan
+from clsco.scene.model import Camera
+from tests.scenes import scene_from
+
+SIDE, DEPTH = 32, 250.0  # px, mm
+SHARP, BLURRED, WIDE = 250.0, 166.667, 83.333  # mm in focus, by which R is 0, 2 and 8 px at DEPTH
+Array = NDArray[np.float64]
+# Places of the middle within its pixel, px right and up.
+PLACES = np.random.default_rng(5).uniform(-0.5, 0.5, (16, 2))
+
+
+def camera(focus: float = SHARP, side: int = SIDE) -> dict[str, Any]:
+    return {"resolution": [side, side], "pixel_pitch": 0.02, "focus_distance": focus, "aperture_diameter": 2.0}
+
+
+def mm_per_px(focus: float, depth: float = DEPTH) -> float:
+    """Length at a depth whose image is 1 px."""
+    return ray_step(Camera(**camera(focus))) * depth
+
+
+def image(
+    *items: dict[str, Any], focus: float = SHARP, engine: str = "device", side: int = SIDE, **sections: Any
+) -> Array:
+    white = [{"texture": "#ffffff"} | {key: value for key, value in item.items() if key != "area"} for item in items]
+    made = scene_from({"camera": camera(focus, side)}, *white, **sections)
+    frame = next(iter(clsco.reference.render(made))) if engine == "reference" else clsco.render_frame(made, truth=())
+    return np.asarray(frame.color, np.float64).reshape(side, side)
+
+
+def ball(size: float, place: Array, focus: float = SHARP, depth: float = DEPTH, **keys: Any) -> dict[str, Any]:
+    """A ball of so many px of diameter."""
+    px = mm_per_px(focus, depth)
+    center = np.array([*(px * place), depth])
+    area = math.pi / 4.0 * size**2 * float(np.linalg.norm(center)) / depth  # px^2
+    return {"shape": "sphere", "center": center.tolist(), "radius": 0.5 * size * px, "area": area} | keys
+
+
+def card(width: float, height: float, lean: float, place: Array, focus: float) -> dict[str, Any]:
+    px = mm_per_px(focus)
+    turn = {"center": [*(px * place), DEPTH], "rotation": [0.0, 0.0, lean]}
+    return {"shape": "rectangle", "size": [width * px, height * px], "area": width * height} | turn
+
+
+def check(light: Array | list[float]) -> None:
+    """2 % of each, and 0.5 % of their mean."""
+    np.testing.assert_allclose(light, 1.0, atol=0.02)
+    assert abs(np.mean(light) - 1.0) < 0.005
+
+
+def lights(item: Callable[[Array], dict[str, Any]], focus: float) -> Array:
+    """Light of 16 of a thing, each somewhere in a pixel and far from the others, in one image."""
+    block = 24
+    middles = np.array([[x, y] for y in (1.5, 0.5, -0.5, -1.5) for x in (-1.5, -0.5, 0.5, 1.5)]) * block + 0.5
+    items = [item(middle + place) for middle, place in zip(middles, PLACES, strict=True)]
+    found = image(*items, focus=focus, side=4 * block)
+    return found.reshape(4, block, 4, block).sum(axis=(1, 3)).ravel() / np.array([each["area"] for each in items])
+
+
+@pytest.mark.parametrize("focus", [SHARP, BLURRED, WIDE])
+@pytest.mark.parametrize("size", [0.05, 0.45, 1.6, 5.0])
+def test_balls(size: float, focus: float) -> None:
+    check(lights(lambda place: ball(size, place, focus), focus))
+
+
+@pytest.mark.parametrize(("width", "height", "lean"), [(0.2, 10.0, 0.0), (0.2, 10.0, 7.0), (0.3, 0.3, 30.0)])
+@pytest.mark.parametrize("focus", [SHARP, BLURRED])
+def test_cards(width: float, height: float, lean: float, focus: float) -> None:
+    check(lights(lambda place: card(width, height, lean, place, focus), focus))
+
+
+@pytest.mark.parametrize("size", [0.1, 0.8, 3.0])
+def test_discs_that_lean(size: float) -> None:
+    px, light = mm_per_px(SHARP), []
+    for place in PLACES:
+        item = {
+            "shape": "disc",
+            "center": [*(px * place), DEPTH],
+            "radius": 0.5 * size * px,
+            "rotation": [50.0, 0.0, 0.0],
+        }
+        seen = np.array([*(px * place), DEPTH])
+        normal = np.array([0.0, -math.sin(math.radians(50.0)), math.cos(math.radians(50.0))])
+        # The projection of a small area: A (normal . P) / Z^3, in px^2.
+        area = math.pi * size**2 / 4.0 * abs(float(normal @ seen)) / DEPTH
+        light.append(float(image(item).sum()) / area)
+    check(light)
+
+
+@pytest.mark.parametrize("lean", [0.0, 5.0, 45.0, 88.0])
+@pytest.mark.parametrize("width", [0.1, 0.4, 2.0])
+def test_wires_row_by_row(width: float, lean: float) -> None:
+    """Each row, or column, of the frame has the same light."""
+    px, angle = mm_per_px(SHARP), math.radians(lean)
+    for place in PLACES[:2]:
+        axis = [math.sin(angle), math.cos(angle), 0.0]
+        found = image({"shape": "cylinder", "center": [*(px * place), DEPTH], "radius": 0.5 * width * px, "axis": axis})
+        along = found.sum(axis=1 if lean <= 45.0 else 0)[4:-4]
+        np.testing.assert_allclose(along, width / max(math.sin(angle), math.cos(angle)), rtol=0.01)
+
+
+@pytest.mark.parametrize("half_angle", [2.0, 8.0])
+def test_tips_of_cones(half_angle: float) -> None:
+    """Down to the tip each row has the light of the two lines there."""
+    px = mm_per_px(SHARP)
+    for place in PLACES[:2]:
+        item = {"shape": "cone", "apex": [*(px * place), DEPTH], "half_angle": half_angle, "rotation": [90.0, 0.0, 0.0]}
+        along = image(item).sum(axis=1)
+        up = along[0] < along[-1]
+        rows = (SIDE - 1) / 2.0 - place[1] - np.arange(SIDE)
+        rows = -rows if up else rows
+        # Mean over a row of the width, 0 above the tip; lines of a cone that stands upright lean by half_angle.
+        low, high = np.maximum(rows - 0.5, 0.0), np.maximum(rows + 0.5, 0.0)
+        expected = math.tan(math.radians(half_angle)) * (high**2 - low**2)
+        np.testing.assert_allclose(along[4:-4], expected[4:-4], atol=0.01, rtol=0.01)
+
+
+def test_what_is_in_front_in_one_pixel() -> None:
+    """A ball hides what is behind it in a pixel, as much as the two discs have in common."""
+    size = 0.8
+    for place, away in zip(PLACES[:6], (0.1, 0.3, 0.5, 0.6, 0.75, 1.0), strict=True):
+        near = ball(size, place + np.array([away, 0.0]), depth=240.0, texture="#000000")
+        half, far = 0.5 * size, ball(size, place)
+        common = 2.0 * half**2 * math.acos(min(away / size, 1.0))
+        common -= 0.5 * away * math.sqrt(max(size**2 - away**2, 0.0))
+        found = image(far, near, psf={"occlusion": "none"}).sum()
+        assert float(found) == pytest.approx(math.pi * half**2 - common, abs=0.02 * math.pi * half**2)
+
+
+@pytest.mark.parametrize("size", [0.45, 2.0])
+def test_black_before_white(size: float) -> None:
+    wall = {"shape": "plane", "distance": 260.0}
+    whole = image(wall).sum()
+    lost = [
+        float(whole - image(wall, ball(size, at, texture="#000000"), psf={"occlusion": "none"}).sum())
+        for at in PLACES[:5]
+    ]
+    check([each / (math.pi * size**2 / 4.0) for each in lost])
+
+
+@pytest.mark.parametrize("method", ["gather", "scatter", "tiles"])
+def test_moving_over_pixels_with_alpha(method: Any) -> None:
+    """Every time sample has the light of the ball, and coverage is that light."""
+    size = 0.45
+    item = ball(size, PLACES[0], BLURRED, motion={"velocity": [100.0 * mm_per_px(BLURRED), 30.0, 0.0]})
+    item = {key: value for key, value in item.items() if key != "area"} | {"texture": "#ffffff"}
+    made = scene_from({"camera": camera(BLURRED), "sequence": {"samples": 4, "interval": 0.04}}, item)
+    frame = clsco.render_frame(made, truth=("alpha",), method=method)
+    for found in (frame.color, frame.alpha):
+        assert float(np.asarray(found, np.float64).sum()) == pytest.approx(math.pi * size**2 / 4.0, rel=0.01)
+
+
+def test_a_ball_in_a_wide_lens_keeps_its_light() -> None:
+    """Nine times larger than life at f/1.8, where slopes of R are 1/4 px per px and more."""
+    close: dict[str, Any] = {
+        "focal_length": 9.0,
+        "aperture_diameter": 5.0,
+        "pixel_pitch": 0.01,
+        "sensor_distance": 90.0,
+    }
+    light = []
+    for place in PLACES[:8]:
+        step = ray_step(Camera(**close, resolution=(64, 64))) * 9.7
+        item = {"shape": "sphere", "center": [*(step * place), 9.7], "radius": 0.5 * step, "texture": "#ffffff"}
+        made = scene_from({"camera": close | {"resolution": [64, 64]}}, item)
+        light.append(float(np.sum(clsco.render_frame(made, truth=()).color, dtype=np.float64)) / (math.pi / 4.0))
+    check(light)
+
+
+def test_the_plan_knows_of_what_rays_miss() -> None:
+    """A ball between the rays of the plan's coarse grid has a radius of blur, and silhouettes."""
+    made = scene_from({"camera": camera(WIDE)}, {"shape": "sphere", "center": [3.0, 2.0, DEPTH], "radius": 0.001})
+    plan = make_plan(made, 1)
+    assert plan.small
+    assert plan.largest_blur > 5.0
+    assert plan.blur != "none"
+
+
+def test_the_reference_agrees() -> None:
+    for item in (ball(0.45, PLACES[1], BLURRED), card(0.3, 5.0, 20.0, PLACES[2], BLURRED)):
+        ours, theirs = (image(item, focus=BLURRED, engine=engine) for engine in ("device", "reference"))
+        np.testing.assert_allclose(ours, theirs, atol=1e-6)
