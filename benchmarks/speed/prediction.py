@@ -76,7 +76,8 @@ WITH_TRUTH = {"cart", "lit", "stereo"}
 KERNELS = {
     "cast": "trace", "aim": "trace", "pinhole": "pinhole",
     "mark_silhouettes": "silhouettes", "label_subpixels": "silhouettes", "trace_subpixels": "silhouettes",
-    "trace_detail": "silhouettes", "sharpen": "silhouettes", "ground_truth": "ground truth", "host": "host",
+    "trace_small": "silhouettes", "trace_detail": "silhouettes", "sharpen": "silhouettes",
+    "ground_truth": "ground truth", "host": "host",
     "reproject_targets": "reproject", "reproject_nearest": "reproject", "reproject_gather": "reproject",
     "accumulate": "accumulate", "sense": "sensor", "find_discontinuities": "cluster", "label_depth_layers": "cluster",
     "seed_hidden": "cluster", "column_seeds": "cluster", "reach_hidden": "cluster", "open_depth_layer": "cluster",

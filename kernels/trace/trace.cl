@@ -44,7 +44,7 @@ static float4 source_record(const grid_t grid, lens_t lens, __constant surface_t
     real spread = radius;
 #if TILT
     real2 slope;
-#if SMALL
+#if SMALL && SUBPIXELS
     if (small)
         outline_plane(surface, ray, &slope);
     else
@@ -52,7 +52,7 @@ static float4 source_record(const grid_t grid, lens_t lens, __constant surface_t
         slope = surface_slope(surface, ray, w);
     const real2 gradient = blur_gradient(grid, lens, bend, slope, ray, w);
     tilt = subpixel ? tilt_slope(gradient, radius) : pixel_tilt(gradient, radius, &spread);
-#if SMALL
+#if SMALL && SUBPIXELS
     tilt *= small ? (float)MIN(ABS(radius), (real)1) : 1;  // as in detail.clh
 #endif
 #if ELLIPSES
@@ -192,7 +192,7 @@ __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *su
     if (still != exposure.still)
         record.x = ELSEWHERE;
 #endif
-#if SMALL
+#if SMALL && SUBPIXELS
     if (small_members(grid, surfaces, group, FRAME_ROW(grid, y), x - grid.guard))
         record.w = as_float(SMALL_WITHIN);
 #endif
@@ -219,8 +219,10 @@ __kernel void mark_silhouettes(const grid_t grid, __global const uchar *label, c
     if (begin >= grid.width || y >= grid.height)
         return;
     const bool alike = has_one_label(grid, label, begin, y);
-    if (alike && !TEXTURED && !SMALL)
+#if !TEXTURED && !SMALL
+    if (alike)
         return;
+#endif
     __global float *marks = MARKS(source, grid.height * grid.width);
     for (int x = begin; x < MIN(begin + TAP_LANES, grid.width); ++x) {
         const int at = y * grid.width + x;
@@ -236,7 +238,7 @@ __kernel void mark_silhouettes(const grid_t grid, __global const uchar *label, c
         detailed = fine || as_int(marks[at]) == DETAILED;
 #endif
         bool differs = !alike && is_at_silhouette(grid, label, x, y);
-#if SMALL
+#if SMALL && SUBPIXELS
         differs |= as_int(marks[at]) == SMALL_WITHIN;
 #endif
         if (!differs && !detailed)
@@ -260,7 +262,7 @@ __kernel void label_subpixels(const grid_t grid, __constant surface_t *surfaces,
         return;
     const int pixel = pixels[slot];
     group_t behind = group;
-#if SMALL
+#if SMALL && SUBPIXELS
     behind.members &= ~small_members(grid, surfaces, group, FRAME_ROW(grid, pixel / grid.width),
                                      pixel % grid.width - grid.guard);
 #endif
@@ -269,7 +271,7 @@ __kernel void label_subpixels(const grid_t grid, __constant surface_t *surfaces,
         int object;
         const real3 ray = cell_ray(grid, pixel, sub, 0, 0);
         sub_depth[slot * each + sub] = nearest_surface(surfaces, behind, ray, &root, &object);
-#if SMALL
+#if SMALL && SUBPIXELS
         root = behind.members ? root : 0;
 #endif
         sub_label[slot * each + sub] = root;

@@ -63,7 +63,7 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     TRACE_FILES: GEOMETRY
     | dict.fromkeys(("MOVED", "TILT", "OCCLUDED", "LIMITED", "GATHER", "DIVIDED"), ON_OR_OFF)
     | {"SUBPIXELS": (0, 4, 2, 3), "TEXTURED": (0, 2, 1), "LIT": (0, 1, 3), "EDGES": (0,), "RIMS": (0, 2), "RAYS": (0,)}
-    | {"WAVES": (0, 0, 1), "MERGED": ON_OR_OFF, "ELLIPSES": ON_OR_OFF, "SHARED": ON_OR_OFF},
+    | {"WAVES": (0, 0, 1), "MERGED": ON_OR_OFF, "ELLIPSES": ON_OR_OFF, "SHARED": ON_OR_OFF, "SMALL": ON_OR_OFF},
     GATHER: dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(BLUR, ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BY_COLUMNS": (0, 0, 1), "CURVED": (0, 3, 1, 2, 4, 7)}
