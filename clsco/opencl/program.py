@@ -35,8 +35,8 @@ POCL_DECLARATIONS, WITHOUT_HEADER = "common/cpu/pocl.clh", "-D_OPENCL_H_"
 SINGLE_TAPS, GATHERED_TAPS = "common/lanes.clh", "common/cpu/lanes.clh"
 TAP_BLOCKS = "common/cpu/blocks.clh"
 OCCLUSION_HEADERS = ("common/occluder.clh", "common/visibility.clh", "common/visibility_test.clh")
-SPREAD_HEADERS = ("common/psf.clh", "common/source_visibility.clh")
-OF_SOURCES = ("discs", "quadrants", "cut", "shapes", "ellipses", "gaussians", "columns")
+SPREAD_HEADERS = ("common/chords.clh", "common/psf.clh", "common/source_visibility.clh")
+OF_SOURCES = ("discs", "quadrants", "shapes", "ellipses", "gaussians", "columns")
 GATHER_HEADERS = tuple(f"blur/cpu/{name}.clh" for name in ("vectors", "many", *OF_SOURCES, "spans"))
 # With the feature TEXTURED.
 MAPPING_HEADERS = ("common/angles.clh", *(f"trace/{name}.clh" for name in ("mapping", "footprint", "detail")))

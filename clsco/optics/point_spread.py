@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from clsco.constants import LENS_CELLS
 from clsco.errors import SceneError
 from clsco.optics.pupils import FORMULAS
+from clsco.optics.pupils.circle import Circle
 from clsco.optics.pupils.pupil import Array, Pupil
 from clsco.scene.aberrations import zernike_terms
 from clsco.scene.model import Aperture, Camera, Psf
@@ -150,6 +151,12 @@ class PointSpread:
     def uniform(self) -> bool:
         """Weights inside of the rim are all the same."""
         return self.pupil.uniform
+
+    @property
+    def cut_by_chords(self) -> bool:
+        """Weights of what rims cut are those of the opening that they leave, see `clsco.optics.chords`; else each tap
+        has a share of its own."""
+        return bool(self.rims) and type(self.pupil) is Circle and self.varying is None
 
     @property
     def shares_lens(self) -> bool:

@@ -79,6 +79,7 @@ def psf_features(psf: PointSpread) -> dict[str, int]:
     layouts = {name.upper(): int(psf.layout == name) for name in ("disc", "separable", "general")}
     found = layouts | {"SAMPLED": int(psf.sampled), "EDGES": len(psf.pupil.edges)}
     found |= {"RIMS": len(psf.rims), "WAVES": int(psf.diffracted), "RING": int(psf.pupil.hollow)}
+    found |= {"CUT_CHORDS": psf.cut_by_chords * (2 if psf.edge == "area" else 1)}
     return found | {"FIELD": int(psf.varying is not None), "ELLIPSES": int(psf.stretched > 0.0)}
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.optics.chords import open_share
 from clsco.optics.lens import Lens
 from clsco.optics.lens_path import camera_at, lens_at
 from clsco.optics.point_spread import PointSpread, Rim
@@ -75,8 +76,10 @@ def frame_throughput(scene: Scene, time: float, psf: PointSpread) -> Array:
 def rim_throughput(lens: Lens, psf: PointSpread, slopes: Array, w: Array, radius: Array) -> Array:
     """Share (N,) of the light through the opening of a lens that all rims let through; arguments as for `rim_circle`.
 
-    Summed over cells of the lens: to 0.5 % of the light through a round opening.
+    The area of a round opening; of others summed over cells of the lens, to 0.5 %.
     """
+    if psf.cut_by_chords:
+        return open_share([rim_circle(lens, rim, slopes, w, radius) for rim in psf.rims])
     found = np.ones(w.shape)
     at = (np.arange(2.0 * CELLS) + 0.5 - CELLS) * psf.extent / CELLS
     x, y = (axis.ravel() for axis in np.meshgrid(at, at))

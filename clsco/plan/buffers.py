@@ -52,7 +52,7 @@ Scratch = Literal["none", "columns", "rows"]
 BANDS_PER_CORE = 4  # of `gather` at a time, where they need memory of their own
 SUMS_BEYOND = 64  # sums of `convolve` beyond the last row that a vector there reads, and that are used for nothing
 PAGE, BESIDE_PAGE = 64, 5  # vectors of 8 doubles in 4 KiB, and how far from a multiple of it rows should be long
-ITEM_BYTES, SHAPE_BYTES, ELLIPSE_BYTES = 20, 28, 8  # of a group of sources of a column, beside its vectors
+ITEM_BYTES, SHAPE_BYTES, CHORD_BYTES = 20, 28, 8  # of a group of sources of a column, beside its vectors
 MOST_IN_ONE_SUM = 256  # taps of `gather` that a float adds up before it goes into another sum
 MAP_BYTES = structs("double")["texture_map_t"].itemsize
 COUNTERS = COUNTER_DONE + 1  # ints, of a filling
@@ -166,15 +166,15 @@ def column_bytes(psf: PointSpread, tilt: bool, channels: int, far: int) -> int:
         ends, sums = (1 + tilt) * channels * (BAND + 1), channels * BAND
         items = MOST_ITEMS * (4 * WIDE_LANES * (2 + slopes + 2 * channels) + SHAPE_BYTES)
         return 8 * WIDE_LANES * ends + 4 * WIDE_LANES * sums + tiles + items
+    chords = 8 * WIDE_LANES * (1 + tilt) * channels * BAND + MOST_ITEMS * CHORD_BYTES
     if psf.stretched:
-        items = MOST_ITEMS * (4 * WIDE_LANES * (3 + slopes + channels) + ELLIPSE_BYTES)
-        return 8 * WIDE_LANES * (1 + tilt) * channels * BAND + tiles + items
+        return chords + tiles + MOST_ITEMS * 4 * WIDE_LANES * (3 + slopes + channels)
     ends, sums = (1 + slopes) * channels, (1 + tilt) * channels
     rims = int(tilt and psf.diffracted)
     item = 2 + slopes + rims + 2 * channels
     items = MOST_ITEMS * (4 * WIDE_LANES * item + ITEM_BYTES)
-    if psf.rims:
-        items += MOST_ITEMS * (4 * WIDE_LANES * (item + 1 + 3 * len(psf.rims)) + ITEM_BYTES)
+    if psf.cut_by_chords:
+        items += chords + MOST_ITEMS * 4 * WIDE_LANES * (3 + slopes + channels + 3 * len(psf.rims))
     return 8 * WIDE_LANES * ends * (BAND + 1) + 4 * WIDE_LANES * sums * (BAND + 2 * far) + tiles + items
 
 

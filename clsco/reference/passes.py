@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.constants import LENS_CELLS
+from clsco.constants import LEAST_OPENING, LENS_CELLS
 from clsco.inputs.textures import radiance_span
+from clsco.optics.chords import chord_weights
 from clsco.optics.lens_path import camera_at, colored, lens_at
 from clsco.optics.motion import Eye, poses_at, rest_poses
 from clsco.optics.quadrics import cutting_bounds, place
@@ -21,7 +22,7 @@ from clsco.reference.blur.blur import prepare_sources, scatter
 from clsco.reference.common.equation import Points
 from clsco.reference.common.geometry import Array, along_rays, blur_radius, pixel_ray
 from clsco.reference.common.visibility import HIDDEN, PARTLY, check_visibility
-from clsco.reference.common.visibility_test import rim_share
+from clsco.reference.common.visibility_test import cut_weights, rim_share
 from clsco.reference.inpainting.fill import FILLED, UNFILLED, FillReport, fill_objects
 from clsco.reference.layered.layered import cluster, spread_depth_layers
 from clsco.reference.plan import Maps, ReferencePlan, band_of, silhouettes_of
@@ -133,17 +134,21 @@ def _open_share(plan: ReferencePlan, time: float) -> Array:
     w = blur_radius(lens, rays, none) / along_rays(lens, rays).blur_scale
     points = Points(rays, w, none, none, none, 1.0, np.zeros((len(rays), 2)))
     state, _, seen = check_visibility(lens, (), (), NO_GROUP, plan.psf, points)
-    at_cells = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS
-    found, cells = np.where(state == HIDDEN, 0.0, 1.0), plan.psf.lens_cells()
-    partly = state == PARTLY
-    found[partly] = (
-        sum(
-            cells[i, j] * rim_share(seen, none[partly] + x, none[partly] + y)
-            for i, y in enumerate(at_cells)
-            for j, x in enumerate(at_cells)
+    found, partly, cells = np.where(state == HIDDEN, 0.0, 1.0), state == PARTLY, plan.psf.lens_cells()
+    if seen.by_chords:
+        zero, one = np.zeros(1), np.ones(1)
+        whole = chord_weights(zero, zero, LEAST_OPENING * one, rims=((zero, zero, one),))
+        found[partly] = cut_weights(seen, none[partly], 0.0, 0.0, False) / whole
+    else:
+        at_cells = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS
+        found[partly] = (
+            sum(
+                cells[i, j] * rim_share(seen, none[partly] + x, none[partly] + y)
+                for i, y in enumerate(at_cells)
+                for j, x in enumerate(at_cells)
+            )
+            / cells.sum()
         )
-        / cells.sum()
-    )
     return found.reshape(plan.shape)
 
 

@@ -21,7 +21,7 @@ from clsco.optics.visibility import NO_GROUP
 from clsco.plan.prepare import Prepared, prepare
 from clsco.reference.common.equation import Points
 from clsco.reference.common.visibility import HIDDEN, PARTLY, check_visibility
-from clsco.reference.common.visibility_test import cell_visibility, tap_share
+from clsco.reference.common.visibility_test import cell_visibility, cut_weights, tap_share
 from clsco.scene.file import SceneLike, scene_of
 from clsco.scene.model import Camera
 from clsco.scene.text import shown
@@ -158,18 +158,19 @@ def psf_of(
     weights = _stacked(spreads, radius, places)
     if cuts:
         for channel, spread, lens, radii in zip(weights, spreads, lenses * (count // len(lenses)), radius, strict=True):
-            channel *= rim_factors(lens, spread, rays, inverse, radii, weights.shape[-1] // 2)
+            channel[:] = behind_rims(lens, spread, rays, inverse, radii, channel)
     return PsfStack(weights, depth, radius, places, names, plan.psf.name)
 
 
-def rim_factors(
-    lens: Lens, spread: PointSpread, slopes: Array, inverse: Array, radius: Array, reach: int
+def behind_rims(
+    lens: Lens, spread: PointSpread, slopes: Array, inverse: Array, radius: Array, weights: NDArray[np.float32]
 ) -> NDArray[np.float32]:  # fmt: skip
-    """Share (places, depths, n, n) of the light of each tap that the rims let through, n = 2 reach + 1.
+    """Weights (places, depths, n, n) of what rims let through, from those of the whole lens.
 
     slopes: (places, 2), X / Z and Y / Z; inverse: (depths,), 1 / Z; radius: (places, depths), px.
     """
-    count, size = radius.size, 2 * reach + 1
+    size = weights.shape[-1]
+    count, reach = radius.size, size // 2
     rays = np.concatenate([slopes, np.ones((len(slopes), 1))], axis=1)
     zero = np.zeros(count)
     points = Points(
@@ -177,11 +178,13 @@ def rim_factors(
         np.zeros((count, 2)),
     )  # fmt: skip
     state, _, visibility = check_visibility(lens, (), (), NO_GROUP, spread, points)
-    found = np.repeat(np.where(state == HIDDEN, 0.0, 1.0), size * size).reshape(count, size, size)
+    found = np.where(state == HIDDEN, 0.0, 1.0)[:, None, None] * weights.reshape(count, size, size)
     if (partly := state == PARTLY).any():
         cells = cell_visibility(visibility)
         for row, column in np.ndindex(size, size):
-            found[partly, row, column] = tap_share(visibility, cells, column - reach, row - reach)
+            dx, dy, own = column - reach, row - reach, found[partly, row, column]
+            own = cut_weights(visibility, own, dx, dy, spread.edge == "area")
+            found[partly, row, column] = own * tap_share(visibility, cells, dx, dy)
     return found.reshape(*radius.shape, size, size).astype(np.float32)
 
 

@@ -19,7 +19,7 @@ from clsco.optics.motion import poses_at, rest_center
 from clsco.optics.rays import places_of, slopes_at
 from clsco.reference.blur.blur import tilt_factor, within_rim
 from clsco.reference.common.geometry import blur_gradient, pixel_tilt
-from clsco.reference.spreads import rim_factors, spread_weights
+from clsco.reference.spreads import behind_rims, spread_weights
 from clsco.scene.model import Scene
 from clsco.studio.lens import lens_figures
 from clsco.studio.pictures import eye_of
@@ -166,7 +166,7 @@ def point_spread(
     far = weights.shape[0] // 2
     if psf.rims:
         lens, place = Lens.of(camera, scene.lens), np.array([slopes])
-        weights = weights * rim_factors(lens, psf, place, np.array([inverse]), np.array([[radius]]), far)[0, 0]
+        weights = behind_rims(lens, psf, place, np.array([inverse]), np.array([[radius]]), weights[None, None])[0, 0]
     offset = np.arange(-far, far + 1, dtype=np.float64)
     x, y = within_rim(psf, offset, offset[:, None], spread)
     return figures_of(weights * tilt_factor(x, y, slope), far, far) | {"radius": radius}

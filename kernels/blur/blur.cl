@@ -82,7 +82,7 @@ __kernel void scatter(const grid_t grid, const psf_t psf, __global const float *
             float4 p = sub_source[id];
             if (p.x < 0)
                 continue;
-            const spread_t spread = SHAPED(
+            spread_t spread = SHAPED(
                 subpixel_spread(psf, sub_intervals, sub_coefficients, p, sub PLACE_VALUES(grid.top + row, column)),
                 psf, p, at);
 #if OCCLUDED
@@ -98,8 +98,8 @@ __kernel void scatter(const grid_t grid, const psf_t psf, __global const float *
             } else
 #endif
             if (visibility)
-                source_visibility(grid, lens, surfaces, group, psf, lens_cells RAY_VALUES, sub_row, sub_column, sub_depth[id],
-                                  spread, &p, (real)1 / SUBPIXELS, &seen);
+                source_visibility(grid, lens, surfaces, group, psf, lens_cells RAY_VALUES, sub_row, sub_column,
+                                  sub_depth[id], &spread, &p, (real)1 / SUBPIXELS, &seen);
 #endif
             for (int k = 0; k < CHANNELS; ++k)
                 scatter_source(grid, spread, p, sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id], scale, row,
@@ -110,13 +110,14 @@ __kernel void scatter(const grid_t grid, const psf_t psf, __global const float *
 #endif
     if (s.x < 0)
         return;
-    const spread_t spread = SHAPED(
+    spread_t spread = SHAPED(
         pixel_spread(psf, intervals, coefficients, s.x PLACE_VALUES(grid.top + row, column)), psf, s, at);
 #if OCCLUDED
     visibility_t seen;
     const visibility_t *visibility = IS_PARTLY(as_int(s.w)) ? &seen : 0;
     if (visibility)
-        source_visibility(grid, lens, surfaces, group, psf, lens_cells RAY_VALUES, grid.top + row, column, depth[at], spread, &s,
+        source_visibility(grid, lens, surfaces, group, psf, lens_cells RAY_VALUES, grid.top + row, column, depth[at],
+                          &spread, &s,
                           (real)1, &seen);
 #endif
     for (int k = 0; k < CHANNELS; ++k)
@@ -234,7 +235,7 @@ static float4 behind_rims(const grid_t grid, const psf_t psf, float4 record, rea
     const int found = meet_rims(here, psf, ray, w, radius, division, 0);
     depth[y * grid.width + x] = w;
     record.x = found == HIDDEN ? -1 : record.x;
-    record.w = as_float(found == CLEAR ? WHOLE : division.wide ? CUT : PARTLY_OCCLUDED);
+    record.w = as_float(found == CLEAR ? WHOLE : CUT);
     return record;
 }
 
@@ -251,6 +252,11 @@ __kernel void open_share(const grid_t grid, const psf_t psf, const lens_t lens, 
     const division_t division = division_of(0, psf.lens_extent, 1, (float2)(0, 0));
     visibility_t visibility;
     const int found = meet_rims(here, psf, ray, blur_radius(here, ray, 0) / here.blur_scale, 0, division, &visibility);
+#if CUT_CHORDS
+    const opening_t whole = {(float)LEAST_OPENING, false, 0}, cut = {(float)LEAST_OPENING, false, &visibility};
+    const lanes_t none = 0, passed = chord_weight(&cut, none, none), all = chord_weight(&whole, none, none);
+    const float share = FIRST_LANE(passed) / FIRST_LANE(all);
+#else
     lanes_t passed = 0, whole = 0;
     for (int i = 0; i < LENS_ROW && found == PARTLY; ++i)
         for (int j = 0; j < LENS_ROW; j += LANE_COUNT) {
@@ -259,7 +265,9 @@ __kernel void open_share(const grid_t grid, const psf_t psf, const lens_t lens, 
             passed += weight * rim_share(&visibility, x, y);
             whole += weight;
         }
-    open[row * grid.columns + column] = found == PARTLY ? LANE_SUM(passed) / LANE_SUM(whole) : found == CLEAR;
+    const float share = LANE_SUM(passed) / LANE_SUM(whole);
+#endif
+    open[row * grid.columns + column] = found == PARTLY ? share : found == CLEAR;
 }
 #else
 #define OF_RIMS

@@ -17,11 +17,10 @@
 #define EDGE 128  // of a label: behind an odd number of surfaces, or more than what is hit may be in the pixel
 
 #if ELLIPSES
-// Addition to the slopes of the tilt by the ellipse that a disc of `radius` px is on the ray of a bend.
-static float2 ellipse_tilt(const grid_t grid, bend_t bend, real radius)
+// Addition to the slopes of the tilt by the ellipse that a disc is on the ray of a bend.
+static float2 ellipse_tilt(const grid_t grid, bend_t bend)
 {
-    const float share = (float)MIN(MAX(ABS(radius) - 1, (real)0), (real)1);
-    return share * (float2)((float)(grid.step * bend.widening.x), (float)(-grid.step * bend.widening.y));
+    return (float2)((float)(grid.step * bend.widening.x), (float)(-grid.step * bend.widening.y));
 }
 #endif
 
@@ -56,7 +55,7 @@ static float4 source_record(const grid_t grid, lens_t lens, __constant surface_t
     tilt *= small ? (float)MIN(ABS(radius), (real)1) : 1;  // as in detail.clh
 #endif
 #if ELLIPSES
-    tilt += ellipse_tilt(grid, seen_bend, spread);
+    tilt += ellipse_tilt(grid, seen_bend);
 #endif
 #endif
 #if OCCLUDED
@@ -66,7 +65,7 @@ static float4 source_record(const grid_t grid, lens_t lens, __constant surface_t
     int seen = check_visibility(seen_lens, surfaces, group, seen_ray, seen_w, division, 0, &edge);
     int partly = PARTLY_OCCLUDED;
 #if RIMS
-    partly = seen == CLEAR && division.wide && !subpixel ? CUT : PARTLY_OCCLUDED;
+    partly = seen == CLEAR && !subpixel ? CUT : PARTLY_OCCLUDED;
     seen = MAX(seen, meet_rims(seen_lens, psf, seen_ray, seen_w, size, division, 0));
 #endif
     *label |= edge ? EDGE : 0;
@@ -377,7 +376,7 @@ __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surf
     real spread = middle;
     float2 tilt = TILT ? pixel_tilt(gradient, middle, &spread) : (float2)(0, 0);
 #if TILT && ELLIPSES
-    tilt += ellipse_tilt(grid, bend, spread);
+    tilt += ellipse_tilt(grid, bend);
 #endif
     const division_t division = division_of(middle, psf.lens_extent, 1, tilt);
 #if SHARED
@@ -406,7 +405,7 @@ __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surf
         // In its own pixel a source is visible from all of the lens until its disc reaches over the border.
         record.yz = tilt_slope(gradient, radius) * MIN((float)ABS(radius), 1.0f);
 #if ELLIPSES
-        record.yz += ellipse_tilt(grid, bend, radius);
+        record.yz += ellipse_tilt(grid, bend);
 #endif
 #endif
 #if OCCLUDED

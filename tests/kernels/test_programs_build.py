@@ -56,14 +56,15 @@ BLUR = (
 )
 # Files of programs that can test what hides a source: by one object, or any other number up to all but one.
 OCCLUSION = (TRACE_FILES, FILES_OF["gather"], FILES_OF["scatter"])
-ROOMS = {"OCCLUDED": (0, 4, 1, 63), "RIMS": (0, 2)}
+ROOMS = {"OCCLUDED": (0, 4, 1, 63), "RIMS": (0, 2), "CUT_CHORDS": (0, 1, 2)}
 GATHER, SCATTER = FILES_OF["gather"], FILES_OF["scatter"]
 # Files that are built together: feature -> value when off, when on, and others. Structure is all that is compiled in.
 PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     TRACE_FILES: GEOMETRY
     | dict.fromkeys(("MOVED", "TILT", "OCCLUDED", "LIMITED", "GATHER", "DIVIDED"), ON_OR_OFF)
     | {"SUBPIXELS": (0, 4, 2, 3), "TEXTURED": (0, 2, 1), "LIT": (0, 1, 3), "EDGES": (0,), "RIMS": (0, 2), "RAYS": (0,)}
-    | {"WAVES": (0, 0, 1), "MERGED": ON_OR_OFF, "ELLIPSES": ON_OR_OFF, "SHARED": ON_OR_OFF, "SMALL": ON_OR_OFF},
+    | {"CUT_CHORDS": ON_OR_OFF, "SMALL": ON_OR_OFF, "WAVES": (0, 0, 1), "MERGED": ON_OR_OFF}
+    | {"ELLIPSES": ON_OR_OFF, "SHARED": ON_OR_OFF},
     GATHER: dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(BLUR, ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "BY_COLUMNS": (0, 0, 1), "CURVED": (0, 3, 1, 2, 4, 7)}
@@ -83,7 +84,7 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     ("blur/tiles.cl",): dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(("SAMPLED", "TILT", "DISC", "SEPARABLE"), ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 3)}
-    | dict.fromkeys(("RIMS", "RING", "ELLIPSES", "GATHER"), (0,))
+    | dict.fromkeys(("RIMS", "CUT_CHORDS", "RING", "ELLIPSES", "GATHER"), (0,))
     | GENERAL,
     ("blur/accumulate.cl",): GEOMETRY | {"SCAN_COLUMNS": ON_OR_OFF},
     ("blur/vignetting.cl",): GEOMETRY,
@@ -131,7 +132,7 @@ def asked_for(files: tuple[str, ...]) -> set[str]:
     joined: dict[str, str] = {}
     for name in (*headers(files), *files):
         text = (KERNELS / name).read_text("utf-8")
-        joined |= dict(re.findall(r"^#define (\w+) (\(.*&&.*\))$", text, re.MULTILINE))
+        joined |= dict(re.findall(r"^#define (\w+) (\(.*(?:&&|\|\|).*\))(?: *//.*)?$", text, re.MULTILINE))
         for condition in re.findall(r"^#\s*(?:el)?if\s+(.*)", text, re.MULTILINE):
             found |= set(re.findall(r"\b[A-Za-z_]\w*", condition.split("//")[0]))
     for name in found & joined.keys():
@@ -149,6 +150,8 @@ def variants(features: dict[str, tuple[int, ...]]) -> list[dict[str, int]]:
     smooth = {**dict.fromkeys(("BY_ROWS", "DISC", "SEPARABLE", "SAMPLED", "SPANS", "SHARED"), 0), "BY_COLUMNS": 1}
     others = [one | {k: v for k, v in smooth.items() if k in one} if one.get("WAVES") else one for one in others]
     others = [one | {"SPANS": 0} if one.get("SPANS") and not one["OCCLUDED"] else one for one in others]
+    whole = {"CUT_CHORDS": 0}
+    others = [one | whole if one.get("CUT_CHORDS") and not (one["OCCLUDED"] and one["RIMS"]) else one for one in others]
     others = [one | {"GENERAL": 1} if one.get("EDGES") or one.get("FIELD") else one for one in others]
     others = [one | {"BY_COLUMNS": 1, "SEPARABLE": 0} if one.get("RING") else one for one in others]
     others = [one | dict.fromkeys(alone.keys() & one.keys(), 0) if one.get("GENERAL") else one for one in others]

@@ -12,12 +12,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clsco.optics.ellipses import ROUND, ellipse_share, ellipse_weights, point_weights
+from clsco.constants import LEAST_OPENING
+from clsco.optics.chords import chord_weights
 from clsco.optics.point_spread import PointSpread, subpixel_offsets
 from clsco.plan.methods import BlurSpec
 from clsco.reference.common.geometry import Array, tilt_share, tilt_slope
 from clsco.reference.common.visibility import Visibility
-from clsco.reference.common.visibility_test import cell_visibility, tap_share
+from clsco.reference.common.visibility_test import cell_visibility, cut_weights, tap_share
 from clsco.reference.trace.trace import Sources, SubpixelSources
 
 Shape = tuple[int, int]
@@ -134,15 +135,17 @@ def _shares(
     shape_at = None if sources.shape is None else sources.shape.reshape(-1, 3)
     alone = spec.psf.signed or shape_at is not None
     if shape_at is not None and sources.widening is not None:
-        slope = slope + ellipse_share(size)[:, None] * sources.widening.reshape(-1, 2)
+        slope = slope + sources.widening.reshape(-1, 2)
     for right, down, offsets in _alike_offsets(max(reaches, default=-1), alone):
         weight = np.zeros(there.size)
         for block, far in zip(blocks, reaches, strict=True):
             if far >= max(abs(right), abs(down)):
                 offset = np.asarray(float(right)), np.asarray(float(down))
-                weight[block] = place_weights(spec.psf, *offset, signed[block], place[:, block])
-                if shape_at is not None:
-                    weight[block] = _of_ellipses(*offset, size[block], shape_at[block], weight[block])
+                if shape_at is None:
+                    weight[block] = place_weights(spec.psf, *offset, signed[block], place[:, block])
+                else:
+                    shown = np.maximum(size[block], LEAST_OPENING)
+                    weight[block] = chord_weights(*offset, shown, shape_at[block])
         lit = np.flatnonzero(weight)
         for dx, dy in sorted(offsets):
             y, x = row[lit] + dy, column[lit] + dx
@@ -157,14 +160,11 @@ def _shares(
                 at_source = np.minimum(np.searchsorted(source, hidden), source.size - 1)
                 found = source[at_source] == hidden
                 if found.any():
-                    share[at_source[found]] *= tap_share(visibility, cells, dx, dy)[found]
+                    here, point = at_source[found], spec.psf.edge == "area"
+                    own = weight[hidden]
+                    share[here] *= (cut_weights(visibility, own, dx, dy, point)[found]) / own[found]
+                    share[here] *= tap_share(visibility, cells, dx, dy)[found]
             yield source, target, share
-
-
-def _of_ellipses(dx: Array, dy: Array, size: Array, shape: Array, weight: Array) -> Array:
-    """Weights of sources with these ellipses, as far as these are ones, from their weights as discs."""
-    ellipse = ellipse_weights(dx, dy, np.maximum(size, ROUND), shape)
-    return np.asarray(weight + ellipse_share(size) * (ellipse - weight))
 
 
 def _subpixel_shares(
@@ -187,7 +187,7 @@ def _subpixel_shares(
         slope = tilt_slope(sub.gradient[sub.hit][block], radius, spec.psf.diffracted)
         limb = False if sub.limb is None else sub.limb[sub.hit][block]
         if sub.widening is not None:
-            slope = slope + ellipse_share(radius)[:, None] * sub.widening[sub.hit][block]
+            slope = slope + sub.widening[sub.hit][block]
         far = spec.psf.reach(float(np.abs(radius).max()), subpixel=True)
         place = np.stack([sub.row[p], sub.column[p]]) - guard
         visibility = None if sub.visibility is None else sub.visibility.of(block)
@@ -199,10 +199,16 @@ def _subpixel_shares(
                 row, column = sub.row[p] - guard + dy, sub.column[p] - guard + dx
                 inside = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
                 right, below = dx - x[inside], dy - y[inside]
-                share = place_weights(spec.psf, right, below, radius[inside], place[:, inside], subpixel=True)
-                if sub.shape is not None:
-                    shown, part = np.maximum(np.abs(radius[inside]), ROUND), ellipse_share(radius[inside])
-                    share = share + part * (point_weights(right, below, shown, sub.shape[p[inside]]) - share)
+                if sub.shape is None:
+                    share = place_weights(spec.psf, right, below, radius[inside], place[:, inside], subpixel=True)
+                else:
+                    shown = np.maximum(np.abs(radius[inside]), LEAST_OPENING)
+                    share = chord_weights(right, below, shown, sub.shape[p[inside]], point=True)
+                if visibility is not None:
+                    weight, hidden = np.zeros(p.size), visibility.row >= 0
+                    weight[inside] = share
+                    weight[hidden] = cut_weights(visibility, weight[hidden], dx, dy, True)
+                    share = weight[inside]
                 if spec.tilt:
                     share = share * tilt_factor(*within_rim(spec.psf, dx - x, dy - y, radius), slope, limb)[inside]
                 if visibility is not None:

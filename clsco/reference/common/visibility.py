@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.constants import LEAST_OPENING
 from clsco.optics.lens import Lens
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.quadrics import PlacedSurface
@@ -271,8 +272,9 @@ def _planar(limits: Sequence[Array], needed: tuple[Mask, ...], points: int) -> O
 
 @dataclass(frozen=True, eq=False)
 class Circle:
-    """A rim as sources see the lens through it: which of them (M,) it cuts, x, y and radius (M,) in cells from the
-    middle of the lens, right and down; scale (M,): 1 over half the width of its edge."""
+    """A rim as sources see the lens through it: which of them (M,) it cuts, x, y and radius (M,) from the middle of the
+    lens, right and down, in px where weights are by chords, else in cells; scale (M,): 1 over half the width of its
+    edge."""
 
     cuts: Mask
     x: Array
@@ -291,13 +293,17 @@ def meet_rims(
     """Find how rims (`rim_circle`) cut the light from N points: HIDDEN, CLEAR or PARTLY (N,), and what is to be tested
     per tap."""
     state, circles = np.full(points.w.shape, CLEAR), []
-    reach, cells = division.extent * np.abs(division.cells), division.cells
+    cells, margin = division.cells, RIM_MARGIN
+    if psf.cut_by_chords:
+        size = np.maximum(np.abs(points.radius), LEAST_OPENING)
+        cells, margin = np.where(points.radius < 0.0, -size, size), 0.0
+    reach = division.extent * np.abs(cells)
     scale = np.where(division.wide & (division.width == 1), 1.0, np.sqrt(2.0))
     for rim in psf.rims:
         right, down, unit = rim_circle(lens, rim, points.rays[:, :2], points.w, points.radius)
         x, y, size = right * cells, down * cells, unit * np.abs(cells)
         away = np.hypot(x, y)
-        cuts = size - away < reach + RIM_MARGIN
+        cuts = size - away < reach + margin
         state = np.maximum(state, np.where(away >= reach + size, HIDDEN, np.where(cuts, PARTLY, CLEAR)))
         circles.append(Circle(cuts, x, y, size, scale))
     return state.astype(np.uint8), circles
@@ -313,8 +319,8 @@ class Visibility:
     straight edges (n, 3) of the lens, none where it is round; lean (M, 2): change of the tilt per cell of a narrow
     lens, part of which is behind the surface, else 0; limb (M,): at a limb; nearest (M,): least `crossing_place` of
     what hides it in part; circles: rims that cut its light; waves: light goes beyond the rim; signed: cells turn over
-    where R < 0; round: the rim is a circle; bent (M, 3): xx, xy, yy from taps to an ellipse's disc, or from a narrow
-    lens' cells to it; None: discs. rays: mean lens points of
+    where R < 0; round: the rim is a circle; by_chords: its weights have the rims; bent (M, 3): xx, xy, yy from taps to
+    an ellipse's disc, or from a narrow lens' cells to it; None: discs. rays: mean lens points of
     wide lenses, and which of them, `RayMeans.around` (M, k); behind (M,): all is hidden, at the scale of these.
     """
 
@@ -335,6 +341,7 @@ class Visibility:
     waves: bool = False
     signed: bool = False
     round: bool = True
+    by_chords: bool = False
     bent: Array | None = None
     rays: RayMeans | None = None
     ray_numbers: NDArray[np.int64] | None = None
@@ -386,7 +393,7 @@ def check_visibility(
         occluders, division.extent, psf.lens_cells(), np.array(psf.pupil.edges).reshape(-1, 3),
         lean[partly], np.broadcast_to(points.limb, partly.shape)[partly], nearest[partly],
         tuple(circle.of(partly) for circle in circles), psf.diffracted, psf.signed,
-        not (psf.signed or psf.diffracted or psf.pupil.edges), **rays,
+        not (psf.signed or psf.diffracted or psf.pupil.edges), psf.cut_by_chords, **rays,
     )  # fmt: skip
 
 

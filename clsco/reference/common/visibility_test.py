@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.constants import LENS_CELLS
-from clsco.optics.ellipses import DISC, across_of, ellipse_share
+from clsco.constants import LEAST_OPENING, LENS_CELLS
+from clsco.optics.chords import chord_weights
+from clsco.optics.ellipses import across_of
 from clsco.reference.common.geometry import Array, tilt_share
 from clsco.reference.common.occluder import Part, leave_free, occluded_part
 from clsco.reference.common.visibility import Visibility
@@ -17,14 +18,14 @@ from clsco.reference.common.visibility import Visibility
 MOST_INWARDS = 0.7  # px along an axis, at the corners of a lens mask
 BEYOND = 0.5  # px outside of the rim, of waves and sources that are pixels
 LEAST_CELL = 1e-3  # px: width of a cell of the lens that pixels see, at least
+PIXEL_CORNER, PIXELS_CORNER = 0.7072, 1.4143  # px: of a pixel from its middle, and what two differ by at most
 NARROW_MIDDLE = 7  # px along an axis: farther taps of a lens that is not wide see what those see
 
 
 def bend_visibility(visibility: Visibility, shape: Array) -> Visibility:
     """The same for blur of ellipses; shape (M, 3): see `clsco.optics.ellipses.shape_of`."""
-    across, part = across_of(shape), ellipse_share(visibility.radius)[:, None]
-    cells = (1.0 - part) * DISC + part * across[:, ::-1] * (1.0, -1.0, 1.0)
-    bent = np.where(visibility.wide[:, None], across, cells)
+    across = across_of(shape)
+    bent = np.where(visibility.wide[:, None], across, across[:, ::-1] * (1.0, -1.0, 1.0))
     return replace(visibility, bent=bent, lean=np.stack(_bent(bent, *visibility.lean.T), axis=-1))
 
 
@@ -94,9 +95,10 @@ def lens_share(visibility: Visibility, x: Array, y: Array) -> Array:
 
 
 def rim_share(visibility: Visibility, x: Array, y: Array) -> Array:
-    """Share (M,) of the light of taps that the rims let through, over an edge as soft as the response of a pixel."""
+    """Share (M,) of the light of taps that the rims let through, over an edge as soft as the response of a pixel; all
+    where `cut_weights` have it."""
     share = np.ones_like(x)
-    for circle in visibility.circles:
+    for circle in visibility.circles * (not visibility.by_chords):
         t = np.clip((circle.radius - np.hypot(x - circle.x, y - circle.y)) * circle.scale, -1.0, 1.0)
         soft = np.where(t < 0, 0.5 * (1 + t) ** 2, 1 - 0.5 * (1 - t) ** 2)
         share *= np.where(circle.cuts, soft, 1.0)
@@ -110,6 +112,27 @@ def _by_rays(visibility: Visibility, x: Array, y: Array) -> tuple[Array, Array]:
     assert parts is not None and scale is not None  # noqa: PT018
     places = scale * rays.lens_points(numbers, parts, x, y)
     return np.where(visibility.wide, places[0], x), np.where(visibility.wide, places[1], y)
+
+
+def cut_weights(visibility: Visibility, weight: Array, dx: float, dy: float, point: bool) -> Array:
+    """Weights (M,) of the tap (dx, dy) px off each source's pixel, where rims cut a round lens those of what they leave
+    open. point: sources are points."""
+    cut = np.zeros(weight.shape, np.bool_)
+    for circle in visibility.circles * visibility.by_chords:
+        cut |= circle.cuts
+    if not cut.any():
+        return weight
+    size = np.maximum(np.abs(visibility.radius), LEAST_OPENING)
+    x, y, far = dx - visibility.x, dy - visibility.y, PIXEL_CORNER if point else PIXELS_CORNER
+    inside = size - np.hypot(x, y)
+    for circle in visibility.circles:
+        inside = np.minimum(inside, circle.radius - np.hypot(x - circle.x, y - circle.y))
+    found = np.where(cut, np.where(inside > 0.0, 1.0 / (np.pi * size * size), 0.0), weight)
+    some = cut & (np.abs(inside) < far)
+    rims = [(circle.x[some], circle.y[some], circle.radius[some]) for circle in visibility.circles]
+    if some.any():
+        found[some] = chord_weights(x[some], y[some], size[some], rims=rims, point=point)
+    return found
 
 
 def _inside(visibility: Visibility, x: Array, y: Array) -> tuple[Array, Array]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from clsco.constants import SHARED_PLACE
 from clsco.inputs.pupils import scene_point_spread
-from clsco.optics.ellipses import ellipse_share, shape_of
+from clsco.optics.ellipses import shape_of
 from clsco.optics.lens import Lens, ray_step
 from clsco.optics.lens_path import camera_at, colored, lens_at, lenses_at, reference_camera
 from clsco.optics.light import PlacedLight, place_light
@@ -283,8 +283,8 @@ def trace(view: View, group: OcclusionGroup, guard: int) -> Sources:
 
 def _tilted(view: View, radius: Array, gradient: Array, widening: Array | None) -> Array:
     """Gradient (N, 2) of the blur radius of whole pixels, as far as the tilt counts, for visibility tests."""
-    tilt, spread = pixel_tilt(gradient, radius, view.psf.diffracted)
-    tilt = tilt if widening is None else tilt + ellipse_share(spread)[:, None] * widening
+    tilt, _ = pixel_tilt(gradient, radius, view.psf.diffracted)
+    tilt = tilt if widening is None else tilt + widening
     size = np.maximum(np.abs(radius), np.minimum(2.0 * np.abs(radius), 1.0)) * np.where(radius < 0.0, -1.0, 1.0)
     return np.asarray(tilt * size[:, None] * view.scene.psf.tilt)
 
@@ -385,7 +385,7 @@ def trace_subpixels(
         size = np.maximum(np.abs(lens_radius), SMALLEST_RADIUS) * np.where(lens_radius < 0.0, -1.0, 1.0)
         tilted = tilt_slope(hit.gradient, hit.radius, view.psf.diffracted)
         if widening is not None:
-            tilted = tilted + ellipse_share(hit.radius)[..., None] * widening
+            tilted = tilted + widening
         tilted = tilted * size[..., None]
         points = Points(
             rays, hit.w[lit], lens_radius[lit], x, y, 1.0 / samples, tilted[lit] * scene.psf.tilt, limb[lit]

@@ -79,31 +79,17 @@ static NOINLINE void add_ellipse_rows(spread_t s, HIDDEN_ARGUMENT int up, int do
                                       __global float *out, int planes, int pitch)
 {
     const float8 lane = (float8)(0, 1, 2, 3, 4, 5, 6, 7);
-    const float margin = ellipse_margin(s), around = s.size + margin, inside = MAX(s.size - margin, 0.0f);
-    const float over = 1 / s.shape.x;
-    const bool apart = s.part >= 1;  // from the disc
+    const opening_t opening = s.opening;
+    const float around = opening.size + chord_margin(opening), over = 1 / opening.shape.x;
     for (int dy = -up; dy <= down; ++dy) {
-        int from = 0, to = s.lanes, first = s.lanes, last = 0;  // taps that may have weights, and those of one weight
-        const float below = dy - s.oy;
-        if (apart) {
-            const float middle = s.half_width + s.ox - s.shape.y * below * over, square = below * below;
-            const float outer = s.shape.x * around * around - square, inner = s.shape.x * inside * inside - square;
-            const float reach = sqrt(MAX(outer, 0.0f)) * over, run = sqrt(MAX(inner, 0.0f)) * over;
-            from = MAX((int)(middle - reach), 0);
-            to = outer > 0 ? MIN((int)(middle + reach) + 1, 2 * s.half_width + 1) : 0;
-            first = inner > 0 ? (int)(middle - run) + 1 : first;
-            last = inner > 0 ? (int)(middle + run) : last;
-        }
+        const float below = dy - s.oy, outer = opening.shape.x * around * around - below * below;
+        if (outer <= 0)
+            continue;
+        const float middle = s.half_width + s.ox - opening.shape.y * below * over, reach = sqrt(outer) * over;
+        const int from = MAX((int)(middle - reach), 0), to = MIN((int)(middle + reach) + 1, 2 * s.half_width + 1);
         for (int b = from; b < to; b += TAP_LANES) {
-            const float8 x = lane + (b - s.half_width - s.ox), y = below;
-            float8 w;
-            if (!apart)
-                w = with_ellipse(s, weights(s, dy, b), x, below);
-            else if (b >= first && b + TAP_LANES - 1 <= last)
-                w = 1 / (M_PI_F * s.size * s.size);
-            else
-                w = IS_POINT(s) ? point_weight(s, x, y) : rim_weight(s, x, y);
-            w = FREE_TAPS(w, s, b - s.half_width, dy);
+            const float8 x = lane + (b - s.half_width - s.ox);
+            float8 w = FREE_TAPS(opening_weight(opening, x, (float8)below), s, b - s.half_width, dy);
 #if TILT
             w *= tilts(s, source, x, below);
 #endif
@@ -125,7 +111,7 @@ INLINE void add_occluded_rows(spread_t s, const visibility_t *visibility, int up
     for (int dy = -up; dy <= down; ++dy)
         for (int b = 0; b < s.lanes; b += TAP_LANES) {
             const int first = b - s.half_width;
-            float8 w = weights(s, dy, b) * free_taps(visibility, s, first, dy);
+            float8 w = own_weights(s, dy, b) * free_taps(visibility, s, first, dy);
 #if TILT
             w *= tilts(s, source, lane + (first - s.ox), dy - s.oy);
 #endif
@@ -234,7 +220,7 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
                 float4 p = sub_source[id];
                 if (p.x < 0)
                     continue;
-                const spread_t spread =
+                spread_t spread =
                     SHAPED(subpixel_spread(psf, sub_intervals, sub_coefficients, p,
                                            sub PLACE_VALUES(grid.top + y, x - grid.guard)), psf, p, at);
                 const int half_width = spread.half_width;
@@ -263,7 +249,7 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
                     visibility_t visibility;
                     source_visibility(grid, lens, surfaces, group, psf, lens_cells RAY_VALUES, grid.top + y + spread.oy,
                                       x - grid.guard + spread.ox,
-                                      sub_depth[id], spread, &p, (real)1 / SUBPIXELS, &visibility);
+                                      sub_depth[id], &spread, &p, (real)1 / SUBPIXELS, &visibility);
                     float light[CHANNELS];
                     for (int k = 0; k < CHANNELS; ++k)
                         light[k] = sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id];
@@ -288,7 +274,7 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
 #endif
         if (s.x < 0)
             continue;
-        const spread_t spread = SHAPED(
+        spread_t spread = SHAPED(
             pixel_spread(psf, intervals, coefficients, s.x PLACE_VALUES(grid.top + y, x - grid.guard)), psf, s, at);
         const int half_width = spread.half_width;
         const int up = MIN(half_width, y - first), down = MIN(half_width, end - 1 - y);
@@ -299,7 +285,7 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
             left -= HIDDEN_WORK + HIDDEN_TAPS * vectors;
             visibility_t visibility;
             source_visibility(grid, lens, surfaces, group, psf, lens_cells RAY_VALUES, grid.top + y, x - grid.guard, depth[at],
-                              spread, &s, source_width(s), &visibility);
+                              &spread, &s, source_width(s), &visibility);
             float light[CHANNELS];
             light_of(value + at, plane, grid.width, s, light);
             add_occluded(spread, &visibility, up, down, light, s, out - half_width, apart,
