@@ -71,21 +71,22 @@ def chord_weights(
     """
     opening = _Opening(radius, shape, rims)
     total = np.zeros(np.broadcast(dx, dy, opening.far[0]).shape)
-    few, many = (0.5 - 0.5 / 3.0**0.5, 0.5 + 0.5 / 3.0**0.5), chord_nodes(CUT_CHORDS if rims else STEEP_CHORDS)
-    narrow = opening.far[0] < NARROW_OPENING
+    places, parts = (_stacked(each, total) for each in chord_nodes(CUT_CHORDS if rims else STEEP_CHORDS))
+    few = 0.5 + 0.5 / 3.0**0.5 * np.array([-1.0, 1.0] + [0.0] * (len(places) - FLAT_CHORDS))
+    flat_places = _stacked(few, total)
+    flat_parts = _stacked(0.5 * (np.arange(len(places)) < FLAT_CHORDS), total)
+    narrow, below = opening.far[0] < NARROW_OPENING, _in_pixel if point else _below
     for side in (-0.5,) if point else (-1.0, 0.0):
         left = dx + side
         start, end = (np.clip(at, opening.low, opening.high) for at in (left, left + 1.0))
         flat = np.zeros(start.shape, np.bool_) if point else opening.is_flat(left)
         for half in range(2 if rims and narrow.any() else 1):
             width = np.where(flat | ~narrow, 1.0 - half, 0.5 if rims else 1.0) * (end - start)
-            for k, (place, part) in enumerate(zip(*many, strict=True)):
-                of_flat = (few[k], 0.5) if k < FLAT_CHORDS else (0.0, 0.0)
-                v = start + width * (half + np.where(flat, of_flat[0], place))
-                beginning, ending = opening.chords(v)
-                light = (_in_pixel if point else _below)(ending - dy) - (_in_pixel if point else _below)(beginning - dy)
-                across = 1.0 if point else 1.0 - np.abs(v - dx)
-                total += width * np.where(flat, of_flat[1], part) * across * light
+            v = start + width * (half + np.where(flat, flat_places, places))
+            beginning, ending = opening.chords(v)
+            light = below(ending - dy) - below(beginning - dy)
+            across = 1.0 if point else 1.0 - np.abs(v - dx)
+            total += width * (np.where(flat, flat_parts, parts) * across * light).sum(axis=0)
     return np.asarray(total / (np.pi * radius * radius))
 
 
@@ -97,6 +98,11 @@ def open_share(rims: Sequence[Circle]) -> Array:
         beginning, ending = opening.chords(opening.low + width * place)
         total += part * (ending - beginning)
     return np.asarray(np.where(width > 0.0, width * total / np.pi, 0.0))
+
+
+def _stacked(values: Array, like: Array) -> Array:
+    """Values along an axis before those of another array."""
+    return values.reshape(-1, *[1] * like.ndim)
 
 
 class _Opening:
