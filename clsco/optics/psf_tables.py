@@ -125,9 +125,18 @@ def check_tables(psf: PointSpread, smallest: float, largest: float, silhouettes:
     size = table_bytes(psf, smallest, largest)
     size += table_bytes(psf, smallest, largest, silhouettes) if silhouettes else 0
     if size > LARGEST_TABLES:
+        from clsco.optics.pupils.traced import Traced
+
+        keys = {
+            "fewer silhouette_samples": silhouettes > 0,
+            "a larger psf.tail": psf.diffracted and not isinstance(psf.pupil, Traced),
+            "less of psf.seidel": psf.varying is not None,
+            "a smaller aperture": not psf.diffracted,
+            "a smaller range of depths around the focus": psf.diffracted,
+        }
         raise SceneError(
             f"psf: the tables of weights must take at most {LARGEST_TABLES >> 20} MiB; got {size >> 20} MiB for radii "
-            f"up to {largest:.4g} px (fewer silhouette_samples, or a smaller aperture, take less)"
+            f"up to {largest:.4g} px (what takes less: {', '.join(key for key, helps in keys.items() if helps)})"
         )
 
 

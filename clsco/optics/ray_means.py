@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from clsco.constants import TAP_LANES
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.pupils.pupil import Array, Pupil
-from clsco.optics.pupils.traced import Traced, bent_rays
+from clsco.optics.pupils.traced import Traced, bends, lens_points
 from clsco.optics.pupils.wavefront import Wavefront
 
 STEPS = 4  # radii per px that means are made for; between two of them they change in proportion
@@ -123,7 +123,8 @@ def _pitch(half_width: int) -> int:
 def _means(opening: Pupil, wavefront: Wavefront, radius: float, half_width: int) -> tuple[float, Array]:
     """Scale of a blur, and mean lens points (2, rows, columns), of sources that are pixels: rays light four pixels."""
     reach = abs(radius) * opening.extent + 2.0 * wavefront.slope
-    x, y, light, right, down = bent_rays(opening, wavefront, min(max(ceil(PER_PX * reach), FEWEST), MOST))
+    count = min(max(ceil(PER_PX * reach), FEWEST), MOST)
+    (x, y, light), (right, down, *_) = lens_points(opening, count), bends(opening, wavefront, count)
     at_x, at_y, side = radius * x + right, radius * y + down, 2 * half_width + 1
     column, row = (np.clip(np.floor(at), -half_width, half_width - 1).astype(np.int64) for at in (at_x, at_y))
     parts = [np.clip(at - cell, 0.0, 1.0) for at, cell in ((at_x, column), (at_y, row))]

@@ -9,11 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
-from math import ceil, floor, log2, sqrt
+from math import ceil, floor, log2
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clsco.constants import POWERS
 from clsco.optics.pupils.diffracted import panel_nodes
@@ -25,9 +24,11 @@ MOST_PARTS, LEAST_PARTS = 16, 2  # cells of a spot per px, as many as make SPOT 
 SPOT = 256
 # Part of a response: the variance that cells of light and means over them add, 1/6 of a cell squared.
 SHARPER = 1.0 / 12.0
-RAYS_PER_PX, FEWEST_RAYS, MOST_RAYS = 16, 96, 384  # per radius of the lens, by the size of its spot
-STEPS_PER_PX = 8  # intervals of tables
+# Rays of a disc of the size of the spot, and rays per radius of the lens.
+RAYS_PER_CELL, RAYS_PER_PX, FEWEST_RAYS, MOST_RAYS = 1.25, 16.0, 96, 384
+FINE_STEPS, STEPS, FINE_BELOW = 8, 4, 8.0  # intervals of tables per px, the first where rays are bent by less, px
 SECONDS, PLACE = 3e-8, 0.07  # of a core: a ray, and the part of it for each place of a source in its pixel
+TOGETHER = 2**14  # rays, whose arrays fit a processor's cache and need no pages of their own
 NO_WAVES = ((1.0, 1.0),)
 
 
@@ -59,11 +60,11 @@ class Traced(FourierDiffracted):
 
     @property
     def steps(self) -> int:
-        return STEPS_PER_PX
+        return FINE_STEPS if self.margin < FINE_BELOW else STEPS
 
     @property
     def panel(self) -> float:
-        return 1.0 / STEPS_PER_PX
+        return 1.0 / self.steps
 
     @property
     def margin(self) -> float:
@@ -86,27 +87,46 @@ class Traced(FourierDiffracted):
 
     def _count(self, radius: float) -> int:
         """Rays per radius of the lens."""
-        wanted = RAYS_PER_PX * (radius * self.extent + self.margin)
+        wanted = min(RAYS_PER_CELL * self._parts(radius), RAYS_PER_PX) * (radius * self.extent + self.margin)
         return min(max(32 * ceil(wanted / 32.0), FEWEST_RAYS), MOST_RAYS)
 
     def _spots(self, number: int) -> Array:
         """Light at the nodes of a panel, in the cells (nodes, y, x) of spots."""
         nodes = panel_nodes(np.array([number]), self.panel, POWERS)[0]
         parts, reach, count = self._sizes(number)
-        x, y, light, bent_x, bent_y = bent_rays(self.opening, self.wavefront, count)
-        pitch, found = self.extent / (count * sqrt(self.second_moment)), []
-        for radius in nodes.tolist():
-            columns = ends(parts * (radius * x + bent_x), light, pitch, parts * reach)
-            rows = ends(parts * (radius * y + bent_y), light, pitch, parts * reach)
-            found.append(spot(columns, rows, light, 2 * parts * reach + 1))
-        return np.stack(found)
+        rays = *lens_points(self.opening, count), *bends(self.opening, self.wavefront, count)
+        middle, pitch = parts * reach, parts * self.extent / count
+        found, size = np.zeros((len(nodes), (2 * middle + 1) ** 2)), len(rays[0])
+        cell, shares = np.empty(size, np.int64), np.empty((4, size))
+        for cells, radius in zip(found, nodes.tolist(), strict=True):
+            for begin in range(0, size, TOGETHER):
+                these = slice(begin, begin + TOGETHER)
+                x, y, light, bent_x, bent_y, xx, shear, yy = (each[these] for each in rays)
+                column, right = ends(parts * (radius * x + bent_x), pitch * np.sqrt((radius + xx) ** 2 + shear))
+                row, down = ends(parts * (radius * y + bent_y), pitch * np.sqrt((radius + yy) ** 2 + shear))
+                cell[these] = (row + middle) * (2 * middle + 1) + (column + middle)
+                right, down = light * right, light * down
+                both = shares[3, these] = down * right / light
+                shares[0, these], shares[1, these], shares[2, these] = (
+                    light - right - down + both,
+                    right - both,
+                    down - both,
+                )
+            for step, share in zip((0, 1, 2 * middle + 1, 2 * middle + 2), shares, strict=True):
+                cells[step:] += np.bincount(cell, share, len(cells))[: len(cells) - step]
+        return found.reshape(len(nodes), 2 * middle + 1, 2 * middle + 1)
 
     def _sizes(self, number: int) -> tuple[int, int, int]:
         """Cells per px and reach in px of the spots of a panel, and rays per radius of the lens."""
         farthest = self.panel * max(abs(number), abs(number + 1))
-        reach = ceil(farthest * self.extent + self.margin) + 4
-        parts = 2 ** floor(log2(SPOT / reach))
-        return min(max(parts, LEAST_PARTS), MOST_PARTS), reach, self._count(farthest)
+        return self._parts(farthest), self._reach(farthest), self._count(farthest)
+
+    def _reach(self, radius: float) -> int:
+        return ceil(radius * self.extent + self.margin) + 4
+
+    def _parts(self, radius: float) -> int:
+        """Cells per px."""
+        return min(max(2 ** floor(log2(SPOT / self._reach(radius))), LEAST_PARTS), MOST_PARTS)
 
     def _made(self, number: int, place: tuple[float, float], tent: bool) -> Array:
         found: Array = self._kept_spots(number)
@@ -116,26 +136,14 @@ class Traced(FourierDiffracted):
         return np.maximum(found, 0.0)
 
 
-def ends(at: Array, light: Array, pitch: float, middle: int) -> tuple[NDArray[np.int64], Array]:
-    """First of the two cells along an axis that rays light, and the part of the second: rays fill the gaps between
-    them, as those of a disc with the same deviation do."""
-    mean = float((at * light).sum())
-    wide = min(max(pitch * sqrt(float(((at - mean) ** 2 * light).sum())), 1e-6), 1.0)
-    first = np.floor(at + 0.5 - 0.5 * wide).astype(np.int64)
-    return middle + first, np.maximum(at + (0.5 * wide - 0.5) - first, 0.0) / wide
-
-
-def spot(
-    columns: tuple[NDArray[np.int64], Array], rows: tuple[NDArray[np.int64], Array], light: Array, count: int
-) -> Array:
-    """Light (y, x) in `count` cells a side, of rays by their `ends`."""
-    (column, right), (row, down) = columns, rows
-    first, lower, found = row * count + column, light * down, np.zeros(count * count)
-    for k, part in ((0, light - lower), (count, lower)):
-        inner = part * right
-        found += np.bincount(first + k, part - inner, len(found))
-        found += np.bincount(first + k + 1, inner, len(found))
-    return found.reshape(count, count)
+def ends(at: Array, width: Array) -> tuple[Array, Array]:
+    """First of the two cells along an axis that rays light, and the part of the second: a ray is as wide as it is far
+    from those beside it, up to a cell."""
+    wide = np.clip(width, 1e-6, 1.0)
+    after = at + 0.5 * wide
+    first = np.floor(after + 0.5 - wide)
+    after -= first + 0.5
+    return first, np.maximum(after, 0.0) / wide
 
 
 @lru_cache(maxsize=256)
@@ -168,11 +176,19 @@ def pixels(cells: Array, response: Array, parts: int) -> Array:
 
 
 @lru_cache(maxsize=4)
-def bent_rays(opening: Pupil, wavefront: Wavefront, count: int) -> tuple[Array, Array, Array, Array, Array]:
-    """Lens points of rays, x right and y down, their light, which adds up to 1, and what bends them, px."""
+def lens_points(opening: Pupil, count: int) -> tuple[Array, Array, Array]:
+    """Lens points of rays, x right and y down, and their light, which adds up to 1."""
     light = opening.cells(count)
     at = (np.arange(2.0 * count) + 0.5 - count) * (opening.extent / count)
     row, column = np.nonzero(light > 1e-12 * light.max())
-    x, y, part = at[column], at[row], light[row, column]
-    right, down = wavefront.gradient(x, y)
-    return x, y, part / part.sum(), 2.0 * right, 2.0 * down
+    part = light[row, column]
+    return at[column], at[row], part / part.sum()
+
+
+@lru_cache(maxsize=4)
+def bends(opening: Pupil, wavefront: Wavefront, count: int) -> tuple[Array, ...]:
+    """What bends rays to the right and down, px, and how that changes with the lens point: of x along x, of either
+    along the other axis, squared, and of y along y."""
+    x, y, _ = lens_points(opening, count)
+    (right, down), (xx, xy, yy) = wavefront.gradient(x, y), wavefront.curvature(x, y)
+    return 2.0 * right, 2.0 * down, 2.0 * xx, 4.0 * xy * xy, 2.0 * yy

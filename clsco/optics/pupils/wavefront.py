@@ -15,7 +15,7 @@ import numpy as np
 from clsco.optics.pupils.pupil import Array
 
 ON_RADIUS, ON_CIRCLE = 65, 128  # places that the steepest slope is looked for at; it is on the rim of most terms
-STEP = 1e-4  # of the differences that slopes are
+STEP, BESIDE = 1e-4, 1e-3  # of the differences that slopes of polynomials are, and changes of slopes
 
 
 @dataclass(frozen=True)
@@ -74,15 +74,29 @@ class Wavefront:
         """Optical path in px at lens points, which broadcast."""
         square, (right, down), (xx, xy, yy) = x * x + y * y, self.coma, self.bend
         total = square * (self.spherical * square + right * x + down * y) + xx * x * x + 2.0 * xy * x * y + yy * y * y
-        for n, m, size in self.zernike:
-            total = total + size * zernike(n, m, x, y)
-        return np.asarray(total)
+        return np.asarray(total + self._polynomials(x, y) if self.zernike else total)
 
     def gradient(self, x: Array, y: Array) -> tuple[Array, Array]:
         """Changes of the path in px per radius at lens points, to the right and down."""
-        right = self.path(x + STEP, y) - self.path(x - STEP, y)
-        down = self.path(x, y + STEP) - self.path(x, y - STEP)
-        return right / (2.0 * STEP), down / (2.0 * STEP)
+        square, (right, down), (xx, xy, yy) = x * x + y * y, self.coma, self.bend
+        along = 4.0 * self.spherical * square + 2.0 * (right * x + down * y)
+        across = along * x + right * square + 2.0 * (xx * x + xy * y)
+        below = along * y + down * square + 2.0 * (xy * x + yy * y)
+        if not self.zernike:
+            return across, below
+        more = self._polynomials(x + STEP, y) - self._polynomials(x - STEP, y)
+        deeper = self._polynomials(x, y + STEP) - self._polynomials(x, y - STEP)
+        return across + more / (2.0 * STEP), below + deeper / (2.0 * STEP)
+
+    def curvature(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
+        """Changes of the gradient in px per squared radius at lens points: of its right part to the right, of either to
+        the other direction, and of its lower part down."""
+        right, down = self.gradient(x, y)
+        (beside, lower), (_, below) = self.gradient(x + BESIDE, y), self.gradient(x, y + BESIDE)
+        return (beside - right) / BESIDE, (lower - down) / BESIDE, (below - down) / BESIDE
+
+    def _polynomials(self, x: Array, y: Array) -> Array:
+        return np.asarray(sum(size * zernike(n, m, x, y) for n, m, size in self.zernike))
 
     @property
     def slope(self) -> float:

@@ -30,7 +30,7 @@ def moments(weights: Array) -> tuple[float, float, float, float]:
     return x, y, float(across @ (SPAN - x) ** 2), float(down @ (SPAN - y) ** 2)
 
 
-@pytest.mark.parametrize(("radius", "most"), [(0.6, 6e-5), (2.5, 2e-4), (10.0, 2e-4), (20.0, 1e-4)])
+@pytest.mark.parametrize(("radius", "most"), [(0.6, 6e-5), (2.5, 2e-4), (10.0, 2e-4), (20.0, 1.5e-4)])
 def test_field_curvature_is_the_disc_of_another_radius(radius: float, most: float) -> None:
     """Half of R by 2 grad (R / 8 |l|^2)."""
     found = weights_of(Wavefront(bend=(0.125 * radius, 0.0, 0.125 * radius)), 0.5 * radius)
@@ -70,6 +70,26 @@ def test_moments_of_astigmatism_and_spherical_aberration(radius: float) -> None:
     assert (across, down) == pytest.approx((expected, expected), rel=1.5e-3)
 
 
+@pytest.mark.parametrize(("radius", "square", "point"), [(-2.3, 1.6e-3, 1.22e-2), (1.3, 4.8e-4, 1.35e-3)])
+def test_many_single_rays(radius: float, square: float, point: float) -> None:
+    """Spherical aberration, coma and astigmatism, of square sources and of points in their pixels."""
+    wavefront = Wavefront(spherical=0.5, coma=(0.7, 0.4), bend=(0.3, 0.2, -0.2))
+    y, x = np.mgrid[-1 + 1 / 1600 : 1 : 1 / 800, -1 + 1 / 1600 : 1 : 1 / 800]
+    x, y = x[x * x + y * y < 1.0], y[x * x + y * y < 1.0]
+    step = 1e-4
+    at_x = radius * x + (wavefront.path(x + step, y) - wavefront.path(x - step, y)) / step
+    at_y = radius * y + (wavefront.path(x, y + step) - wavefront.path(x, y - step)) / step
+    edges, offset = np.arange(-24.5, 25.0), (0.125, -0.375)
+    points = np.histogram2d(at_y + offset[1], at_x + offset[0], bins=(edges, edges))[0] / len(x)
+    assert np.abs(weights_of(wavefront, radius, offset) - points).sum() < point
+    column, row = np.floor(at_x), np.floor(at_y)
+    squares = np.zeros((49, 49))
+    for i, down_part in ((0, 1.0 - at_y + row), (1, at_y - row)):
+        for k, right_part in ((0, 1.0 - at_x + column), (1, at_x - column)):
+            squares += np.histogram2d(row + i, column + k, bins=(edges, edges), weights=down_part * right_part)[0]
+    assert np.abs(weights_of(wavefront, radius) - squares / len(x)).sum() < square
+
+
 def test_a_blade_aperture_turns_over() -> None:
     lens = Traced(Polygon(5), wavefront=Wavefront())
     behind, before = lens.rows(np.array([6.0, -6.0]), SPAN, SPAN, tent=True)
@@ -86,7 +106,7 @@ def test_all_light_arrives(tent: bool) -> None:
             lens.rows(radii, SPAN - 0.25, SPAN + 0.25, tent=False) if not tent else lens.rows(radii, SPAN, SPAN, tent)
         )
         assert found.sum(axis=(1, 2)) == pytest.approx(1.0, abs=2e-3 if not tent else 1e-6)
-        assert found.min() > -1e-6  # between nodes a cubic may be below 0
+        assert found.min() > -1e-5  # between nodes a cubic may be below 0
 
 
 def test_single_weights_are_those_of_rows() -> None:
