@@ -300,6 +300,24 @@ def test_too_large_tables_are_refused_with_their_size() -> None:
         plan_of(Sphere(), size=(640, 480), camera=wide, psf=Psf(silhouette_samples=8))
 
 
+@pytest.mark.parametrize(
+    ("psf", "helps"),
+    [
+        ({"model": "wave"}, "a larger psf.tail, less of psf.seidel, a smaller range of depths around the focus"),
+        ({}, "less of psf.seidel, a smaller range of depths around the focus"),
+    ],
+)
+def test_what_takes_less_of_too_large_tables_is_named(psf: dict[str, str], helps: str) -> None:
+    """A wall has no silhouette whose samples might be fewer."""
+    seidel = {"W040": 4.0, "W131": 6.0, "W222": 4.0}
+    with pytest.raises(SceneError, match=rf"\(what takes less: {helps}\)$"):
+        plan_of(
+            Plane(distance=280.0, slope_x=0.3),
+            camera={"f_number": 8.0},
+            psf=Psf.model_validate(psf | {"seidel": seidel}),
+        )
+
+
 def test_a_plan_needs_a_resolution() -> None:
     with pytest.raises(SceneError, match=r"^camera\.resolution: must be known"):
         make_plan(Scene(objects=(STILL,)), 1)
