@@ -187,8 +187,8 @@ def lens_points(opening: Pupil, count: int) -> tuple[Array, Array, Array]:
 
 @lru_cache(maxsize=4)
 def bends(opening: Pupil, wavefront: Wavefront, count: int) -> tuple[Array, ...]:
-    """What bends rays to the right and down, px, and how that changes with the lens point: of x along x, of either
-    along the other axis, squared, and of y along y."""
+    """Bending of rays to the right and down, px, and its changes with the lens point: of x along x, of either along the
+    other axis, squared, and of y along y."""
     x, y, _ = lens_points(opening, count)
     (right, down), (xx, xy, yy) = wavefront.gradient(x, y), wavefront.curvature(x, y)
     return 2.0 * right, 2.0 * down, 2.0 * xx, 4.0 * xy * xy, 2.0 * yy
