@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.truth.equations import bounds_of, surface_of
 from clsco.truth.images import SIZE, lies, mapping_of
 from clsco.truth.poses import rotation_matrix, shake_at, shake_sines, static_rotation
-from clsco.truth.surfaces import bounds_of, surface_of
 
 Array = NDArray[np.float64]
 Textures = NDArray[Any] | Sequence[NDArray[Any]]

@@ -182,7 +182,7 @@ def check(
     more than 1 of 500 pixels), or pixels from rays by more than 0.01 of white and 5 standard errors. Rays need the
     extra check.
     """
-    from clsco.cli.check import check_scene, require_report
+    from clsco.cli.check_scene import check_scene, require_report
 
     if out is not None:
         require_report(out)

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from clsco.inputs.files import InputFiles, shared_files
 from clsco.scene.model import Scene
 from clsco.scene.sequence import CURVES
+from clsco.truth.equations import bounds_of, surface_of
 from clsco.truth.images import CUBE, SIZE, lies, mapping_of
 from clsco.truth.poses import camera_at, lens_at, poses_at, static_rotation
 from clsco.truth.pupils import Pupil, Wavefront, pupil_of, wavefront_of
-from clsco.truth.surfaces import bounds_of, surface_of
 
 Array = NDArray[np.float64]
 MOMENTS = 8192  # of the time between the first opening and the last closing of the shutter

@@ -28,7 +28,7 @@ ONLY = {
 }
 ON_OPENCL = (
     "opencl", "passes", "engine", "inpainting", "data.shards", "data.verify",
-    "cli.bench", "cli.check", "cli.thesis", "cli.warm",
+    "cli.bench", "cli.check", "cli.check_scene", "cli.thesis", "cli.warm",
 )  # fmt: skip
 OUTSIDE = {
     "pyopencl": ("opencl", "inpainting", "passes", "engine", "cli.bench"),

@@ -1,0 +1,80 @@
+"""The command `clsco check`: frames against the reference and against rays, as tables, and as a file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsco.cli.check import Checked, compare_frames
+from clsco.cli.output import echo
+from clsco.cli.tables import check_tables, judged_tables, print_tables
+from clsco.errors import ClscoError
+from clsco.files.images import save_image, write_json
+from clsco.scene.model import Scene
+
+if TYPE_CHECKING:
+    from clsco.truth.judge import Judgement
+
+
+def require_report(out: Path) -> None:
+    """Raise ClscoError for a file of another kind."""
+    if out.suffix.lower() not in (".json", ".png"):
+        raise ClscoError(f"-o: must be a file .json or .png; got {out}")
+
+
+def check_scene(
+    path: Path, scene: Scene, extent: tuple[int, float], out: Path | None, device: str | None, precision: str | None
+) -> None:  # fmt: skip
+    """Print how every view of a scene differs from the reference and from rays, and write that to `out`.
+
+    extent: most rays of a pixel, and seconds for all of them. Raises ClscoError where either differs by too much.
+    """
+    rays, seconds = extent
+    why = "no rays were asked for" if not rays else None
+    if rays:
+        from clsco.truth.judge import judge
+        from clsco.truth.problem import make_problem, not_judged
+
+        why = not_judged(scene)
+    views: list[tuple[Checked, Judgement]] = []
+    count = scene.sequence.frames * (1 if scene.stereo is None else 2)
+    for checked in compare_frames(scene, device, precision):
+        print_tables(*check_tables(checked))
+        color, view = checked.differences[0], f" ({checked.eye})" if checked.eye else ""
+        if not color.agrees:
+            got = f"{color.largest:.2g} in frame {checked.index}{view} ({color.count} pixels above)"
+            raise ClscoError(f"{path}: color must agree within {color.figure:g} of white; got {got}")
+        if why is None:
+            problem = make_problem(scene, checked.index, checked.eye)
+            found = judge(problem, checked.frame.color, rays, seconds / count)
+            print_tables(*judged_tables(found))
+            views.append((replace(checked, eye=view), found))
+    if why is not None:
+        echo(f"the lens: not judged: {why}")
+    if out is not None:
+        _write_report(out, views, why)
+    if wrong := [f"{found.wrong} in frame {each.index}{each.eye}" for each, found in views if not found.agrees]:
+        raise ClscoError(f"{path}: pixels must be within 0.01 of white and 5 errors of rays; got {'; '.join(wrong)}")
+
+
+def _write_report(out: Path, views: list[tuple[Checked, Judgement]], why: str | None) -> None:
+    """Write all figures to a JSON file, or the tried pixels of all views, one below the other, on frames that are dark:
+    red where they are too bright, blue where too dark, and green where they agree; full from 0.01 of white on."""
+    if out.suffix.lower() == ".json":
+        found = [{"frame": each.index, "eye": each.frame.eye} | judged.values() for each, judged in views]
+        write_json(out, {"not_judged": why, "views": found})
+        return
+    if why is not None:
+        raise ClscoError(f"-o: a picture needs rays; got {why}")
+    pictures = []
+    for each, judged in views:
+        light = np.clip(each.frame.color.reshape(*each.frame.color.shape[:2], -1).mean(axis=2), 0.0, 1.0)
+        picture = np.repeat(0.25 * light[..., None], 3, axis=2)
+        off = (judged.got - judged.right).mean(axis=1) / 0.01
+        tried = np.stack([off, 1.0 - np.abs(off), -off], axis=-1)
+        picture[judged.pixels.row, judged.pixels.column] = np.clip(tried, 0.0, 1.0)
+        pictures.append(picture.astype(np.float32))
+    save_image(out, np.concatenate(pictures), 8)
