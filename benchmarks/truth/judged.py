@@ -110,7 +110,7 @@ SCENES: dict[str, Callable[[], Content]] = {
         "camera": {"focal_length": 9.0, "aperture_diameter": 5.0, "focus_distance": 10.0, "pixel_pitch": 0.01,
                    "normalization_distance": 90.0, "resolution": [SIZE, SIZE]},
         "object": [
-            {"shape": "sphere", "center": [0.001 * k - 0.03, 0.03 - 0.0013 * k, 10.02], "radius": 0.0022,
+            {"shape": "sphere", "center": [0.001 * k - 0.03, 0.03 - 0.0013 * k, 10.02], "radius": 0.001,
              "texture": "#ffffff"}
             for k in (0, 30, 60)
         ],
