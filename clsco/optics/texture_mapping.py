@@ -23,7 +23,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.constants import (
-    DETAILED_LEAST,
     DETAILED_MOST,
     DETAILED_TEXELS,
     FINE_MOST,
@@ -55,6 +54,7 @@ KINDS: dict[Mapped | None, int] = {
 }
 WRAPS = {"repeat": WRAP_REPEAT, "mirror": WRAP_MIRROR, "clamp": WRAP_CLAMP, "none": WRAP_NONE}
 Matrix = NDArray[np.float64]
+DETAILED_LEAST = 0.01  # |R| in px, from which on pixels may need more than one source, but of waves and aberrations
 
 
 @dataclass(frozen=True)
