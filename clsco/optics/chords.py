@@ -72,9 +72,9 @@ def chord_weights(
     opening = _Opening(radius, shape, rims)
     total = np.zeros(np.broadcast(dx, dy, opening.far[0]).shape)
     places, parts = (_stacked(each, total) for each in chord_nodes(CUT_CHORDS if rims else STEEP_CHORDS))
-    few = 0.5 + 0.5 / 3.0**0.5 * np.array([-1.0, 1.0] + [0.0] * (len(places) - FLAT_CHORDS))
+    few = np.array([0.5 - 0.5 / 3.0**0.5, 0.5 + 0.5 / 3.0**0.5, *[0.0] * (len(places) - FLAT_CHORDS)])
     flat_places = _stacked(few, total)
-    flat_parts = _stacked(0.5 * (np.arange(len(places)) < FLAT_CHORDS), total)
+    flat_parts = _stacked(np.array([0.5, 0.5, *[0.0] * (len(places) - FLAT_CHORDS)]), total)
     narrow, below = opening.far[0] < NARROW_OPENING, _in_pixel if point else _below
     for side in (-0.5,) if point else (-1.0, 0.0):
         left = dx + side
@@ -100,9 +100,9 @@ def open_share(rims: Sequence[Circle]) -> Array:
     return np.asarray(np.where(width > 0.0, width * total / np.pi, 0.0))
 
 
-def _stacked(values: Array, like: Array) -> Array:
+def _stacked(values: NDArray[np.floating], like: Array) -> Array:
     """Values along an axis before those of another array."""
-    return values.reshape(-1, *[1] * like.ndim)
+    return values.astype(np.float64).reshape(-1, *[1] * like.ndim)
 
 
 class _Opening:

@@ -246,6 +246,18 @@ def test_refusals() -> None:
         clsco.defocus(np.ones((4, 4)), np.ones((4, 4)), aperture=SCENES["tilt"].aperture)
 
 
+@pytest.mark.parametrize(("diameter", "share"), [(9.5, 1.0), (8.0, 0.7305)])
+def test_an_even_plane_is_as_bright_as_the_lens_is_open(diameter: float, share: float) -> None:
+    """On the axis at any R, of a rim that clears all as well, on both methods."""
+    camera = {"aperture_diameter": 10.0, "focus_distance": 250.0, "pixel_pitch": 0.02, "resolution": [24, 24]}
+    rims = {"rim": [{"distance": 16.0, "diameter": diameter}]}
+    for distance, method in ((250.0, "gather"), (229.0, "gather"), (229.0, "scatter"), (246.0, "scatter")):
+        plane = {"shape": "plane", "distance": distance, "texture": np.ones((8, 8), np.float32)}
+        wanted = scene_from({"camera": camera, "aperture": rims}, plane)
+        frame = clsco.render_frame(wanted, truth=(), method=method)
+        assert np.abs(frame.color[10:14, 10:14] - share).max() < 2e-4
+
+
 def test_throughput_is_that_of_the_overlap() -> None:
     scene = emitter(CUTS["front"])
     for depth in (DEPTH, 100.0, 92.0):
@@ -253,8 +265,8 @@ def test_throughput_is_that_of_the_overlap() -> None:
         psf, radius = point_spread(scene.psf, scene.aperture), blur_radius(scene.camera, w)
         found = rim_throughput(Lens.of(scene.camera), psf, slopes, w, radius)
         circles = [as_seen(scene, slope, depth)[0] for slope in (0.0, SLOPE, SLOPE, 0.5)]
-        assert found == pytest.approx([overlap(size, abs(center)) for center, size in circles], abs=5e-3)
-        assert found[1] == pytest.approx(found[2], abs=1e-12)
+        assert found == pytest.approx([overlap(size, abs(center)) for center, size in circles], abs=1e-4)
+        assert found[1] == pytest.approx(found[2], abs=1e-4)
         assert found[3] == 0.0
 
 
@@ -270,7 +282,7 @@ def test_light_of_an_even_surface_is_the_throughput() -> None:
         assert found.throughput is not None
         assert found.throughput.min() < 0.8
         assert found.throughput.max() == pytest.approx(1.0, abs=1e-2)
-        assert np.abs(found.color - found.throughput)[8:-8, 8:-8].max() < 0.015
+        assert np.abs(found.color - found.throughput)[8:-8, 8:-8].max() < 0.005
         assert exact.throughput is not None
         assert np.abs(found.throughput - exact.throughput).max() <= 1e-6
         assert np.abs(found.color - exact.color).max() < FIGURE
