@@ -261,8 +261,8 @@ def outline_form(surface: PlacedSurface) -> NDArray[np.float64]:
 
 
 def outline_lines(surface: PlacedSurface, x: Vector, y: Vector) -> tuple[Vector, Vector]:
-    """Distances of rays of slopes x and y (any one shape) from the middle of the pair of lines that are the outline of a
-    cylinder or a cone, about, and half of the width between the lines there; infinite where these are far apart."""
+    """Distances of rays of slopes x and y (any one shape) from the middle of the pair of lines that are the outline of
+    a cylinder or a cone, about, and half of the width between the lines there; infinite where these are far apart."""
     form = outline_form(surface)
     bend = -float(form[0, 0] + form[1, 1])
     if not bend > 0.0:

@@ -25,8 +25,8 @@ static float2 ellipse_tilt(const grid_t grid, bend_t bend)
 #endif
 
 // Record of a hit, as the lens takes it; below 0 where none of its radiance reaches the lens, which is tested from the
-// hit `seen` of inverse depth seen_w. subpixel: the source is one of SUBPIXELS^2; small: of a small surface. In and out:
-// label, statistics. bend, seen_bend: of the two rays.
+// hit `seen` of inverse depth seen_w. subpixel: the source is one of SUBPIXELS^2; small: of a small surface. In and
+// out: label, statistics. bend, seen_bend: of the two rays.
 static float4 source_record(const grid_t grid, lens_t lens, __constant surface_t *surfaces, const group_t group,
                             const psf_t psf, real3 ray, bend_t bend, real w, real3 seen_ray, bend_t seen_bend,
                             real seen_w, int subpixel, bool small, uchar *label, __global int *statistics)
@@ -130,8 +130,8 @@ __kernel void cast(const grid_t grid, __constant surface_t *surfaces, const grou
         return;
 #endif
     const int plane = grid.height * grid.width;
-    const float texels = take_radiance(grid, surfaces, ray, w, root, row, column, 1, SHADE_OF(surfaces, root, ray, w), 1,
-                                       texture TEXTURE_MAPS, value + at, plane);
+    const float texels = take_radiance(grid, surfaces, ray, w, root, row, column, 1,
+                                       SHADE_OF(surfaces, root, ray, w), 1, texture TEXTURE_MAPS, value + at, plane);
 #if TEXTURED
     value[CHANNELS * plane + at] = texels;
 #endif
@@ -250,8 +250,8 @@ __kernel void mark_silhouettes(const grid_t grid, __global const uchar *label, c
     }
 }
 
-// Hits of the rays through the middles of SUBPIXELS x SUBPIXELS cells of every marked pixel with what is not small. Out,
-// per slot and cell in row-major order: sub_label uchar, before any visibility test, sub_depth real.
+// Hits of the rays through the middles of SUBPIXELS x SUBPIXELS cells of every marked pixel with what is not small.
+// Out, per slot and cell in row-major order: sub_label uchar, before any visibility test, sub_depth real.
 __kernel void label_subpixels(const grid_t grid, __constant surface_t *surfaces, const group_t group,
                               __global const int *pixels, const int capacity, __global uchar *sub_label,
                               __global real *sub_depth, __global const int *statistics)

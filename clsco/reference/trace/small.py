@@ -139,8 +139,8 @@ def narrow(a: Array, b: Array, c: Array, low: Array, high: Array) -> tuple[Array
 def small_cover(
     view: View, bounds: Sequence[Bounds | None], group: OcclusionGroup, k: int, place: tuple[Index, Index], samples: int
 ) -> Array:  # fmt: skip
-    """Parts of the cells of pixels (M,) that the image of member k covers: (M, S, S, 4) as `Divided.own`; place: their rows
-    and columns."""
+    """Parts of the cells of pixels (M,) that the image of member k covers: (M, S, S, 4) as `Divided.own`; place: their
+    rows and columns."""
     camera, (row, column) = view.scene.camera, place
     each = conics_of(camera, view.surfaces[k], bounds[k], row, column)
     bend = -(each[:, 3] + each[:, 5])
