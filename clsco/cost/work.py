@@ -39,7 +39,8 @@ from clsco.reference.common.geometry import (
 from clsco.reference.common.visibility import CLEAR, HIDDEN, PARTLY, meet_occluder, meet_rims, out_of_the_way
 from clsco.reference.trace.footprint import parts_of
 from clsco.reference.trace.mapping import MappedTexture, along_axis, mapped_point, texel_change
-from clsco.reference.trace.trace import SILHOUETTE_RANGE, View, gradient_of, view_at
+from clsco.reference.trace.trace import SILHOUETTE_RANGE, gradient_of, view_at
+from clsco.reference.trace.view import View
 
 Array = NDArray[np.float64]
 Work = dict[str, float]

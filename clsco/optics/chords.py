@@ -42,7 +42,7 @@ def chord_weights(
     radius : ndarray
         |R| of the disc of the same area, px, above 0.
     shape : ndarray of float64, (..., 3)
-        Of the ellipse, see `clsco.optics.ellipses.shape_of`. All broadcast.
+        Form of the ellipse, see `clsco.optics.ellipses.shape_of`. All broadcast.
     rims : sequence of (x, y, radius)
         Circles that light comes through as well: x and y of the middle, right and down, and the radius of the disc of
         the same area, px.
@@ -119,7 +119,7 @@ class _Opening:
         self.low, self.high = self.low.max(axis=0), np.maximum(high.min(axis=0), self.low.max(axis=0))
 
     def _ends(self, v: Array) -> tuple[Array, Array]:
-        """Where chords of each circle down the column at v px begin and end, px."""
+        """Beginnings and ends of chords of each circle down the column at v px, px."""
         middles, halves = [], []
         for (x, y, _), far in zip(self.circles, self.far, strict=True):
             halves.append(np.sqrt(np.maximum((far - (v - x)) * (far + (v - x)), 0.0)) * self.over)
@@ -128,7 +128,7 @@ class _Opening:
         return middle - half, middle + half
 
     def chords(self, v: Array) -> tuple[Array, Array]:
-        """Where chords of the opening begin and end."""
+        """Beginnings and ends of chords of the opening."""
         beginnings, ends = self._ends(v)
         beginning = beginnings.max(axis=0)
         return beginning, np.maximum(ends.min(axis=0), beginning)

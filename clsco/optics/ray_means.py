@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from clsco.constants import TAP_LANES
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.pupils.pupil import Array, Pupil
-from clsco.optics.pupils.traced import Traced, bends, lens_points
 from clsco.optics.pupils.wavefront import Wavefront
 
 STEPS = 4  # radii per px that means are made for; between two of them they change in proportion
@@ -60,7 +59,7 @@ class RayMeans:
         return np.concatenate([head, each.ravel(), np.zeros(2 * TAP_LANES)]).astype(np.float32)
 
     def around(self, radius: Array, places: NDArray[np.int64], shares: Array) -> tuple[NDArray[np.int64], Array, Array]:
-        """Which means are around sources of signed radii (n,), between places (k, n) of the field with these shares:
+        """Means around sources of signed radii (n,), between places (k, n) of the field with these shares:
         numbers (n, 2 k) in a list of all, their parts, and scales (n,), signed."""
         at = np.clip(radius * STEPS - self.first, 0.0, self.means.shape[1] - 1.0)
         number = np.minimum(at.astype(np.int64), self.means.shape[1] - 2)
@@ -85,7 +84,7 @@ class RayMeans:
 
 def has_ray_means(psf: PointSpread) -> bool:
     """True if lens points do not follow from places in the blur alone."""
-    return isinstance(psf.pupil, Traced) or not (psf.diffracted or psf.pupil.is_convex)
+    return psf.pupil.bends_rays or not (psf.diffracted or psf.pupil.is_convex)
 
 
 def ray_floats(psf: PointSpread, largest: float) -> int:
@@ -98,6 +97,8 @@ def ray_floats(psf: PointSpread, largest: float) -> int:
 @lru_cache(maxsize=8)
 def ray_means(psf: PointSpread, largest: float) -> RayMeans:
     """Mean lens points for |blur radii| up to `largest` px."""
+    from clsco.optics.pupils.traced import Traced
+
     half_width, last = _half_width(psf, largest), ceil(largest * STEPS) + 1
     radii = np.arange(-last, last + 1) / STEPS
     shape = len(psf.places), len(radii)
@@ -122,6 +123,8 @@ def _pitch(half_width: int) -> int:
 
 def _means(opening: Pupil, wavefront: Wavefront, radius: float, half_width: int) -> tuple[float, Array]:
     """Scale of a blur, and mean lens points (2, rows, columns), of sources that are pixels: rays light four pixels."""
+    from clsco.optics.pupils.traced import bends, lens_points
+
     reach = abs(radius) * opening.extent + 2.0 * wavefront.slope
     count = min(max(ceil(PER_PX * reach), FEWEST), MOST)
     (x, y, light), (right, down, *_) = lens_points(opening, count), bends(opening, wavefront, count)

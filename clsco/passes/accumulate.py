@@ -30,7 +30,7 @@ class FrameSum:
 
     Notes
     -----
-    Validated against `clsco.reference.blur.accumulate`.
+    Validated against sums of NumPy (tests/kernels/test_accumulate.py).
     """
 
     def __init__(self, session: Session, sizes: Sizes, by_columns: bool = False) -> None:

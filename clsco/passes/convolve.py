@@ -33,7 +33,7 @@ class Convolve(BlurredPlane):
     program.
 
     It makes the PSF of the sources' radius, up to `spec.largest`. Validated against
-    `clsco.reference.blur.convolve`.
+    sums over rectangles (tests/kernels/test_convolve.py).
     """
 
     def __init__(self, target: Target, spec: BlurSpec, tallest: Grid, grid: Struct, sizes: Sizes) -> None:

@@ -30,8 +30,6 @@ from clsco.reference.trace.mapping import MappedTexture
 from clsco.reference.trace.small import small_members
 from clsco.reference.trace.trace import (
     Sources,
-    Texture,
-    View,
     everything,
     padded_grid,
     sharpen,
@@ -40,6 +38,7 @@ from clsco.reference.trace.trace import (
     trace_subpixels,
     view_at,
 )
+from clsco.reference.trace.view import Texture, View
 from clsco.reference.warp.warp import extend_border, fill_entered, reproject
 from clsco.scene.model import Scene
 

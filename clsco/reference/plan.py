@@ -25,7 +25,8 @@ from clsco.plan.methods import BlurSpec, Occlusion
 from clsco.plan.plan import make_plan
 from clsco.plan.request import Request
 from clsco.reference.common.geometry import Array, blur_radius, nearest_surface, pixel_ray
-from clsco.reference.trace.trace import SILHOUETTE_RANGE, View, everything, mark_silhouettes, padded_grid
+from clsco.reference.trace.trace import SILHOUETTE_RANGE, everything, mark_silhouettes, padded_grid
+from clsco.reference.trace.view import View
 from clsco.scene.model import Object, Plane, Rectangle, Scene
 
 Maps = Sequence[Array | None]  # inverse depths in 1/mm, None of analytic objects

@@ -30,8 +30,9 @@ from clsco.reference.plan import ReferencePlan
 from clsco.reference.sensor.sensor import sensor_outputs
 from clsco.reference.trace.line_truth import line_truth
 from clsco.reference.trace.mapping import mapped_texture
-from clsco.reference.trace.trace import Sources, Texture, padded_grid
+from clsco.reference.trace.trace import Sources, padded_grid
 from clsco.reference.trace.truth import ground_truth
+from clsco.reference.trace.view import Texture
 from clsco.scene.model import Object, Scene
 
 

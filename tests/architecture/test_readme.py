@@ -83,7 +83,7 @@ def test_options_and_examples_of_files_exist() -> None:
     (command,) = (block for block in blocks("sh", "docs/depth_maps.md") if "clsco defocus" in block)
     options = {name for option in main.commands["defocus"].params for name in option.opts}
     table = re.findall(r"^\| [^|]+ \| `(--unit [^`]+)`", PAGES["docs/depth_maps.md"], re.MULTILINE)
-    assert len(table) == 4
+    assert len(table) == 10
     used = set(re.findall(r"--[\w-]+", " ".join([command, *table])))
     assert used <= options
     assert {"--unit", "--scale", "--baseline", "--offset"} <= used

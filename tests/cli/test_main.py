@@ -9,8 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 import clsco
-from clsco.cli import check, demo
+from clsco.cli import demo
 from clsco.cli.main import main
 from clsco.engine import batch
 from clsco.errors import ImageError
@@ -328,60 +327,6 @@ def test_plan(ball: Path) -> None:
     assert "nobody asked for it" not in clsco_("plan", ball, "--format", "npz").output
     for words, method in (((), "gather"), (("--gpu",), "scatter")):
         assert f"blur method {method}" in " ".join(clsco_("plan", ball, *words).output.split())
-
-
-def test_check_agrees(ball: Path, tmp_path: Path) -> None:
-    report = tmp_path / "report.json"
-    result = clsco_(
-        "check", ball, "--rays", 512, "--set", "sequence.frames=2", "--set", "object.0.texture=#c08040", "-o", report
-    )
-    assert result.exit_code == 0, result.output
-    rows = [line.split() for line in result.output.splitlines()]
-    for name in ("color", *TRUTH_NAMES, *MOTION_NAMES):
-        found = [row for row in rows if row[:1] == [name]]
-        assert len(found) == 2
-        assert all(row[-2] == "0" for row in found)  # pixels above the figure
-    assert result.output.count("reference: ") == 2
-    assert result.output.count("Pixels against rays") == 2
-    views = json.loads(report.read_text())["views"]
-    assert [(view["frame"], view["deviations"]) for view in views] == [(0, 0), (1, 0)]
-    assert {row["name"] for row in views[0]["classes"]} >= {"outline", "random"}
-
-
-def test_check_finds_by_rays_what_the_reference_shares(ball: Path, tmp_path: Path) -> None:
-    """Weights at the centers of pixels alone: device and reference agree, and both are off."""
-    picture = tmp_path / "tried.png"
-    result = clsco_("check", ball, "--rays", 512, "--set", "psf.edge=sampled", "-o", picture)
-    assert result.exit_code == 1
-    assert result.stderr.startswith(f"error: {ball}: pixels must be within 0.01 of white and 5 errors of rays; got ")
-    assert len(np.unique(read_image(picture).data.reshape(-1, 3), axis=0)) > 10
-    (line,) = messages(clsco_("check", ball, "-o", "report.txt"), 1)
-    assert line == "error: -o: must be a file .json or .png; got report.txt"
-
-
-def changed(**places: Any) -> Callable[..., Iterator[Frame]]:
-    """`render` with pixels changed: name=(index, value)."""
-
-    def rendered(*args: Any, **options: Any) -> Iterator[Frame]:
-        for frame in clsco.render(*args, **options):
-            arrays = {name: getattr(frame, name).copy() for name in places}
-            for name, (index, value) in places.items():
-                arrays[name][index] = value
-            yield replace(frame, **arrays)
-
-    return rendered
-
-
-def test_check_notices_a_wrong_pixel(ball: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(check, "render", changed(color=((5, 7), np.nan), depth=((2, 3), 1.0), mask=((4, 4), True)))
-    result = clsco_("check", "--rays", 0, ball)
-    assert result.exit_code == 1
-    assert f"error: {ball}: color must agree within 1e-05 of white; got inf in frame 0 (1 pixels" in result.stderr
-    rows = {row[0]: row for row in (line.split() for line in result.stdout.splitlines()) if row}
-    assert rows["color"][-4:] == ["5", "7", "1", "1e-05"]
-    assert rows["depth"][-4:-1] == ["2", "3", "1"]
-    assert rows["sharp"][-2] == "0"
-    assert clsco_("check", "--rays", 0, ball, "--precision", "single").exit_code == 1
 
 
 def test_devices() -> None:

@@ -32,6 +32,7 @@ from clsco.records import Real, flat, structs
 from clsco.reference.common.geometry import pixel_tilt, table_coordinate, tilt_slope
 from clsco.reference.trace import trace as twin
 from clsco.reference.trace.truth import ground_truth
+from clsco.reference.trace.view import View
 from clsco.scene.model import (
     Cone,
     Cylinder,
@@ -154,7 +155,7 @@ def random_textures(wanted: Scene, channels: int) -> tuple[Array, ...]:
     return tuple(np.random.default_rng(3).random((len(wanted.objects), rows, columns, channels), np.float32))
 
 
-def view(plan: Plan, time: float) -> twin.View:
+def view(plan: Plan, time: float) -> View:
     textures = tuple(texture.astype(float) for texture in random_textures(plan.scene, plan.channels))
     return twin.view_at(plan.scene, textures, time, plan.eye, plan.moves or plan.eye_moved)
 

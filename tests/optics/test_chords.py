@@ -46,7 +46,7 @@ def test_against_brute_force(name: str, radius: float) -> None:
 
 @pytest.mark.parametrize("name", OPENINGS)
 def test_light_is_the_area_of_the_opening_at_any_radius(name: str) -> None:
-    """Of pixels, and of points in them."""
+    """Weights of pixels, and of points in them."""
     area = float(open_share(scaled(OPENINGS[name], 1.0)))
     assert area == pytest.approx(float(brute(1.0, OPENINGS[name], 2000)[1].sum()), abs=3e-4)
     for radius in (0.1, 0.5, 1.0, 2.0, 3.1, 3.2, 3.5, 5.0, 9.0, 30.0):

@@ -16,7 +16,6 @@ from clsco.optics.visibility import OcclusionGroup
 from clsco.reference.common.geometry import Filter, pixel_ray, rest_pixel, solve_quadric
 from clsco.reference.trace.trace import (
     SILHOUETTE_RANGE,
-    View,
     mark_silhouettes,
     padded_grid,
     trace,
@@ -24,6 +23,7 @@ from clsco.reference.trace.trace import (
     view_at,
 )
 from clsco.reference.trace.truth import ground_truth
+from clsco.reference.trace.view import View
 from clsco.scene.model import Ellipsoid, Motion, ObjectMotion, Plane, Psf, Scene, Sequence, Sphere
 from tests.scenes import scene_of
 

@@ -257,10 +257,7 @@ OBJECTS: list[tuple[str, str]] = [
         'shape = "depth_map", depth = "z.png", near = 300, far = 300',
         "object[0].far: must be greater than near, 300 mm; got 300",
     ),
-    (
-        'shape = "depth_map", depth = "z.png", scale = 0',
-        "object[0].scale: must be at least 1e-12 in size; got 0",
-    ),
+    ('shape = "depth_map", depth = "z.png", scale = 0', "object[0].scale: must be at least 1e-12 in size; got 0"),
     (
         'shape = "depth_map", depth = "z.png", unit = "disparity", baseline = -1',
         "object[0].baseline: must be greater than 0 mm; got -1",

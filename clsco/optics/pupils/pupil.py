@@ -69,6 +69,11 @@ class Pupil(ABC):
         return 1.0
 
     @property
+    def bends_rays(self) -> bool:
+        """Rays arrive beside R l, by errors of the wavefront."""
+        return False
+
+    @property
     def is_convex(self) -> bool:
         """All places between two that light passes at let some through."""
         return True

@@ -55,6 +55,10 @@ class Traced(FourierDiffracted):
     bands: tuple[tuple[float, float], ...] = NO_WAVES
 
     @property
+    def bends_rays(self) -> bool:
+        return True
+
+    @property
     def name(self) -> str:
         return f"{self.opening.name}, aberrations by rays"
 

@@ -12,8 +12,9 @@ from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import Eye, Pose, poses_at, rest_center, rest_poses
 from clsco.optics.quadrics import cutting_bounds, place
 from clsco.reference.common.geometry import Array, body_point, nearest_surface, pixel_ray, project, turned
-from clsco.reference.trace.trace import Texture, everything, padded_grid, view_at
+from clsco.reference.trace.trace import everything, padded_grid, view_at
 from clsco.reference.trace.truth import Shown, Truth, outside_frame, surface_truth
+from clsco.reference.trace.view import Texture
 from clsco.scene.model import Camera, Scene
 
 NEARER = 1.0 + 1e-5  # as in clsco.optics.line_truth: a depth that is nearer by this factor is that of another point

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,10 +28,8 @@ from clsco.reference.common.geometry import (
     turned,
 )
 from clsco.reference.trace.light import shade
+from clsco.reference.trace.view import Cast, View
 from clsco.scene.model import Camera
-
-if TYPE_CHECKING:
-    from clsco.reference.trace.trace import Cast, View
 
 LINES, END_LINES = 8, 2
 CLEARLY = 1.001

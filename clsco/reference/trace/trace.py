@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from clsco.constants import SHARED_PLACE
 from clsco.inputs.pupils import scene_point_spread
 from clsco.optics.ellipses import shape_of
-from clsco.optics.lens import Lens, ray_step
+from clsco.optics.lens import ray_step
 from clsco.optics.lens_path import camera_at, colored, lens_at, lenses_at, reference_camera
-from clsco.optics.light import PlacedLight, place_light
+from clsco.optics.light import place_light
 from clsco.optics.motion import Eye, poses_at
 from clsco.optics.point_spread import PointSpread, subpixel_offsets
 from clsco.optics.quadrics import PlacedSurface, cutting_bounds, place
@@ -46,6 +46,7 @@ from clsco.reference.trace.light import shade
 from clsco.reference.trace.mapping import MappedTexture
 from clsco.reference.trace.outline import UNMARKED, cell_coverage, is_at_limb, labels_around
 from clsco.reference.trace.small import cast_behind, small_members, with_small
+from clsco.reference.trace.view import Cast, Texture, View
 from clsco.scene.model import Camera, Scene
 
 SILHOUETTE_RANGE = 2  # px, Chebyshev distance from a silhouette within which pixels get sub-pixel sources
@@ -106,37 +107,6 @@ def padded_grid(camera: Camera, guard: int) -> tuple[NDArray[np.int64], NDArray[
     return np.arange(-guard, rows + guard)[:, None], np.arange(-guard, columns + guard)[None, :]
 
 
-Texture = Array | MappedTexture
-"""(rows, columns, channels) of the frame's size, or an image on a surface."""
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """All objects at one time, in the frame of the camera.
-
-    surfaces: one per object; textures: one per object, with so many channels; moved: an
-    object or the camera is not exactly in its reference pose, or zooms; light: of the scene, if it has one; psf: of the
-    lens; reference: the camera in its reference pose; lens: for the light that is wanted; lenses: of the colors that
-    differ.
-    """
-
-    scene: Scene
-    surfaces: tuple[PlacedSurface, ...]
-    textures: tuple[Texture, ...]
-    moved: bool
-    light: PlacedLight | None
-    psf: PointSpread
-    reference: Camera
-    lens: Lens
-    lenses: tuple[Lens, ...]
-
-    @property
-    def channels(self) -> int:
-        """Number of channels of the textures."""
-        first = self.textures[0]
-        return int((first.levels[0] if isinstance(first, MappedTexture) else first).shape[-1])
-
-
 def view_at(
     scene: Scene, textures: tuple[Texture, ...], time: float, eye: Eye, moved: bool, psf: PointSpread | None = None,
     color: int | None = None,
@@ -156,22 +126,6 @@ def view_at(
 def everything(scene: Scene) -> OcclusionGroup:
     """All objects in one occlusion group without occluders: the pinhole image."""
     return OcclusionGroup((1 << len(scene.objects)) - 1, 0)
-
-
-@dataclass(frozen=True, eq=False)
-class Cast:
-    """Hits of rays (...): inverse depth in 1/mm, label, object, blur radius in px, its gradient, radiance; parts:
-    number along each axis into which the texture cuts a pixel, 0 for none; share: of the difference to the neighbors
-    that it takes."""
-
-    w: Array
-    label: NDArray[np.uint8]
-    number: NDArray[np.int32]
-    radius: Array
-    gradient: Array
-    radiance: Array
-    parts: NDArray[np.intp]
-    share: Array
 
 
 def cast(

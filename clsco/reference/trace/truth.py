@@ -27,7 +27,8 @@ from clsco.reference.common.geometry import (
     turned,
 )
 from clsco.reference.trace.mapping import MappedTexture, texture_coordinates
-from clsco.reference.trace.trace import Cast, Texture, View, cast, everything, padded_grid, view_at
+from clsco.reference.trace.trace import cast, everything, padded_grid, view_at
+from clsco.reference.trace.view import Cast, Texture, View
 from clsco.scene.model import Camera, Scene
 
 

@@ -284,8 +284,8 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
         if (IS_PARTLY(as_int(s.w))) {
             left -= HIDDEN_WORK + HIDDEN_TAPS * vectors;
             visibility_t visibility;
-            source_visibility(grid, lens, surfaces, group, psf, lens_cells RAY_VALUES, grid.top + y, x - grid.guard, depth[at],
-                              &spread, &s, source_width(s), &visibility);
+            source_visibility(grid, lens, surfaces, group, psf, lens_cells RAY_VALUES, grid.top + y, x - grid.guard,
+                              depth[at], &spread, &s, source_width(s), &visibility);
             float light[CHANNELS];
             light_of(value + at, plane, grid.width, s, light);
             add_occluded(spread, &visibility, up, down, light, s, out - half_width, apart,

@@ -1,0 +1,62 @@
+"""Surfaces that rays are cast at, and their hits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.optics.lens import Lens
+from clsco.optics.light import PlacedLight
+from clsco.optics.point_spread import PointSpread
+from clsco.optics.quadrics import PlacedSurface
+from clsco.reference.common.geometry import Array
+from clsco.reference.trace.mapping import MappedTexture
+from clsco.scene.model import Camera, Scene
+
+Texture = Array | MappedTexture
+"""(rows, columns, channels) of the frame's size, or an image on a surface."""
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """All objects at one time, in the frame of the camera.
+
+    surfaces: one per object; textures: one per object, with so many channels; moved: an
+    object or the camera is not exactly in its reference pose, or zooms; light: of the scene, if it has one; psf: of the
+    lens; reference: the camera in its reference pose; lens: for the light that is wanted; lenses: of the colors that
+    differ.
+    """
+
+    scene: Scene
+    surfaces: tuple[PlacedSurface, ...]
+    textures: tuple[Texture, ...]
+    moved: bool
+    light: PlacedLight | None
+    psf: PointSpread
+    reference: Camera
+    lens: Lens
+    lenses: tuple[Lens, ...]
+
+    @property
+    def channels(self) -> int:
+        """Number of channels of the textures."""
+        first = self.textures[0]
+        return int((first.levels[0] if isinstance(first, MappedTexture) else first).shape[-1])
+
+
+@dataclass(frozen=True, eq=False)
+class Cast:
+    """Hits of rays (...): inverse depth in 1/mm, label, object, blur radius in px, its gradient, radiance; parts:
+    number along each axis into which the texture cuts a pixel, 0 for none; share: of the difference to the neighbors
+    that it takes."""
+
+    w: Array
+    label: NDArray[np.uint8]
+    number: NDArray[np.int32]
+    radius: Array
+    gradient: Array
+    radiance: Array
+    parts: NDArray[np.intp]
+    share: Array
