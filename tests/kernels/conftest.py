@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from clsco.inputs.textures import Texture
 from clsco.opencl import program as program_module
+from clsco.opencl import source_text
 from clsco.opencl.buffers import download, upload
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Session
@@ -73,6 +74,7 @@ def run_source(session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     """
     copytree(str(folder("kernels") / "common"), tmp_path / "common")
     monkeypatch.setattr(program_module, "folder", lambda name: tmp_path)
+    monkeypatch.setattr(source_text, "folder", lambda name: tmp_path)
 
     def run(text: str, name: str, real: Real, features: dict[str, int], count: int, *args: Any) -> None:
         (tmp_path / "tests.cl").write_text(text, "utf-8")

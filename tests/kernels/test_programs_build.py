@@ -115,6 +115,8 @@ GIVEN_BY_THE_BUILD |= {
     "__AVX__",
     "__AVX2__",
     "__AVX512F__",
+    "__ATOMIC_RELAXED",
+    "__SPIR__",
 }
 
 
