@@ -30,6 +30,22 @@ from scipy.interpolate import CubicSpline
 from scipy.stats import qmc
 
 import clsco
+from benchmarks.truth.independent_lens import (
+    FOCAL,
+    PITCH,
+    VARIES,
+    Lens,
+    bend,
+    diffracted,
+    distort,
+    focus_at,
+    lens_of,
+    lens_point,
+    passes_rims,
+    straighten,
+    vignetting,
+)
+from benchmarks.truth.independent_lens_scenes import scenes as lens_scenes
 from benchmarks.truth.independent_scenes import SCENES
 from benchmarks.truth.traced import decibels, rms
 
@@ -243,77 +259,122 @@ def _shift(index, axis):  # type: ignore[no-untyped-def]
     return float((z ^ (z >> np.uint64(31))) >> np.uint64(11)) * 2.0**-53
 
 
+@njit(cache=True)
+def _first_hit(numbers, poses, lens_x, lens_y, slope_x, slope_y, point):  # type: ignore[no-untyped-def]
+    """Depth and number of the nearest surface on a ray, -1 for none; `point` (3,) gets the place in its frame."""
+    nearest, which = np.inf, -1
+    o, d = np.empty(3), np.empty(3)
+    for n in range(len(numbers)):
+        m = poses[n]
+        x, y, z = lens_x - m[9], lens_y - m[10], -m[11]
+        for i in range(3):
+            o[i] = m[3 * i] * x + m[3 * i + 1] * y + m[3 * i + 2] * z
+            d[i] = m[3 * i] * slope_x + m[3 * i + 1] * slope_y + m[3 * i + 2]
+        depth = _hit(numbers[n], o, d)
+        if depth < nearest:
+            nearest, which = depth, n
+            point[0], point[1], point[2] = o[0] + depth * d[0], o[1] + depth * d[1], o[2] + depth * d[2]
+    return nearest, which
+
+
 @njit(cache=True, parallel=True)
-def _trace(points, counts, salt, poses, offsets, numbers, images, sizes, background, camera):  # type: ignore[no-untyped-def]
+def _trace(points, counts, salt, window, poses, optics, offsets, numbers, images, sizes, background, lens):  # type: ignore[no-untyped-def]
     """Means (2, rows, columns, 3) over the first `counts` (rows, columns) of each of two sets, `points` (2, n, 4).
 
-    poses (n or 1, surfaces, 24): inverse rotation and center per sample, and the rotation and center before any motion;
-    images (texels, 3) one after the other, of
-    `offsets` and `sizes` (surfaces, 2); background: number of its image, -1 for none; camera: pitch / s0, D / 2, 1 / u.
+    window: first and last row; poses (n or 1, surfaces, 24): inverse rotation and center per sample, and the rotation
+    and center before any motion; optics (n or 1, 3): pitch / s0, D / 2, K; images (texels, 3) one after the other, of
+    `offsets` and `sizes` (surfaces, 2); background: number of its image, -1 for none; lens: as in `Lens`.
     """
     rows, columns = counts.shape
-    ratio, lens, focus = camera
+    properties, wave, rims, opening_rows, opening_cells, sigma, most = lens
+    at_rest = properties[PITCH] / properties[FOCAL]  # textures are what the camera of the scene shows
     found = np.zeros((2, rows, columns, 3))
-    for pixel in prange(rows * columns):
+    for pixel in prange(window[0] * columns, window[1] * columns):
         row, column = pixel // columns, pixel % columns
         shifts = np.empty(8)
         for axis in range(8):
             shifts[axis] = _shift(pixel + salt, axis)
-        o, d, at = np.empty(3), np.empty(3), np.empty(4)
+        point, at = np.empty(3), np.empty(4)
         sums = np.zeros((2, 3))
         for sample in range(2 * counts[row, column]):
             half, s = sample % 2, sample // 2
             for axis in range(4):
                 at[axis] = (points[half, s, axis] + shifts[4 * half + axis]) % 1.0
-            radius, angle = lens * math.sqrt(at[2]), 2 * math.pi * at[3]
-            lens_x, lens_y = radius * math.cos(angle), radius * math.sin(angle)
-            # The point in focus is where the line through the middle of the lens meets the focal distance.
-            slope_x = ratio * (column - 0.5 * columns + at[0]) - focus * lens_x
-            slope_y = ratio * (0.5 * rows - row - at[1]) - focus * lens_y
-            nearest, which = np.inf, -1
-            px, py, pz = 0.0, 0.0, 0.0
-            for n in range(len(numbers)):
-                m = poses[s % len(poses), n]
-                x, y, z = lens_x - m[9], lens_y - m[10], -m[11]
-                for i in range(3):
-                    o[i] = m[3 * i] * x + m[3 * i + 1] * y + m[3 * i + 2] * z
-                    d[i] = m[3 * i] * slope_x + m[3 * i + 1] * slope_y + m[3 * i + 2]
-                depth = _hit(numbers[n], o, d)
-                if depth < nearest:
-                    nearest, which = depth, n
-                    px, py, pz = o[0] + depth * d[0], o[1] + depth * d[1], o[2] + depth * d[2]
+            ratio, radius, on_axis = optics[s % len(optics)]
+            u, v = lens_point(properties, opening_rows, opening_cells, sigma, most, at[2], at[3])
+            lens_x, lens_y = radius * u, radius * v
+            seen_x, seen_y = column - 0.5 * columns + at[0], 0.5 * rows - row - at[1]
+            x, y = straighten(properties, ratio, seen_x, seen_y)
+            chief_x, chief_y, focus, slope_x, slope_y, nearest, which = x, y, 0.0, 0.0, 0.0, np.inf, -1
+            for _ in range(4 if properties[VARIES] > 0.0 else 1):
+                # The point in focus is where the line through the middle of the lens meets the focal distance.
+                focus = focus_at(properties, ratio, on_axis, chief_x, chief_y)
+                right, up = bend(properties, wave, u, v, chief_x, chief_y)
+                slope_x, slope_y = ratio * (x - right) - focus * lens_x, ratio * (y - up) - focus * lens_y
+                nearest, which = _first_hit(numbers, poses[s % len(poses)], lens_x, lens_y, slope_x, slope_y, point)
+                chief_x, chief_y = (lens_x / nearest + slope_x) / ratio, (lens_y / nearest + slope_y) / ratio
             total = sums[half]
             if which < 0 and background < 0:
+                continue
+            if not passes_rims(
+                rims, properties, focus, lens_x, lens_y, slope_x, slope_y, ratio * seen_x, ratio * seen_y
+            ):
                 continue
             shown = which if which >= 0 else background
             start, high, wide = offsets[shown], sizes[shown, 0], sizes[shown, 1]
             if which >= 0 and numbers[which, IMAGE] != PROJECTED:
                 image = images[start : start + high * wide].reshape((high, wide, 3))
-                _add(total, numbers[which], image, px, py, pz)
+                _add(total, numbers[which], image, point[0], point[1], point[2])
                 continue
             i = j = 0
             if high * wide > 1:
-                x, y = slope_x, slope_y
+                px, py = slope_x, slope_y
                 if which >= 0:  # where it was in the reference pose
                     m = poses[0, which, 12:]
-                    z = m[6] * px + m[7] * py + m[8] * pz + m[11]
-                    x = (m[0] * px + m[1] * py + m[2] * pz + m[9]) / z
-                    y = (m[3] * px + m[4] * py + m[5] * pz + m[10]) / z
-                j = _fold(math.floor(x / ratio + 0.5 * columns), wide)
-                i = _fold(math.floor(0.5 * rows - y / ratio), high)
+                    z = m[6] * point[0] + m[7] * point[1] + m[8] * point[2] + m[11]
+                    px = (m[0] * point[0] + m[1] * point[1] + m[2] * point[2] + m[9]) / z
+                    py = (m[3] * point[0] + m[4] * point[1] + m[5] * point[2] + m[10]) / z
+                px, py = distort(properties, px, py)
+                j = _fold(math.floor(px / at_rest + 0.5 * columns), wide)
+                i = _fold(math.floor(0.5 * rows - py / at_rest), high)
             total += images[start + i * wide + j]
         for half in range(2):
             found[half, row, column] = sums[half] / counts[row, column]
     return found
 
 
+def optics_of(content: Mapping[str, Any], lens: Lens, times: Array) -> Array:
+    """Pitch / s0, half the diameter and K of a lens at some times, (times, 3)."""
+    camera, keys = content["camera"], content.get("lens", {}).get("keyframe", ())
+    focal = camera.get("focal_length", 20.0)
+    values = {"focal_length": focal, "focus_distance": camera.get("focus_distance", 250.0)}
+    values["f_number"] = focal / camera["aperture_diameter"] if "aperture_diameter" in camera else camera["f_number"]
+    at = {name: np.full(len(times), float(value)) for name, value in values.items()}
+    for name, path in at.items():
+        own = [(key["time"], key[name]) for key in keys if name in key]
+        if own:  # inverses of distance and f-number, and the focal length itself, are linear between keys
+            power = 1.0 if name == "focal_length" else -1.0
+            knots, given = np.transpose(own)
+            path[:] = np.interp(times, knots, given**power) ** power
+    ratio = camera.get("pixel_pitch", 0.01) / (at["focal_length"] * lens.magnification)
+    return np.stack([ratio, at["focal_length"] / at["f_number"] / 2, 1 / at["focus_distance"] + lens.power], axis=-1)
+
+
+def opening_times(shutter: float, curve: Any, uniform: Array) -> Array:
+    """Times after the opening of a shutter, of uniform numbers, with the density of its curve."""
+    named = {"box": [1, 1], "triangle": [0, 1, 0], "trapezoid": [0, 1, 1, 1, 0]}
+    weights = np.asarray(named[curve] if isinstance(curve, str) else curve, float)
+    at = np.linspace(0.0, 1.0, 2049)
+    density = np.interp(at, np.linspace(0.0, 1.0, len(weights)), weights)
+    sums = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2)])
+    return np.interp(uniform * sums[-1], sums, at) * shutter
+
+
 def trace(content: Mapping[str, Any], samples: int) -> tuple[Array, Array]:
     """The first frame of a scene: two independent images (rows, columns, 3), linear."""
-    camera = content["camera"]
-    columns, rows = camera["resolution"]
-    focal = camera.get("focal_length", 20.0)
-    aperture = camera.get("aperture_diameter", focal / camera.get("f_number", 2.0))
-    optics = camera.get("pixel_pitch", 0.01) / focal, aperture / 2, 1 / camera.get("focus_distance", 250.0)
+    if content.get("psf", {}).get("model") == "wave":
+        return (diffracted(content),) * 2
+    columns, rows = content["camera"]["resolution"]
     sequence = content.get("sequence", {})
     shutter = sequence.get("shutter", sequence.get("interval", 1.0))
     items = [item for item in content["object"] if item["shape"] != "background"]
@@ -321,25 +382,46 @@ def trace(content: Mapping[str, Any], samples: int) -> tuple[Array, Array]:
     images = [surface.image for surface in surfaces]
     behind = [image_of(item["texture"]) for item in content["object"] if item["shape"] == "background"]
     points = np.stack([qmc.Sobol(4, scramble=True, rng=np.random.default_rng(n)).random(samples) for n in range(2)])
-    moves = any(surface.motion for surface in surfaces)
-    # A fifth dimension that all pixels share, so that poses are found once.
-    times = qmc.Sobol(1, scramble=True, rng=np.random.default_rng(2)).random(samples)[:, 0] * shutter
-    times = times if moves else np.zeros(1)
+    moves = any(surface.motion for surface in surfaces) or "keyframe" in content.get("lens", {})
+    # A fifth dimension that all pixels of a row share, so that poses are found once.
+    uniform = qmc.Sobol(1, scramble=True, rng=np.random.default_rng(2)).random(samples)[:, 0]
+    times = opening_times(shutter, sequence.get("shutter_curve", "box"), uniform) if moves else np.zeros(1)
+    sizes = np.array([image.shape[:2] for image in images + behind])
+    offsets = np.concatenate([[0], np.cumsum(sizes.prod(axis=1))])
+    texels = np.concatenate([image.reshape(-1, 3) for image in images + behind])
+    numbers = np.array([surface.numbers for surface in surfaces])
+    readout = sequence.get("readout", 0.0)
+    opened = np.arange(rows) * readout / max(rows - 1, 1)  # s, of each row
+    colors = [lens_of(content, color) for color in range(3)]
+    alike = all(lens.magnification == 1 and lens.power == 0 for lens in colors)
+
+    def image(counts: NDArray[np.int64], salt: int) -> Array:
+        found = np.zeros((2, rows, columns, 3))
+        for window in [(row, row + 1) for row in range(rows)] if readout else [(0, rows)]:
+            poses = poses_at(surfaces, times + opened[window[0]])
+            for color, lens in enumerate(colors[:1] if alike else colors):
+                optics = optics_of(content, lens, times + opened[window[0]])
+                packed = lens.numbers, lens.wave, lens.rims, lens.rows, lens.cells, lens.sigma, lens.most
+                scene = poses, optics, offsets, numbers, texels, sizes, len(images) if behind else -1, packed
+                channels = slice(None) if alike else slice(color, color + 1)
+                found[..., channels] += _trace(points, counts, salt, window, *scene)[..., channels]
+        return found
+
+    pilot = image(np.full((rows, columns), PILOT), rows * columns)
+    flat = ndimage.maximum_filter(np.ptp(pilot, axis=0).max(axis=-1), 5) < 1e-9
+    flat &= not moves  # the halves share their times, and agree where these alone decide
+    return tuple(image(np.where(flat, PILOT, samples // 2), 0) * vignetting(content)[..., None])
+
+
+def poses_at(surfaces: Sequence[Surface], times: Array) -> Array:
+    """Poses (times, surfaces, 24) as `_trace` takes them."""
     poses = np.zeros((len(times), len(surfaces), 24))
     for n, one in enumerate(surfaces):
         for s, (shift, angles) in enumerate(zip(*one.way(times), strict=True)):
             turn = rotation(angles) @ one.start
             poses[s, n, :9], poses[s, n, 9:12] = turn.T.ravel(), one.center + shift
             poses[s, n, 12:21], poses[s, n, 21:] = one.start.ravel(), one.center
-    sizes = np.array([image.shape[:2] for image in images + behind])
-    offsets = np.concatenate([[0], np.cumsum(sizes.prod(axis=1))])
-    texels = np.concatenate([image.reshape(-1, 3) for image in images + behind])
-    numbers = np.array([surface.numbers for surface in surfaces])
-    scene = poses, offsets, numbers, texels, sizes, len(images) if behind else -1, optics
-    pilot = _trace(points, np.full((rows, columns), PILOT), rows * columns, *scene)
-    flat = ndimage.maximum_filter(np.ptp(pilot, axis=0).max(axis=-1), 5) < 1e-9
-    flat &= not moves  # the halves share their times, and agree where these alone decide
-    return tuple(_trace(points, np.where(flat, PILOT, samples // 2), 0, *scene))
+    return poses
 
 
 def bands(frame: Any) -> NDArray[np.bool_]:
@@ -379,8 +461,9 @@ def main() -> None:
     parser.add_argument("--pictures", type=Path, metavar="DIR", help="also write images, NPZ")
     options = parser.parse_args()
     lines = ["| scene | whole | bands | largest | tracer |", "|---|---|---|---|---|"]
-    for name in (name for name in SCENES if options.only in name):
-        color, truth, figures = measure(SCENES[name](), options.samples, options.set)
+    contents = {name: make() for name, make in SCENES.items()} | lens_scenes()
+    for name in (name for name in contents if options.only in name):
+        color, truth, figures = measure(contents[name], options.samples, options.set)
         values = f"{figures['psnr']:.1f} | {figures['bands']:.1f} | {figures['largest']:.3f} | {figures['noise']:.1f}"
         lines.append(f"| {name} | {values} |")
         print(lines[-1], flush=True)
