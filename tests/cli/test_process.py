@@ -57,7 +57,8 @@ def test_output_that_cannot_be_written_is_an_error() -> None:
 def test_what_an_output_has_no_letters_for_is_printed_as_escapes(encoding: str, tmp_path: Path) -> None:
     """In tables, whose frame is of other characters then, and in errors."""
     scene = tmp_path / "scene.toml"
-    scene.write_text("title = 'winter \u2603'\n[[object]]\nshape = 'plane'\ndistance = 300\n", "utf-8")
+    plane = "[camera]\nnormalization_distance = 20\n[[object]]\nshape = 'plane'\ndistance = 300\n"
+    scene.write_text(f"title = 'winter \u2603'\n{plane}", "utf-8")
     environ = os.environ | {"PYTHONIOENCODING": encoding}
     process = ended("plan", str(scene), capture_output=True, encoding=encoding, env=environ)
     snow = "\\u2603" if encoding != "utf-16" else "\u2603"
