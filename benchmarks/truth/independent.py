@@ -317,7 +317,7 @@ def _trace(points, counts, salt, window, poses, optics, offsets, numbers, images
             if which < 0 and background < 0:
                 continue
             if not passes_rims(
-                rims, properties, focus, lens_x, lens_y, slope_x, slope_y, ratio * seen_x, ratio * seen_y
+                rims, properties, focus, nearest, lens_x, lens_y, slope_x, slope_y, ratio * seen_x, ratio * seen_y
             ):
                 continue
             shown = which if which >= 0 else background

@@ -247,10 +247,12 @@ def focus_at(numbers, ratio, focus, x, y):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def passes_rims(rims, numbers, focus, lens_x, lens_y, slope_x, slope_y, at_x, at_y):  # type: ignore[no-untyped-def]
-    """True if a ray passes all circles. lens: mm; slope: of the ray before the lens; at: slopes of the pixel."""
+def passes_rims(rims, numbers, focus, depth, lens_x, lens_y, slope_x, slope_y, at_x, at_y):  # type: ignore[no-untyped-def]
+    """True if a ray from a depth passes all circles. lens: mm; slope: of the ray before the lens; at: slopes of the pixel."""
     for n in range(len(rims)):
         d, radius = rims[n]
+        if d >= depth:
+            continue
         if d > 0.0:
             x, y = lens_x + d * slope_x, lens_y + d * slope_y
         else:

@@ -21,7 +21,7 @@ POINTS = 4096  # at a time
 
 def rim_circle(lens: Lens, rim: Rim, slopes: Array, w: Array, radius: Array) -> tuple[Array, Array, Array]:
     """Circle that light from points passes a rim within, x, y of its center, right and down, and its radius (N,), in
-    lens radii.
+    lens radii; infinite for points that lie before the rim.
 
     A ray to lens point l (of radius D / 2) passes a rim at distance d before the lens at l D/2 (1 - d w) + d slope, and
     behind it, d < 0, on its way to the detector, at l D/2 (1 + d / s + d R / kappa) + d slope.
@@ -40,7 +40,8 @@ def rim_circle(lens: Lens, rim: Rim, slopes: Array, w: Array, radius: Array) -> 
     d = rim.distance
     way = 1 + d * (-w if d > 0 else lens.detector_power + radius / lens.blur_scale)
     across = lens.radius * np.where(way < 0, np.minimum(way, -LEAST_WAY), np.maximum(way, LEAST_WAY))
-    return -d * slopes[:, 0] / across, d * slopes[:, 1] / across, rim.radius / np.abs(across)
+    size = np.where((d > 0) & (way <= 0), np.inf, rim.radius / np.abs(across))
+    return -d * slopes[:, 0] / across, d * slopes[:, 1] / across, size
 
 
 def frame_throughput(scene: Scene, time: float, psf: PointSpread) -> Array:
