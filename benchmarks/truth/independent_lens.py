@@ -248,7 +248,7 @@ def focus_at(numbers, ratio, focus, x, y):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def passes_rims(rims, numbers, focus, depth, lens_x, lens_y, slope_x, slope_y, at_x, at_y):  # type: ignore[no-untyped-def]
-    """True if a ray from a depth passes all circles. lens: mm; slope: of the ray before the lens; at: slopes of the pixel."""
+    """True if a ray from a depth passes all circles. lens: mm; slope: of the ray outside; at: slopes of the pixel."""
     for n in range(len(rims)):
         d, radius = rims[n]
         if d >= depth:
