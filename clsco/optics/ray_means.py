@@ -1,5 +1,5 @@
 """Mean lens points of the light that pixels get of a source: where wide lenses are tested for what hides them, if light
-from a lens point l does not arrive at R l alone, or if the opening is not convex (float64, pure).
+from a lens point l does not arrive at R l alone, or the rim is neither a circle nor straight edges (float64, pure).
 
 A ray through l arrives at R l + 2 grad W px from its source (`clsco.optics.pupils.wavefront`). Of all rays that a pixel
 gets from a source the mean of l stands for the place in the lens that it sees the source through.
@@ -84,7 +84,7 @@ class RayMeans:
 
 def has_ray_means(psf: PointSpread) -> bool:
     """True if lens points do not follow from places in the blur alone."""
-    return psf.pupil.bends_rays or not (psf.diffracted or psf.pupil.is_convex)
+    return psf.pupil.bends_rays or not (psf.diffracted or psf.pupil.has_plain_rim)
 
 
 def ray_floats(psf: PointSpread, largest: float) -> int:

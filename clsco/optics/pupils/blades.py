@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from math import ceil, cos, pi
+from math import cos, pi
 
 from clsco.optics.pupils.outline import Arc, Outline, bulging
 from clsco.optics.pupils.polygon import vertices
-
-FACETS = 16  # straight edges, at least, that stand for all blades in visibility tests
 
 
 @dataclass(frozen=True)
@@ -41,10 +39,6 @@ class CurvedPolygon(Outline):
     squeeze: float = 1.0
 
     @property
-    def is_convex(self) -> bool:
-        return self.curvature >= 0.0
-
-    @property
     def label(self) -> str:
         return f"{self.blades} blades, curved by {self.curvature:g}"
 
@@ -57,21 +51,3 @@ class CurvedPolygon(Outline):
     @cached_property
     def arcs(self) -> tuple[Arc, ...]:
         return tuple(each for blade in self._blades for each in blade)
-
-    @cached_property
-    def corners(self) -> tuple[tuple[float, float], ...]:
-        if self.curvature <= 0.0:
-            return tuple(blade[0].start for blade in self._blades)
-        return tuple(place for blade in self._blades for place in _tangents(blade, ceil(FACETS / self.blades)))
-
-
-def _tangents(blade: list[Arc], parts: int) -> list[tuple[float, float]]:
-    """Corners of tangents to a convex arc in the middle of each of so many parts, from its start to before its end."""
-    (x, y), radius, first, last = blade[0].center, blade[0].radius, blade[0].angles[0], blade[-1].angles[1]
-    if not radius:
-        return [blade[0].start]
-    step = (last - first) / parts
-    out = radius / cos(0.5 * step)
-    angles = [first + (k + 0.5) * step for k in range(parts)]
-    corners = [angle + 0.5 * step for angle in angles[:-1]]
-    return [blade[0].start, *((x + out * cos(angle), y + out * cos(angle - 0.5 * pi)) for angle in corners)]

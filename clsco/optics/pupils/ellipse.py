@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from math import cos, pi, sin
+from math import pi
 
 from clsco.optics.pupils.outline import Arc, Outline, arc
-
-FACETS = 16  # straight edges that stand for the ellipse in visibility tests
 
 
 @dataclass(frozen=True)
@@ -40,8 +38,3 @@ class Ellipse(Outline):
     def arcs(self) -> tuple[Arc, ...]:
         hole = arc((0.0, 0.0), self.obstruction, 2.0 * pi, 0.0) if self.obstruction else []
         return (*arc((0.0, 0.0), 1.0, 0.0, 2.0 * pi), *hole)
-
-    @cached_property
-    def corners(self) -> tuple[tuple[float, float], ...]:
-        out, angles = 1.0 / cos(pi / FACETS), [2.0 * pi * (k + 0.5) / FACETS for k in range(FACETS)]
-        return tuple((out * cos(angle), out * sin(angle)) for angle in angles)

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from clsco.optics.pupils.circle import disc_coverage
 from clsco.optics.pupils.differences import corner_share, grid_share, share_at
-from clsco.optics.pupils.ellipse import Ellipse
-from clsco.optics.pupils.pupil import Array, Edges, Pupil
+from clsco.optics.pupils.pupil import Array, Pupil
 
 MOST_CELLS = 512  # a side
 TURNED_PARTS = 4  # of a cell, a side, of an image that is turned
@@ -53,14 +52,8 @@ class Image(Pupil):
         return max(1.0, 1.0 / self.squeeze)
 
     @property
-    def is_convex(self) -> bool:
-        """False: nobody knows."""
+    def has_plain_rim(self) -> bool:
         return False
-
-    @property
-    def edges(self) -> Edges:
-        """None of a circle's rim; of an ellipse's those that stand for it."""
-        return () if self.squeeze == 1.0 else Ellipse(self.squeeze).edges
 
     @property
     def light(self) -> float:

@@ -6,7 +6,7 @@ Axes of an image: x to the right, y down. A negative blur radius mirrors the out
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache, cached_property, partial
 from itertools import pairwise
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.optics.pupils.differences import ROUNDING, corner_share, grid_share, share_at
-from clsco.optics.pupils.pupil import Array, Edges, Pupil
+from clsco.optics.pupils.pupil import Array, Pupil
 
 LONGEST_ARC = pi / 4.0
 STRAIGHT = 1e-6  # arcs of a smaller angle are straight
@@ -147,10 +147,9 @@ class Outline(Pupil):
     def arcs(self) -> tuple[Arc, ...]:
         """Closed outlines, with the inside on the same side of each: holes are walked the other way."""
 
-    @cached_property
-    @abstractmethod
-    def corners(self) -> tuple[tuple[float, float], ...]:
-        """Corners of a convex polygon around the outline, which stands for it in visibility tests."""
+    @property
+    def has_plain_rim(self) -> bool:
+        return False
 
     @property
     def name(self) -> str:
@@ -159,10 +158,6 @@ class Outline(Pupil):
     @property
     def extent(self) -> float:
         return max(1.0, 1.0 / self.squeeze)
-
-    @cached_property
-    def edges(self) -> Edges:
-        return edges_of([(x / self.squeeze, y) for x, y in self.corners])
 
     @cached_property
     def area(self) -> float:
@@ -251,14 +246,3 @@ class Outline(Pupil):
             total -= found * length
         scale = radius * radius / self.squeeze if tent else 1.0
         return np.asarray(total / self.area * scale)
-
-
-def edges_of(corners: Sequence[tuple[float, float]]) -> Edges:
-    """Edges (x, y, distance) of a convex polygon around the origin, with normals of length 1."""
-    found = []
-    for (x0, y0), (x1, y1) in zip(corners, [*corners[1:], *corners[:1]], strict=True):
-        length = hypot(x1 - x0, y1 - y0)
-        nx, ny = (y1 - y0) / length, (x0 - x1) / length
-        distance = nx * x0 + ny * y0
-        found.append((nx, ny, distance) if distance > 0.0 else (-nx, -ny, -distance))
-    return tuple(found)

@@ -74,8 +74,8 @@ class Pupil(ABC):
         return False
 
     @property
-    def is_convex(self) -> bool:
-        """All places between two that light passes at let some through."""
+    def has_plain_rim(self) -> bool:
+        """The rim is a circle, or straight edges: mean lens points of pixels at it follow from their places."""
         return True
 
     @property

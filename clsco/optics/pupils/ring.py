@@ -32,6 +32,10 @@ class Ring(Pupil):
     hollow = True
 
     @property
+    def has_plain_rim(self) -> bool:
+        return False
+
+    @property
     def name(self) -> str:
         return f"ring, {self.obstruction:g} covered"
 
