@@ -1,18 +1,20 @@
-"""Faults that are planted in what the device decides, prepares or is handed: `clsco dev check` finds each of them."""
+"""Faults that are planted in what the device decides, prepares or is handed: `clsco check` finds each of them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pkgutil import resolve_name
 from typing import Any
 
 import numpy as np
 import pytest
 
+from clsco import reference
 from clsco.cli.check import compare_frames
 from clsco.constants import BAND
+from clsco.frame.frame import Frame
 from clsco.frame.strips import Strip
 from clsco.optics.quadrics import Extent
 from clsco.optics.visibility import OcclusionGroup
@@ -142,9 +144,19 @@ FAULTS: dict[str, tuple[str, dict[str, Fault]]] = {
 }  # fmt: skip
 
 
-def disagreeing(scene: Scene) -> set[str]:
-    """Outputs in which the check finds that a device differs from the reference."""
-    return {each.output for found in compare_frames(scene, None, None) for each in found.differences if not each.agrees}
+@cache
+def reference_of(name: str) -> tuple[Frame, ...]:
+    """Frames of a scene by the reference, which no fault is planted in."""
+    return tuple(reference.render(SCENES[name]))
+
+
+def disagreeing(name: str, monkeypatch: pytest.MonkeyPatch, faults: dict[str, Fault]) -> set[str]:
+    """Outputs in which the check finds that a device with these faults differs from the reference."""
+    exact = reference_of(name)
+    plant(monkeypatch, faults)
+    monkeypatch.setattr("clsco.cli.check.reference.render", lambda scene: iter(exact))
+    checked = compare_frames(SCENES[name], None, None)
+    return {each.output for found in checked for each in found.differences if not each.agrees}
 
 
 def plant(monkeypatch: pytest.MonkeyPatch, faults: dict[str, Fault]) -> None:
@@ -156,12 +168,10 @@ def plant(monkeypatch: pytest.MonkeyPatch, faults: dict[str, Fault]) -> None:
 
 @pytest.mark.parametrize("name", SCENES)
 def test_without_a_fault_all_agree(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    plant(monkeypatch, IN_STRIPS if name == "high" else {})
-    assert disagreeing(SCENES[name]) == set()
+    assert disagreeing(name, monkeypatch, IN_STRIPS if name == "high" else {}) == set()
 
 
 @pytest.mark.parametrize("name", FAULTS)
 def test_each_fault_is_found(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     scene, faults = FAULTS[name]
-    plant(monkeypatch, faults)
-    assert "color" in disagreeing(SCENES[scene])
+    assert "color" in disagreeing(scene, monkeypatch, faults)
