@@ -19,10 +19,10 @@ RENDER = """\
 import sys
 from pathlib import Path
 import numpy as np
-from clsco.opencl import buffers, program
+from clsco.opencl import buffers, program, source_text
 from clsco.opencl.device import choose
 from clsco.opencl.session import Session
-program.folder = lambda name: Path(sys.argv[1])
+program.folder = source_text.folder = lambda name: Path(sys.argv[1])
 with Session(choose("pocl")) as session:
     built = program.build(session, ["work.cl"], {}, {}, "float")
     for name in ("first", "second"):
