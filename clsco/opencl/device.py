@@ -171,8 +171,10 @@ def _matching(devices: Sequence[Device], source: str, wanted: str) -> Device:
     def likeness(device: Device) -> int:
         """0: its kind or whole name; 1: a part of its platform's name; 2: of its own, as drivers of others may have it;
         3: nothing."""
-        name, platform = device.name.lower(), f"{device.platform}\n{device.platform_version}".lower()
-        return 0 if part in (device.kind, name) else 1 if part in platform else 2 if part in name else 3
+        name, platform = device.name.lower(), (device.platform.lower(), device.platform_version.lower())
+        if part in (device.kind, name):
+            return 0
+        return 1 if any(part in text for text in platform) else 2 if part in name else 3
 
     found = [device for device in devices if likeness(device) < 3]
     if not found:

@@ -125,7 +125,7 @@ def _between_rays(surface: PlacedSurface, x: Array, y: Array) -> Array:
     spacing = max(x[0, 1] - x[0, 0], abs(y[1, 0] - y[0, 0]))
     if depth > radius:
         found[aside <= spacing + radius / depth] = 1.0 / depth
-    elif surface.width < 0.0:
+    elif surface.width < 0.0 and surface.constant != 0.0:  # 0: it passes through the middle of the lens
         off, _ = outline_lines(surface, x, y)
         gradient = (surface.canonical.q * surface.offset + surface.canonical.l) @ surface.turn
         w = -(gradient[0] * x + gradient[1] * y + gradient[2]) / surface.constant

@@ -89,7 +89,7 @@ def test_frames_are_as_by_littlecms(tmp_path: Path, name: str) -> None:
     assert result.exit_code == 0, result.output
     called = icc_color(icc, 3).name
     line = f"frames are in sRGB, and colors of the profile {called} are converted to it"
-    assert result.stderr == f"{tmp_path / 'photo.png'}: {line}\n"
+    assert result.stderr.endswith(f"{tmp_path / 'photo.png'}: {line}\n")
     frame, wanted = read_image(tmp_path / "out" / "frame_0000.png"), by_littlecms(PHOTO, icc)
     assert frame.color.icc == b""
     off = np.abs(frame.data.astype(int) - wanted)
@@ -143,7 +143,8 @@ def test_profiles_without_a_matrix_are_taken_as_such(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     no_curves = "the color profile without a name has no curves: codes are taken as sRGB's"
     line = "frames are in sRGB, and colors of the profile without a name are taken as such"
-    assert result.stderr == f"{tmp_path / 'a.png'}: {no_curves}\n{tmp_path / 'a.png'}: {line}\n"  # gray has no colors
+    told = f"{tmp_path / 'a.png'}: {no_curves}\n{tmp_path / 'a.png'}: {line}\n"  # gray has no colors
+    assert result.stderr.endswith(told)
     np.testing.assert_array_equal(read_image(tmp_path / "out" / "frame_0000.png").data, PHOTO)
 
 

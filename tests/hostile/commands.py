@@ -166,7 +166,7 @@ TABLE: Table = (
     ("defocus image.png depth.npy -o out.png --f-number {0}", ("0", "-1", "nan", "inf", "1e99"), 1, "f_number"),
     ("defocus image.png depth.npy -o out.png --focal-length {0}", ("0", "-1", "nan", "inf", "1e99"), 1, "focal_length"),
     ("defocus image.png depth.npy -o out.png --pixel-pitch {0}", ("0", "-1", "nan", "inf", "1e99"), 1, "pixel_pitch"),
-    ("defocus image.png depth.npy -o out.png --focus-distance {0}", ("0", "-1", "nan", "inf", "20"), 1,
+    ("defocus image.png depth.npy -o out.png --focus-distance {0}", ("0", "-1", "nan", "-inf", "20"), 1,
         "focus_distance"),
     ("defocus image.png depth.npy -o out.png --model {0}", ("", "disc", "Gaussian"), 1, "psf.model"),
     ("defocus image.png depth.npy -o out.png --occlusion {0}", ("", "all", "visibility"), 1, "psf.occlusion"),

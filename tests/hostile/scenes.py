@@ -105,7 +105,7 @@ KEYS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("plane", "camera.aperture_diameter", LENGTH),
     ("plane", "camera.f_number", (*NO_NUMBER, *TOO_FAR, "0", "-2", "1e-4", "1e7")),
     ("plane", "camera.sensor_distance", LENGTH),
-    ("plane", "camera.focus_distance", (*LENGTH, "20", "19.9", "20.0000000001")),
+    ("plane", "camera.focus_distance", (*(each for each in LENGTH if each != "inf"), "20", "19.9", "20.0000000001")),
     ("plane", "camera.normalization_distance", LENGTH),
     ("plane", "camera.pixel_pitch", LENGTH),
     ("plane", "camera.resolution", (

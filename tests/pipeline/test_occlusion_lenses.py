@@ -69,7 +69,7 @@ CASES: dict[str, tuple[float, float, bool, dict[str, Any], float]] = {
 @pytest.mark.parametrize("name", CASES)
 def test_single_pixels(name: str) -> None:
     plane, card, textured, sections, most = CASES[name]
-    scene, row, columns = scene_of(plane, card, textured, sections), SIZE // 2 - 2, np.arange(9, 25)
+    scene, row, columns = scene_of(plane, card, textured, sections), SIZE // 2 - 2, np.arange(9, 25, 2)
     found = np.asarray(clsco.render_frame(scene, 0).color)[row, columns]
     right = right_values(scene, textured, row, columns)
     assert np.ptp(right) > 0.4

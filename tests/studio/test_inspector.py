@@ -30,7 +30,7 @@ def test_the_model_is_what_is_measured_where_nothing_is_in_the_way() -> None:
 
 
 def test_rims_cut_off_what_is_measured_as_cut_off() -> None:
-    rim = {"distance": 12.0, "diameter": 41.0}
+    rim = {"distance": 12.0, "diameter": 38.0}
     scene = scene_from(TABLES, WALL, aperture={"rim": [rim]})
     found = inspected(clsco.render_frame(scene), scene, 40, 10, is_tilted=True)
     measured = figures_of(clsco.response(scene, 40, 10), 40, 10)
