@@ -105,7 +105,7 @@ def by_lanes(text: str) -> str:
     assert given in ([], [*BY_HALVES]), "as in kernels/common/builtins.clh"
     for halves in given:
         text = text.replace(halves, BY_HALVES[halves])
-    return text.replace(PLAIN_LOAD, ATOMIC_LOAD) if given else text
+    return text.replace(PLAIN_LOAD, ATOMIC_LOAD)
 
 
 def _text(*given: Any) -> str:

@@ -23,7 +23,7 @@ from unittest.mock import patch
 import pyopencl as cl
 
 from clsco.inputs.files import InputFiles
-from clsco.opencl import program
+from clsco.opencl import program, source_text
 from clsco.plan import prepare
 from clsco.resources import folder
 from tests.oclgrind import simulator
@@ -72,7 +72,9 @@ def with_kernel(file: str, text: str) -> Iterator[None]:
         with as_file(folder("kernels")) as kernels:
             shutil.copytree(kernels, place, dirs_exist_ok=True)
         (Path(place) / file).write_text(text, "utf-8")
-        with patch.object(program, "folder", lambda _: Path(place)):
+        with ExitStack() as stack:
+            for module in (program, source_text):  # the key of a program, and its text
+                stack.enter_context(patch.object(module, "folder", lambda _: Path(place)))
             yield
 
 
