@@ -47,8 +47,6 @@ if TYPE_CHECKING:
 
 
 MODULES = ("dataset", "dev", "examples", "psf", "render", "studio", "video")
-# Former names, and the group of the command now.
-FORMER = {"batch": "dataset", "bench": "dev", "convert": "dataset", "thesis": "dev"}
 
 
 def _of_module(name: str) -> Any:
@@ -60,14 +58,10 @@ class _AllCommands(Commands):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Names in the order of the alphabet."""
-        return sorted([*super().list_commands(ctx), *MODULES, *FORMER])
+        return sorted([*super().list_commands(ctx), *MODULES])
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
         """Command of this name."""
-        if name in FORMER:
-            from clsco.cli.former import former_command
-
-            return former_command(name, _of_module(FORMER[name]))
         if name in MODULES:
             return _of_module(name)
         return super().get_command(ctx, name)

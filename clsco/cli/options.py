@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, get_args
 import click
 from click.shell_completion import CompletionItem
 
-from clsco.cli.former import report_former
 from clsco.cli.output import echo, visible_usage
 from clsco.cli.progress import FORM
 from clsco.errors import ClscoError, DeviceError, SceneError
@@ -135,21 +134,15 @@ def usage_error(error: SceneError) -> click.UsageError:
 
 
 def _files(truth: str, formats: str, types: str) -> tuple[TruthFile, ...]:
-    """Files of ground truth that options ask for; --truth named formats, not arrays, before this release."""
+    """Files of ground truth that options ask for."""
     if not (truth or formats or types):
         return ()
-    from clsco.frame.files import TRUTH_FORMATS, files_of, truth_files
+    from clsco.frame.files import files_of
 
     try:
-        if re.split("[:+,]", truth)[0] not in TRUTH_FORMATS:
-            return files_of(truth, formats, types)
-        files = truth_files(truth)
+        return files_of(truth, formats, types)
     except SceneError as error:
         raise usage_error(error) from None
-    names = {name: None for file in files for name in file.names}
-    arrays = f"--truth {','.join(names)} " if names else ""
-    report_former(f"--truth {truth}", f"{arrays}--format {','.join(file.format for file in files)}")
-    return files
 
 
 class _Preset(Names):

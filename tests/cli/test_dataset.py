@@ -205,18 +205,6 @@ def test_help_has_the_commands() -> None:
     assert "--shard-size" in dataset("make", "--help").stdout
 
 
-def test_former_names_work_for_one_version(place: Path) -> None:
-    result = CliRunner().invoke(main, ["batch", "set.toml", "-o", "one", "--count", "2"])
-    assert (result.exit_code, result.stdout) == (0, f"one: 2 samples in 1 shard, {size(place / 'one')}\n")
-    said = "clsco batch: is called clsco dataset make now; the former name goes in the next version\n"
-    assert result.stderr == said
-    result = CliRunner().invoke(main, ["batch", "status", "one"])
-    assert result.stderr == said.replace("make", "status")
-    result = CliRunner().invoke(main, ["convert", "one", "-o", "two", "--format", "npz"])
-    assert (result.exit_code, result.stderr) == (0, said.replace("batch", "convert").replace("make", "convert"))
-    assert not {"batch", "convert"} & set(CliRunner().invoke(main, ["--help"]).stdout.split())
-
-
 def test_a_set_is_made_again_from_its_card(place: Path) -> None:
     Path("base.toml").write_text(DISTRIBUTION)
     Path("set.toml").write_text('base = "base.toml"\n[vary.camera]\nf_number = { choice = [2, 4] }\n')

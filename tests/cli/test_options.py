@@ -1,4 +1,4 @@
-"""Options that commands share, former names, and messages of the library."""
+"""Options that commands share, and messages of the library."""
 
 from __future__ import annotations
 
@@ -19,16 +19,6 @@ def clsco_(*words: object) -> Result:
     return CliRunner().invoke(main, [str(word) for word in words])
 
 
-@pytest.mark.parametrize("words", [["bench"], ["bench", "--stability"], ["thesis"]])
-def test_former_names_of_the_laboratory_say_what_they_are_called(words: list[str]) -> None:
-    result = clsco_(*words)
-    name = words[-1].removeprefix("--")
-    said = f"clsco {words[0]}: is called clsco dev {name} now; the former name goes in the next version"
-    assert (result.exit_code, result.stderr.splitlines()[0]) == (2, said)
-    assert "Missing " in result.stderr.splitlines()[-1]
-    assert f"\n  {name} " not in clsco_("--help").output
-
-
 def test_messages_of_the_library_are_shown_on_demand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = scene_file(tmp_path / "scene.toml", PLANE)
     logger, load = logging.getLogger("clsco"), sweep.load_sweeps
@@ -43,14 +33,6 @@ def test_messages_of_the_library_are_shown_on_demand(tmp_path: Path, monkeypatch
     monkeypatch.setattr(sweep, "load_sweeps", logged)
     for words, said in ((), ""), (("-v",), "clsco: read\n"), (("-vv",), "clsco: read\nclsco: all of it\\x1b\n"):
         result = clsco_(*words, "validate", scene)
-        assert (result.exit_code, result.stderr) == (0, said)
-
-
-def test_truth_named_formats_before(tmp_path: Path) -> None:
-    scene = scene_file(tmp_path / "scene.toml", PLANE)
-    for former, now in (("npz:depth,coc,exr", "--truth depth,coc --format npz,exr"), ("npz+float16", "--format npz")):
-        result = clsco_("plan", scene, "--truth", former)
-        said = f"--truth {former}: is called {now} now; the former name goes in the next version\n"
         assert (result.exit_code, result.stderr) == (0, said)
 
 
