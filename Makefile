@@ -55,7 +55,7 @@ laws: .venv/dev.stamp
 
 # Fails where an error is beyond its bound.
 stability: .venv/bench.stamp
-	$(BIN)/clsco dev stability -o benchmarks/results/stability
+	$(BIN)/python -m benchmarks stability -o benchmarks/results/stability
 
 # Every kernel on a simulator that checks their reads and writes, one of EVERY scenes and images; Debian and Ubuntu have it.
 EVERY ?= 1
@@ -96,7 +96,7 @@ bench: .venv/bench.stamp
 	$(BIN)/python -m benchmarks.speed.convolve_speed
 	$(BIN)/python -m benchmarks.truth.accuracy
 	$(BIN)/python -m benchmarks.truth.occlusion
-	$(BIN)/clsco dev bench --compare -o benchmarks/results/bench
+	$(BIN)/python -m benchmarks blur --compare -o benchmarks/results/bench
 
 # What builds packages asks for a home, which a user of a container or a service may not have.
 .venv/%.stamp: pyproject.toml

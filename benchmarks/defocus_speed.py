@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.blur.cases import radius_map
+from benchmarks.blur.passes import MeasuredPass
 from benchmarks.speed.direct import THREADS, axis_table, dense_table, gaussian_bands, scatter
 from benchmarks.tables import write_table
-from clsco.cli.bench.cases import radius_map
-from clsco.cli.bench.passes import MeasuredPass
 from clsco.opencl.device import choose
 from clsco.opencl.session import Session
 from clsco.optics.point_spread import point_spread

@@ -1,5 +1,5 @@
-"""Peers of `clsco dev bench --compare`: the blur beside numba and OpenCV, whole frames beside a traced lens and
-Mitsuba, and the forward warp beside numba."""
+"""Peers of `python -m benchmarks blur --compare`: the blur beside numba and OpenCV, whole frames beside a traced lens
+and Mitsuba, and the forward warp beside numba."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from pathlib import Path
 
 from rich.console import RenderableType
 
+from benchmarks.blur import measure, report
+from benchmarks.blur.cases import BenchGrid, Peer
+from benchmarks.blur.measure import Bench
 from benchmarks.speed import lens, peers, warp
 from benchmarks.speed.lens import Lens, LensRow
 from benchmarks.speed.lensreport import lens_plot, lens_table
 from benchmarks.speed.warp import WarpRow, warp_table
-from clsco.cli.bench import measure, report
-from clsco.cli.bench.cases import BenchGrid, Peer
-from clsco.cli.bench.measure import Bench
 from clsco.files.plots import require_matplotlib
 from clsco.opencl.device import Device
 
@@ -54,7 +54,7 @@ class Compared(Bench):
 
 @dataclass(frozen=True)
 class Comparison:
-    """A run of `clsco dev bench --compare`; frames: None where only some sizes or radii are measured."""
+    """A run of `python -m benchmarks blur --compare`; frames: None where only some sizes or radii are measured."""
 
     grid: BenchGrid
     frames: Frames | None
@@ -133,7 +133,7 @@ def comparison(grid: BenchGrid, quick: bool, whole: bool) -> Comparison:
 
 
 def write(folder: Path, bench: Compared) -> None:
-    """Write what `report.write` does, and lens.csv, lens.png and warp.csv where there are such rows: all or none."""
+    """Write bench.json, bench.csv, plots, and of frames and warps lens.csv, lens.png, warp.csv: all or none."""
 
     def also(made: Path) -> None:
         content = report.rounded(asdict(bench))
@@ -147,6 +147,6 @@ def write(folder: Path, bench: Compared) -> None:
 
 
 def tables(bench: Compared) -> list[RenderableType]:
-    """Tables of `report.tables`, of whole frames, and of warps."""
+    """Tables of the blur, of whole frames, and of warps."""
     frames = [lens_table(bench.lens)] if bench.lens else []
     return [*report.tables(bench), *frames, *([warp_table(bench.warp)] if bench.warp else [])]

@@ -17,10 +17,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.blur.passes import MeasuredPass
 from benchmarks.defocus_speed import measured
 from benchmarks.speed.peers import opencv
 from benchmarks.tables import write_table
-from clsco.cli.bench.passes import MeasuredPass
 from clsco.opencl.device import choose
 from clsco.opencl.session import Session
 from clsco.optics.point_spread import point_spread

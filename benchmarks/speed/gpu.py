@@ -24,10 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import clsco
+from benchmarks.blur.cases import channels_of, picture, radius_map
+from benchmarks.blur.passes import MeasuredPass
 from benchmarks.speed import lenses
 from benchmarks.tables import Figures, write_table
-from clsco.cli.bench.cases import channels_of, picture, radius_map
-from clsco.cli.bench.passes import MeasuredPass
 from clsco.frame.frame import Frame
 from clsco.opencl.device import choose
 from clsco.opencl.pace import spent

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.blur.cases import PSFS, Peer
 from benchmarks.truth import mitsuba
-from clsco.cli.bench.cases import PSFS, Peer
 from clsco.errors import ClscoError
 from clsco.optics.point_spread import point_spread
 from clsco.scene.model import Psf

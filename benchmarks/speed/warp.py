@@ -18,7 +18,7 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from clsco.cli.bench.stages import MeasuredStages
+from benchmarks.blur.stages import MeasuredStages
 from clsco.inputs.textures import load_scene_textures
 from clsco.opencl.device import Device
 from clsco.opencl.session import Session

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from clsco.plan.prepare import Prepared
 
 
-MODULES = ("dataset", "dev", "examples", "psf", "render", "studio", "video")
+MODULES = ("dataset", "examples", "psf", "render", "studio", "video")
 
 
 def _of_module(name: str) -> Any:

@@ -202,17 +202,6 @@ def one_value(name: str, kind: type[Any], *options: Callable[[Command], Command]
 
 
 @dataclass(frozen=True)
-class BenchExtent:
-    """Extent of `clsco dev bench`: options of these names."""
-
-    quick: bool = False
-    compare: bool = False
-    sizes: tuple[int, ...] = ()
-    radii: tuple[float, ...] = ()
-    minutes: float | None = None
-
-
-@dataclass(frozen=True)
 class Computation:
     """Place and method of computing frames: options of `render` and `defocus`."""
 
@@ -322,20 +311,4 @@ def quiet_option(command: Command) -> Command:
 
 computation_options = one_value(
     "computation", Computation, device_option, precision_option, memory_option, tolerance_option
-)
-quick_option = click.option("--quick", is_flag=True, help="A small grid: a minute or two on a slow machine.")
-bench_extent = one_value(
-    "extent",
-    BenchExtent,
-    quick_option,
-    click.option(
-        "--compare",
-        is_flag=True,
-        help="Also measure numba, OpenCV and Mitsuba, as far as they are installed; needs a checkout of clsco.",
-    ),
-    click.option("--size", "sizes", metavar="PX", type=int, multiple=True, help="Pixels a side; may be given again."),
-    click.option(
-        "--radius", "radii", metavar="PX", type=float, multiple=True, help="Largest radius; may be given again."
-    ),
-    click.option("--minutes", metavar="M", type=float, help="Begin no case later, and leave out what is left."),
 )

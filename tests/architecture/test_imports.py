@@ -28,10 +28,10 @@ ONLY = {
 }
 ON_OPENCL = (
     "opencl", "passes", "engine", "inpainting", "data.shards", "data.verify",
-    "cli.bench", "cli.check", "cli.check_scene", "cli.thesis", "cli.warm",
+    "cli.check", "cli.check_scene", "cli.warm",
 )  # fmt: skip
 OUTSIDE = {
-    "pyopencl": ("opencl", "inpainting", "passes", "engine", "cli.bench"),
+    "pyopencl": ("opencl", "inpainting", "passes", "engine"),
     "imageio": ("files.decoders",),
     "imagecodecs": ("files.decoders",),
     "tifffile": ("files.tiff",),
@@ -40,7 +40,6 @@ OUTSIDE = {
         "files.tags",
         "cli.demo",
         "cli.psf_sheet",
-        "cli.thesis",
         "frame.contact_sheet",
         "studio.pictures",
         "studio.presets",
@@ -50,11 +49,9 @@ OUTSIDE = {
     "uvicorn": ("studio.guard", "studio.server"),
     "click": ("cli",),
     "rich": ("cli",),
-    "matplotlib": ("cli.bench", "inpainting.report"),
-    "numba": ("cli.bench", "truth"),
-    "cv2": ("cli.bench",),
+    "matplotlib": ("inpainting.report",),
+    "numba": ("truth",),
     "colour_demosaicing": (),
-    "mpmath": ("cli.bench",),
     "pydantic": ("scene",),
 }
 

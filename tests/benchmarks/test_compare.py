@@ -15,18 +15,18 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from benchmarks.__main__ import main
+from benchmarks.blur import measure, report
+from benchmarks.blur.cases import PSFS, BenchGrid, Peer, radius_map
+from benchmarks.blur.measure import BenchRow
+from benchmarks.blur.roofline import Roof
+from benchmarks.blur.stages import MeasuredStages
 from benchmarks.speed import compare, lens, peers, warp
 from benchmarks.speed.compare import Compared, Comparison
 from benchmarks.speed.lens import Lens, LensRow, compared, sized, time_for
 from benchmarks.speed.lensreport import lens_table
 from benchmarks.speed.warp import WarpRow
 from benchmarks.truth import mitsuba
-from clsco.cli.bench import measure, report
-from clsco.cli.bench.cases import PSFS, BenchGrid, Peer, radius_map
-from clsco.cli.bench.measure import BenchRow
-from clsco.cli.bench.roofline import Roof
-from clsco.cli.bench.stages import MeasuredStages
-from clsco.cli.main import main
 from clsco.constants import NO_WINNER
 from clsco.inputs.textures import load_scene_textures
 from clsco.opencl.session import Session
@@ -190,7 +190,7 @@ def test_the_report_has_frames_and_warps(tmp_path: Path, monkeypatch: pytest.Mon
         psnr_db=160.0, device_bytes=2**20, calls=3, taps=52.0, flop_per_byte=9.0, gflop_per_s=13.0, of_peak=0.2,
         on_front=True,
     )  # fmt: skip
-    monkeypatch.setattr(report, "PLOTS", {})  # tests/cli/test_bench.py has these
+    monkeypatch.setattr(report, "PLOTS", {})  # tests/benchmarks/test_blur.py has these
     frames = Lens("sphere", 512, 2e-4, compared(ROWS))
     device = {"name": "one", "platform": "some"}
     bench = Compared(device, {}, {}, Roof(10.0, 60.0), [row], [], None, frames, WARPS)
@@ -252,7 +252,7 @@ def test_missing_peers_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         monkeypatch.setattr(peers, "find_spec", lambda name: None if name in missing else there(name))
 
     without("numba", "cv2", "mitsuba")
-    result = CliRunner().invoke(main, ["dev", "bench", "-o", str(tmp_path / "out"), "--quick", "--compare"])
+    result = CliRunner().invoke(main, ["blur", "-o", str(tmp_path / "out"), "--quick", "--compare"])
     message = "error: --compare: needs numba or OpenCV or Mitsuba: pip install 'clsco[bench]'; got no such module"
     assert (result.exit_code, result.stdout, result.stderr.splitlines()) == (1, "", [message])
     assert not (tmp_path / "out").exists()

@@ -47,7 +47,6 @@ def test_messages_of_the_library_are_shown_on_demand(tmp_path: Path, monkeypatch
         ("defocus --occlusion l", ["layered"]),
         ("video --preset ff", ["ffv1", "ffv1-16"]),
         ("inpaint --method t", ["texture"]),
-        ("dev s", ["stability"]),
     ],
 )
 def test_a_shell_completes_names(words: str, found: list[str]) -> None:

@@ -32,7 +32,7 @@ def bare(scene: Scene) -> dict[str, Any]:
 
 
 def test_every_figure_that_a_scene_makes_is_a_preset(session: Document) -> None:
-    from clsco.cli.thesis_figures import FIGURES
+    from benchmarks.thesis.figures import FIGURES
 
     names = [preset.name for preset in presets() if preset.group == OF_THE_THESIS]
     assert {scene for figure in FIGURES for scene in figure.scenes} <= {name.partition("/")[2] for name in names}

@@ -1,4 +1,4 @@
-"""`clsco dev thesis`: the figures of the thesis, its numbers and those measured, and the page of both."""
+"""`python -m benchmarks thesis`: the figures of the thesis, its numbers and those measured, and the page of both."""
 
 from __future__ import annotations
 
@@ -9,23 +9,29 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from click.testing import CliRunner, Result
 from PIL import Image
 
 import clsco
-from clsco.cli import thesis
-from clsco.cli.thesis import GAP, SIDE
-from clsco.cli.thesis_figures import FIGURES, NUMBERS, OTHERS, Figure, Number, chosen, numbers_named
+from benchmarks.__main__ import main
+from benchmarks.thesis import page as thesis
+from benchmarks.thesis.figures import FIGURES, NUMBERS, OTHERS, Figure, Number, chosen, numbers_named
+from benchmarks.thesis.page import GAP, SIDE
 from clsco.errors import ImageError
 from clsco.files.images import read_image
 from clsco.files.transfer import encode
 from clsco.frame.files import read_complete
 from clsco.scene.model import Plane, Scene
-from tests.cli.test_main import clsco_, messages, names
+from tests.cli.test_main import messages, names
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENES = ROOT / "examples" / "thesis"
 SAID = "figures, and numbers as stated and as measured"
 DOCUMENT = (ROOT / "docs" / "thesis.md").read_text("utf-8")
+
+
+def run(*words: object) -> Result:
+    return CliRunner().invoke(main, [str(word) for word in words])
 
 
 def scene(stem: str, *overrides: str) -> Scene:
@@ -40,9 +46,7 @@ def rows(page: str) -> list[str]:
 def test_some_figures_have_the_rows_of_the_document(tmp_path: Path) -> None:
     whole = tmp_path / "thesis.md"
     whole.write_text("all figures", "utf-8")
-    result = clsco_(
-        "dev", "thesis", "-o", tmp_path, "--only", "4.9", "--only", "4.14", "--only", "4.15", "--only", "4.3.3"
-    )
+    result = run("thesis", "-o", tmp_path, "--only", "4.9", "--only", "4.14", "--only", "4.15", "--only", "4.3.3")
     assert (result.exit_code, result.stdout) == (0, f"{tmp_path}/thesis_only.html: {SAID}\n"), result.output
     assert whole.read_text("utf-8") == "all figures"
     page = (tmp_path / "thesis_only.md").read_text("utf-8")
@@ -69,7 +73,7 @@ def test_some_figures_have_the_rows_of_the_document(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_all_figures_are_the_document(tmp_path: Path) -> None:
-    assert clsco_("dev", "thesis", "-o", tmp_path).exit_code == 0
+    assert run("thesis", "-o", tmp_path).exit_code == 0
     assert (tmp_path / "thesis.md").read_text("utf-8") == DOCUMENT
     pictures = {picture for figure in FIGURES for picture in figure.pictures}
     assert pictures <= set(names(tmp_path))
@@ -82,20 +86,20 @@ def test_all_figures_are_the_document(tmp_path: Path) -> None:
 
 
 def test_the_page_is_the_last_thing_that_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert clsco_("dev", "thesis", "-o", tmp_path, "--only", "4.15").exit_code == 0
+    assert run("thesis", "-o", tmp_path, "--only", "4.15").exit_code == 0
     assert (tmp_path / "thesis_only.md").is_file()
 
     def no_space(out: Path, figure: Figure) -> None:
         raise ImageError(f"{out}: the file must be writable; got No space left on device")
 
     monkeypatch.setattr(thesis, "small_figure", no_space)
-    result = clsco_("dev", "thesis", "-o", tmp_path, "--only", "4.15")
+    result = run("thesis", "-o", tmp_path, "--only", "4.15")
     assert messages(result, 1) == [f"error: {tmp_path}: the file must be writable; got No space left on device"]
     assert not list(tmp_path.glob("thesis_only.*"))
 
 
 def test_a_figure_that_is_not_there(tmp_path: Path) -> None:
-    result = clsco_("dev", "thesis", "-o", tmp_path / "out", "--only", "4.1")
+    result = run("thesis", "-o", tmp_path / "out", "--only", "4.1")
     assert result.exit_code == 2
     assert "--only: must be one of 3.3, 3.4, 3.5, 3.8, 3.9, 3.12," in result.stderr
     assert "got 4.1" in result.stderr

@@ -10,8 +10,8 @@ from math import atan, degrees
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.cli.bench.rays import REALS, Caster, RayTarget, Window
-from clsco.cli.bench.stability import SINGLE_OR_DOUBLE
+from benchmarks.stability.hardcase import SINGLE_OR_DOUBLE
+from benchmarks.stability.rays import REALS, Caster, RayTarget, Window
 from clsco.engine.sequence import render_sweep
 from clsco.errors import ClscoError
 from clsco.frame.frame import Frame

@@ -11,9 +11,10 @@ import mpmath
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.cli.bench import oracle
-from clsco.cli.bench.doubledouble import Wide, rounded, wide
-from clsco.cli.bench.rays import (
+from benchmarks.stability import oracle
+from benchmarks.stability.doubledouble import Wide, rounded, wide
+from benchmarks.stability.hardcase import SINGLE_OR_DOUBLE, Compared, HardCase, Measured, hard_case, ns_per_value
+from benchmarks.stability.rays import (
     DOUBTFUL,
     FEATURES,
     REALS,
@@ -25,7 +26,6 @@ from clsco.cli.bench.rays import (
     single_depth,
     ulps,
 )
-from clsco.cli.bench.stability import SINGLE_OR_DOUBLE, Compared, HardCase, Measured, hard_case, ns_per_value
 from clsco.opencl.session import Session
 from clsco.optics.motion import rest_center
 from clsco.optics.quadrics import canonical

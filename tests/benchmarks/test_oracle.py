@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clsco.cli.bench import oracle
-from clsco.cli.bench.doubledouble import Wide, rounded, wide
-from clsco.cli.bench.hardgeometry import textbook
-from clsco.cli.bench.rays import (
+from benchmarks.stability import oracle
+from benchmarks.stability.doubledouble import Wide, rounded, wide
+from benchmarks.stability.hardgeometry import textbook
+from benchmarks.stability.rays import (
     DOUBTFUL,
     FAMILIES,
     RayTarget,

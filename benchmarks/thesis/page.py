@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from clsco.cli.progress import progress
-from clsco.cli.thesis_figures import (
+from benchmarks.thesis.figures import (
     FIGURES,
     OTHERS,
     TRUTH,
@@ -21,6 +20,7 @@ from clsco.cli.thesis_figures import (
     numbers_named,
     union_of_missing,
 )
+from clsco.cli.progress import progress
 from clsco.engine import batch
 from clsco.engine.batch import Job
 from clsco.files.atomic import together, whole_file, writable_folder
@@ -42,9 +42,9 @@ INTRODUCTION = """\
 # The thesis, figure by figure
 
 This page compares the figures and numbers of K. Sathyanarayana's thesis *Generating Video Frames with Depth Of Field
-and Motion Blur Effects for 3D Animation* with those that clsco makes by the thesis' own method. `clsco dev thesis -o
-DIR` renders all of them, and writes this page, and DIR/thesis.html with the figures in full size. With `--only` the
-pages are called thesis_only.
+and Motion Blur Effects for 3D Animation* with those that clsco makes by the thesis' own method. In a checkout
+`python -m benchmarks thesis -o DIR` renders all of them, and writes this page, and DIR/thesis.html with the figures in
+full size. With `--only` the pages are called thesis_only.
 """
 NUMBERS_HEAD = """\
 ## Numbers

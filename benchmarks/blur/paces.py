@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping
 from math import inf
 
-from clsco.cli.bench.cases import BenchGrid, Case
+from benchmarks.blur.cases import BenchGrid, Case
 
 
 class Paces:

@@ -16,8 +16,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from clsco.cli.bench import measure, report
-from clsco.cli.bench.cases import (
+from benchmarks.__main__ import main
+from benchmarks.blur import measure, report
+from benchmarks.blur.cases import (
     FULL,
     PSFS,
     QUICK,
@@ -31,11 +32,10 @@ from clsco.cli.bench.cases import (
     mean_taps,
     radius_map,
 )
-from clsco.cli.bench.measure import Bench, front
-from clsco.cli.bench.paces import Paces
-from clsco.cli.bench.passes import MeasuredPass
-from clsco.cli.bench.roofline import Roof, intensity, multiply_add_rate, tap_rate, triad_rate
-from clsco.cli.main import main
+from benchmarks.blur.measure import Bench, front
+from benchmarks.blur.paces import Paces
+from benchmarks.blur.passes import MeasuredPass
+from benchmarks.blur.roofline import Roof, intensity, multiply_add_rate, tap_rate, triad_rate
 from clsco.errors import ClscoError, ImageError
 from clsco.opencl.session import Session
 from clsco.passes.gather import Gather
@@ -59,7 +59,7 @@ SMALL = BenchGrid(
 
 
 def bench_(*words: object) -> Result:
-    return CliRunner().invoke(main, ["dev", "bench", *map(str, words)])
+    return CliRunner().invoke(main, ["blur", *map(str, words)])
 
 
 def test_a_grid_has_all_combinations_that_the_device_can_do() -> None:
@@ -337,7 +337,7 @@ def test_nothing_is_left_when_a_plot_fails(
 def test_the_command_writes_and_shows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("matplotlib")
     small = replace(QUICK, channels=(3,), precisions=("double",), rounds=1, longest_s=100.0)
-    monkeypatch.setattr("clsco.cli.bench.cases.QUICK", small)
+    monkeypatch.setattr("benchmarks.blur.cases.QUICK", small)
     result = bench_("-o", tmp_path / "new", "--quick", "--size", 20, "--radius", 0, "--radius", 1.5, "--device", "pocl")
     assert (result.exit_code, result.stderr) == (0, "")
     assert sorted(path.name for path in (tmp_path / "new").iterdir()) == FILES
@@ -379,16 +379,7 @@ def without(monkeypatch: pytest.MonkeyPatch, *missing: str) -> None:
 def test_a_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     without(monkeypatch, "matplotlib")
     result = bench_("-o", tmp_path / "out", "--quick")
-    message = "error: bench: needs matplotlib: pip install 'clsco[bench]'; got no such module"
-    assert (result.exit_code, result.stdout, result.stderr.splitlines()) == (1, "", [message])
-    assert not (tmp_path / "out").exists()
-
-
-def test_an_installed_package_cannot_compare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is without the benchmarks, which only a checkout has."""
-    monkeypatch.setattr("clsco.__file__", str(tmp_path / "site-packages/clsco/__init__.py"))
-    result = bench_("-o", tmp_path / "out", "--compare")
-    message = "error: --compare: needs a checkout of clsco, with its folder benchmarks; got an installed package"
+    message = "error: blur: needs matplotlib: pip install 'clsco[bench]'; got no such module"
     assert (result.exit_code, result.stdout, result.stderr.splitlines()) == (1, "", [message])
     assert not (tmp_path / "out").exists()
 

@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco import __version__
-from clsco.cli.bench.cases import (
+from benchmarks.blur.cases import (
     PSFS,
     BenchGrid,
     Case,
@@ -33,9 +32,10 @@ from clsco.cli.bench.cases import (
     picture,
     scene_radii,
 )
-from clsco.cli.bench.paces import Paces
-from clsco.cli.bench.passes import MeasuredPass
-from clsco.cli.bench.roofline import Roof, intensity, measure_roof, tap_rate
+from benchmarks.blur.paces import Paces
+from benchmarks.blur.passes import MeasuredPass
+from benchmarks.blur.roofline import Roof, intensity, measure_roof, tap_rate
+from clsco import __version__
 from clsco.errors import DeviceError, SceneError
 from clsco.opencl.device import Device
 from clsco.opencl.session import Session

@@ -16,8 +16,8 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from clsco.cli.bench.cases import PSFS
-from clsco.cli.bench.measure import Bench, BenchRow
+from benchmarks.blur.cases import PSFS
+from benchmarks.blur.measure import Bench, BenchRow
 from clsco.errors import ClscoError
 from clsco.files.atomic import together
 

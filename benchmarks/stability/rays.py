@@ -10,8 +10,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.cli.bench import oracle
-from clsco.cli.bench.doubledouble import Wide, wide
+from benchmarks.stability import oracle
+from benchmarks.stability.doubledouble import Wide, wide
 from clsco.opencl.buffers import download, empty, upload
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Session

@@ -8,9 +8,9 @@ from math import inf
 
 import numpy as np
 
-from clsco.cli.bench import oracle
-from clsco.cli.bench.doubledouble import Wide
-from clsco.cli.bench.rays import (
+from benchmarks.stability import oracle
+from benchmarks.stability.doubledouble import Wide
+from benchmarks.stability.rays import (
     DOUBTFUL,
     FAMILIES,
     MOST_ZOOMS,

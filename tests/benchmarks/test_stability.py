@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import sys
 from dataclasses import replace
 from math import inf, nan
 from pathlib import Path
@@ -11,14 +12,13 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from clsco.cli.bench import degenerate, stabilityreport
-from clsco.cli.bench.command import StabilityTask
-from clsco.cli.bench.hardimages import large_angles, near_objects
-from clsco.cli.bench.rays import FAMILIES
-from clsco.cli.bench.stability import Compared, HardCase, hard_case
-from clsco.cli.bench.stabilityreport import Stability
-from clsco.cli.main import main
-from clsco.errors import ClscoError
+from benchmarks.__main__ import main
+from benchmarks.stability import degenerate
+from benchmarks.stability import report as stabilityreport
+from benchmarks.stability.hardcase import Compared, HardCase, hard_case
+from benchmarks.stability.hardimages import large_angles, near_objects
+from benchmarks.stability.rays import FAMILIES
+from benchmarks.stability.report import Stability
 from clsco.opencl.session import Session
 
 
@@ -137,7 +137,7 @@ def test_a_shortfall_ends_the_command(measured: Stability, tmp_path: Path, monke
     worse = replace(measured, cases=[replace(measured.cases[0], bounds=(0.1, 0.1))])
     monkeypatch.setattr(stabilityreport, "run", lambda *given: worse)
     monkeypatch.setattr(stabilityreport, "plot", lambda cases: figure.Figure())
-    words = ["dev", "stability", "-o", str(tmp_path / "out"), "--quick", "--device", "pocl"]
+    words = ["stability", "-o", str(tmp_path / "out"), "--quick", "--device", "pocl"]
     result = CliRunner().invoke(main, words)
     assert result.exit_code == 1
     message = "error: stability: every error must be within its bound; got 1 beyond: sphere far away: beyond its bound"
@@ -146,7 +146,9 @@ def test_a_shortfall_ends_the_command(measured: Stability, tmp_path: Path, monke
     assert (tmp_path / "out/stability.csv").is_file()
 
 
-def test_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("clsco.cli.bench.command.find_spec", lambda name: None)
-    with pytest.raises(ClscoError, match=r"^stability: needs mpmath: pip install 'clsco\[bench\]'"):
-        StabilityTask(True).notices()
+def test_the_extra_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    monkeypatch.setitem(sys.modules, "benchmarks.stability.report", None)
+    result = CliRunner().invoke(main, ["stability", "-o", str(tmp_path), "--device", "pocl"])
+    assert result.exit_code == 1
+    assert result.stderr.startswith("error: stability.report: needs benchmarks.stability.report: pip install 'clsco[b")

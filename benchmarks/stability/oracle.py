@@ -2,7 +2,7 @@
 
 Nothing of the package's geometry is used. A surface is one polynomial of second degree in the camera frame, with
 coefficients from mpmath; where B^2 - A C cancels, 106 bits are enough. Validated against mpmath ray by ray
-(`solve_mp`, tests/cli/test_bench_oracle.py).
+(`solve_mp`, tests/benchmarks/test_oracle.py).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from mpmath import mpf
 from numpy.typing import NDArray
 
-from clsco.cli.bench.doubledouble import Wide, rounded, wide
+from benchmarks.stability.doubledouble import Wide, rounded, wide
 from clsco.scene.model import Object, ObjectMotion
 
 Array = NDArray[Any]

@@ -1,4 +1,4 @@
-"""Report of `clsco dev stability`: tables, JSON, CSV, and one plot of error against conditioning."""
+"""Report of `python -m benchmarks stability`: tables, JSON, CSV, and one plot of error against conditioning."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from clsco.cli.bench import degenerate, hardgeometry, hardimages, survey
-from clsco.cli.bench.degenerate import Outcome
-from clsco.cli.bench.measure import described, versions
-from clsco.cli.bench.rays import FAMILIES
-from clsco.cli.bench.report import rounded, write_csv
-from clsco.cli.bench.stability import FORMS, HardCase
+from benchmarks.blur.measure import described, versions
+from benchmarks.blur.report import rounded, write_csv
+from benchmarks.stability import degenerate, hardgeometry, hardimages, survey
+from benchmarks.stability.degenerate import Outcome
+from benchmarks.stability.hardcase import FORMS, HardCase
+from benchmarks.stability.rays import FAMILIES
 from clsco.files.atomic import together
 from clsco.opencl.device import Device
 from clsco.opencl.session import Session

@@ -10,9 +10,9 @@ import mpmath
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.cli.bench.oracle import DIGITS
-from clsco.cli.bench.stability import Compared, HardCase, Measured, hard_case, ns_per_value
-from clsco.cli.bench.stages import MeasuredStages
+from benchmarks.blur.stages import MeasuredStages
+from benchmarks.stability.hardcase import Compared, HardCase, Measured, hard_case, ns_per_value
+from benchmarks.stability.oracle import DIGITS
 from clsco.engine.defocus import defocus
 from clsco.engine.inpaint import inpaint
 from clsco.engine.sequence import render
