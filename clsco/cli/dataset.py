@@ -25,7 +25,7 @@ from clsco.cli.options import (
 from clsco.cli.output import echo
 from clsco.cli.progress import progress
 from clsco.errors import ClscoError, SceneError
-from clsco.scene.text import size_words, time_words
+from clsco.scene.formatting import format_bytes, format_seconds
 
 if TYPE_CHECKING:
     from clsco.data.making import Progress
@@ -161,7 +161,7 @@ def _line(out: str, status: Status) -> str:
     whole = "" if status.is_whole else f" of {status.shards}, as far as it is made"
     shards = len(status.done)
     made = f"{status.made} samples in {shards} shard{'' if shards == 1 else 's'}"
-    return f"{click.format_filename(out)}: {made}{whole}{failed}, {size_words(status.bytes)}"
+    return f"{click.format_filename(out)}: {made}{whole}{failed}, {format_bytes(status.bytes)}"
 
 
 @dataset.command()
@@ -174,9 +174,9 @@ def status(data: str) -> None:
     there = open_set(open_storage(data))
     found = status_of(there)
     echo(f"shards: {len(found.done)} of {found.shards}")
-    echo(f"samples: {found.made} made, {found.failed} failed, of {found.samples}; {size_words(found.bytes)}")
+    echo(f"samples: {found.made} made, {found.failed} failed, of {found.samples}; {format_bytes(found.bytes)}")
     if found.rate is not None and not found.is_whole:
-        echo(f"rate: {found.rate:.3g} samples/s, {time_words(found.seconds_left or 0.0)} left at this rate")
+        echo(f"rate: {found.rate:.3g} samples/s, {format_seconds(found.seconds_left or 0.0)} left at this rate")
     if missing := [shard for shard in there.shards if shard not in found.done]:
         echo(f"missing: {ranges(missing)}")
     for fault in found.faults:

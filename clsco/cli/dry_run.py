@@ -6,7 +6,7 @@ from rich.console import RenderableType
 
 from clsco.cli.tables import print_tables, table
 from clsco.data.dryrun import DryRun, SeenHistogram
-from clsco.scene.text import size_words, time_words
+from clsco.scene.formatting import format_bytes, format_seconds
 
 BAR = 40  # characters of the longest bar
 
@@ -37,13 +37,13 @@ def dry_run_tables(found: DryRun) -> list[RenderableType]:
     of = f"{found.looked_at} of {found.count} samples"
     tables.append(table(f"Looked at: {of}, with rays on a coarse grid", ("what", "how much"), seen))
     tables += [_histogram(one) for one in found.histograms]
-    sizes = [(name, size_words(size), size_words(size * found.count)) for name, size in found.bytes.items()]
+    sizes = [(name, format_bytes(size), format_bytes(size * found.count)) for name, size in found.bytes.items()]
     total = sum(found.bytes.values())
-    sizes.append(("in all", size_words(total), size_words(total * found.count)))
+    sizes.append(("in all", format_bytes(total), format_bytes(total * found.count)))
     tables.append(
         table("Size before compression", ("array", "per sample", "of the set"), sizes, ("per sample", "of the set"))
     )
-    duration = "not known" if found.seconds is None else time_words(found.seconds)
+    duration = "not known" if found.seconds is None else format_seconds(found.seconds)
     tables.append(table("Time", ("predicted", "from"), [(duration, found.basis)]))
     return tables
 

@@ -51,22 +51,3 @@ def shown(value: Any) -> str:
 def brief(text: str) -> str:
     """The first 60 characters of a text."""
     return text if len(text) <= 60 else text[:57] + "..."
-
-
-def size_words(count: float) -> str:
-    """Number of bytes in words: "512 B", "1.5 GiB"."""
-    for unit in ("B", "KiB", "MiB", "GiB", "TiB"):
-        if count < 1024.0 or unit == "TiB":
-            break
-        count /= 1024.0
-    return f"{count:.0f} {unit}" if unit == "B" else f"{count:.1f} {unit}"
-
-
-def time_words(seconds: float) -> str:
-    """Time in words: "0.35 s", "42 s", "3 min", "2.5 h"."""
-    if seconds < 100.0:
-        return f"{seconds:.2g} s" if seconds < 10.0 else f"{seconds:.0f} s"
-    for unit, length in (("min", 60.0), ("h", 3600.0), ("d", 86400.0)):
-        if seconds < 100.0 * length or unit == "d":
-            break
-    return f"{seconds / length:.0f} {unit}" if unit == "min" else f"{seconds / length:.1f} {unit}"

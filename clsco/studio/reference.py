@@ -12,8 +12,8 @@ from typing import Any
 
 from clsco.engine.child import Child
 from clsco.errors import ClscoError, SceneError
+from clsco.scene.formatting import format_seconds
 from clsco.scene.model import Scene
-from clsco.scene.text import time_words
 from clsco.studio.pictures import REFERENCE, ViewPicture, picture_of
 from clsco.studio.renderer import PictureJob, RendererEndedError
 
@@ -67,8 +67,8 @@ def _work(pipe: Connection, job: PictureJob) -> None:
         check_memory(job.scene)
         seconds = predicted_seconds(job.scene, job.index)
         if seconds > MOST_SECONDS:
-            rule = f"must take at most {time_words(MOST_SECONDS)}"
-            raise SceneError(f"reference: {rule}; got {time_words(seconds)} for this scene")
+            rule = f"must take at most {format_seconds(MOST_SECONDS)}"
+            raise SceneError(f"reference: {rule}; got {format_seconds(seconds)} for this scene")
         pipe.send(seconds)
         start = time.perf_counter()
         frames = reference.render(job.scene, frames=(job.index,))

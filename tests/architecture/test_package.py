@@ -119,6 +119,12 @@ def test_import_clsco_imports_nothing_large(tmp_path: Path) -> None:
     assert loaded & {"numpy", "pyopencl", "pydantic", "imageio", "click", "rich"} == set()
 
 
+@pytest.mark.parametrize("words", [["--help"], ["dataset", "make", "--help"]])
+def test_help_waits_for_no_numpy(words: list[str], tmp_path: Path) -> None:
+    code = f"import sys; from clsco.cli.main import main; main({words}, standalone_mode=False); print(*sys.modules)"
+    assert set(python(code, tmp_path, ROOT).split()) & {"numpy", "pydantic", "pyopencl", "rich"} == set()
+
+
 def test_a_scene_imports_what_it_has(tmp_path: Path) -> None:
     words = ["validate", str(ROOT / "examples/sphere.toml")]
     code = f"import sys; from clsco.cli.main import main; main({words}, standalone_mode=False); print(*sys.modules)"

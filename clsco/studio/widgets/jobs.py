@@ -11,7 +11,7 @@ from typing import Any
 from urllib.parse import quote
 
 from clsco.errors import ClscoError
-from clsco.scene.text import time_words
+from clsco.scene.formatting import format_seconds
 from clsco.studio.generate import (
     Wanted,
     clip,
@@ -213,7 +213,7 @@ def _state(job: CommandJob) -> str:
     if job.status != "running":
         return WORDS[job.status]
     left = job.seconds_left(time.time())
-    rest = f", about {time_words(left)} left" if left is not None else ""
+    rest = f", about {format_seconds(left)} left" if left is not None else ""
     return f"{job.done} of {job.total}{rest}" if job.total else f"{job.done} files"
 
 
