@@ -109,10 +109,11 @@ def run(device: Device, size: int, samples: Sequence[int], advance: Callable[[],
 
     cache: folder that keeps the traced frame, or None. Raises DeviceError, KernelError.
     """
-    from benchmarks.truth.raytracer import trace_converged
+    from benchmarks.truth.traced import rms, traced
 
     scene, (texture,) = load_scene_textures(sized(size))
-    truth, noise = trace_converged(scene, texture.radiance, size, size, NOISE, cache=cache, report=lambda _: None)
+    truth, errors = traced(scene, NOISE, cache, report=lambda _: None)
+    noise = rms(errors)
     advance()
     with Session(device) as session:
         ways = [_Timed("clsco", name, _renderer(session, scene, psf), FRAMES) for name, psf in PSFS.items()]

@@ -23,9 +23,7 @@ from rich.table import Table
 from scipy import ndimage
 
 import clsco
-from benchmarks.truth.raytracer import pinhole_depth
-from benchmarks.truth.traced import decibels, rms, trace_twice, update
-from clsco.inputs.textures import load_texture
+from benchmarks.truth.traced import decibels, pinhole_view, rms, traced, update
 
 ROOT = Path(__file__).resolve().parents[1]
 FULL_SIZE = 512
@@ -163,11 +161,10 @@ def well_inside(seen: Mask, margin: float = INSIDE_PX) -> Mask:
 def judge(name: str, size: int, noise: float, cache: Path | None) -> Judged:
     """Trace the scene `name`, size x size px, to the RMS `noise`."""
     scene = scene_of(name, {}, size)
-    texture = load_texture("bricks", "srgb", (size, size)).radiance
-    image, half = trace_twice(scene, texture, size, noise, cache)
-    depth = pinhole_depth(scene, size, size, list(np.linspace(0.0, scene.sequence.shutter, TIME_SAMPLES)))
+    image, error = traced(scene, noise, cache)
+    _, depth = pinhole_view(scene, np.linspace(0.0, 1.0, TIME_SAMPLES).tolist())
     inside = well_inside(np.asarray(np.isfinite(depth).all(axis=0)))
-    return Judged(image, inside, rms(half), rms(half[inside]))
+    return Judged(image, inside, rms(error), rms(error[inside]))
 
 
 def compare(color: NDArray[Any], judged: Judged, seconds: float) -> Figures:

@@ -13,8 +13,7 @@ from typing import Any
 
 import clsco
 from benchmarks.truth.accuracy import BALL, FULL_SIZE, NOISE, ROOT
-from benchmarks.truth.traced import decibels, rms, trace_twice
-from clsco.plan.prepare import prepare
+from benchmarks.truth.traced import decibels, rms, traced
 
 FAR: dict[str, Any] = {"direction": [0.3, 0.8, 1.0], "ambient": 0.2}
 NEAR: dict[str, Any] = {"position": [100.0, 200.0, 50.0], "ambient": 0.1}
@@ -45,9 +44,8 @@ def scene_of(name: str, size: int) -> clsco.Scene:
 def psnr(name: str, size: int, noise: float, cache: Path | None) -> tuple[float, float]:
     """PSNR in dB of the first frame of the scene `name`, and that of the tracer's own noise."""
     scene = scene_of(name, size)
-    textures = [texture.radiance for texture in prepare(scene).textures]
-    image, half = trace_twice(scene, textures, size, noise, cache)
-    return decibels(rms(clsco.render_frame(scene).color - image)), decibels(rms(half))
+    image, error = traced(scene, noise, cache)
+    return decibels(rms(clsco.render_frame(scene).color - image)), decibels(rms(error))
 
 
 def main() -> None:

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.truth.problem import inverse_poses, prepare
 from clsco.truth.images import NUMBERS, mapping_of
+from clsco.truth.problem import poses_of
 
 Array = NDArray[Any]
 SAG = 0.003  # px by which a surface is off
@@ -75,11 +75,10 @@ def meshes_of(scene: Any, images: Sequence[Array], times: int) -> list[Mesh]:
     times : int
         Number of poses.
     """
-    columns, rows = scene.camera.resolution
     known = [(item, image) for item, image in zip(scene.objects, images, strict=True) if item.shape != "background"]
     alone = scene.model_copy(update={"objects": tuple(item for item, _ in known)})
     moments = np.linspace(0.0, scene.sequence.shutter, times)
-    found = inverse_poses(prepare(alone, [image for _, image in known], rows, columns), moments)
+    found, _ = poses_of(alone, "", moments)
     poses = np.tile(np.eye(4), (*found.shape[:2], 1, 1))
     poses[..., :3, :3] = np.swapaxes(found[..., :9].reshape(*found.shape[:2], 3, 3), -1, -2)
     poses[..., :3, 3] = found[..., 9:]
@@ -102,7 +101,7 @@ def _mesh(item: Any, image: Array, poses: Array, sag: float) -> Mesh:
             f"meshes: image of {item.name} must lie on its surface or be of one color; got a projected one"
         )
     numbers = mapping_of(item, image.shape[:2], 0) if lies else None
-    right, up, towards = _axes(item) if numbers is None else numbers[NUMBERS:].reshape(3, 3)
+    right, up, towards = _axes(item) if numbers is None else numbers[NUMBERS : NUMBERS + 9].reshape(3, 3)
     distance = float(np.linalg.norm(poses[0, :3, 3]))
     around = _cells(item, sag * distance)
     match item.shape:

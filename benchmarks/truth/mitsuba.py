@@ -50,7 +50,7 @@ def set_up(scene: Scene, texture: Array) -> Callable[[int, int], Array]:
 
     scene: examples/sphere.toml, or with another lens, center or radius; texture: linear radiance (rows, columns) of
     the frame's size.
-    Validated against `benchmarks.truth.raytracer`: the difference falls with the root of the number of rays.
+    Validated against `clsco.truth`: the difference falls with the root of the number of rays.
     """
     import mitsuba as mi
 

@@ -15,14 +15,14 @@ from __future__ import annotations
 import argparse
 import math
 import time
-from types import SimpleNamespace
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.truth.raytracer import trace_converged
+import clsco
+from benchmarks.truth.traced import traced
 
 FRAME = 512
 PITCH, S0, APERTURE, FOCAL_LENGTH, SENSOR = 0.01, 20.0, 10.0, 20.0, 21.739
@@ -31,20 +31,12 @@ CENTER, RADIUS = 280.0, 30.0
 Array = NDArray[np.float64]
 
 
-def sphere_scene() -> Any:
+def sphere_scene() -> clsco.Scene:
     """The thesis' camera and a sphere of radius 30 mm at (0, 0, 280) mm."""
-    still = SimpleNamespace(velocity=(0, 0, 0), angular_velocity=(0, 0, 0))
-    keys = {"radius": RADIUS, "bounds": None, "rotation": None, "group": None, "motion": still}
-    ball = SimpleNamespace(shape="sphere", center=(0, 0, CENTER), **keys)
-    camera = SimpleNamespace(
-        focal_length=FOCAL_LENGTH,
-        aperture_diameter=APERTURE,
-        sensor_distance=SENSOR,
-        normalization_distance=S0,
-        pixel_pitch=PITCH,
-    )
-    sequence, motion = SimpleNamespace(interval=1.0, shutter=1.0), SimpleNamespace(rotation="euler")
-    return SimpleNamespace(camera=camera, sequence=sequence, motion=motion, objects=[ball], groups=())
+    camera: dict[str, Any] = {"focal_length": FOCAL_LENGTH, "aperture_diameter": APERTURE, "sensor_distance": SENSOR}
+    camera |= {"normalization_distance": S0, "pixel_pitch": PITCH, "resolution": [FRAME, FRAME]}
+    ball = {"shape": "sphere", "center": [0.0, 0.0, CENTER], "radius": RADIUS, "texture": texture()}
+    return clsco.parse_scene({"camera": camera, "object": [ball]})
 
 
 def texture() -> Array:
@@ -126,8 +118,8 @@ def report(corner: tuple[int, int], size: int, samples: int, seeds: int) -> None
         f"Mitsuba {mi.__version__} {mi.variant()}: {seeds} x {samples} samples, noise {their_noise:.2e}, "
         f"{seconds:.1f} s"
     )
-    pair = [trace_converged(sphere_scene(), texture(), FRAME, FRAME, 2e-4, seed)[0][window] for seed in (0, 1)]
-    ours, our_noise = (pair[0] + pair[1]) / 2, rms(pair[0] - pair[1]) / 2
+    ours, errors = (each[window] for each in traced(sphere_scene(), 2e-4))
+    our_noise = rms(errors)
     difference = ours - theirs
     print(f"tracer: noise {our_noise:.2e} in the window")
     print(f"RMSE {rms(difference):.2e}, PSNR {-20 * math.log10(rms(difference)):.1f} dB")

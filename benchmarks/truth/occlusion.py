@@ -26,11 +26,9 @@ from rich.table import Table
 from scipy import ndimage
 
 import clsco
-from benchmarks.truth.raytracer import pinhole_depth
-from benchmarks.truth.traced import decibels, rms, trace_twice, update
+from benchmarks.truth.traced import decibels, pinhole_view, rms, traced, update
 from clsco.files.images import write_png
 from clsco.files.transfer import encode
-from clsco.inputs.textures import load_scene_textures
 
 ROOT = Path(__file__).resolve().parents[1]
 FULL_SIZE = 512
@@ -92,17 +90,6 @@ def scene_of(name: str, mode: str, size: int) -> Any:
     return clsco.load_scene(ROOT.parent / "examples" / f"{EXAMPLES[name]}.toml", settings)
 
 
-def pinhole_view(scene: Any, size: int, times: Sequence[float]) -> tuple[NDArray[np.int64], Array]:
-    """Nearest object, -1 for none, and its depth in mm, inf for none, at the pixel centers.
-
-    Both (times, size, size), at `times` in s; of equally near objects the first.
-    """
-    alone = [scene.model_copy(update={"objects": (item,)}) for item in scene.objects]
-    depths = np.stack([pinhole_depth(single, size, size, times) for single in alone])
-    nearest = depths.min(axis=0)
-    return np.where(np.isfinite(nearest), depths.argmin(axis=0), -1), nearest
-
-
 def near_edges(objects: NDArray[np.int64], depth: Array, px: int = EDGE_PX) -> Mask:
     """Pixels within `px` px, by row and column, of one beside an occlusion edge at any time sample.
 
@@ -121,12 +108,10 @@ def near_edges(objects: NDArray[np.int64], depth: Array, px: int = EDGE_PX) -> M
 
 def judge(name: str, size: int, noise: float, cache: Path | None) -> Judged:
     """Trace the scene `name`, size x size px, to the RMS `noise`."""
-    scene, textures = load_scene_textures(scene_of(name, "none", size))
-    image, half = trace_twice(scene, [texture.radiance for texture in textures], size, noise, cache)
-    moves = any(item.motion.moves for item in scene.objects)
-    times = np.linspace(0.0, scene.sequence.shutter, TIME_SAMPLES) if moves else [0.0]
-    edges = near_edges(*pinhole_view(scene, size, list(times)))
-    return Judged(image, edges, rms(half), rms(half[edges]))
+    scene = scene_of(name, "none", size)
+    image, error = traced(scene, noise, cache)
+    edges = near_edges(*pinhole_view(scene, np.linspace(0.0, 1.0, TIME_SAMPLES if scene.moves else 1).tolist()))
+    return Judged(image, edges, rms(error), rms(error[edges]))
 
 
 def render_modes(scenes: Mapping[str, Any], render: Render, repetitions: int) -> dict[str, tuple[Array, float, str]]:

@@ -19,8 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 import clsco
-from benchmarks.truth.raytracer import trace_converged
-from benchmarks.truth.traced import decibels, rms
+from benchmarks.truth.traced import decibels, rms, traced
 from clsco.inputs.textures import load_texture
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -71,9 +70,8 @@ def measured(
 ) -> float:
     """PSNR in dB of a frame."""
     scene = scene_of(item, image, size, moving, frame, aperture, samples)
-    cache = ROOT.parent / "build" / "traced"
-    traced, _ = trace_converged(scene, image, size, size, NOISE, cache=cache, report=lambda _: None, frame=frame)
-    return decibels(rms(clsco.render_frame(scene, frame, truth=()).color - traced))
+    exact, _ = traced(scene, NOISE, ROOT.parent / "build" / "traced", frame, report=lambda _: None)
+    return decibels(rms(clsco.render_frame(scene, frame, truth=()).color - exact))
 
 
 def main() -> None:

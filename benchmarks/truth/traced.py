@@ -3,29 +3,66 @@ figures."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.truth.problem import Textures
-from benchmarks.truth.raytracer import trace_converged
+from clsco.truth.judge import trace_frame
+from clsco.truth.pixels import labels_at
+from clsco.truth.problem import Problem, make_problem
 
 Array = NDArray[np.float64]
+MOST_RAYS = 2**17  # of a pixel
+CACHE_FORMAT = 3  # part of the key of cached images; a change of what is computed must change it
 
 
-def trace_twice(scene: Any, textures: Textures, size: int, noise: float, cache: Path | None) -> tuple[Array, Array]:
-    """Trace the first frame of a scene, size x size px, to the RMS `noise`.
+def traced(
+    scene: Any, noise: float, cache: Path | None = None, frame: int = 0, report: Callable[[str], object] = print
+) -> tuple[Array, Array]:
+    """Trace a frame of a scene with its resolution until the RMS of its standard errors is below `noise`.
 
-    Two independent pictures; returns their mean and half their difference, (size, size[, channels]) each: the RMS
-    of the latter over any set of pixels is the noise of the former there. Arguments otherwise as `trace_converged`.
+    Returns the image (rows, columns[, channels]), linear, and its standard errors, whose RMS over any pixels is the
+    noise there. `cache`: folder of earlier results, keyed by what rays know of the scene.
     """
-    pair = [trace_converged(scene, textures, size, size, noise * 2**0.5, seed, cache=cache)[0] for seed in (0, 1)]
-    return (pair[0] + pair[1]) / 2, (pair[0] - pair[1]) / 2
+    problem = make_problem(scene, frame)
+    path = None if cache is None else cache / f"traced_{_key(problem, noise)}.npz"
+    if path is not None and path.exists():
+        with np.load(path, allow_pickle=False) as stored:
+            return stored["image"], stored["error"]
+    began = time.perf_counter()
+    image, error = trace_frame(problem, noise, MOST_RAYS)
+    report(f"traced {image.shape[0]} x {image.shape[1]}: {rms(error):.2e} RMS, {time.perf_counter() - began:.1f} s")
+    if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
+            np.savez_compressed(file, image=image, error=error)
+        Path(file.name).replace(path)
+    return image, error
+
+
+def _key(problem: Problem, noise: float) -> str:
+    digest = hashlib.sha256(f"{CACHE_FORMAT} {noise!r} {MOST_RAYS} {problem.surfaces.background}".encode())
+    for part in problem[1:]:
+        for value in (each for field in part for each in (field if isinstance(field, tuple) else (field,))):
+            digest.update(str(np.shape(value)).encode() + np.asarray(value).tobytes())
+    return digest.hexdigest()[:32]
+
+
+def pinhole_view(scene: Any, times: Sequence[float]) -> tuple[NDArray[np.int64], Array]:
+    """Nearest object, -1 for none, and its depth in mm, inf for none, at pixel centers, both (times, rows, columns),
+    at shares of the exposure from 0 to 1; of equally near objects the first."""
+    problem = make_problem(scene)
+    last = len(problem.moments.poses) - 1
+    views = [labels_at(problem, round(time * last)) for time in times]
+    return np.stack([label for _, label in views]), np.stack([depth for depth, _ in views])
 
 
 def rms(difference: Array) -> float:
@@ -34,8 +71,8 @@ def rms(difference: Array) -> float:
 
 
 def decibels(error: float) -> float:
-    """Peak signal-to-noise ratio in dB of an RMS error, the peak being 1.0."""
-    return -20 * math.log10(error)
+    """Peak signal-to-noise ratio in dB of an RMS error, the peak being 1.0; infinite without any."""
+    return -20 * math.log10(error) if error > 0.0 else math.inf
 
 
 def update(

@@ -43,7 +43,7 @@ def surface_of(item: Any) -> tuple[Array, Any, tuple[float, float]]:
             return np.asarray(item.coefficients, float), item.center, everywhere
         case "background":  # no surface: rays that meet none show it
             return k, (0.0, 0.0, FARTHEST), everywhere
-    raise ValueError(f"raytracer: shape must be analytic; got {item.shape!r}")
+    raise ValueError(f"rays: shape must be analytic; got {item.shape!r}")
 
 
 def bounds_of(item: Any, span: tuple[float, float]) -> Array:

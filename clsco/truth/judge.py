@@ -4,22 +4,24 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 from scipy.stats import qmc
 
 from clsco.resources import processors
-from clsco.truth.kernel import REPEATS, accumulate
+from clsco.truth.kernel import accumulate
 from clsco.truth.pixels import CLASSES, Pixels, choose_pixels, extent_of, places_of
 from clsco.truth.problem import Array, Problem
 from clsco.truth.pupils import bend, lens_point
 
-WANTED = 1e-3  # standard error of a pixel, of white
+NOISE = 1e-3  # standard error of a pixel, of white
+REPEATS, FRAME_REPEATS = 16, 4  # independent estimates of a pixel, and of each where all of a frame are traced
 FIRST, MOST_RAYS = 64, 2**16  # samples of each repeat at first, and rays of a pixel at most
 ALLOWED, ALLOWED_ERRORS = 0.01, 5.0  # of white, and standard errors: more than both is a deviation
 COUNTED_ERRORS = 4.0  # pixels are counted beyond ALLOWED and so many standard errors
@@ -146,7 +148,6 @@ def judge(
     Judgement
     """
     began, pixels = time.perf_counter(), choose_pixels(problem, seed)
-    channels = problem.surfaces.images.shape[1]
     frame = np.asarray(image, float).reshape(*problem.size, -1)
     places = np.zeros((len(pixels.row), 5))
     places[:, 0], places[:, 1], places[:, 2:4] = pixels.column, pixels.row, 1.0
@@ -154,7 +155,7 @@ def judge(
     whole = [(n, -1) for n, *_ in boxes], [(-1, n) for n, *_ in boxes]
     jobs = np.array([(-1, -1)] * len(places) + whole[0] + whole[1], np.int64).reshape(-1, 2)
     places = np.concatenate([places, *(np.array(each[k]).reshape(1, 5) for k in (1, 2) for each in boxes)])
-    mean, error, cast = trace(problem, jobs, places, channels, rays, began + seconds, seed)
+    mean, error, cast = trace(problem, jobs, places, rays, began + seconds, seed)
     count = len(pixels.row)
     lights = []
     for k, (n, (left, top, wide, high, _), _) in enumerate(boxes):
@@ -175,15 +176,34 @@ def judge(
     return Judgement(classes, objects, tuple(lights), pixels, mean, got, error, cast, time.perf_counter() - began)
 
 
+def trace_frame(problem: Problem, noise: float, rays: int = MOST_RAYS, seed: int = 0) -> tuple[Array, Array]:
+    """Radiance (rows, columns[, channels]) of all pixels by rays, and its standard error, the RMS of which is below
+    `noise` where at most so many rays of a pixel bring it there."""
+    row, column = (each.ravel() for each in np.indices(problem.size))
+    places = np.stack([column, row, *np.ones((2, len(row))), np.zeros(len(row))], axis=-1).astype(float)
+
+    def go_on(error: Array) -> NDArray[np.bool_]:  # pixels beside others with an error may have missed what is there
+        near = maximum_filter(error.reshape(problem.size), 5).ravel()
+        return np.asarray((near > noise / 4) & (math.sqrt(np.mean(error**2)) > noise))
+
+    jobs = np.full((len(row), 2), -1)
+    image, error, _ = trace(problem, jobs, places, rays, math.inf, seed, go_on, FRAME_REPEATS)
+    size = problem.size if image.shape[1] == 1 else (*problem.size, image.shape[1])
+    return image.reshape(size), error.reshape(size)
+
+
 def trace(
-    problem: Problem, jobs: NDArray[np.int64], places: Array, channels: int, rays: int, until: float, seed: int
+    problem: Problem, jobs: NDArray[np.int64], places: Array, rays: int, until: float, seed: int,
+    go_on: Callable[[Array], NDArray[np.bool_]] = lambda error: error > NOISE, repeats: int = REPEATS,
 ) -> tuple[Array, Array, int]:  # fmt: skip
     """Radiance (jobs, channels) by rays and its standard error, and the number of rays; arguments as for `accumulate`,
-    until: time at which no more are begun."""
+    until: time at which no more are begun; go_on: which jobs need more, by their errors; repeats: independent estimates
+    of each, whose differences are the errors."""
+    channels = problem.surfaces.images.shape[1]
     sampler = qmc.Sobol(5, scramble=True, rng=np.random.default_rng(seed))
-    sums, counts = np.zeros((len(jobs), REPEATS, channels)), np.zeros(len(jobs), np.int64)
+    sums, counts = np.zeros((len(jobs), repeats, channels)), np.zeros(len(jobs), np.int64)
     key = int(np.random.SeedSequence(seed).generate_state(1, np.uint64)[0] >> np.uint64(1))
-    most = max(2 ** int(math.log2(max(rays, 2 * REPEATS) / REPEATS)), 1)
+    most = max(2 ** int(math.log2(max(rays, 2 * repeats) / repeats)), 1)
     arrays: tuple[Any, ...] = problem[1:]
     points, going, last = np.empty((0, 5)), np.arange(len(jobs)), min(FIRST, most)
     with ThreadPoolExecutor(processors()) as pool:
@@ -196,11 +216,11 @@ def trace(
             list(pool.map(add, np.array_split(going, min(len(going), 4 * processors()))))
             counts[going] = last
             means = sums / counts[:, None, None]
-            error = means.std(axis=1, ddof=1) / math.sqrt(REPEATS)
+            error = means.std(axis=1, ddof=1) / math.sqrt(repeats)
             if 2 * last > most or time.perf_counter() > until:
                 break
-            going, last = np.nonzero(error.max(axis=1) > WANTED)[0], 2 * last
-    return means.mean(axis=1), error, int(counts.sum()) * REPEATS
+            going, last = going[go_on(error.max(axis=1))[going]], 2 * last
+    return means.mean(axis=1), error, int(counts.sum()) * repeats
 
 
 def _boxes(problem: Problem) -> Iterator[tuple[int, tuple[float, ...], tuple[float, ...]]]:

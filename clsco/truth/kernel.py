@@ -1,4 +1,4 @@
-"""Rays through the lens, one after another, in float64.
+"""Rays through the lens, in float64, BLOCK at a time, of which the compiler computes as many at once as vectors hold.
 
 The detector's place x' sees through the lens point l, in radii of the lens, the point of a surface whose slope X / Z is
 x, with x' = x + R(Z) l + 2 Q grad W(l), R = (D / 2) (K - 1 / Z) as a slope. So the ray is the straight line X(Z) =
@@ -17,7 +17,10 @@ from clsco.truth.images import shade
 from clsco.truth.pupils import bend, lens_point
 
 STEP = np.uint64(0x9E3779B97F4A7C15)
-REPEATS = 16  # independent estimates of a job, whose differences are its noise
+BLOCK = 64  # rays that are cast together: arrays of them are flat, so that loops over them become vectors
+# Numbers of each ray: lens point in mm, slope, detector's slopes, lens point in radii, two uniform numbers, and weight.
+LENS, SLOPE, SEEN, POINT, UNIFORM, WEIGHT, RAY = 0, 2, 4, 6, 8, 10, 11
+DEPTH, NUMBER, PLACE, HIT = 0, 1, 2, 5  # numbers of each hit: depth, object or -1, and place in its frame
 
 
 @njit(cache=True, inline="always")
@@ -132,112 +135,172 @@ def undistorted(x, y, n):  # type: ignore[no-untyped-def]
     return at_x, at_y
 
 
-@njit(cache=True, inline="always")
-def _row(a, i, j):  # type: ignore[no-untyped-def]
-    """Twelve numbers as scalars: slices of arrays take longer than what is done with them."""
-    return (
-        a[i, j, 0], a[i, j, 1], a[i, j, 2], a[i, j, 3], a[i, j, 4], a[i, j, 5],
-        a[i, j, 6], a[i, j, 7], a[i, j, 8], a[i, j, 9], a[i, j, 10], a[i, j, 11],
-    )  # fmt: skip
-
-
-@njit(cache=True, error_model="numpy")
-def nearest(left_out, ray, t, shapes, poses):  # type: ignore[no-untyped-def]
-    """Depth, number and place of the first surface that a ray meets: infinity and -1 for none. left_out: one that it
-    passes; shapes: `Surfaces.shapes`; t: number of the moment."""
-    depth, number, x, y, z = np.inf, -1, 0.0, 0.0, 0.0
-    for n in range(poses.shape[1]):
-        k, box = _row(shapes, 0, n), _row(shapes, 1, n)
-        at, px, py, pz = meet(ray[0], ray[1], ray[2], ray[3], _row(poses, t, n), k, box)
-        if n != left_out and 0.0 < at < depth:
-            depth, number, x, y, z = at, n, px, py, pz
-    return depth, number, x, y, z
-
-
-@njit(cache=True, error_model="numpy")
-def _seen(total, normal, left_out, ray, t, n, shapes, mappings, images, light, background, poses, cameras):  # type: ignore[no-untyped-def]
-    """Put the radiance (channels,) that a ray (lens x, y, slope x, y) meets in `total`; gives its depth."""
-    for channel in range(len(total)):
-        total[channel] = 0.0
-    depth, shown, x, y, z = nearest(left_out, ray, t, shapes, poses)
-    share = 1.0
-    if shown >= 0:
-        lies, k = mappings[shown, 0] > 0.0, _row(shapes, 0, shown)
-        if lies or len(light) > 0:
-            normal_at(normal, x, y, z, k)
-        if len(light) > 0:
-            at = (cameras[t, 9], cameras[t, 10], cameras[t, 11], light[3], light[4])
-            share = lambert(at, normal, _row(poses, t, shown), ray[0], ray[1], x, y, z)
-        if lies:
-            shade(total, x, y, z, normal, mappings[shown], images)
-            for channel in range(len(total)):
-                total[channel] *= share
-            return depth
-        rest = _row(shapes, 2, shown)
-        x, y, z = rotated(rest, x, y, z)
-        x, y, z = x + rest[9], y + rest[10], z + rest[11]
-    elif background >= 0 and left_out != background:
-        shown = background
-        camera = (
-            cameras[t, 0], cameras[t, 1], cameras[t, 2], cameras[t, 3], cameras[t, 4], cameras[t, 5], cameras[t, 6],
-            cameras[t, 7], cameras[t, 8],
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def _keep_nearer(hits, rays, count, number, m, k, box):  # type: ignore[no-untyped-def]
+    """Keep the hits of rays with one surface where they are nearer than those before; `m`: its poses (12 x BLOCK)."""
+    # Scalars, so that the compiler need not fear that a store changes them.
+    k0, k1, k2, k3, k4, k5, k6, k7, k8, k9 = k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7], k[8], k[9]
+    x0, x1, y0, y1, z0, z1, across = box[0], box[1], box[2], box[3], box[4], box[5], box[6]
+    for s in range(count):
+        pose = (
+            m[s], m[s + BLOCK], m[s + 2 * BLOCK], m[s + 3 * BLOCK], m[s + 4 * BLOCK], m[s + 5 * BLOCK],
+            m[s + 6 * BLOCK], m[s + 7 * BLOCK], m[s + 8 * BLOCK], m[s + 9 * BLOCK], m[s + 10 * BLOCK],
+            m[s + 11 * BLOCK],
         )  # fmt: skip
-        x, y, z = rotated(camera, ray[2], ray[3], 1.0)
-    # A projected texture is what the camera sees in the reference pose: squares of one radiance.
-    if shown >= 0 and z > 0.0:
-        first, rows, columns = mappings[shown, 1], mappings[shown, 2], mappings[shown, 3]
-        x, y, _, _, _ = distorted(x / z, y / z, n)
-        j = mirror(np.floor(x / n[2] + 0.5 * columns), columns)
-        i = mirror(np.floor(0.5 * rows - y / n[2]), rows)
-        texel = int(first + i * columns + j)
-        for channel in range(len(total)):
-            total[channel] = share * images[texel, channel]
-    return depth
+        ray = rays[s], rays[s + BLOCK], rays[s + 2 * BLOCK], rays[s + 3 * BLOCK]
+        depth, x, y, z = meet(
+            ray[0], ray[1], ray[2], ray[3], pose, (k0, k1, k2, k3, k4, k5, k6, k7, k8, k9),
+            (x0, x1, y0, y1, z0, z1, across),
+        )  # fmt: skip
+        before, which = hits[s], hits[s + BLOCK]
+        at_x, at_y, at_z = hits[s + 2 * BLOCK], hits[s + 3 * BLOCK], hits[s + 4 * BLOCK]
+        nearer = (depth > 0.0) & (depth < before)
+        hits[s] = depth if nearer else before
+        hits[s + BLOCK] = number if nearer else which
+        hits[s + 2 * BLOCK] = x if nearer else at_x
+        hits[s + 3 * BLOCK] = y if nearer else at_y
+        hits[s + 4 * BLOCK] = z if nearer else at_z
 
 
 @njit(cache=True)
-def _passes(rims, depth, ray, radius, l, seen, detector):  # type: ignore[no-untyped-def]
+def _meet_all(hits, rays, count, left_out, poses, shapes):  # type: ignore[no-untyped-def]
+    """Put the first surface that each ray meets in `hits`: depth infinity and number -1 for none. left_out: a surface
+    that rays pass."""
+    hits[:BLOCK], hits[BLOCK : 2 * BLOCK] = np.inf, -1.0
+    for n in range(len(poses)):
+        if n != left_out:
+            _keep_nearer(hits, rays, count, float(n), poses[n], shapes[0, n], shapes[1, n])
+
+
+@njit(cache=True)
+def _pose(posed, poses, moment, count):  # type: ignore[no-untyped-def]
+    """Put the poses of all objects at the moment of each ray in `posed` (objects, 12 x BLOCK)."""
+    for n in range(len(posed)):
+        for s in range(count):
+            t = moment[s]
+            for k in range(12):
+                posed[n, s + k * BLOCK] = poses[t, n, k]
+
+
+@njit(cache=True, error_model="numpy")
+def _texel(x, y, z, n, mapping):  # type: ignore[no-untyped-def]
+    """The texel that the camera sees in the reference pose at a point of its frame, squares of one radiance."""
+    first, rows, columns = mapping[1], mapping[2], mapping[3]
+    x, y, _, _, _ = distorted(x / z, y / z, n)
+    j = mirror(np.floor(x / n[2] + 0.5 * columns), columns)
+    i = mirror(np.floor(0.5 * rows - y / n[2]), rows)
+    return int(first + i * columns + j)
+
+
+@njit(cache=True)
+def _passes(rims, depth, rays, s, radius, detector):  # type: ignore[no-untyped-def]
     """True if all rims let a ray pass."""
     for k in range(len(rims)):
         d, size = rims[k, 0], rims[k, 1]
         if d > 0.0:
-            x, y = ray[0] + d * ray[2], ray[1] + d * ray[3]
+            x, y = rays[s] + d * rays[s + 2 * BLOCK], rays[s + BLOCK] + d * rays[s + 3 * BLOCK]
             if d >= depth:
                 continue
         else:
             way = radius * (1.0 + d * detector)
-            x, y = way * l[0] + d * seen[0], way * l[1] + d * seen[1]
+            x = way * rays[s + POINT * BLOCK] + d * rays[s + SEEN * BLOCK]
+            y = way * rays[s + (POINT + 1) * BLOCK] + d * rays[s + (SEEN + 1) * BLOCK]
         if x * x + y * y > size * size:
             return False
     return True
 
 
 @njit(cache=True, error_model="numpy")
-def _ray(left_out, l, slopes, band, step, lens, n, across, up, field, t, shapes, poses):  # type: ignore[no-untyped-def]
-    """The ray through the lens point l to the detector's slopes. Where the lens differs over the field, it is that of
-    the place that the ray comes from."""
-    at_x, at_y, radius = slopes[0], slopes[1], lens[1]
-    corner, sag = 0.5 * math.hypot(n[0] - 1.0, n[1] - 1.0), 0.5 * n[4] * (n[3] / step) ** 2
-    wide, high = 0.5 * (n[0] - 1.0) / corner, 0.5 * (n[1] - 1.0) / corner
-    ray = (radius * l[0], radius * l[1], 0.0, 0.0)
+def _add_light(sums, sign, hits, rays, moment, count, posed, left_out, channel, scratch, surfaces, moments, optics):  # type: ignore[no-untyped-def]
+    """Add what rays meet to `sums` (channels,), times a sign and their weights; channel: the only one, or -1."""
+    shapes, mappings, images, background, light = surfaces
+    cameras, lenses, n, rims = moments.cameras, moments.lenses, optics.numbers, optics.rims
+    total, normal, m = scratch[0, : len(sums)], scratch[1, :3], scratch[2]
+    for s in range(count):
+        t, shown, share = moment[s], int(hits[s + BLOCK]), sign * rays[s + WEIGHT * BLOCK]
+        x, y, z = hits[s + 2 * BLOCK], hits[s + 3 * BLOCK], hits[s + 4 * BLOCK]
+        if len(rims) > 0 and not _passes(rims, hits[s], rays, s, lenses[t, 1], lenses[t, 3]):
+            continue
+        if shown < 0:
+            if background < 0 or left_out == background:
+                continue
+            shown, camera = background, cameras[t]
+            x, y, z = rotated(camera, rays[s + SLOPE * BLOCK], rays[s + (SLOPE + 1) * BLOCK], 1.0)
+        else:
+            lies = mappings[shown, 0] > 0.0
+            if lies or len(light) > 0:
+                normal_at(normal, x, y, z, shapes[0, shown])
+            if len(light) > 0:
+                at = (cameras[t, 9], cameras[t, 10], cameras[t, 11], light[3], light[4])
+                for k in range(12):
+                    m[k] = posed[shown, s + k * BLOCK]
+                share *= lambert(at, normal, m, rays[s], rays[s + BLOCK], x, y, z)
+            if lies:
+                shade(total, x, y, z, normal, mappings[shown], images)
+                for c in range(len(sums)):
+                    if channel < 0 or channel == c:
+                        sums[c] += share * total[c]
+                continue
+            rest = shapes[2, shown]
+            x, y, z = rotated(rest, x, y, z)
+            x, y, z = x + rest[9], y + rest[10], z + rest[11]
+        if z > 0.0:
+            texel = _texel(x, y, z, n, mappings[shown])
+            for c in range(len(sums)):
+                if channel < 0 or channel == c:
+                    sums[c] += share * images[texel, c]
+
+
+@njit(cache=True)
+def _bend_rays(rays, hits, moment, count, left_out, posed, band, shapes, moments, optics):  # type: ignore[no-untyped-def]
+    """Rays through their lens points to the detector's slopes. Where the lens differs over the field, it is that of the
+    place that the ray comes from."""
+    n, lenses, (across, up, field) = optics.numbers, moments.lenses, optics.wavefront
     for k in range(int(n[17])):
-        power, bent_x, bent_y = lens[2] + band, 0.0, 0.0
-        if n[17] > 1.0:
-            square = at_x * at_x + at_y * at_y
-            behind = -sag * square * lens[3]  # by how much the image of a plane lies before the detector, by its way
-            power += n[16] * n[5] * (math.sqrt(1.0 + square) - 1.0) + lens[3] * behind / (1.0 + behind)
-        if n[18] > 0.0:
-            seen_x, seen_y, _, _, _ = distorted(at_x, at_y, n)
-            right, above = seen_x / (step * corner), seen_y / (step * corner)
-            right, above = max(min(right, wide), -wide), max(min(above, high), -high)
-            bent_x, bent_y = bend(l[0], l[1], right, above, across, up, field)
-        slope_x = slopes[0] - bent_x / radius - radius * power * l[0]
-        slope_y = slopes[1] - bent_y / radius - radius * power * l[1]
-        ray = (ray[0], ray[1], slope_x, slope_y)
-        if k + 1 < n[17]:
-            depth = nearest(left_out, ray, t, shapes, poses)[0]
-            at_x, at_y = slope_x + ray[0] / depth, slope_y + ray[1] / depth
-    return ray
+        for s in range(count):
+            t, seen = moment[s], (rays[s + SEEN * BLOCK], rays[s + (SEEN + 1) * BLOCK])
+            step, radius, at_x, at_y = lenses[t, 0] / band[0], lenses[t, 1], seen[0], seen[1]
+            l_x, l_y = rays[s + POINT * BLOCK], rays[s + (POINT + 1) * BLOCK]
+            power, bent_x, bent_y = lenses[t, 2] + band[1], 0.0, 0.0
+            if k > 0:
+                at_x = rays[s + SLOPE * BLOCK] + rays[s] / hits[s]
+                at_y = rays[s + (SLOPE + 1) * BLOCK] + rays[s + BLOCK] / hits[s]
+            if n[17] > 1.0:
+                square, sag = at_x * at_x + at_y * at_y, 0.5 * n[4] * (n[3] / step) ** 2
+                behind = -sag * square * lenses[t, 3]  # how far the image of a plane lies before the detector
+                power += n[16] * n[5] * (math.sqrt(1.0 + square) - 1.0) + lenses[t, 3] * behind / (1.0 + behind)
+            if n[18] > 0.0:
+                corner = 0.5 * math.hypot(n[0] - 1.0, n[1] - 1.0)
+                wide, high = 0.5 * (n[0] - 1.0) / corner, 0.5 * (n[1] - 1.0) / corner
+                seen_x, seen_y, _, _, _ = distorted(at_x, at_y, n)
+                right, above = seen_x / (step * corner), seen_y / (step * corner)
+                right, above = max(min(right, wide), -wide), max(min(above, high), -high)
+                bent_x, bent_y = bend(l_x, l_y, right, above, across, up, field)
+            rays[s], rays[s + BLOCK] = radius * l_x, radius * l_y
+            rays[s + SLOPE * BLOCK] = seen[0] - bent_x / radius - radius * power * l_x
+            rays[s + (SLOPE + 1) * BLOCK] = seen[1] - bent_y / radius - radius * power * l_y
+        _meet_all(hits, rays, count, left_out, posed, shapes)
+
+
+@njit(cache=True)
+def _aim_rays(rays, count, moment, place, posed, band, moments, optics):  # type: ignore[no-untyped-def]
+    """Rays through their lens points to places around a point of an object's frame, with what they weigh there."""
+    p0, p1, p2, p3, p4 = place
+    for s in range(count):
+        lens, m = moments.lenses[moment[s]], posed[s:]
+        step, radius = lens[0] / band[0], lens[1]
+        x = m[0] * p2 + m[3 * BLOCK] * p3 + m[6 * BLOCK] * p4 + m[9 * BLOCK]
+        y = m[BLOCK] * p2 + m[4 * BLOCK] * p3 + m[7 * BLOCK] * p4 + m[10 * BLOCK]
+        z = m[2 * BLOCK] * p2 + m[5 * BLOCK] * p3 + m[8 * BLOCK] * p4 + m[11 * BLOCK]
+        x += (2.0 * rays[s + UNIFORM * BLOCK] - 1.0) * p0
+        y += (2.0 * rays[s + (UNIFORM + 1) * BLOCK] - 1.0) * p1
+        l_x, l_y = rays[s + POINT * BLOCK], rays[s + (POINT + 1) * BLOCK]
+        rays[s], rays[s + BLOCK] = radius * l_x, radius * l_y
+        rays[s + SLOPE * BLOCK], rays[s + (SLOPE + 1) * BLOCK] = (x - rays[s]) / z, (y - rays[s + BLOCK]) / z
+        far = radius * (lens[2] + band[1] - 1.0 / z)
+        rays[s + SEEN * BLOCK], rays[s + (SEEN + 1) * BLOCK] = x / z + far * l_x, y / z + far * l_y
+        _, _, xx, xy, yy = distorted(rays[s + SEEN * BLOCK], rays[s + (SEEN + 1) * BLOCK], optics.numbers)
+        rays[s + WEIGHT * BLOCK] *= 4.0 * p0 * p1 / (z * step) ** 2 * (xx * yy - xy * xy)
 
 
 @njit(cache=True, inline="always")
@@ -252,87 +315,106 @@ def _moment(u, column, row, n, quantiles, clock, count):  # type: ignore[no-unty
     return min(int((time * clock[0] + line * clock[1]) * count), count - 1)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True)
+def _draw(rays, moment, points, span, shifts, place, aimed, moments, optics):  # type: ignore[no-untyped-def]
+    """Uniform numbers, lens points, moments and weights of rays, of samples span[0]..span[1]."""
+    n, (opening, rows_of, columns_of) = optics.numbers, optics.pupil
+    times, quantiles, clock = len(moments.poses), moments.quantiles, moments.clock
+    for s in range(span[1] - span[0]):
+        for axis in range(2):
+            value = points[span[0] + s, axis] + shifts[axis]
+            rays[s + (UNIFORM + axis) * BLOCK] = value - 1.0 if value >= 1.0 else value
+        u, v = points[span[0] + s, 2] + shifts[2], points[span[0] + s, 3] + shifts[3]
+        u, v = (u - 1.0 if u >= 1.0 else u), (v - 1.0 if v >= 1.0 else v)
+        x, y, weight = lens_point(u, v, opening, rows_of, columns_of)
+        column = place[0] + rays[s + UNIFORM * BLOCK] * place[2]
+        row = place[1] + rays[s + (UNIFORM + 1) * BLOCK] * place[3]
+        moment[s] = 0
+        if times > 1:
+            w = points[span[0] + s, 4] + shifts[4]
+            moment[s] = _moment(w - 1.0 if w >= 1.0 else w, column, row, n, quantiles, clock, times)
+        if not aimed and n[11] == 2.0:
+            square = ((column - 0.5 * n[0]) ** 2 + (0.5 * n[1] - row) ** 2) / (0.25 * (n[0] ** 2 + n[1] ** 2))
+            weight *= 1.0 + square * (n[12] + square * (n[13] + square * n[14]))
+        rays[s + POINT * BLOCK], rays[s + (POINT + 1) * BLOCK] = x, y
+        rays[s + WEIGHT * BLOCK] = weight * n[15]
+
+
+@njit(cache=True, nogil=True)
 def accumulate(sums, jobs, places, numbers, points, span, seed, surfaces, moments, optics):  # type: ignore[no-untyped-def]
-    """Add samples span[0]..span[1] of some jobs to `sums` (jobs, REPEATS, channels).
+    """Add samples span[0]..span[1] of some jobs to `sums` (jobs, repeats, channels).
 
     numbers: those of the jobs that are to go on; `jobs` (jobs, 2): the object that is left out, -1 for none, and one
     that rays are aimed at, -1 for none; `places` (jobs, 5): left, top, width and height of the pixels in px, or half a
     width and a height in mm around a point (3,) of the object's frame, at whose depth rays end; `points` (n, 5): a
     Sobol set over pixel, lens and time.
     """
-    n, channels, bands, rims = optics.numbers, sums.shape[2], optics.bands, optics.rims
-    opening, rows_of, columns_of = optics.pupil
-    across, up, field = optics.wavefront
-    shapes, mappings, images, background, light = surfaces
-    poses, cameras, lenses, quantiles, clock = moments
-    total, without, normal, u = np.empty(channels), np.empty(channels), np.empty(3), np.empty(5)
-    for which in range(len(numbers) * REPEATS):
-        job, repeat = numbers[which // REPEATS], which % REPEATS
-        left_out, aim = jobs[job, 0], jobs[job, 1]
-        p0, p1, p2, p3, p4 = places[job, 0], places[job, 1], places[job, 2], places[job, 3], places[job, 4]
-        state = np.uint64(seed) + np.uint64(5 * (job * REPEATS + repeat) + 1) * STEP
+    n, bands, shapes, poses = optics.numbers, optics.bands, surfaces.shapes, moments.poses
+    rays, hits, moment = np.zeros(RAY * BLOCK), np.zeros(HIT * BLOCK), np.zeros(BLOCK, np.int64)
+    posed, scratch = np.empty((poses.shape[1], 12 * BLOCK)), np.empty((3, 12))
+    weights = np.empty(BLOCK)
+    _pose(posed, poses, moment, BLOCK)
+    repeats = sums.shape[1]
+    for which in range(len(numbers) * repeats):
+        job, repeat = numbers[which // repeats], which % repeats
+        left_out, aim, place = jobs[job, 0], jobs[job, 1], places[job]
+        state = np.uint64(seed) + np.uint64(5 * (job * repeats + repeat) + 1) * STEP
         shifts = (
             uniform(state), uniform(state + STEP), uniform(state + STEP + STEP), uniform(state + np.uint64(3) * STEP),
             uniform(state + np.uint64(4) * STEP),
         )  # fmt: skip
-        for s in range(span[0], span[1]):
-            for axis in range(5):
-                value = points[s, axis] + shifts[axis]
-                u[axis] = value - 1.0 if value >= 1.0 else value
-            column, row = p0 + u[0] * p2, p1 + u[1] * p3
-            t = _moment(u[4], column, row, n, quantiles, clock, len(poses))
-            lens = (lenses[t, 0], lenses[t, 1], lenses[t, 2], lenses[t, 3])
-            x, y, weight = lens_point(u[2], u[3], opening, rows_of, columns_of)
-            l, radius, weight = (x, y), lens[1], weight * n[15]
+        for first in range(span[0], span[1], BLOCK):
+            count = min(BLOCK, span[1] - first)
+            _draw(rays, moment, points, (first, first + count), shifts, place, aim >= 0, moments, optics)
+            if len(poses) > 1:
+                _pose(posed, poses, moment, count)
+            weights[:] = rays[WEIGHT * BLOCK : (WEIGHT + 1) * BLOCK]
             for b in range(len(bands)):
-                share, step = weight, lens[0] / bands[b, 0]
-                if aim < 0:
-                    slopes = undistorted((column - 0.5 * n[0]) * step, (0.5 * n[1] - row) * step, n)
-                    ray = _ray(left_out, l, slopes, bands[b, 1], step, lens, n, across, up, field, t, shapes, poses)
-                else:
-                    m = _row(poses, t, aim)
-                    x, y = m[0] * p2 + m[3] * p3 + m[6] * p4 + m[9], m[1] * p2 + m[4] * p3 + m[7] * p4 + m[10]
-                    x, y, z = (
-                        x + (2 * u[0] - 1) * p0,
-                        y + (2 * u[1] - 1) * p1,
-                        m[2] * p2 + m[5] * p3 + m[8] * p4 + m[11],
-                    )
-                    ray = (radius * l[0], radius * l[1], (x - radius * l[0]) / z, (y - radius * l[1]) / z)
-                    far = radius * (lens[2] + bands[b, 1] - 1.0 / z)
-                    slopes = (x / z + far * l[0], y / z + far * l[1])
-                    _, _, xx, xy, yy = distorted(slopes[0], slopes[1], n)
-                    share *= 4.0 * p0 * p1 / (z * step) ** 2 * (xx * yy - xy * xy)
-                depth = _seen(
-                    total, normal, left_out, ray, t, n, shapes, mappings, images, light, background, poses, cameras
-                )
-                kept = share if _passes(rims, depth, ray, radius, l, slopes, lens[3]) else 0.0
-                lost = 0.0
+                band, channel = (bands[b, 0], bands[b, 1]), b if len(bands) > 1 else -1
+                rays[WEIGHT * BLOCK : (WEIGHT + 1) * BLOCK] = weights
                 if aim >= 0:
-                    depth = _seen(
-                        without, normal, aim, ray, t, n, shapes, mappings, images, light, background, poses, cameras
-                    )
-                    lost = share if _passes(rims, depth, ray, radius, l, slopes, lens[3]) else 0.0
-                dark = 1.0
+                    at = (place[0], place[1], place[2], place[3], place[4])
+                    _aim_rays(rays, count, moment, at, posed[aim], band, moments, optics)
+                else:
+                    for s in range(count):
+                        column = place[0] + rays[s + UNIFORM * BLOCK] * place[2]
+                        row = place[1] + rays[s + (UNIFORM + 1) * BLOCK] * place[3]
+                        step = moments.lenses[moment[s], 0] / band[0]
+                        x, y = undistorted((column - 0.5 * n[0]) * step, (0.5 * n[1] - row) * step, n)
+                        rays[s + SEEN * BLOCK], rays[s + (SEEN + 1) * BLOCK] = x, y
                 if n[11] == 1.0:
-                    dark = 1.0 / (1.0 + slopes[0] * slopes[0] + slopes[1] * slopes[1]) ** 2
-                elif n[11] == 2.0 and aim < 0:
-                    square = ((column - 0.5 * n[0]) ** 2 + (0.5 * n[1] - row) ** 2) / (0.25 * (n[0] ** 2 + n[1] ** 2))
-                    dark = 1.0 + square * (n[12] + square * (n[13] + square * n[14]))
-                for channel in range(channels):
-                    if len(bands) == 1 or channel == b:
-                        value = kept * total[channel] - (lost * without[channel] if aim >= 0 else 0.0)
-                        sums[job, repeat, channel] += dark * value
+                    for s in range(count):
+                        x, y = rays[s + SEEN * BLOCK], rays[s + (SEEN + 1) * BLOCK]
+                        rays[s + WEIGHT * BLOCK] /= (1.0 + x * x + y * y) ** 2
+                if aim >= 0:
+                    _meet_all(hits, rays, count, left_out, posed, shapes)
+                else:
+                    _bend_rays(rays, hits, moment, count, left_out, posed, band, shapes, moments, optics)
+                light = sums[job, repeat]
+                _add_light(
+                    light, 1.0, hits, rays, moment, count, posed, left_out, channel, scratch, surfaces, moments, optics
+                )
+                if aim >= 0:  # less what is seen without the object
+                    _meet_all(hits, rays, count, aim, posed, shapes)
+                    _add_light(
+                        light, -1.0, hits, rays, moment, count, posed, aim, channel, scratch, surfaces, moments, optics
+                    )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def pinhole(depth, label, rows, step, t, surfaces, poses, numbers):  # type: ignore[no-untyped-def]
-    """Put depth and number of the surface in the middle of each pixel (rows, columns) of some rows of a frame in
-    `depth` and `label`, infinity and -1 for none; t: number of the moment."""
-    size, shapes = depth.shape, surfaces.shapes
-    for row in range(rows[0], rows[1]):
-        for column in range(size[1]):
-            x, y = (column - 0.5 * (size[1] - 1)) * step, (0.5 * (size[0] - 1) - row) * step
-            x, y = undistorted(x, y, numbers)
-            found = nearest(-1, (0.0, 0.0, x, y), t, shapes, poses)
-            depth[row, column], label[row, column] = found[0], found[1]
+@njit(cache=True, nogil=True)
+def pinhole(depth, label, t, surfaces, moments, numbers):  # type: ignore[no-untyped-def]
+    """Put depth and number of the surface in the middle of each pixel of a frame in `depth` and `label` (rows,
+    columns), infinity and -1 for none; t: number of the moment."""
+    rows, columns = depth.shape
+    rays, hits, moment = np.zeros(RAY * BLOCK), np.zeros(HIT * BLOCK), np.full(BLOCK, t)
+    posed, step = np.empty((moments.poses.shape[1], 12 * BLOCK)), moments.lenses[t, 0]
+    _pose(posed, moments.poses, moment, BLOCK)
+    for row in range(rows):
+        for first in range(0, columns, BLOCK):
+            count = min(BLOCK, columns - first)
+            for s in range(count):
+                x, y = (first + s - 0.5 * (columns - 1)) * step, (0.5 * (rows - 1) - row) * step
+                rays[s + SLOPE * BLOCK], rays[s + (SLOPE + 1) * BLOCK] = undistorted(x, y, numbers)
+            _meet_all(hits, rays, count, -1, posed, surfaces.shapes)
+            for s in range(count):
+                depth[row, first + s], label[row, first + s] = hits[s], int(hits[s + BLOCK])

@@ -49,8 +49,7 @@ class Extent:
 def labels_at(problem: Problem, moment: int) -> tuple[Array, NDArray[np.int64]]:
     """Depth and object (rows, columns) in the middle of each pixel at a moment."""
     depth, label = np.empty(problem.size), np.empty(problem.size, np.int64)
-    step, numbers = problem.moments.lenses[moment, 0], problem.optics.numbers
-    pinhole(depth, label, (0, problem.size[0]), step, moment, problem.surfaces, problem.moments.poses, numbers)
+    pinhole(depth, label, moment, problem.surfaces, problem.moments, problem.optics.numbers)
     return depth, label
 
 

@@ -126,14 +126,20 @@ def _surfaces(scene: Scene, textures: Any) -> Surfaces:
     )  # fmt: skip
 
 
+def poses_of(scene: Scene, eye: str, times: Array) -> tuple[Array, tuple[Array, Array]]:
+    """Poses of all objects in the frame of a camera, as of `poses_at`, and those of the camera."""
+    centers = np.array([surface_of(item)[1] for item in scene.objects], float)
+    rotations = np.array([static_rotation(item.rotation) for item in scene.objects])
+    camera = camera_at(scene, eye, times)
+    return poses_at(scene, centers, rotations, camera, times), camera
+
+
 def _moments(scene: Scene, frame: int, eye: str) -> Moments:
     sequence = scene.sequence
     span = sequence.shutter + sequence.readout
     begins = frame * sequence.interval + sequence.shutter_start
     times = begins + span * (np.arange(MOMENTS) + 0.5) / MOMENTS if scene.moves else np.zeros(1)
-    centers = np.array([surface_of(item)[1] for item in scene.objects], float)
-    rotations = np.array([static_rotation(item.rotation) for item in scene.objects])
-    camera = camera_at(scene, eye, times)
+    poses, camera = poses_of(scene, eye, times)
     cameras = np.concatenate([camera[0].reshape(-1, 9), np.zeros((len(times), 3))], axis=1)
     if scene.light is not None:
         if scene.light.position is not None:
@@ -149,7 +155,6 @@ def _moments(scene: Scene, frame: int, eye: str) -> Moments:
     quantiles = np.interp(np.linspace(0.0, passed[-1], QUANTILES + 1), passed, at)
     backwards = sequence.scan in ("bottom_to_top", "right_to_left")
     clock = np.array([sequence.shutter / span, sequence.readout / span, sequence.by_columns, backwards])
-    poses = poses_at(scene, centers, rotations, camera, times)
     return Moments(poses, cameras, lens_at(scene, times), quantiles, clock)
 
 

@@ -110,13 +110,13 @@ def test_mitsuba_sees_the_same() -> None:
     """Noise of 256 rays is some 1e-2 at most; what is turned over or mirrored is far from that."""
     pytest.importorskip("numba")
     pytest.importorskip("scipy")
-    from benchmarks.truth.raytracer import trace
+    from benchmarks.truth.traced import rms, traced
 
     scene, (texture,) = load_scene_textures(sized(64))
     found = mitsuba.set_up(scene, texture.radiance)(256, 0)
-    truth, noise = trace(scene, texture.radiance, 64, 64, 512)
+    truth, errors = traced(scene, 5e-3)
     error = np.sqrt(np.mean((found - truth) ** 2))
-    assert noise < 5e-3
+    assert rms(errors) < 5e-3
     assert error < 1e-2
     for other in (found[::-1], found[:, ::-1], found.T):
         assert np.sqrt(np.mean((other - truth) ** 2)) > 4e-2

@@ -15,7 +15,7 @@ import clsco.truth
 from clsco.errors import ClscoError
 from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import poses_at
-from clsco.truth.judge import Judgement, judge, trace
+from clsco.truth.judge import NOISE, Judgement, judge, trace, trace_frame
 from clsco.truth.poses import lens_at
 from clsco.truth.problem import make_problem, not_judged
 
@@ -32,15 +32,12 @@ def scene(*objects: Any, **tables: Any) -> clsco.Scene:
 def traced(given: clsco.Scene, rays: int, seed: int = 5, **place: int) -> tuple[Any, Any]:
     """Image (rows, columns, channels) by rays and its standard error, or a pixel of it."""
     problem = make_problem(given)
-    row, column = (each.ravel() for each in np.indices((SIZE, SIZE)))
-    if place:
-        row, column = np.array([place["row"]]), np.array([place["column"]])
-    places = np.stack([column, row, *np.ones((2, len(row))), np.zeros(len(row))], axis=-1).astype(float)
-    jobs = np.full((len(row), 2), -1)
-    mean, error, _ = trace(
-        problem, jobs, places, problem.surfaces.images.shape[1], rays, time.perf_counter() + 99, seed
-    )
-    return (mean[0], error[0]) if place else (mean.reshape(SIZE, SIZE, -1), error.reshape(SIZE, SIZE, -1))
+    if not place:
+        image, error = trace_frame(problem, NOISE, rays, seed)
+        return np.atleast_3d(image), np.atleast_3d(error)
+    places = np.array([[place["column"], place["row"], 1.0, 1.0, 0.0]])
+    mean, error, _ = trace(problem, np.full((1, 2), -1), places, rays, time.perf_counter() + 99, seed)
+    return mean[0], error[0]
 
 
 def judged(given: clsco.Scene, image: NDArray[Any], seed: int = 0, rays: int = 2048) -> Judgement:
