@@ -1,4 +1,4 @@
-"""visibility.clh and visibility_test.clh against their twins: what single taps of a source see of the lens."""
+"""visibility.clh and visibility_test.clh: what single taps of a source see of the lens, as their twins and lines do."""
 
 from __future__ import annotations
 
@@ -23,10 +23,11 @@ from clsco.passes.pack import camera_grid, group_struct, lens_struct, psf_struct
 from clsco.plan.plan import make_plan
 from clsco.records import Real
 from clsco.reference.common.equation import Points
-from clsco.reference.common.geometry import blur_radius, nearest_surface, pixel_ray
+from clsco.reference.common.geometry import blur_radius, nearest_surface, pixel_ray, surface_normal
 from clsco.reference.common.visibility import CLEAR, PARTLY, check_visibility
 from clsco.reference.common.visibility_test import cell_visibility, tap_share
 from clsco.scene.model import Camera, Cone, Cylinder, Disc, Ellipsoid, Object, Plane, Psf, Quadric, Scene, Sphere
+from tests.kernels.lines import crossings, lens_points
 from tests.slow import mostly_slow
 
 Array = NDArray[Any]
@@ -124,7 +125,8 @@ ROWS = (-6, -2, 0, 3, 7)  # of taps, two vectors of 8 in each
 
 @dataclass(frozen=True)
 class Seen:
-    """Results of the device for N sources and T taps, and of the twin; wide: of the lens, by the twin."""
+    """Results of the device for N sources and T taps, and of the twin; wide: of the lens, by the twin; plain: taps that
+    stand for one line to a point of the lens, and blocked: of these, the lines that an occluder is in the way of."""
 
     state: Array
     edge: Array
@@ -134,6 +136,8 @@ class Seen:
     expected_edge: Array
     expected: Array
     wide: Array
+    plain: Array
+    blocked: Array
 
 
 def see(
@@ -175,11 +179,22 @@ def see(
     for n, (dx, dy) in enumerate(taps.astype(float).tolist()):
         expected[visibility.row >= 0, n] = tap_share(visibility, cells, dx, dy)
     wide[visibility.row >= 0] = visibility.wide
-    return Seen(state[there], edge[there], share[there], blocks[there], found, outline, expected, wide)
+    away = taps - offset[there][:, None]
+    start = (rays[there] / w[:, None])[:, None]
+    ends = lens_points(Lens.of(camera), radius[:, None], away[..., 0], away[..., 1])
+    size = np.abs(radius) * spread.extent
+    inner = np.sqrt(np.maximum(size * size - 2 * size, 0))  # within which taps of wide lenses stay where they are
+    plain = wide[:, None] & (np.hypot(away[..., 0], away[..., 1]) < inner[:, None])
+    if group.own >= 0:  # what its tilt leaves of the lens
+        way, normal = ends - start, surface_normal(surfaces[group.own], rays[there], w)[:, None]
+        plain &= (way * normal).sum(axis=-1) > 1e-3 * np.linalg.norm(way, axis=-1)
+    occluders = [item for k, item in enumerate(items) if group.occluders >> k & 1]
+    blocked = np.any([crossings(item, STILL, start, ends) for item in occluders], axis=0)
+    return Seen(state[there], edge[there], share[there], blocks[there], found, outline, expected, wide, plain, blocked)
 
 
 def assert_same(seen: Seen) -> None:
-    """States and outlines are the same, and shares to what float32 leaves of them."""
+    """States and outlines are the same, shares to what float32 leaves of them, and those of plain lines."""
     assert (seen.state == seen.expected_state).all()
     assert (seen.edge == seen.expected_edge).all()
     partly = seen.state == PARTLY
@@ -193,6 +208,8 @@ def assert_same(seen: Seen) -> None:
     assert error.max() < 3e-4
     if seen.wide.any():
         assert np.ptp(seen.expected) > 0.7
+    decided = seen.plain & ((seen.share < 1e-6) | (seen.share > 1 - 1e-6))
+    np.testing.assert_array_equal((seen.share < 0.5)[decided], seen.blocked[decided])
 
 
 @pytest.mark.parametrize(
@@ -251,3 +268,29 @@ def test_a_hollow_surface_before_itself(session: Session, run_source: Runner, na
     seen = see(session, run_source, (item,), group=group, camera=camera)
     assert (seen.state == PARTLY).any() if far else (seen.state == CLEAR).all()
     assert_same(seen)
+
+
+def test_outlines_close_before_a_wall(session: Session, run_source: Runner) -> None:
+    """They ask for sub-pixel sources where the wall is so near behind them that they are blurred by 2 px at most."""
+    ball, wall = Sphere(center=(-3.0, 4.0, 300.0), radius=25.0), Plane(distance=331.0, slope_x=0.8)
+    seen = see(session, run_source, (ball, wall))
+    partly = seen.state == PARTLY
+    assert_same(seen)
+    assert 0.3 < seen.edge[partly].mean() < 0.7
+
+
+def test_taps_around_a_source_have_room(session: Session, run_source: Runner) -> None:
+    """As many rows and columns on each side of a source, and whole vectors from any of them on."""
+    size = empty(session, 4 * 4)
+    text = """
+__kernel void sizes(__global int *size)
+{
+    if (get_global_id(0) > 0)
+        return;
+    size[0] = NARROW_MIDDLE, size[1] = NARROW_ROWS, size[2] = NARROW_LANES, size[3] = LANE_COUNT;
+}
+"""
+    run_source(text, "sizes", "double", {"OCCLUDED": 1, "GATHER": 1}, 1, size)
+    middle, rows, lanes, vector = download(session, size, (4,), np.int32)
+    assert 2 * middle < rows
+    assert 2 * middle + vector <= lanes

@@ -1,4 +1,4 @@
-"""visibility.clh: how single surfaces are found to hide the lens from single points, number by number."""
+"""visibility.clh and occluder.clh: how single surfaces hide the lens from single points, tap by tap."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from clsco.constants import LENS_CELLS
 from clsco.opencl.buffers import download, empty
 from clsco.opencl.session import Session
 from clsco.optics.lens import Lens
@@ -19,21 +20,21 @@ from clsco.optics.quadrics import cutting_bounds, place
 from clsco.optics.visibility import OcclusionGroup
 from clsco.passes.pack import lens_struct, surface_structs
 from clsco.records import REAL, Real
-from clsco.reference.common.equation import Points
-from clsco.reference.common.occluder import Occluder
+from clsco.reference.common.equation import WIDE_LENS, Points
 from clsco.reference.common.visibility import CLEAR, HIDDEN, PARTLY, check_visibility
+from clsco.reference.common.visibility_test import free_share
 from clsco.scene.model import Camera, Cone, Cylinder, Ellipsoid, Object, Plane, Psf, Quadric, Sphere
+from tests.kernels.lines import crossings, lens_points, passes_lens
 
 Array = NDArray[Any]
 Runner = Callable[..., None]
 KERNEL = """
-typedef char of_its_size[sizeof(occluder_t) == BYTES ? 1 : -1];
-
-// What is in the way of point i: place holds (x, y) of its ray and its inverse depth, chosen (surface, own, root).
+// What point i sees of the lens: place holds (x, y) of its ray and its inverse depth, chosen (surface, own, root), tap
+// the cells from it, right and down, of each of its taps.
 __kernel void meet(const lens_t lens, __constant surface_t *surfaces, const real extent, const real width,
                    __global const real *place, __global const int4 *chosen, __global const real *radius,
-                       __global const real2 *gradient, __global int4 *found, __global float4 *rims,
-                           __global uchar *occluders)
+                   __global const real2 *gradient, __global const float2 *tap, __global int4 *seen,
+                   __global float *share)
 {
     const int i = get_global_id(0);
     if (i >= POINTS)
@@ -43,22 +44,20 @@ __kernel void meet(const lens_t lens, __constant surface_t *surfaces, const real
     visibility_t visibility;
     bool edge;
     const division_t division = division_of(radius[i], extent, width, tilt_slope(gradient[i], radius[i]));
-    found[i].x = check_visibility(lens, surfaces + chosen[i].x, group, ray, place[3 * i + 2], division, &visibility,
-                                  &edge);
-    found[i].yzw = (int3)(edge, visibility.wide, visibility.count);
-    rims[i] = (float4)(visibility.rim, visibility.rim_scale, visibility.rim_shift, 0);
-    for (int n = 0; n < BYTES; ++n)
-        occluders[BYTES * i + n] = visibility.count ? ((const uchar *)visibility.occluder)[n] : 0;
+    const int state = check_visibility(lens, surfaces + chosen[i].x, group, ray, place[3 * i + 2], division,
+                                       &visibility, &edge);
+    seen[i] = (int4)(state, edge, visibility.wide, visibility.count);
+    for (int t = i * TAPS; t < (i + 1) * TAPS; ++t) {
+        const lanes_t x = tap[t].x, y = tap[t].y;
+        share[t] = state == PARTLY ? FIRST_LANE(free_share(&visibility, false, x, y)) : state == CLEAR;
+    }
 }
 """
-# Of a occluder_t, in the order of the struct.
-FIELDS = {"h": 3, "root": 1, "f": 5, "slack": 1, "rim": 1, "limits": 1, "crossings": 1}
-FIELDS |= {"b": 3, "f0": 1, "c": 6, "d": 6, "soft": 1, "limit": 28}
+TAPS = 16
 CAMERA = Camera(resolution=(144, 120), pixel_pitch=0.04, aperture_diameter=25.0, focus_distance=250.0)
 LENS = Lens.of(CAMERA)
 PILLBOX, GAUSSIAN = Psf(), Psf(model="gaussian", sigma_ratio=0.5)
 UPRIGHT = Pose(np.eye(3), np.zeros(3))
-FLOAT = 2e-7  # three roundings to float32
 # Points at which conditions are met all over the lens but for the last 1e-4 of a step, which float32 may not see.
 UNSURE = 1e-3
 
@@ -141,110 +140,81 @@ def some_points(rng: np.random.Generator, surfaces: list[tuple[Object, Pose]], e
 
 @dataclass(frozen=True)
 class Met:
-    """Results of the device for N points, and of the twin; occluders: of which points, and what it has of them.
-
-    rims: (N, 3) of a visibility_t; fields: (N, ...) each, of its first occluder.
-    """
+    """Results of the device for N points and their taps, and of the twin; blocked: lines that a surface crosses, of
+    points that are on none."""
 
     state: Array
     edge: Array
     wide: Array
     count: Array
-    rims: Array
-    fields: dict[str, Array]
+    share: Array
     expected_state: Array
     expected_edge: Array
-    occluders: list[tuple[Array, Occluder]]
+    expected: Array
+    blocked: Array
 
 
 def meet(
-    session: Session, run: Runner, surfaces: list[tuple[Object, Pose]], given: dict[str, Array], psf: Psf = PILLBOX,
+    session: Session, run: Runner, surfaces: list[tuple[Object, Pose]], points: dict[str, Array], psf: Psf = PILLBOX,
     width: float = 1.0, gather: int = 1, real: Real = "double",
 ) -> Met:  # fmt: skip
-    """given: of points the surface, own, root, x, y, w, radius; width: of the sources, px."""
+    """points: their surface, own, root, x, y, w, radius; width: of the sources, px."""
     items, placed = [item for item, _ in surfaces], [place(*one) for one in surfaces]
-    count, words, extent = given["w"].size, sum(FIELDS.values()), point_spread(psf).extent
-    features = {"OCCLUDED": 1, "POINTS": count, "BYTES": 4 * words, "GATHER": gather, "LIMITED": 1}
-    buffers = [empty(session, 4 * count * size) for size in (4, 4, words)]
+    count, extent, radius = points["w"].size, point_spread(psf).extent, points["radius"]
+    features = {"OCCLUDED": 1, "POINTS": count, "TAPS": TAPS, "GATHER": gather, "LIMITED": 1}
+    buffers = [empty(session, 4 * count * size) for size in (4, TAPS)]
     number = np.float64 if real == "double" else np.float32
-    chosen = np.stack([given["surface"], given["own"], given["root"], 0 * given["own"]], axis=-1)
+    chosen = np.stack([points["surface"], points["own"], points["root"], 0 * points["own"]], axis=-1)
     turn = np.arange(count) * 2.4  # slopes of R in every direction, none at some points
     gradient = (np.arange(count) % 5 * 0.1 * np.stack([np.cos(turn), np.sin(turn)])).T
+    wide = np.abs(radius) * extent >= WIDE_LENS
+    cells = np.where(wide, radius, np.where(radius < 0, -LENS_CELLS, LENS_CELLS) / extent)
+    rim = np.abs(cells) * extent  # within which taps of wide lenses stay where they are
+    taps = some_taps(count, np.where(wide, np.sqrt(np.maximum(rim * rim - 2 * rim, 0)), rim))
     run(
         KERNEL, "meet", real, features, count, lens_struct(LENS, real), surface_structs(items, placed, real),
-        number(extent), number(width), np.stack([given[k] for k in "xyw"], axis=-1).astype(REAL[real]),
-        chosen.astype(np.int32), given["radius"].astype(number), gradient.astype(number), *buffers,
+        number(extent), number(width), np.stack([points[k] for k in "xyw"], axis=-1).astype(REAL[real]),
+        chosen.astype(np.int32), radius.astype(number), gradient.astype(number), taps, *buffers,
     )  # fmt: skip
-    found = download(session, buffers[0], (count, 4), np.int32)
-    rims, sent = (download(session, b, (count, n), np.float32) for b, n in zip(buffers[1:], (4, words), strict=True))
-    if (
-        width == 1.0
-    ):  # what is left of it in records of whole pixels near the focus, as `pixel_tilt` of geometry.clh has it
-        gradient = gradient * np.minimum(2.0 * np.abs(given["radius"]), 1.0)[:, None]
-    fields = dict(zip(FIELDS, np.split(sent, np.cumsum(list(FIELDS.values()))[:-1], axis=1), strict=True))
-    for name in ("limits", "crossings"):
-        fields[name] = fields[name].view(np.int32)
-    fields["limit"] = fields["limit"].reshape(-1, 7, 4)
-    state, edge, occluders = np.zeros(count, np.uint8), np.zeros(count, bool), []
+    seen = download(session, buffers[0], (count, 4), np.int32)
+    if width == 1.0:
+        # What is left of it in records of whole pixels near the focus, as `pixel_tilt` of geometry.clh has it.
+        gradient = gradient * np.minimum(2.0 * np.abs(radius), 1.0)[:, None]
+    state, edge, blocked = np.zeros(count, np.uint8), np.zeros(count, bool), np.zeros((count, TAPS), bool)
+    expected = np.zeros((count, TAPS))
     for key in np.unique(chosen, axis=0):
         (k, own, root, _), at = key.tolist(), np.flatnonzero((chosen == key).all(axis=1))
-        rays, nothing = np.stack([given["x"][at], given["y"][at], np.ones(at.size)], axis=-1), np.zeros(at.size)
+        rays, nothing = np.stack([points["x"][at], points["y"][at], np.ones(at.size)], axis=-1), np.zeros(at.size)
         state[at], edge[at], visibility = check_visibility(
             LENS, placed[k : k + 1], [cutting_bounds(items[k])], OcclusionGroup(1, 1, 0 if own else -1, root),
-            point_spread(psf),
-            Points(rays, given["w"][at], given["radius"][at], nothing, nothing, width, gradient[at]),
+            point_spread(psf), Points(rays, points["w"][at], radius[at], nothing, nothing, width, gradient[at]),
         )  # fmt: skip
-        occluders += [
-            (at[visibility.row >= 0], occluder) for _, occluder in visibility.occluders if (visibility.row >= 0).any()
-        ]
-    return Met(
-        found[:, 0], found[:, 1] != 0, found[:, 2] != 0, found[:, 3], rims[:, :3], fields, state, edge, occluders
-    )  # fmt: skip
+        expected[at] = state[at, None] == CLEAR
+        partly = at[visibility.row >= 0]
+        for tap in range(TAPS):
+            expected[partly, tap] = free_share(visibility, *taps[partly, tap].T.astype(np.float64))
+        ends = lens_points(LENS, cells[at, None], taps[at, :, 0], taps[at, :, 1])
+        item, pose = surfaces[k]
+        blocked[at] = crossings(item, pose, (rays / points["w"][at, None])[:, None], ends)
+    share = download(session, buffers[1], (count, TAPS), np.float32)
+    return Met(seen[:, 0], seen[:, 1] != 0, seen[:, 2] != 0, seen[:, 3], share, state, edge, expected, blocked)
 
 
-def conditions(occluder: Occluder) -> tuple[Array, Array]:
-    """Number of conditions that are left (N,), and the conditions (N, 7, 4), 0 where there are none."""
-    points = occluder.f0.size
-    count, limits = np.zeros(points, np.int64), np.zeros((points, 7, 4))
-    for k, limit in enumerate(occluder.limits):
-        kept = occluder.needed[k] & np.isfinite(limit[:, 0])
-        limits[kept, count[kept], : limit.shape[1]] = limit[kept]
-        count += kept
-    return count, limits
-
-
-def assert_close(found: Array, expected: Array, limit: float, least: float = 1e-30) -> None:
-    np.testing.assert_allclose(found, expected.reshape(found.shape), rtol=limit, atol=least)
-
-
-def assert_same_occluders(met: Met, limit: float = FLOAT) -> None:
-    """Every number of what is left to be tested for taps."""
-    others = 0
-    for at, occluder in met.occluders:
-        found = {name: values[at] for name, values in met.fields.items()}
-        count, limits = conditions(occluder)
-        there = met.state[at] == PARTLY
-        same = there & (count == found["limits"][:, 0])
-        others += int(np.count_nonzero(there & ~same))
-        used = same[:, None] & (np.arange(7) < count[:, None])
-        # Those of a plane are differences of floats, of up to some hundred widths of the edge.
-        parts, least = (4, 1e-30) if occluder.crossings.any() else (3, 5e-5)
-        assert_close(found["limit"][used, :parts], limits[used, :parts], limit, least)
-        twice, bound = there & (occluder.crossings == 2), same & (count > 0) & (occluder.crossings > 0)
-        for name in ("h", "root", "f"):
-            assert_close(found[name][twice], getattr(occluder, name)[twice], limit)
-        for name in ("crossings", "b", "f0", "c", "d", "soft"):
-            assert_close(found[name][bound], getattr(occluder, name)[bound], limit)
-    assert others <= UNSURE * met.state.size
+def some_taps(points: int, rim: Array) -> NDArray[np.float32]:
+    """Taps (points, TAPS, 2), right and down, within the rim (points,) of the lens."""
+    rng = np.random.default_rng(3)
+    turn, away = rng.uniform(0, 2 * np.pi, (points, TAPS)), rim[:, None] * np.sqrt(rng.random((points, TAPS)))
+    return np.stack([away * np.cos(turn), away * np.sin(turn)], axis=-1).astype(np.float32)
 
 
 @pytest.mark.parametrize(("psf", "gather"), [(PILLBOX, 1), (GAUSSIAN, 0)], ids=["vectors", "gaussian"])
 def test_any_surface_before_any_point(session: Session, run_source: Runner, psf: Psf, gather: int) -> None:
-    """Surfaces hide wide lenses and narrow ones as the twin says, in every number that is kept of them."""
+    """Surfaces hide wide lenses and narrow ones, tap by tap, as the twin says, and where their edges do not go over the
+    taps, as plain lines."""
     rng, width = np.random.default_rng(7), 1.0 if gather else 0.25
     surfaces = some_surfaces(rng, 128)
-    given = some_points(rng, surfaces, 40)
-    met = meet(session, run_source, surfaces, given, psf, width, gather)
+    points = some_points(rng, surfaces, 40)
+    met = meet(session, run_source, surfaces, points, psf, width, gather)
     assert min((met.state == state).mean() for state in (CLEAR, PARTLY, HIDDEN)) > 0.1
     other = met.state != met.expected_state
     assert other.mean() <= UNSURE
@@ -252,19 +222,20 @@ def test_any_surface_before_any_point(session: Session, run_source: Runner, psf:
     assert (met.edge == met.expected_edge).all()
     assert met.edge.mean() > 0.1
     assert (met.count == (met.state == PARTLY)).all()
-    across = np.abs(given["radius"]) * point_spread(psf).extent
-    assert (met.wide == (across >= 3.2)).all()
-    rim = np.maximum(across, 1.0)
-    assert_close(met.rims, np.stack([rim / 2, 0.5 / rim, 1 / (3 * rim)], axis=-1), FLOAT)
-    assert_same_occluders(met)
-    # Twice what a root that is bent as it is at the source leaves of a chord over all taps of a vector, and 1.
-    twice = np.concatenate([at[(occluder.crossings == 2) & (occluder.root > 1e-20)] for at, occluder in met.occluders])
-    twice = twice[met.state[twice] == PARTLY]
-    found = {name: met.fields[name][twice].astype(np.float64) for name in ("root", "f", "slack", "rim")}
-    root = found["root"][:, 0]
-    bend = np.abs(found["f"][:, 2:]).sum(axis=1) + (found["f"][:, :2] ** 2).sum(axis=1) / (4 * root**2)
-    assert_close(found["slack"][:, 0], 2 * bend / root * (64 if gather else 1) / 4, 5 * FLOAT)
-    assert (found["rim"] == 1).all()
+    assert (met.wide == (np.abs(points["radius"]) * point_spread(psf).extent >= WIDE_LENS)).all()
+    error = np.abs(met.share - met.expected)[~other & (met.state == PARTLY)]
+    # h has terms of up to some ten widths of the edge, each rounded to 6e-8 of that, and the step is up to 1.5 times as
+    # steep.
+    assert np.quantile(error, 0.99) < 1e-5
+    assert error.max() < 3e-4
+    assert error.size > 20000
+    assert ((met.share > 0.1) & (met.share < 0.9)).sum() > 1500
+    through = np.array([passes_lens(LENS, *one, point_spread(psf).extent) for one in surfaces])
+    plain = ~points["own"] & ~through[points["surface"]] & (points["w"] != 1 / 128)  # which are on the last surface
+    decided = plain[:, None] & ((met.share < 1e-6) | (met.share > 1 - 1e-6))
+    assert decided.sum() > 40000
+    assert 0.2 < met.blocked[decided].mean() < 0.5
+    np.testing.assert_array_equal((met.share < 0.5)[decided], met.blocked[decided])
 
 
 def test_near_bounds_in_single_precision(session: Session, run_source: Runner) -> None:
@@ -283,15 +254,11 @@ def test_near_bounds_in_single_precision(session: Session, run_source: Runner) -
         behind = corner + np.array([0.0, 0.0, 0.05]) + rng.uniform(-0.02, 0.02, (points, 3))
         spots.append(behind + place(item, pose).rest + pose.shift)
     at, none = np.concatenate(spots), np.zeros(2 * points, np.int64)
-    given = {"surface": np.repeat([0, 1], points), "own": none, "root": none, "radius": rng.uniform(5, 9, 2 * points)}
-    given |= {"x": at[:, 0] / at[:, 2], "y": at[:, 1] / at[:, 2], "w": 1 / at[:, 2]}
-    met = meet(session, run_source, surfaces, given, width=0.25, real="float")
+    near = {"surface": np.repeat([0, 1], points), "own": none, "root": none, "radius": rng.uniform(5, 9, 2 * points)}
+    near |= {"x": at[:, 0] / at[:, 2], "y": at[:, 1] / at[:, 2], "w": 1 / at[:, 2]}
+    met = meet(session, run_source, surfaces, near, width=0.25, real="float")
     assert (met.state == PARTLY).all()
     assert (met.expected_state == PARTLY).all()
-    for points_of, occluder in met.occluders:
-        count, limits = conditions(occluder)
-        used = np.arange(7) < count[:, None]  # others are met all over the lens
-        assert 2 < count.mean() <= 3
-        assert (met.fields["limits"][points_of, 0] == count).all()
-        # Of a step 0.1 mm wide; of 180 mm, or of 35 mm, a float leaves 1e-4 of it, or 2e-5.
-        assert_close(met.fields["limit"][points_of][used, :3], limits[used, :3], FLOAT, 2e-3)
+    # Of a step 0.1 mm wide; of 180 mm, or of 35 mm, a float leaves 1e-4 of it, or 2e-5.
+    np.testing.assert_allclose(met.share, met.expected, rtol=0, atol=3e-3)
+    assert ((met.expected > 0.1) & (met.expected < 0.9)).mean() > 0.1

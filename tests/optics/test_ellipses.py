@@ -22,7 +22,8 @@ def turned(ratio: float, angle: float) -> NDArray[np.float64]:
     return np.array([form[0, 0], form[0, 1], form[1, 1]])
 
 
-@pytest.mark.parametrize(("radius", "limit"), [(2.0, 1.5e-3), (4.0, 1.5e-3), (10.0, 1.1e-3), (20.0, 1e-3)])
+# Chords crowd to both ends of a column, as those of small lenses begin and end in one, where large ones have one end.
+@pytest.mark.parametrize(("radius", "limit"), [(2.0, 1.3e-3), (4.0, 1.5e-3), (10.0, 1.1e-3), (20.0, 9.5e-4)])
 def test_a_disc_has_the_weights_of_the_circle(radius: float, limit: float) -> None:
     size: Any = np.asarray(radius)
     found = chord_weights(X, X[:, None], size)
@@ -43,7 +44,7 @@ def test_second_moments(radius: float, limit: float, angle: float) -> None:
     )
 
 
-@pytest.mark.parametrize(("radius", "limit"), [(0.05, 3e-4), (0.5, 5e-4), (1.3, 6e-4), (6.0, 8e-4)])
+@pytest.mark.parametrize(("radius", "limit"), [(0.05, 3e-5), (0.5, 1e-4), (1.3, 6e-4), (6.0, 5e-4)])
 def test_against_the_integral(radius: float, limit: float) -> None:
     """Points of the ellipse, each with the tent of both pixels, at any radius."""
     shape, step = turned(1.25, 0.4), max(radius / 600.0, 2e-4)
@@ -56,7 +57,7 @@ def test_against_the_integral(radius: float, limit: float) -> None:
     assert np.abs(found - exact).sum() < limit
 
 
-@pytest.mark.parametrize(("radius", "limit"), [(0.3, 1.3e-2), (1.3, 5e-3), (6.0, 4e-3)])
+@pytest.mark.parametrize(("radius", "limit"), [(0.3, 1.2e-2), (1.3, 4.5e-3), (6.0, 1.3e-3)])
 def test_points_against_the_integral(radius: float, limit: float) -> None:
     """Points of the ellipse, each in the pixel that it is in, off the source that is not in the middle of its own."""
     shape = turned(1.25, 0.4)

@@ -116,7 +116,8 @@ def test_parts_of_a_pixel_see_the_lens_as_its_middle(monkeypatch: pytest.MonkeyP
     (apart,) = reference.render(wanted)
     change = np.abs(shared.color - apart.color)
     assert 1e-4 < change.max() < 2e-3
-    assert np.sqrt(np.mean(np.square(change))) < 4e-4
+    # Each looks at cells of the lens as wide as they are: a shift shows more than over whole pixels, which have 2e-4.
+    assert np.sqrt(np.mean(np.square(change))) < 3.3e-4
 
 
 @pytest.mark.slow

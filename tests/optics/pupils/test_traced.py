@@ -30,7 +30,8 @@ def moments(weights: Array) -> tuple[float, float, float, float]:
     return x, y, float(across @ (SPAN - x) ** 2), float(down @ (SPAN - y) ** 2)
 
 
-@pytest.mark.parametrize(("radius", "most"), [(0.6, 6e-5), (2.5, 2e-4), (10.0, 2e-4), (20.0, 1.5e-4)])
+# 224 rays per radius of the largest, as its cells are as coarse; 320 would have 6e-5, and take twice as long.
+@pytest.mark.parametrize(("radius", "most"), [(0.6, 6e-5), (2.5, 1.5e-4), (10.0, 1e-4), (20.0, 1.5e-4)])
 def test_field_curvature_is_the_disc_of_another_radius(radius: float, most: float) -> None:
     """Half of R by 2 grad (R / 8 |l|^2)."""
     found = weights_of(Wavefront(bend=(0.125 * radius, 0.0, 0.125 * radius)), 0.5 * radius)
@@ -106,7 +107,7 @@ def test_all_light_arrives(tent: bool) -> None:
             lens.rows(radii, SPAN - 0.25, SPAN + 0.25, tent=False) if not tent else lens.rows(radii, SPAN, SPAN, tent)
         )
         assert found.sum(axis=(1, 2)) == pytest.approx(1.0, abs=2e-3 if not tent else 1e-6)
-        assert found.min() > -1e-5  # between nodes a cubic may be below 0
+        assert found.min() > -1e-5  # of cubics between nodes, of rays bent so far 1/4 px apart; at 1/8 px -2e-7
 
 
 def test_single_weights_are_those_of_rows() -> None:
