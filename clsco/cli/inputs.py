@@ -71,7 +71,7 @@ def report_scenes(path: Path, labels: Sequence[str], prepared: Sequence[Prepared
 
     for line in stretched(each.scene for each in prepared):
         echo(f"{click.format_filename(path)}: {line}", err=True)
-    known, told = set["Scene"](), set[str]()
+    known, said = set["Scene"](), set[str]()
     for label, each in zip(labels, prepared, strict=True):
         alike = without_lens(each.scene)
         lines = [] if alike in known else sight_notes(each.plans)
@@ -79,8 +79,8 @@ def report_scenes(path: Path, labels: Sequence[str], prepared: Sequence[Prepared
         if close and (note := close_focus_note(each.scene.camera)) is not None:
             lines.append(note)
             close = False
-        for line in (line for line in lines if line not in told):
-            told.add(line)
+        for line in (line for line in lines if line not in said):
+            said.add(line)
             where = f" (with {label})" if label else ""
             echo(f"{click.format_filename(path)}{where}: {line}", err=True)
 
@@ -105,8 +105,8 @@ def _report_images(prepared: Prepared) -> None:
     if prepared.color.is_plain:
         for image, color in prepared.colors.items():
             if not color.is_plain and not prepared.files.about(image).is_gray:
-                taken = "converted to it" if color.converts(prepared.scene.image.transfer) else "taken as such"
-                echo(f"{image}: frames are in sRGB, and colors of the profile {color.name} are {taken}", err=True)
+                handled = "converted to it" if color.converts(prepared.scene.image.transfer) else "taken as such"
+                echo(f"{image}: frames are in sRGB, and colors of the profile {color.name} are {handled}", err=True)
 
 
 def _report_depth(prepared: Prepared, item: DepthMap) -> None:

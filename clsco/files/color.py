@@ -83,9 +83,9 @@ class Color:
         """Matrix (3, 3) from its linear red, green and blue to those of sRGB; None where there is none."""
         return None if self.chromaticities is None else chromaticities_to_srgb(self.chromaticities)
 
-    def converts(self, wanted: str) -> bool:
+    def converts(self, transfer: str) -> bool:
         """True where images get the primaries of sRGB: not codes that a scene takes as "linear" by all means."""
-        return self.to_srgb is not None and (wanted == "srgb" or not (self.icc or self.chunks))
+        return self.to_srgb is not None and (transfer == "srgb" or not (self.icc or self.chunks))
 
     @property
     def size(self) -> int:

@@ -77,5 +77,5 @@ def colorants(chromaticities: Sequence[float] | Matrix) -> Matrix | None:
     white, columns = white_of((x[0], y[0])), np.stack([x, y, 1 - x - y])[:, 1:]  # y of a primary may be below 0
     if np.linalg.cond(columns) > 1e6 or (_BRADFORD @ white <= 0).any():
         return None
-    found: Matrix = adaptation(white) @ (columns * np.linalg.solve(columns, white))
-    return found
+    matrix: Matrix = adaptation(white) @ (columns * np.linalg.solve(columns, white))
+    return matrix

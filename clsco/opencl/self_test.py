@@ -103,9 +103,9 @@ def require_right_arguments(session: Session) -> None:
 
 
 def _checked(session: Session, probe: _Probe) -> Check:
-    got, wanted = _ran(session, probe), probe.expected(np.arange(64, dtype=np.int64))
-    wrong = np.flatnonzero(got != wanted)
-    detail = f"work-item {wrong[0]}: must be {wanted[wrong[0]]}; got {got[wrong[0]]}" if wrong.size else ""
+    got, expected = _ran(session, probe), probe.expected(np.arange(64, dtype=np.int64))
+    wrong = np.flatnonzero(got != expected)
+    detail = f"work-item {wrong[0]}: must be {expected[wrong[0]]}; got {got[wrong[0]]}" if wrong.size else ""
     return Check(probe.name, not wrong.size, detail)
 
 

@@ -120,17 +120,17 @@ def _inverse_depths(scene: Scene, samples: Sequence[Sample], maps: Maps, guard: 
 
 def _between_rays(surface: PlacedSurface, x: Array, y: Array) -> Array:
     """Inverse depths (GRID, GRID) of a surface at rays beside it, as it is between them; 0 where it is not."""
-    found, (right, up, depth, radius) = np.zeros(x.shape), surface.ball.tolist()
+    inverse, (right, up, depth, radius) = np.zeros(x.shape), surface.ball.tolist()
     aside = np.maximum(*(np.abs(slope - place / depth) for slope, place in ((x, right), (y, up)))) if depth > 0 else x
     spacing = max(x[0, 1] - x[0, 0], abs(y[1, 0] - y[0, 0]))
     if depth > radius:
-        found[aside <= spacing + radius / depth] = 1.0 / depth
+        inverse[aside <= spacing + radius / depth] = 1.0 / depth
     elif surface.width < 0.0 and surface.constant != 0.0:  # 0: it passes through the middle of the lens
         off, _ = outline_lines(surface, x, y)
         gradient = (surface.canonical.q * surface.offset + surface.canonical.l) @ surface.turn
         w = -(gradient[0] * x + gradient[1] * y + gradient[2]) / surface.constant
-        found = np.where((off <= spacing) & (w > 0.0), w, 0.0)
-    return found
+        inverse = np.where((off <= spacing) & (w > 0.0), w, 0.0)
+    return inverse
 
 
 def _kept_depths(scene: Scene, eye: Eye, guard: int) -> Array:

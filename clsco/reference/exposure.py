@@ -82,7 +82,7 @@ def least_samples(scene: Scene, maps: Sequence[Array | None], eye: Eye, index: i
     times = (begin + length * np.linspace(0.0, 1.0, STEPS + 1)).tolist()
     jumps = np.searchsorted(times, jump_times(scene, index)) - 1  # steps that are no ways
     cameras, poses = [camera_at(scene, t) for t in times], [poses_at(scene, t, eye) for t in times]
-    lenses, line, wanted = [lenses_at(scene, t) for t in times], sequence.shutter / length, 0.0
+    lenses, line, needed = [lenses_at(scene, t) for t in times], sequence.shutter / length, 0.0
     for k, item in enumerate(scene.objects):
         center = rest_center(item)
         for look in LOOKS:
@@ -103,12 +103,12 @@ def least_samples(scene: Scene, maps: Sequence[Array | None], eye: Eye, index: i
             if sequence.sampling == "midpoint":
                 blur = np.maximum(radii.min(axis=0), NEAREST)
                 way = np.minimum(way, np.sqrt(CHORD * way / (24.0 * blur * EDGE_ERROR)))
-            wanted = max(wanted, float(way.max(initial=0.0)))
+            needed = max(needed, float(way.max(initial=0.0)))
             if scene.lens_moves:
                 changes = np.abs(np.diff([_radii(each, rays, w) for each in lenses], axis=0))
                 changes[jumps] = 0.0
-                wanted = max(wanted, line * float(changes.sum(axis=0).max(initial=0.0)))
-    return min(max(MEASURED * wanted, 1.0), MOST)
+                needed = max(needed, line * float(changes.sum(axis=0).max(initial=0.0)))
+    return min(max(MEASURED * needed, 1.0), MOST)
 
 
 def _seen_points(camera: Camera, item: Object, pose: Pose, depth: Array | None, guard: int) -> tuple[Array, Array]:

@@ -46,15 +46,15 @@ from clsco.scene.model import Scene
 def run(plan: ReferencePlan, textures: tuple[Texture, ...], time: float) -> Mapping[str, Any]:
     """The blurred "plane" (m, n, C) of a view at a time, s; besides, of depth maps and moved pixels "counts" of the
     filling and the pixels that are "missing", and the number of "depth_layers"."""
-    found: dict[str, Any] = {}
+    outputs: dict[str, Any] = {}
     planes: list[Array] = []
     for one in plan.apart:
         shown = tuple(_of_color(texture, one.only) for texture in textures)
-        found |= {"plane": _plane_of_rays(one, shown, time)} if one.by_rays else _plane_of_image(one, shown, time)
-        planes.append(found["plane"])
+        outputs |= {"plane": _plane_of_rays(one, shown, time)} if one.by_rays else _plane_of_image(one, shown, time)
+        planes.append(outputs["plane"])
     lens, lit = plan.scene.lens, np.concatenate(planes, axis=-1)
     darkened = throughput(camera_at(plan.scene, time), lens.vignetting if lens else "none")
-    return found | {"plane": lit * darkened[..., None]}
+    return outputs | {"plane": lit * darkened[..., None]}
 
 
 def _view(plan: ReferencePlan, textures: tuple[Texture, ...], time: float) -> View:
@@ -84,27 +84,27 @@ def _plane_of_rays(plan: ReferencePlan, textures: tuple[Texture, ...], time: flo
 def _plane_of_image(plan: ReferencePlan, textures: tuple[Texture, ...], time: float) -> dict[str, Any]:
     """Blurred image of moved pixels, a depth map, or a pinhole image in depth layers, as `run` has it."""
     guard, needed = 0, plan.claimed[1]
-    found: dict[str, Any] = {}
-    while guard < needed or not found:
+    outputs: dict[str, Any] = {}
+    while guard < needed or not outputs:
         guard = needed
         if plan.static_map or plan.forward:
             warped = warped_image(plan.scene, textures, plan.maps, guard, time, plan.eye, plan.only)
             image, missing = warped.sources, crop(warped.status, guard) > 0
-            found = {"counts": asdict(warped.report)} | ({} if plan.static_map else {"missing": missing})
+            outputs = {"counts": asdict(warped.report)} | ({} if plan.static_map else {"missing": missing})
         else:
-            image, found = trace(_view(plan, textures, time), everything(plan.scene), guard), {"counts": {}}
+            image, outputs = trace(_view(plan, textures, time), everything(plan.scene), guard), {"counts": {}}
         largest = float(np.abs(crop(image.radius, guard)).max())
         needed = plan.psf.reach(largest) if plan.scene.psf.border == "lose" else 0
     if plan.occlusion != "layered":
         image = replace(image, gradient=prepare_sources(image.radius, image.lit))
         image = _behind_rims(plan, time, guard, image) if plan.psf.rims else image
-        return found | {"plane": scatter(plan.spec, image, None, plan.shape, guard)}
+        return outputs | {"plane": scatter(plan.spec, image, None, plan.shape, guard)}
     spec = replace(plan.spec, largest=max(plan.spec.largest, float(np.abs(image.radius).max())))
     labels, deep = cluster(spec, image.radius, image.lit)
     rims = (partial(_behind_rims, plan, time, guard), _open_share(plan, time)) if plan.psf.rims else None
-    given = image.radiance, image.radius, labels, plan.shape, guard, deep
-    plane, count = spread_depth_layers(spec, *given, rims)
-    return found | {"plane": plane, "depth_layers": count}
+    pixels = image.radiance, image.radius, labels, plan.shape, guard, deep
+    plane, count = spread_depth_layers(spec, *pixels, rims)
+    return outputs | {"plane": plane, "depth_layers": count}
 
 
 def _behind_rims(plan: ReferencePlan, time: float, guard: int, known: Sources) -> Sources:
@@ -133,14 +133,14 @@ def _open_share(plan: ReferencePlan, time: float) -> Array:
     w = blur_radius(lens, rays, none) / along_rays(lens, rays).blur_scale
     points = Points(rays, w, none, none, none, 1.0, np.zeros((len(rays), 2)))
     state, _, seen = check_visibility(lens, (), (), NO_GROUP, plan.psf, points)
-    found, partly, cells = np.where(state == HIDDEN, 0.0, 1.0), state == PARTLY, plan.psf.lens_cells()
+    share, partly, cells = np.where(state == HIDDEN, 0.0, 1.0), state == PARTLY, plan.psf.lens_cells()
     if seen.by_chords:
         zero, one = np.zeros(1), np.ones(1)
         whole = chord_weights(zero, zero, LEAST_OPENING * one, rims=((zero, zero, one),))
-        found[partly] = cut_weights(seen, none[partly], 0.0, 0.0, False) / whole
+        share[partly] = cut_weights(seen, none[partly], 0.0, 0.0, False) / whole
     else:
         at_cells = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS
-        found[partly] = (
+        share[partly] = (
             sum(
                 cells[i, j] * rim_share(seen, none[partly] + x, none[partly] + y)
                 for i, y in enumerate(at_cells)
@@ -148,7 +148,7 @@ def _open_share(plan: ReferencePlan, time: float) -> Array:
             )
             / cells.sum()
         )
-    return found.reshape(plan.shape)
+    return share.reshape(plan.shape)
 
 
 def _of_color(texture: Texture, color: int | None) -> Texture:

@@ -121,13 +121,13 @@ class ReferencePlan:
         if self.occlusion != "visibility":
             return (everything(self.scene),)
         others = [(1 << len(items)) - 1 - (1 << k) for k in range(len(items))]
-        found = []
+        groups = []
         for k, item in enumerate(items):
             if _hollow(item):
-                found += [OcclusionGroup(1 << k, others[k] | 1 << k, k, root) for root in (1, 2)]
+                groups += [OcclusionGroup(1 << k, others[k] | 1 << k, k, root) for root in (1, 2)]
             else:
-                found.append(OcclusionGroup(1 << k, others[k]))
-        return tuple(found)
+                groups.append(OcclusionGroup(1 << k, others[k]))
+        return tuple(groups)
 
     @property
     def spec(self) -> BlurSpec:
@@ -177,9 +177,9 @@ def silhouettes_of(view: View, group: OcclusionGroup, guard: int, label: NDArray
     places = (np.arange(CASTS) + 0.5) / CASTS - 0.5
     for below, right in ((y, x) for y in places for x in places):
         rays = pixel_ray(view.scene.camera, row + below, column + right)
-        _, found, _ = nearest_surface(view.surfaces, bounds, group, rays)
-        for one in np.unique(found[found != center]).tolist():
-            missed |= (found == one) & ~_near(center == one)
+        _, seen, _ = nearest_surface(view.surfaces, bounds, group, rays)
+        for one in np.unique(seen[seen != center]).tolist():
+            missed |= (seen == one) & ~_near(center == one)
     return mark_silhouettes(label) | _near(missed)
 
 

@@ -92,13 +92,13 @@ def _frame(plan: ReferencePlan, textures: tuple[Texture, ...], index: int, subfr
     missing, alone = np.zeros(plan.shape, dtype=bool), []
     least = least_samples(scene, maps, plan.eye, index, guard)
     for time, weights in zip(*exposure_of(scene, index, plan.claimed[0], least), strict=True):
-        found = run(plan, textures, float(time))
-        color = color + (weights if scene.sequence.by_columns else weights[:, None])[..., None] * found["plane"]
-        missing = missing | found.get("missing", False)
+        outputs = run(plan, textures, float(time))
+        color = color + (weights if scene.sequence.by_columns else weights[:, None])[..., None] * outputs["plane"]
+        missing = missing | outputs.get("missing", False)
         if subframes:
-            alone.append(_without_channel(found["plane"]))
-        report = found.get("counts") or asdict(FillReport())
-        report |= {name: found[name] for name in ("depth_layers",) if name in found}
+            alone.append(_without_channel(outputs["plane"]))
+        report = outputs.get("counts") or asdict(FillReport())
+        report |= {name: outputs[name] for name in ("depth_layers",) if name in outputs}
         samples.append({"time": float(time), "weight": float(weights.mean()), **report})
     arrays = _truth(plan, textures, index) | {"filled": np.zeros(color.shape[:2], dtype=np.uint8)}
     if plan.forward or plan.static_map:
@@ -128,9 +128,9 @@ def _truth(plan: ReferencePlan, textures: tuple[Texture, ...], index: int) -> di
     if not scene.is_analytic:
         return {}
     made = line_truth if scene.rolls else ground_truth
-    found = vars(made(scene, textures, index, plan.eye))
+    arrays = vars(made(scene, textures, index, plan.eye))
     others = (*(() if scene.moves else MOTION_NAMES), *(() if scene.has_mapped_textures else MAPPING_NAMES))
-    return {name: array for name, array in found.items() if name not in others}
+    return {name: array for name, array in arrays.items() if name not in others}
 
 
 def _depth(sources: Sources) -> Array:

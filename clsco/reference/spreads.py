@@ -178,14 +178,14 @@ def behind_rims(
         np.zeros((count, 2)),
     )  # fmt: skip
     state, _, visibility = check_visibility(lens, (), (), NO_GROUP, spread, points)
-    found = np.where(state == HIDDEN, 0.0, 1.0)[:, None, None] * weights.reshape(count, size, size)
+    passed = np.where(state == HIDDEN, 0.0, 1.0)[:, None, None] * weights.reshape(count, size, size)
     if (partly := state == PARTLY).any():
         cells = cell_visibility(visibility)
         for row, column in np.ndindex(size, size):
-            dx, dy, own = column - reach, row - reach, found[partly, row, column]
+            dx, dy, own = column - reach, row - reach, passed[partly, row, column]
             own = cut_weights(visibility, own, dx, dy, spread.edge == "area")
-            found[partly, row, column] = own * tap_share(visibility, cells, dx, dy)
-    return found.reshape(*radius.shape, size, size).astype(np.float32)
+            passed[partly, row, column] = own * tap_share(visibility, cells, dx, dy)
+    return passed.reshape(*radius.shape, size, size).astype(np.float32)
 
 
 def _middle(camera: Camera) -> Array:

@@ -70,9 +70,9 @@ def test_check_agrees(ball: Path, tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     rows = [line.split() for line in result.output.splitlines()]
     for name in ("color", *TRUTH_NAMES, *MOTION_NAMES):
-        found = [row for row in rows if row[:1] == [name]]
-        assert len(found) == 2
-        assert all(row[-2] == "0" for row in found)  # pixels above the figure
+        named = [row for row in rows if row[:1] == [name]]
+        assert len(named) == 2
+        assert all(row[-2] == "0" for row in named)  # pixels above the figure
     assert result.output.count("reference: ") == 2
     assert result.output.count("Pixels against rays") == 2
     views = json.loads(report.read_text())["views"]

@@ -143,8 +143,8 @@ def test_profiles_without_a_matrix_are_taken_as_such(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     no_curves = "the color profile without a name has no curves: codes are taken as sRGB's"
     line = "frames are in sRGB, and colors of the profile without a name are taken as such"
-    told = f"{tmp_path / 'a.png'}: {no_curves}\n{tmp_path / 'a.png'}: {line}\n"  # gray has no colors
-    assert result.stderr.endswith(told)
+    notes = f"{tmp_path / 'a.png'}: {no_curves}\n{tmp_path / 'a.png'}: {line}\n"  # gray has no colors
+    assert result.stderr.endswith(notes)
     np.testing.assert_array_equal(read_image(tmp_path / "out" / "frame_0000.png").data, PHOTO)
 
 
@@ -281,9 +281,9 @@ def test_chromaticities_of_an_exr_come_out_of_every_writer(tmp_path: Path, name:
         if path.endswith("tif"):
             with TiffFile(tmp_path / path) as tiff:
                 assert tiff.pages[0].iccprofile == icc  # type: ignore[union-attr]
-        wanted = np.clip(RADIANCE.astype(np.float64) @ matrix.T, 0, 1)
+        converted = np.clip(RADIANCE.astype(np.float64) @ matrix.T, 0, 1)
         codes = np.rint(255 * RADIANCE if path.endswith("tif") else encode(RADIANCE, 8, "srgb")).astype(np.uint8)
-        off = np.abs(decode(by_littlecms(codes, icc), "srgb") - wanted)
+        off = np.abs(decode(by_littlecms(codes, icc), "srgb") - converted)
         assert off.max() < 0.04  # codes of 8 bits, times 1.7 or 2.5
         assert off.mean() < 0.005
         np.testing.assert_allclose(linear, RADIANCE, atol=1e-4)
@@ -299,8 +299,8 @@ def test_an_exr_beside_another_image_is_converted(tmp_path: Path, name: str, tra
     assert "frames are in sRGB, and colors of the profile of chromaticities 0.7" in result.stderr
     assert "are converted to it" in result.stderr
     np.testing.assert_allclose(chromaticities_in(tmp_path / "out/frame_0000.exr")[:2], (0.64, 0.33), atol=1e-6)
-    found = read_image(tmp_path / "out/frame_0000.exr").data
-    np.testing.assert_allclose(found, RADIANCE.astype(np.float64) @ by_hand(ACES[name]).T, atol=5e-4)
+    written = read_image(tmp_path / "out/frame_0000.exr").data
+    np.testing.assert_allclose(written, RADIANCE.astype(np.float64) @ by_hand(ACES[name]).T, atol=5e-4)
 
 
 def test_chromaticities_of_parts_and_those_that_are_none(tmp_path: Path) -> None:

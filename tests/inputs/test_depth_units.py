@@ -76,8 +76,8 @@ RANGE = {"near": 250.0, "far": 1000.0}
 def test_what_numbers_mean_after_scale_and_offset(
     unit: str, keys: dict[str, float], raw: Any, millimeters: list[float]
 ) -> None:
-    wanted = [0 if z == 0 else FARTHEST if z == INF else 1 / z for z in millimeters]
-    np.testing.assert_allclose(w_of(raw, unit, **keys), wanted, rtol=1e-14)
+    inverse = [0 if z == 0 else FARTHEST if z == INF else 1 / z for z in millimeters]
+    np.testing.assert_allclose(w_of(raw, unit, **keys), inverse, rtol=1e-14)
 
 
 def test_a_radius_of_the_other_sign_and_focus() -> None:
@@ -92,9 +92,9 @@ def test_numbers_of_the_other_sign_are_the_same_map(unit: str) -> None:
     raw = np.tile(step, (12, 1))
     raw[3:6, 2:5] = np.nan
     keys: dict[str, Any] = {"unit": unit, **({"baseline": BASELINE} if unit == "disparity" else {})}
-    found, other = map_of(raw, **keys), map_of(-raw, scale=-1.0, **keys)
-    np.testing.assert_array_equal(found.inverse_depth, other.inverse_depth)
-    assert found.report() == other.report() != ""
+    one, other = map_of(raw, **keys), map_of(-raw, scale=-1.0, **keys)
+    np.testing.assert_array_equal(one.inverse_depth, other.inverse_depth)
+    assert one.report() == other.report() != ""
 
 
 def test_the_page_of_depth_maps_lists_every_unit() -> None:

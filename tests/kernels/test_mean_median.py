@@ -281,7 +281,7 @@ def test_scores_of_codes_are_exact(session: Session, avx2: bool, monkeypatch: py
     """Columns fill segments; each writes its own sums only. On processors without AVX2 as well."""
     text = source_text.program_text
     if not avx2:
-        monkeypatch.setattr(source_text, "program_text", lambda *given: "#undef __AVX2__\n" + text(*given))
+        monkeypatch.setattr(source_text, "program_text", lambda *arguments: "#undef __AVX2__\n" + text(*arguments))
         monkeypatch.setattr(session, "programs", {})
     rng, rows, columns = np.random.default_rng(41), 4, 128
     image, missing = rng.integers(0, 256, (rows, columns, 1), np.uint8), rng.random((rows, columns)) < 0.02

@@ -253,8 +253,8 @@ def test_an_even_plane_is_as_bright_as_the_lens_is_open(diameter: float, share: 
     rims = {"rim": [{"distance": 16.0, "diameter": diameter}]}
     for distance, method in ((250.0, "gather"), (229.0, "gather"), (229.0, "scatter"), (246.0, "scatter")):
         plane = {"shape": "plane", "distance": distance, "texture": np.ones((8, 8), np.float32)}
-        wanted = scene_from({"camera": camera, "aperture": rims}, plane)
-        frame = clsco.render_frame(wanted, truth=(), method=method)
+        scene = scene_from({"camera": camera, "aperture": rims}, plane)
+        frame = clsco.render_frame(scene, truth=(), method=method)
         assert np.abs(frame.color[10:14, 10:14] - share).max() < 2e-4
 
 

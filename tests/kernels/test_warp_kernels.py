@@ -216,8 +216,8 @@ def test_of_equal_sources_the_first_wins(session: Session, make_case: Maker) -> 
     rng = np.random.default_rng(13)
     moved = rng.integers(1, 4, 200) * (1 / 250.0) * (1 + 1e-10 * rng.random(200))
     target = rng.integers(-1, 40, 200).astype(np.int32)
-    given = target.astype(np.int64), moved.astype(np.float32)
-    expected = narrow(reproject_winner(*given, reproject_depth(*given, 200)))
+    points = target.astype(np.int64), moved.astype(np.float32)
+    expected = narrow(reproject_winner(*points, reproject_depth(*points, 200)))
     best = reproject_depth(target.astype(np.int64), moved.astype(np.float32), 200)
     ties = sum(target[i] >= 0 and np.float32(moved[i]) == best[target[i]] for i in range(200))
     assert ties > (expected != NO_WINNER).sum() + 20

@@ -168,18 +168,18 @@ def test_self_test_reports_a_wrong_answer_and_a_failing_compiler(
 
 
 def intel() -> Device:
-    found = [device for device in list_devices()[0] if device.kind == "cpu" and device.platform == "Intel(R) OpenCL"]
-    if not found:
-        pytest.skip("Intel's runtime for processors is not installed")
-    return found[0]
+    for device in list_devices()[0]:
+        if device.kind == "cpu" and device.platform == "Intel(R) OpenCL":
+            return device
+    pytest.skip("Intel's runtime for processors is not installed")
 
 
 def test_the_self_test_finds_what_intels_compiler_does_to_vectors_of_3(monkeypatch: pytest.MonkeyPatch) -> None:
     device, begin = intel(), source_text.program_text
     assert [check for check in self_test(device) if not check.passed] == []
 
-    def without_hint(*given: Any) -> str:
-        return begin(*given).replace("#ifdef cl_intel_vec_len_hint", "#if 0")
+    def without_hint(*arguments: Any) -> str:
+        return begin(*arguments).replace("#ifdef cl_intel_vec_len_hint", "#if 0")
 
     monkeypatch.setattr(source_text, "program_text", without_hint)
     assert [check.name for check in self_test(device) if not check.passed] == ["vectors of 3 as arguments"]

@@ -40,8 +40,8 @@ def brute(radius: float, rims: Rims, count: int = 900) -> tuple[Array, Array]:
 @pytest.mark.parametrize("radius", [0.1, 1.0, 3.1, 3.3, 8.0])
 def test_against_brute_force(name: str, radius: float) -> None:
     x, exact = brute(radius, OPENINGS[name])
-    found = chord_weights(x, x[:, None], np.asarray(radius), rims=scaled(OPENINGS[name], radius))
-    assert np.abs(found - exact).sum() < 9e-4
+    weights = chord_weights(x, x[:, None], np.asarray(radius), rims=scaled(OPENINGS[name], radius))
+    assert np.abs(weights - exact).sum() < 9e-4
 
 
 @pytest.mark.parametrize("name", OPENINGS)

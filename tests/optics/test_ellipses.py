@@ -26,8 +26,8 @@ def turned(ratio: float, angle: float) -> NDArray[np.float64]:
 @pytest.mark.parametrize(("radius", "limit"), [(2.0, 1.3e-3), (4.0, 1.5e-3), (10.0, 1.1e-3), (20.0, 9.5e-4)])
 def test_a_disc_has_the_weights_of_the_circle(radius: float, limit: float) -> None:
     size: Any = np.asarray(radius)
-    found = chord_weights(X, X[:, None], size)
-    assert np.abs(found - Circle().share(X, X[:, None], size, tent=True)).sum() < limit
+    weights = chord_weights(X, X[:, None], size)
+    assert np.abs(weights - Circle().share(X, X[:, None], size, tent=True)).sum() < limit
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.3, 0.8, 2.0])
@@ -35,10 +35,10 @@ def test_a_disc_has_the_weights_of_the_circle(radius: float, limit: float) -> No
 def test_second_moments(radius: float, limit: float, angle: float) -> None:
     """R^2/4 times the inverse of the shape, and 1/6 of both pixels."""
     shape = turned(1.3, angle)
-    found = chord_weights(X, X[:, None], np.asarray(radius), shape)
+    weights = chord_weights(X, X[:, None], np.asarray(radius), shape)
     across = np.linalg.inv([[shape[0], shape[1]], [shape[1], shape[2]]]) * radius * radius / 4.0
-    moments = [(found * one).sum() for one in (X * X, X * X[:, None], (X * X)[:, None])]
-    assert found.sum() == pytest.approx(1.0, abs=0.2 * limit)
+    moments = [(weights * one).sum() for one in (X * X, X * X[:, None], (X * X)[:, None])]
+    assert weights.sum() == pytest.approx(1.0, abs=0.2 * limit)
     np.testing.assert_allclose(
         moments, [across[0, 0] + 1 / 6, across[0, 1], across[1, 1] + 1 / 6], rtol=0, atol=limit * radius**2
     )
@@ -53,8 +53,8 @@ def test_against_the_integral(radius: float, limit: float) -> None:
     offset = np.arange(-9.0, 10.0)
     tent = np.maximum(0.0, 1.0 - np.abs(at - offset[:, None]))
     exact = tent @ inside @ tent.T / inside.sum()
-    found = chord_weights(offset, offset[:, None], np.asarray(radius), shape)
-    assert np.abs(found - exact).sum() < limit
+    weights = chord_weights(offset, offset[:, None], np.asarray(radius), shape)
+    assert np.abs(weights - exact).sum() < limit
 
 
 @pytest.mark.parametrize(("radius", "limit"), [(0.3, 1.2e-2), (1.3, 4.5e-3), (6.0, 1.3e-3)])
@@ -66,9 +66,9 @@ def test_points_against_the_integral(radius: float, limit: float) -> None:
     offset = np.arange(-9.0, 10.0) + 0.3
     box = np.abs(at - offset[:, None]) < 0.5
     exact = box @ inside.astype(np.float64) @ box.T / inside.sum()
-    found = chord_weights(offset, offset[:, None], np.asarray(radius), shape, point=True)
-    assert np.abs(found - exact).sum() < limit
-    assert found.sum() == pytest.approx(1.0, abs=3e-5)
+    weights = chord_weights(offset, offset[:, None], np.asarray(radius), shape, point=True)
+    assert np.abs(weights - exact).sum() < limit
+    assert weights.sum() == pytest.approx(1.0, abs=3e-5)
 
 
 def test_the_way_to_the_disc_is_the_root_of_the_form() -> None:

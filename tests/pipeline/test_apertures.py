@@ -99,10 +99,10 @@ def test_a_rim_does_not_cut_what_lies_between_it_and_the_lens() -> None:
     card = {"shape": "rectangle", "center": [1.0, 0.5, 25.0], "size": [9.0, 7.0], "texture": "#ffffff"}
     near = {"camera": {"focus_distance": 60.0, "pixel_pitch": 0.2, "resolution": [48, 36]}, "object": [card]}
     behind = clsco.parse_scene({**near, "aperture": {"rim": [{"distance": 30.0, "diameter": 0.5}]}})
-    found, alone = (
+    image, alone = (
         clsco.render_frame(behind, truth=()).color,
         clsco.render_frame(clsco.parse_scene(near), truth=()).color,
     )
-    np.testing.assert_array_equal(found, alone)
+    np.testing.assert_array_equal(image, alone)
     (exact,) = clsco.reference.render(behind)
-    np.testing.assert_allclose(found, exact.color, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(image, exact.color, rtol=0, atol=1e-5)

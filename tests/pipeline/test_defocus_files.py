@@ -107,8 +107,8 @@ def test_depths_of_phones_networks_and_data_sets(
     assert result.exit_code == 0, result.output
     assert ("40 of 1280 pixels have no depth" in result.stderr) == (name[0] in "rkd")
     camera = Camera(focal_length=50, f_number=2, pixel_pitch=0.1, focus_distance=1500)
-    found = np.load(tmp_path / "out/frame_0000.npz")["coc"]
-    np.testing.assert_allclose(found, blur_radius(camera, INVERSE / 1000), atol=0.03)  # R -3 and 3 px
+    radii = np.load(tmp_path / "out/frame_0000.npz")["coc"]
+    np.testing.assert_allclose(radii, blur_radius(camera, INVERSE / 1000), atol=0.03)  # R -3 and 3 px
 
 
 def test_a_folder_gets_frames_and_a_file_the_same_image(wall: tuple[Path, Path], tmp_path: Path) -> None:

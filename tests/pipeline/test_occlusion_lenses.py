@@ -70,10 +70,10 @@ CASES: dict[str, tuple[float, float, bool, dict[str, Any], float]] = {
 def test_single_pixels(name: str) -> None:
     plane, card, textured, sections, most = CASES[name]
     scene, row, columns = scene_of(plane, card, textured, sections), SIZE // 2 - 2, np.arange(9, 25, 2)
-    found = np.asarray(clsco.render_frame(scene, 0).color)[row, columns]
+    pixels = np.asarray(clsco.render_frame(scene, truth=()).color)[row, columns]
     right = right_values(scene, textured, row, columns)
     assert np.ptp(right) > 0.4
-    assert np.abs(found.reshape(len(columns), -1).mean(axis=1) - right).max() < most
+    assert np.abs(pixels.reshape(len(columns), -1).mean(axis=1) - right).max() < most
 
 
 @pytest.mark.parametrize(("diameter", "period"), [(1.0, 6.3), (2.0, 9.3)])
@@ -85,10 +85,10 @@ def test_waves_at_the_focus(diameter: float, period: float) -> None:
         "texture_size": period * 0.125,
     }  # fmt: skip
     content = {"camera": {"resolution": [40, 40], **camera}, "psf": {"model": "wave"}, "object": [wall]}
-    found = np.asarray(clsco.render_frame(clsco.parse_scene(content), 0).color).reshape(40, 40)[8:-8, 8:-8]
+    image = np.asarray(clsco.render_frame(clsco.parse_scene(content), truth=()).color).reshape(40, 40)[8:-8, 8:-8]
     cycles = 2**0.5 / period * 550e-6 * 20.0 / diameter / 0.01
     transfer = 2 / np.pi * (np.arccos(cycles) - cycles * np.sqrt(1 - cycles**2)) * np.sinc(1 / period) ** 2
     phase = 2 * np.pi / period * (np.arange(8, 32) - 19.5)
     wave = np.sin(phase) * np.sin(-phase)[:, None]
-    amplitude = ((found - 0.5) * wave).sum() / (wave * wave).sum()
+    amplitude = ((image - 0.5) * wave).sum() / (wave * wave).sum()
     assert amplitude == pytest.approx(0.4 * transfer, rel=0.02)  # before: 14 and 4.5 % too small

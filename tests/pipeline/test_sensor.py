@@ -192,10 +192,10 @@ def test_what_exposures_share(pair: str) -> None:
     gain = (4095 - 64) / sensor.full_well
     light = float(one.arrays()["electrons"].mean())
     temporal, fixed = light + sensor.read_noise**2 + 1 / (12 * gain**2), (sensor.prnu * light) ** 2 + sensor.dsnu**2
-    wanted = 2 * (temporal * (not noise) + fixed * (not pattern))
+    variance = 2 * (temporal * (not noise) + fixed * (not pattern))
     difference = (one.arrays()["raw"].astype(float) - other.arrays()["raw"]) / gain
-    assert difference.var() == pytest.approx(wanted, rel=0.12)  # 4.7 standard errors of 3072 pixels
-    assert abs(difference.mean()) < 5 * np.sqrt(wanted / difference.size) + 1e-9
+    assert difference.var() == pytest.approx(variance, rel=0.12)  # 4.7 standard errors of 3072 pixels
+    assert abs(difference.mean()) < 5 * np.sqrt(variance / difference.size) + 1e-9
 
 
 @pytest.mark.parametrize(
@@ -227,8 +227,8 @@ def test_a_physical_exposure(changes: dict[str, Any], factor: float) -> None:
     assert ((frame["raw"].astype(float) - 64) / gain).mean() == pytest.approx(2000 * factor, rel=0.01)
     assert frame["color"].mean() == pytest.approx(0.2 * factor * (4.0 if "sensor.iso" in changes else 1.0), rel=0.01)
     if not any(key.startswith(("object", "sensor", "aperture")) for key in changes):
-        found = clsco.render_frame(scene.replace("sensor", {}), truth="electrons").arrays()["electrons"]
-        assert found.mean() == pytest.approx(2000, rel=1e-4)
+        electrons = clsco.render_frame(scene.replace("sensor", {}), truth="electrons").arrays()["electrons"]
+        assert electrons.mean() == pytest.approx(2000, rel=1e-4)
 
 
 def test_outputs_are_those_that_are_wanted() -> None:

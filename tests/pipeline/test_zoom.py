@@ -93,9 +93,9 @@ def test_textures_on_surfaces_look_as_through_a_camera_of_that_focal_length() ->
 
 def test_a_focus_that_is_pulled_breathes_where_sizes_are_those_on_the_sensor() -> None:
     wall = WALL | {"texture_mapping": "surface", "texture_size": [90.0, 70.0]}
-    wanted = scene(wall, lens=BREATHING, camera=BY_SENSOR, psf=PLAIN, sequence={"samples": 1, "interval": 1.0})
-    for index, frame in enumerate(rendered(wanted)):
-        (alone,) = rendered(still(wanted, index + 0.5).replace("sequence.frames", 1))
+    breathing = scene(wall, lens=BREATHING, camera=BY_SENSOR, psf=PLAIN, sequence={"samples": 1, "interval": 1.0})
+    for index, frame in enumerate(rendered(breathing)):
+        (alone,) = rendered(still(breathing, index + 0.5).replace("sequence.frames", 1))
         np.testing.assert_allclose(frame.color, alone.color, rtol=0, atol=1e-5)
     assert not scene(wall, lens=BREATHING, camera=BY_SENSOR | {"normalization_distance": 20.0}).zooms
 

@@ -43,14 +43,14 @@ SCENES: dict[str, tuple[dict[str, Any], list[str]]] = {
 
 @pytest.mark.parametrize("name", SCENES)
 def test_what_is_said_is_true(name: str) -> None:
-    given, wanted = SCENES[name]
-    scene = clsco.parse_scene({"camera": CAMERA} | given)
-    assert sight_notes(prepare(scene).plans) == wanted
+    tables, notes = SCENES[name]
+    scene = clsco.parse_scene({"camera": CAMERA} | tables)
+    assert sight_notes(prepare(scene).plans) == notes
     dark = [frame.index for frame in clsco.render(scene, truth=()) if not frame.color.any()]
-    if any(note == BACKS or note.endswith("all frames") for note in wanted):
+    if any(note == BACKS or note.endswith("all frames") for note in notes):
         assert dark == list(range(scene.sequence.frames))
     else:
-        assert [f"{BLACK}frame {index}" for index in dark] == [note for note in wanted if note.startswith(BLACK)]
+        assert [f"{BLACK}frame {index}" for index in dark] == [note for note in notes if note.startswith(BLACK)]
 
 
 @pytest.mark.parametrize(("distance", "percent"), [(100.0, "20"), (250.0, "8"), (999.0, "2"), (1001.0, None)])

@@ -100,9 +100,9 @@ class Traced(FourierDiffracted):
         parts, reach, count = self._sizes(number)
         rays = *lens_points(self.opening, count), *bends(self.opening, self.wavefront, count)
         middle, pitch = parts * reach, parts * self.extent / count
-        found, size = np.zeros((len(nodes), (2 * middle + 1) ** 2)), len(rays[0])
+        spots, size = np.zeros((len(nodes), (2 * middle + 1) ** 2)), len(rays[0])
         cell, shares = np.empty(size, np.int64), np.empty((4, size))
-        for cells, radius in zip(found, nodes.tolist(), strict=True):
+        for cells, radius in zip(spots, nodes.tolist(), strict=True):
             for begin in range(0, size, TOGETHER):
                 these = slice(begin, begin + TOGETHER)
                 x, y, light, bent_x, bent_y, xx, shear, yy = (each[these] for each in rays)
@@ -118,7 +118,7 @@ class Traced(FourierDiffracted):
                 )
             for step, share in zip((0, 1, 2 * middle + 1, 2 * middle + 2), shares, strict=True):
                 cells[step:] += np.bincount(cell, share, len(cells))[: len(cells) - step]
-        return found.reshape(len(nodes), 2 * middle + 1, 2 * middle + 1)
+        return spots.reshape(len(nodes), 2 * middle + 1, 2 * middle + 1)
 
     def _sizes(self, number: int) -> tuple[int, int, int]:
         """Cells per px and reach in px of the spots of a panel, and rays per radius of the lens."""

@@ -158,12 +158,12 @@ def _shares(
                 share = share * tilt_factor(*within_rim(spec.psf, dx, dy, signed[source]), slope[source])
             for hidden, visibility, cells in groups:
                 at_source = np.minimum(np.searchsorted(source, hidden), source.size - 1)
-                found = source[at_source] == hidden
-                if found.any():
-                    here, point = at_source[found], spec.psf.edge == "area"
+                matches = source[at_source] == hidden
+                if matches.any():
+                    here, point = at_source[matches], spec.psf.edge == "area"
                     own = weight[hidden]
-                    share[here] *= (cut_weights(visibility, own, dx, dy, point)[found]) / own[found]
-                    share[here] *= tap_share(visibility, cells, dx, dy)[found]
+                    share[here] *= (cut_weights(visibility, own, dx, dy, point)[matches]) / own[matches]
+                    share[here] *= tap_share(visibility, cells, dx, dy)[matches]
             yield source, target, share
 
 
