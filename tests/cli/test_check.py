@@ -21,7 +21,7 @@ from tests.scenes import scene_file
 
 @pytest.fixture
 def ball(tmp_path: Path) -> Path:
-    return scene_file(tmp_path / "ball.toml", BALL)
+    return scene_file(tmp_path / "ball.toml", BALL + 'texture = "#c08040"\n')
 
 
 def test_differences() -> None:
@@ -64,9 +64,7 @@ def test_in_single_precision_a_pixel_in_500_may_differ() -> None:
 
 def test_check_agrees(ball: Path, tmp_path: Path) -> None:
     report = tmp_path / "report.json"
-    result = clsco_(
-        "check", ball, "--rays", 512, "--set", "sequence.frames=2", "--set", "object.0.texture=#c08040", "-o", report
-    )
+    result = clsco_("check", ball, "--rays", 512, "--set", "sequence.frames=2", "-o", report)
     assert result.exit_code == 0, result.output
     rows = [line.split() for line in result.output.splitlines()]
     for name in ("color", *TRUTH_NAMES, *MOTION_NAMES):
