@@ -211,7 +211,7 @@ class Tracer:
         traced = (*slotted, labels, depth, statistics, *self._exposure(at))
         run("trace_subpixels", size, PIXELS[:1], at.events, *traced)
         if self.plan.small:
-            run("trace_small", size, PIXELS[:1], at.events, *traced)
+            run("trace_small", size, PIXELS[:1], at.events, *slotted, depth, statistics, *self._exposure(at))
         value = sources.value
         if "sharper" in buffers:
             run("trace_detail", size, PIXELS[:1], at.events, *slotted, depth, statistics)

@@ -261,7 +261,7 @@ def _span(spec: BlurSpec) -> range:
 def depth_layer_spec(spec: BlurSpec) -> BlurSpec:
     """The blur of a depth layer and its coverage, for that of the frame."""
     brightest = max(spec.brightest, 1.0)
-    return replace(spec, smallest=0.0, subpixels=0, brightest=brightest)
+    return replace(spec, smallest=0.0, subpixels=0, small=False, brightest=brightest)
 
 
 def pyramid_bytes(psf: PointSpread, channels: int, width: int, height: int, largest: float) -> int:

@@ -42,6 +42,8 @@ class BlurSpec:
         Range of |R| in px; other radii are clamped to it ("convolve" makes the PSF of its radius).
     subpixels : int
         Sub-pixel sources per axis at silhouettes, 0 for none.
+    small : bool
+        Small surfaces have slots of sub-pixel sources of their own.
     tilt : bool
         Sources have the gradient of R.
     occluders : int
@@ -76,6 +78,7 @@ class BlurSpec:
     curved: int = 0
     merged: float = 0.0
     shared: bool = False
+    small: bool = False
 
     @property
     def marked(self) -> bool:

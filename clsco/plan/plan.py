@@ -259,6 +259,7 @@ class Plan:
             occluders=room, limited=room > 0 and self._shapes["NAPPE"] > 0, border=self.scene.psf.border,
             layered=self.occlusion == "layered", curved=curvature_of(self.scene) if room or self.psf.stretched else 0,
             merged=self.merged, shared=room > 0 and self.mapped > 0 and self.silhouettes > 0 and self.psf.shares_lens,
+            small=self.small,
         )  # fmt: skip
 
     @cached_property

@@ -77,8 +77,8 @@ __kernel void scatter(const grid_t grid, const psf_t psf, __global const float *
 #if SUBPIXELS
     const int slot = as_int(s.w);
     if (slot >= 0) {
-        for (int sub = 0; sub < SUBPIXELS * SUBPIXELS; ++sub) {
-            const int id = slot * SUBPIXELS * SUBPIXELS + sub;
+        for (int sub = 0; sub < SOURCES_OF(slot); ++sub) {
+            const int id = FIRST_SLOT(slot) * EACH + sub;
             float4 p = sub_source[id];
             if (p.x < 0)
                 continue;
@@ -102,7 +102,7 @@ __kernel void scatter(const grid_t grid, const psf_t psf, __global const float *
                                   sub_depth[id], &spread, &p, (real)1 / SUBPIXELS, &seen);
 #endif
             for (int k = 0; k < CHANNELS; ++k)
-                scatter_source(grid, spread, p, sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id], scale, row,
+                scatter_source(grid, spread, p, sub_value[k * capacity * EACH + id], scale, row,
                                column, sums + k * sums_plane VISIBILITY_VALUE);
         }
         return;
@@ -169,8 +169,8 @@ __kernel void renormalize(const grid_t grid, const psf_t psf, __global const flo
 #if SUBPIXELS
     const int slot = as_int(s.w);
     if (slot >= 0) {
-        for (int sub = 0; sub < SUBPIXELS * SUBPIXELS; ++sub) {
-            const int id = slot * SUBPIXELS * SUBPIXELS + sub;
+        for (int sub = 0; sub < SOURCES_OF(slot); ++sub) {
+            const int id = FIRST_SLOT(slot) * EACH + sub;
             float4 p = sub_source[id];
             if (p.x < 0)
                 continue;
@@ -178,7 +178,7 @@ __kernel void renormalize(const grid_t grid, const psf_t psf, __global const flo
                 subpixel_spread(psf, sub_intervals, sub_coefficients, p, sub PLACE_VALUES(row, column)), psf, p, at);
             const float share = share_inside(grid, spread, p, row, column);
             for (int k = 0; k < CHANNELS && share > 0; ++k)
-                sub_value[k * capacity * SUBPIXELS * SUBPIXELS + id] /= share;
+                sub_value[k * capacity * EACH + id] /= share;
         }
         return;
     }

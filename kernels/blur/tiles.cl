@@ -33,10 +33,6 @@ typedef struct {
     int left, right, top, bottom;
 } tile_t;
 
-#if SUBPIXELS
-#define SUBPIXEL_COUNT (SUBPIXELS * SUBPIXELS)
-#endif
-
 // Notes source (x, y) of the grid as the i-th of a chunk, if it reaches the tile.
 static void note_source(const grid_t grid, const psf_t psf, __global const float *source,
                         __global const float *value, __global const int2 *intervals, __global const float *coefficients,
@@ -48,8 +44,8 @@ static void note_source(const grid_t grid, const psf_t psf, __global const float
 #if SUBPIXELS
     const int slot = as_int(s.w);
     chunk->slot[i] = slot;
-    for (int sub = 0; slot >= 0 && sub < SUBPIXEL_COUNT; ++sub) {
-        const float coordinate = sub_source[slot * SUBPIXEL_COUNT + sub].x;
+    for (int sub = 0; slot >= 0 && sub < SOURCES_OF(slot); ++sub) {
+        const float coordinate = sub_source[FIRST_SLOT(slot) * EACH + sub].x;
         if (coordinate >= 0)
             far = MAX(far, sub_intervals[(int)coordinate - psf.sub_first].y);
     }
@@ -91,13 +87,13 @@ static void add_source(const grid_t grid, const psf_t psf, int x, int y, int i, 
     float light[CHANNELS];
 #if SUBPIXELS
     if (chunk->slot[i] >= 0) {
-        for (int sub = 0; sub < SUBPIXEL_COUNT; ++sub) {
-            const int id = chunk->slot[i] * SUBPIXEL_COUNT + sub;
+        for (int sub = 0; sub < SOURCES_OF(chunk->slot[i]); ++sub) {
+            const int id = FIRST_SLOT(chunk->slot[i]) * EACH + sub;
             const float4 s = sub_source[id];
             if (s.x < 0)
                 continue;
             for (int k = 0; k < CHANNELS; ++k)
-                light[k] = sub_value[k * capacity * SUBPIXEL_COUNT + id];
+                light[k] = sub_value[k * capacity * EACH + id];
             const spread_t spread = subpixel_spread(
                 psf, sub_intervals, sub_coefficients, s,
                 sub PLACE_VALUES(FRAME_ROW(grid, chunk->y[i]), chunk->x[i] - grid.guard));

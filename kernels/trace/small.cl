@@ -1,52 +1,43 @@
 // Point sources of small surfaces, see small.clh. Host: clsco/passes/trace.py.
 
 #if SMALL && SUBPIXELS
-// Divides the cells of marked pixels anew where small surfaces are in them. In: source, sub_label, and in and out
-// sub_source, sub_value, sub_depth as trace_subpixels leaves them.
+// Fills the slots of small surfaces. In: source, pixels. Out: sub_source, sub_value, sub_depth, as of trace_subpixels.
 __kernel void trace_small(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
                           const psf_t psf, __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
                           __global const int *pixels, const int capacity, __global const float *source,
-                          __global float4 *sub_source, __global float *sub_value, __global const uchar *sub_label,
-                          __global real *sub_depth, __global int *statistics OF_EXPOSURE)
+                          __global float4 *sub_source, __global float *sub_value, __global real *sub_depth,
+                          __global int *statistics OF_EXPOSURE)
 {
     const int slot = get_global_id(0);
     if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] < 0)
         return;
     const int pixel = pixels[slot], row = FRAME_ROW(grid, pixel / grid.width), column = pixel % grid.width - grid.guard;
-    const ulong small = small_members(grid, surfaces, group, row, column);
-    if (!small)
+    const int mark = as_int(MARKS(source, grid.height * grid.width)[pixel]), number = slot - FIRST_SLOT(mark);
+    if (number < 1 || number > mark >> SLOT_BITS)
         return;
-    uchar labels[CELLS_AROUND * CELLS_AROUND];
-    coverage_t found;
-    divided_t all;
-    const bool outlined = labels_around(grid, MARKS(source, grid.height * grid.width), pixels, sub_label, slot, labels);
-    if (outlined)
-        cell_coverage(grid, surfaces, row, column, labels, &found);
-    for (int sub = 0; sub < EACH; ++sub)
-        all.left[sub] = outlined ? found.covered[CELL_AROUND(sub)] : 1;
-    divide_cells(grid, surfaces, group, small, row, column, sub_label + slot * EACH, &all LIGHT);
+    ulong small = small_members(grid, surfaces, group, row, column);
+    for (int i = 1; i < number; ++i)
+        small &= small - 1;
+    const int object = (int)popcount((small & -small) - 1);
+    float4 cover[EACH];
+    small_cover(grid, surfaces, group, object, row, column, cover LIGHT);
 #if DIVIDED
     const bool pixel_still = (source[pixel] <= ELSEWHERE) != exposure.still;
 #endif
     for (int sub = 0; sub < EACH; ++sub) {
-        const int id = slot * EACH + sub, object = all.owner[sub] - 1;
-        if (object < 0) {
-            const float covered = outlined ? found.covered[CELL_AROUND(sub)] : 1;
-            for (int c = 0; c < CHANNELS; ++c)
-                sub_value[c * capacity * EACH + id] *= covered > 0 ? all.left[sub] / covered : 0;
+        const int id = slot * EACH + sub;
+        const float4 own = cover[sub];
+        if (!(own.x > 0)) {
+            sub_source[id] = (float4)(-1, 0, 0, as_float(WHOLE));
             continue;
         }
-        const float4 own = all.own[sub];
         const real3 ray = pixel_ray(grid, row + own.z / own.x, column + own.y / own.x);
         const real3 middle = cell_ray(grid, pixel, sub, 0, 0);
         const real w = small_depth(surfaces + object, group, ray);
         sub_depth[id] = w;
 #if DIVIDED
-        const bool still = pixel_still && is_still(grid, lens, surfaces, group, psf, exposure, places, middle, w,
-                                                   object, MOVING_MARGIN);
-        if (!still)
-            check_window(grid, exposure, pixel, statistics);
-        if (still != exposure.still) {
+        if (is_elsewhere(grid, lens, surfaces, group, psf, exposure, places, middle, w, object, pixel_still, pixel,
+                         statistics)) {
             sub_source[id] = (float4)(ELSEWHERE, 0, 0, as_float(WHOLE));
             continue;
         }

@@ -184,16 +184,13 @@ __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *su
     record = with_detail(grid, lens, maps, record, ray, depth[at], hit, texels, share + at);
 #endif
 #if DIVIDED
-    const bool still = is_still(grid, lens, surfaces, group, psf, exposure, places, ray, depth[at], object,
-                                MOVING_MARGIN);
-    if (!still)
-        check_window(grid, exposure, at, statistics);
-    if (still != exposure.still)
+    if (is_elsewhere(grid, lens, surfaces, group, psf, exposure, places, ray, depth[at], object, true, at, statistics))
         record.x = ELSEWHERE;
 #endif
 #if SMALL && SUBPIXELS
-    if (small_members(grid, surfaces, group, FRAME_ROW(grid, y), x - grid.guard))
-        record.w = as_float(SMALL_WITHIN);
+    const ulong small = small_members(grid, surfaces, group, FRAME_ROW(grid, y), x - grid.guard);
+    if (small)
+        record.w = as_float(SMALL_WITHIN - (int)popcount(small));
 #endif
     if (source)
         put_source(source, grid.height * grid.width, at, record);
@@ -207,9 +204,9 @@ __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *su
 }
 
 #if SUBPIXELS
-// Gives a slot to every pixel within 2 px of a change of label, and to those whose texture is DETAILED or FINE, run by
-// run of TAP_LANES pixels. Slots come in any order; what is in them does not. A pixel that has one from a run with less
-// room keeps it. In: label. Out: marks of source, pixels (slots): index p of the pixel, of one that is only DETAILED
+// Gives a slot to every pixel within 2 px of a change of label, and to those whose texture is DETAILED or FINE, and more
+// to those with small surfaces, run by run of TAP_LANES pixels. Slots come in any order; what is in them does not. A
+// pixel that has some from a run with less room keeps them. In: label. Out: marks of source, pixels (slots): index p of the pixel, of one that is only DETAILED
 // -1 - 2 p, that is only FINE -2 - 2 p; statistics.
 __kernel void mark_silhouettes(const grid_t grid, __global const uchar *label, const int capacity,
                                __global float *source, __global int *pixels, __global int *statistics)
@@ -237,16 +234,19 @@ __kernel void mark_silhouettes(const grid_t grid, __global const uchar *label, c
         detailed = fine || as_int(marks[at]) == DETAILED;
 #endif
         bool differs = !alike && is_at_silhouette(grid, label, x, y);
-#if SMALL && SUBPIXELS
-        differs |= as_int(marks[at]) == SMALL_WITHIN;
+        int more = 0;
+#if SMALL
+        differs |= as_int(marks[at]) <= SMALL_WITHIN;
+        more = MAX(SMALL_WITHIN - as_int(marks[at]), 0);
 #endif
         if (!differs && !detailed)
             continue;
-        const int slot = atomic_inc(statistics + STATISTIC_SLOTS);
-        if (slot >= capacity)
+        const int slot = atomic_add(statistics + STATISTIC_SLOTS, 1 + more);
+        for (int i = slot; i < MIN(slot + more + 1, capacity); ++i)
+            pixels[i] = differs ? at : -1 - 2 * at - fine;
+        if (slot + more >= capacity)
             continue;
-        pixels[slot] = differs ? at : -1 - 2 * at - fine;
-        marks[at] = as_float(slot);
+        marks[at] = as_float(MARK_OF(slot, more));
     }
 }
 
@@ -256,7 +256,7 @@ __kernel void label_subpixels(const grid_t grid, __constant surface_t *surfaces,
                               __global const int *pixels, const int capacity, __global uchar *sub_label,
                               __global real *sub_depth, __global const int *statistics)
 {
-    const int slot = get_global_id(0), each = SUBPIXELS * SUBPIXELS;
+    const int slot = get_global_id(0);
     if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] < 0)
         return;
     const int pixel = pixels[slot];
@@ -265,15 +265,15 @@ __kernel void label_subpixels(const grid_t grid, __constant surface_t *surfaces,
     behind.members &= ~small_members(grid, surfaces, group, FRAME_ROW(grid, pixel / grid.width),
                                      pixel % grid.width - grid.guard);
 #endif
-    for (int sub = 0; sub < each; ++sub) {
+    for (int sub = 0; sub < EACH; ++sub) {
         uchar root;
         int object;
         const real3 ray = cell_ray(grid, pixel, sub, 0, 0);
-        sub_depth[slot * each + sub] = nearest_surface(surfaces, behind, ray, &root, &object);
+        sub_depth[slot * EACH + sub] = nearest_surface(surfaces, behind, ray, &root, &object);
 #if SMALL && SUBPIXELS
         root = behind.members ? root : 0;
 #endif
-        sub_label[slot * each + sub] = root;
+        sub_label[slot * EACH + sub] = root;
     }
 }
 
@@ -287,31 +287,34 @@ __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant s
                               __global float *sub_value, __global const uchar *sub_label,
                               __global const real *sub_depth, __global int *statistics OF_EXPOSURE)
 {
-    const int slot = get_global_id(0), each = SUBPIXELS * SUBPIXELS;
+    const int slot = get_global_id(0);
     if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] < 0)
         return;
     const int pixel = pixels[slot], row = FRAME_ROW(grid, pixel / grid.width), column = pixel % grid.width - grid.guard;
     uchar labels[CELLS_AROUND * CELLS_AROUND];
     coverage_t found;
-    const bool outlined = labels_around(grid, MARKS(source, grid.height * grid.width), pixels, sub_label, slot, labels);
+    __global const float *marks = MARKS(source, grid.height * grid.width);
+#if SMALL
+    if (slot != FIRST_SLOT(as_int(marks[pixel])))
+        return;  // of a small surface
+    float left[EACH];
+    leave_cells(grid, surfaces, group, row, column, left LIGHT);
+#endif
+    const bool outlined = labels_around(grid, marks, pixels, sub_label, slot, labels);
     if (outlined)
         cell_coverage(grid, surfaces, row, column, labels, &found);
 #if DIVIDED
     // Sources of a pixel that is not still are not: they may be there at some time samples alone.
     const bool pixel_still = (source[pixel] <= ELSEWHERE) != exposure.still;
 #endif
-    for (int sub = 0; sub < each; ++sub) {
-        const int id = slot * each + sub, cell = CELL_AROUND(sub);
+    for (int sub = 0; sub < EACH; ++sub) {
+        const int id = slot * EACH + sub, cell = CELL_AROUND(sub);
         const real3 middle = cell_ray(grid, pixel, sub, 0, 0);
         const real depth = sub_depth[id];
         uchar root = sub_label[id];
 #if DIVIDED
-        const int hit = root ? (root - 1) / 2 : -1;
-        const bool still = pixel_still && is_still(grid, lens, surfaces, group, psf, exposure, places, middle, depth,
-                                                   hit, MOVING_MARGIN);
-        if (!still)
-            check_window(grid, exposure, pixel, statistics);
-        if (still != exposure.still) {
+        if (is_elsewhere(grid, lens, surfaces, group, psf, exposure, places, middle, depth, root ? (root - 1) / 2 : -1,
+                         pixel_still, pixel, statistics)) {
             sub_source[id] = (float4)(ELSEWHERE, 0, 0, as_float(WHOLE));
             continue;
         }
@@ -333,8 +336,11 @@ __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant s
                 w = there == root ? moved_w : w;
             }
         }
+#if SMALL
+        covered *= left[sub];
+#endif
         take_radiance(grid, surfaces, ray, w, root, row, column, SUBPIXELS, SHADE_OF(surfaces, root, ray, w),
-                      covered / each, texture TEXTURE_MAPS, sub_value + id, capacity * each);
+                      covered / EACH, texture TEXTURE_MAPS, sub_value + id, capacity * EACH);
         // The lens is tested from the middle of the cell, as by the blur.
         const float4 record = source_record(grid, lens, surfaces, group, psf, ray, bend_along(grid, lens, ray), w,
                                             middle, bend_along(grid, lens, middle), depth, 1, false, &root, statistics);
@@ -350,14 +356,14 @@ __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surf
                            __global float4 *sub_source, __global float *sub_value, __global real *sub_depth,
                            __global int *statistics)
 {
-    const int slot = get_global_id(0), each = SUBPIXELS * SUBPIXELS;
+    const int slot = get_global_id(0);
     if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] >= 0)
         return;
     const int code = -1 - pixels[slot], at = code / 2, fine = code & 1, parts = fine ? FINE_PARTS : FEW_PARTS;
 #if DIVIDED
     if (source[at] <= ELSEWHERE) {
-        for (int sub = 0; sub < each; ++sub)
-            sub_source[slot * each + sub] = (float4)(ELSEWHERE, 0, 0, as_float(WHOLE));
+        for (int sub = 0; sub < EACH; ++sub)
+            sub_source[slot * EACH + sub] = (float4)(ELSEWHERE, 0, 0, as_float(WHOLE));
         return;
     }
 #endif
@@ -395,8 +401,8 @@ __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surf
     float values[FINE_PARTS * FINE_PARTS * CHANNELS];
     detailed_texture(texture, surfaces + object, maps + object, grid, ray, w, middle, fine, values);
     const float share = SHADE(surfaces, object, ray, w);
-    for (int sub = 0; sub < each; ++sub) {
-        const int i = sub / SUBPIXELS, j = sub % SUBPIXELS, id = slot * each + sub;
+    for (int sub = 0; sub < EACH; ++sub) {
+        const int i = sub / SUBPIXELS, j = sub % SUBPIXELS, id = slot * EACH + sub;
         const real right = (j + (real)0.5) / SUBPIXELS - (real)0.5, down = (i + (real)0.5) / SUBPIXELS - (real)0.5;
         const real radius = middle + (right * gradient.x + down * gradient.y);
         note_radius(statistics, radius);
@@ -433,7 +439,7 @@ __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surf
         sub_source[id] = record;
         const int part = (i * parts / SUBPIXELS) * parts + j * parts / SUBPIXELS;
         for (int c = 0; c < CHANNELS; ++c)
-            sub_value[c * capacity * each + id] = OF_CHANNEL(share, c) * (1.0f / each) * values[part * CHANNELS + c];
+            sub_value[c * capacity * EACH + id] = OF_CHANNEL(share, c) * (1.0f / EACH) * values[part * CHANNELS + c];
     }
 }
 

@@ -7,7 +7,7 @@ x^2, x y, y^2 about the middles of pixels, px right and down.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,20 +33,8 @@ from clsco.scene.model import Camera
 
 LINES, END_LINES = 8, 2
 CLEARLY = 1.001
-LEFT = 1e-3  # of a cell: what is less has no cell
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
-Labels = NDArray[np.uint8]
-
-
-@dataclass(frozen=True, eq=False)
-class Divided:
-    """Cells of pixels (M, S, S): the small surface that has each, -1 for none; (M, S, S, 4) of what it has the size,
-    times the place in px right and down, and times what light leaves of the texture; the size left of all else."""
-
-    owner: Index
-    own: Array
-    left: Array
 
 
 def conditions(surface: PlacedSurface, bounds: Bounds | None) -> list[Callable[[Array], Array]]:
@@ -136,8 +124,8 @@ def narrow(a: Array, b: Array, c: Array, low: Array, high: Array) -> tuple[Array
 def small_cover(
     view: View, bounds: Sequence[Bounds | None], group: OcclusionGroup, k: int, place: tuple[Index, Index], samples: int
 ) -> Array:  # fmt: skip
-    """Parts of the cells of pixels (M,) that the image of member k covers: (M, S, S, 4) as `Divided.own`; place: their
-    rows and columns."""
+    """Parts of the cells of pixels (M,), of these rows and columns, that the image of member k covers: (M, S, S, 4) of
+    each cell that size, the size times the place in px right and down, and times what light leaves of the texture."""
     camera, (row, column) = view.scene.camera, place
     each = conics_of(camera, view.surfaces[k], bounds[k], row, column)
     bend = -(each[:, 3] + each[:, 5])
@@ -190,60 +178,21 @@ def small_cover(
             shown = np.ones(w.shape) if view.light is None else shade(view.light, view.surfaces[k], k, rays, w)
             part_of = np.where((low < high) & (begin < end) & (number == k), share * (end - begin), 0.0)
             part_of = part_of * samples**2 / points
-            cells = (np.clip(((n + 0.5) * samples).astype(np.intp), 0, samples - 1) for n in (down, right))
-            value = np.stack([np.ones_like(right), right, down, shown], axis=-1)
-            np.add.at(cover, (pixel, *cells), part_of[:, None] * value)
+            value = part_of[:, None] * np.stack([np.ones_like(right), right, down, shown], axis=-1)
+            # Between the middles of cells, so that their sources have its place.
+            y, x = (np.clip((n + 0.5) * samples - 0.5, 0.0, samples - 1.001) for n in (down, right))
+            for i_cell, below in ((y.astype(np.intp), 1.0 - y % 1.0), (y.astype(np.intp) + 1, y % 1.0)):
+                for j_cell, aside in ((x.astype(np.intp), 1.0 - x % 1.0), (x.astype(np.intp) + 1, x % 1.0)):
+                    np.add.at(cover, (pixel, i_cell, j_cell), (below * aside)[:, None] * value)
     return cover
 
 
-def nearest_cell(owner: Index, label: Labels, wanted: int, place: int) -> int:
-    """The cell nearest to another of those (S, S) that an owner has, -1 for none; where that is no small surface, one
-    of the same label if any is."""
-    samples = len(owner)
-    row, column = np.indices(owner.shape)
-    away = np.asarray((row - place // samples) ** 2 + (column - place % samples) ** 2)
-    if wanted < 0:
-        away = away + np.where(label != label.flat[place], 2 * owner.size, 0)
-    there = owner == wanted
-    return int(np.where(there, away, 8 * owner.size).argmin()) if there.any() else -1
-
-
-def take_cells(found: Divided, label: Labels, k: int, at: int, cover: Array) -> None:
-    """Give cells of pixel `at` to member k, and what it covers of any to its own; label: (S, S), without the small
-    ones; cover: (S, S, 4), from `small_cover`."""
-    owner, left, own = found.owner[at], found.left[at], found.own[at].reshape(-1, 4)
-    left -= cover[..., 0]
-    free, some = owner < 0, cover[..., 0] > 0.0
-    if some.any() and free.any():
-        best = nearest_cell(owner, label, -1, int(cover[..., 0].argmax()))
-        taken, others = free & some & (cover[..., 0] > left), free.copy()
-        taken.flat[best], others.flat[best] = True, False
-        if not (free & ~taken).any() and others.any() and left.sum() > LEFT:
-            taken.flat[np.where(others, left, -np.inf).argmax()] = False
-        owner[taken] = k
-    for cell in np.flatnonzero(some).tolist():
-        to = nearest_cell(owner, label, k, cell)
-        own[cell if to < 0 else to] += cover.reshape(-1, 4)[cell]
-
-
-def divide_cells(found: Divided, label: Labels, covers: dict[int, tuple[Index, Array]]) -> None:
-    """Divide the cells of pixels (M, S, S) between small surfaces and all else; covers: of each surface its pixels, and
-    what it covers of their cells."""
-    for k, (pixels, cover) in covers.items():
-        for at, one in zip(pixels.tolist(), cover, strict=True):
-            take_cells(found, label[at], k, at, one)
-    for at, cell in np.argwhere((found.owner >= 0).reshape(len(label), -1)).tolist():
-        to = nearest_cell(found.owner[at], label[at], -1, cell)
-        if to >= 0:
-            found.left[at].flat[to] += found.left[at].flat[cell]
-
-
 def outline_plane(surface: PlacedSurface, rays: Array) -> tuple[Array, Array]:
-    """Inverse depth (n,) along rays (n, 3) of the plane of the outline of a surface, and its slope (n, 2)."""
+    """Inverse depth (...) along rays (..., 3) of the plane of the outline of a surface, and its slope (..., 2)."""
     shape = surface.canonical
     normal = (shape.q * surface.offset + shape.l) @ surface.turn
     normal = normal * ((-1.0 if shape.q.any() else -2.0) / surface.constant)
-    return rays @ normal, np.broadcast_to(normal[:2], (len(rays), 2))
+    return rays @ normal, np.broadcast_to(normal[:2], (*rays.shape[:-1], 2))
 
 
 def small_depth(surface: PlacedSurface, bounds: Bounds | None, group: OcclusionGroup, rays: Array) -> Array:
@@ -271,33 +220,32 @@ def cast_behind(
 
 
 def with_small(
-    cast: Callable[..., Cast], view: View, group: OcclusionGroup, hit: Cast, label: Labels, covered: Array, small: Mask,
-    place: tuple[Index, Index],
-) -> tuple[Cast, Mask]:  # fmt: skip
-    """Hits of cells (M, S, S) of which small surfaces have some, and which those are.
+    cast: Callable[..., Cast], view: View, group: OcclusionGroup, hit: Cast, small: Mask, place: tuple[Index, Index]
+) -> tuple[Cast, Index]:  # fmt: skip
+    """Hits of cells (M, S, S), less what small surfaces cover of them, and after them those of each small surface in
+    each of its pixels: (N, S, S), and the number (N,) of the pixel of each.
 
-    label: of the cells without these; covered: (M, S, S), of them; small: (objects, M); place: rows and columns (M,).
+    small: (objects, M); place: rows and columns (M,).
     """
-    camera, samples = view.scene.camera, label.shape[1]
-    bounds, covers = [cutting_bounds(item) for item in view.scene.objects], {}
+    camera, samples = view.scene.camera, hit.label.shape[1]
+    bounds = [cutting_bounds(item) for item in view.scene.objects]
+    pixels, left, hits = [np.arange(small.shape[1])], np.ones(hit.label.shape), []
     for k in np.flatnonzero(small.any(axis=1)).tolist():
-        at = np.flatnonzero(small[k])
-        covers[k] = at, small_cover(view, bounds, group, k, (place[0][at], place[1][at]), samples)
-    found = Divided(np.full(label.shape, -1), np.zeros((*label.shape, 4)), covered.copy())
-    divide_cells(found, label, covers)
-    left = np.where(covered > 0.0, found.left / np.where(covered > 0.0, covered, 1.0), 0.0)
-    copies = {name: getattr(hit, name).copy() for name in ("w", "label", "radius", "gradient")}
-    hit = replace(hit, radiance=hit.radiance * left[..., None], **copies)
-    for k in covers:
-        cells = np.nonzero(found.owner == k)
-        own, surface, pixel = found.own[cells], view.surfaces[k], [n[cells[0]] for n in place]
-        row, column = pixel[0] + own[:, 2] / own[:, 0], pixel[1] + own[:, 1] / own[:, 0]
+        at, surface = np.flatnonzero(small[k]), view.surfaces[k]
+        cover = small_cover(view, bounds, group, k, (place[0][at], place[1][at]), samples)
+        covered = cover[..., 0]
+        left[at] -= covered
+        right, down, shown = np.moveaxis(cover[..., 1:] / np.where(covered > 0.0, covered, 1.0)[..., None], -1, 0)
+        row, column = place[0][at, None, None] + down, place[1][at, None, None] + right
         rays = pixel_ray(camera, row, column)
         w, slope = small_depth(surface, bounds[k], group, rays), outline_plane(surface, rays)[1]
-        shown = cast(replace(view, light=None), replace(group, members=1 << k), row, column, pixel, samples)
-        size = blur_radius(view.lens, rays, w)
-        hit.w[cells], hit.label[cells], hit.radius[cells] = w, 2 * k + 1, size
-        reached = np.minimum(np.abs(size), 1.0)[:, None]
-        hit.gradient[cells] = blur_gradient(camera, view.lens, slope, rays, w) * reached
-        hit.radiance[cells] = shown.radiance * own[:, 3:]
-    return hit, found.owner >= 0
+        texel = (place[0][at, None, None], place[1][at, None, None])
+        alone = cast(replace(view, light=None), replace(group, members=1 << k), row, column, texel, samples)
+        size, label = blur_radius(view.lens, rays, w), np.where(covered > 0.0, 2 * k + 1, 0).astype(np.uint8)
+        gradient = blur_gradient(camera, view.lens, slope, rays, w) * np.minimum(np.abs(size), 1.0)[..., None]
+        radiance = alone.radiance * (shown * covered)[..., None]
+        hits.append(replace(alone, w=w, label=label, radius=size, gradient=gradient, radiance=radiance))
+        pixels.append(at)
+    hits = [replace(hit, radiance=hit.radiance * left[..., None]), *hits]
+    joined = {field.name: np.concatenate([getattr(one, field.name) for one in hits]) for field in fields(hit)}
+    return Cast(**joined), np.concatenate(pixels)

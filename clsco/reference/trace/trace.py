@@ -315,14 +315,14 @@ def trace_subpixels(
     small &= marked[row, column]
     hit = cast_behind(cast, view, group, small, at_row, at_column, texel, samples)
     lens_radius = hit.radius  # of visibility tests
-    base = hit.label
-    hit, limb, covered = _covering(view, group, hit, marked, (row, column), guard)
+    hit, limb = _covering(view, group, hit, marked, (row, column), guard)
     if small.any():
-        hit, owned = with_small(cast, view, group, hit, base, covered, small, (row - guard, column - guard))
-        limb &= ~owned
-        lens_radius = np.where(
-            owned, blur_radius(view.lens, pixel_ray(scene.camera, at_row, at_column), hit.w), lens_radius
-        )
+        hit, pixel = with_small(cast, view, group, hit, small, (row - guard, column - guard))
+        row, column, at_row, at_column = row[pixel], column[pixel], at_row[pixel], at_column[pixel]
+        count = len(limb)
+        limb = np.concatenate([limb, np.zeros((len(pixel) - count, samples, samples), dtype=bool)])
+        added = pixel_ray(scene.camera, at_row[count:], at_column[count:])
+        lens_radius = np.concatenate([lens_radius, blur_radius(view.lens, added, hit.w[count:])])
     cut = parts[row, column]
     if sources is not None and cut.any():
         hit = _with_parts(view, hit, sources, (row, column), cut, guard)
@@ -385,10 +385,10 @@ def _from_middles(
 def _covering(
     view: View, group: OcclusionGroup, hit: Cast, marked: NDArray[np.bool_],
     pixel: tuple[NDArray[np.intp], NDArray[np.intp]], guard: int,
-) -> tuple[Cast, NDArray[np.bool_], Array]:  # fmt: skip
+) -> tuple[Cast, NDArray[np.bool_]]:  # fmt: skip
     """Replace radius, gradient and radiance of hits of rays (M, S, S) beside outlines by those of what they cover.
 
-    Returns hits, which are at limbs (`is_at_limb`), and how much they cover. marked: (H, W); pixel: rows and columns
+    Returns hits, and which are at limbs (`is_at_limb`). marked: (H, W); pixel: rows and columns
     (M,), of which those that are not marked keep theirs.
     """
     samples, bounds = view.scene.psf.silhouette_samples, [cutting_bounds(item) for item in view.scene.objects]
@@ -415,7 +415,7 @@ def _covering(
     for one in np.unique(hit.label[beside]).tolist():
         own = hit.label[beside] == one
         limb[slot[own], i[own], j[own]] = is_at_limb(view.scene.camera, view.surfaces, one, rays[own], samples)
-    return replace(hit, **planes), limb, covered
+    return replace(hit, **planes), limb
 
 
 def _with_parts(

@@ -215,8 +215,8 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
             visibility_t shared;
             bool looked = false;
 #endif
-            for (int sub = 0; sub < SUBPIXELS * SUBPIXELS; ++sub) {
-                const int id = slot * SUBPIXELS * SUBPIXELS + sub;
+            for (int sub = 0; sub < SOURCES_OF(slot); ++sub) {
+                const int id = FIRST_SLOT(slot) * EACH + sub;
                 float4 p = sub_source[id];
                 if (p.x < 0)
                     continue;
