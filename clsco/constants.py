@@ -74,7 +74,6 @@ WIDE_LANES = 16
 
 # Weights by chords (clsco/optics/chords.py, kernels/common/chords.clh).
 LEAST_OPENING = 5e-4  # px, radius of a lens: light of less would be rounding
-NARROW_OPENING = 3.2  # px, half of the width of a lens that rims cut: up to it both halves of a column have chords
 
 # Blur by `gather` (kernels/blur/cpu).
 # Rows that a work-item owns: enough bands for several cores, and little overlap. It walks the sources that reach them

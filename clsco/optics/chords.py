@@ -3,13 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-from clsco.constants import NARROW_OPENING
 
 Array = NDArray[np.float64]
 Circle = tuple[Array, Array, Array]
@@ -17,17 +16,15 @@ DISC = np.array([1.0, 0.0, 1.0])
 """Shape of a disc, see `clsco.optics.ellipses.shape_of`."""
 FLAT = 1.5
 """Distance, px, of columns from the ends of an opening from which on chords between them are FLAT_CHORDS."""
-FLAT_CHORDS, STEEP_CHORDS, CUT_CHORDS, AREA_CHORDS = 2, 5, 8, 96
-"""Chords between two columns: where flat, else, else where there are rims, and for the area of an opening."""
+FLAT_CHORDS, STEEP_CHORDS, AREA_CHORDS = 2, 5, 48
+"""Chords between two columns: where flat, and else; and for the area of half an opening."""
 
 
 @cache
 def chord_nodes(count: int) -> tuple[Array, Array]:
-    """Places of chords between two columns, 0 to 1, and their parts of the sum: Gauss-Legendre nodes that crowd to both
-    ends, as chords are steep where an opening ends."""
+    """Gauss-Legendre nodes of 0 to 1, and their parts of the sum."""
     nodes, parts = np.polynomial.legendre.leggauss(count)
-    parts = parts * np.cos(0.5 * np.pi * nodes)
-    return 0.5 + 0.5 * np.sin(0.5 * np.pi * nodes), parts / parts.sum()
+    return 0.5 + 0.5 * nodes, 0.5 * parts
 
 
 def chord_weights(
@@ -71,38 +68,33 @@ def chord_weights(
     """
     opening = _Opening(radius, shape, rims)
     total = np.zeros(np.broadcast(dx, dy, opening.far[0]).shape)
-    places, parts = (_stacked(each, total) for each in chord_nodes(CUT_CHORDS if rims else STEEP_CHORDS))
-    few = np.array([0.5 - 0.5 / 3.0**0.5, 0.5 + 0.5 / 3.0**0.5, *[0.0] * (len(places) - FLAT_CHORDS)])
-    flat_places = _stacked(few, total)
-    flat_parts = _stacked(np.array([0.5, 0.5, *[0.0] * (len(places) - FLAT_CHORDS)]), total)
-    narrow, below = opening.far[0] < NARROW_OPENING, _in_pixel if point else _below
+    below = _in_pixel if point else _below
     for side in (-0.5,) if point else (-1.0, 0.0):
         left = dx + side
         start, end = (np.clip(at, opening.low, opening.high) for at in (left, left + 1.0))
         flat = np.zeros(start.shape, np.bool_) if point else opening.is_flat(left)
-        for half in range(2 if rims and narrow.any() else 1):
-            width = np.where(flat | ~narrow, 1.0 - half, 0.5 if rims else 1.0) * (end - start)
-            v = start + width * (half + np.where(flat, flat_places, places))
+        for v, parts in opening.places(start, end, flat, total.ndim):
             beginning, ending = opening.chords(v)
             light = below(ending - dy) - below(beginning - dy)
             across = 1.0 if point else 1.0 - np.abs(v - dx)
-            total += width * (np.where(flat, flat_parts, parts) * across * light).sum(axis=0)
+            total += (parts * across * light).sum(axis=0)
     return np.asarray(total / (np.pi * radius * radius))
 
 
 def open_share(rims: Sequence[Circle]) -> Array:
     """Share of the light of a round lens that passes all rims, circles in lens radii; to 3e-5."""
     opening = _Opening(np.ones_like(rims[0][0]), DISC, rims)
-    total, width = np.zeros_like(rims[0][0]), opening.high - opening.low
-    for place, part in zip(*chord_nodes(AREA_CHORDS), strict=True):
-        beginning, ending = opening.chords(opening.low + width * place)
-        total += part * (ending - beginning)
-    return np.asarray(np.where(width > 0.0, width * total / np.pi, 0.0))
+    total = np.zeros_like(rims[0][0])
+    flat = np.zeros(total.shape, np.bool_)
+    for v, parts in opening.places(opening.low, opening.high, flat, total.ndim, AREA_CHORDS):
+        beginning, ending = opening.chords(v)
+        total += (parts * (ending - beginning)).sum(axis=0)
+    return np.asarray(total / np.pi)
 
 
-def _stacked(values: NDArray[np.floating], like: Array) -> Array:
-    """Values along an axis before those of another array."""
-    return values.astype(np.float64).reshape(-1, *[1] * like.ndim)
+def _stacked(values: NDArray[Any], axes: int) -> Array:
+    """Values along an axis before so many others."""
+    return values.astype(np.float64).reshape(-1, *[1] * axes)
 
 
 class _Opening:
@@ -132,6 +124,31 @@ class _Opening:
         beginnings, ends = self._ends(v)
         beginning = beginnings.max(axis=0)
         return beginning, np.maximum(ends.min(axis=0), beginning)
+
+    def places(
+        self, start: Array, end: Array, flat: NDArray[np.bool_], axes: int, count: int = STEEP_CHORDS
+    ) -> Iterator[tuple[Array, Array]]:  # fmt: skip
+        """Places (count, ...) of chords from `start` to `end`, and their parts: as many px as they stand for.
+
+        axes: of weights, which the first is before.
+
+        Chords grow with the square root of the distance from an end of the opening: where they are not flat, nodes are
+        by that root from the nearer end, and columns over the middle have some from both.
+        """
+        middle = 0.5 * (self.low + self.high)
+        both = ~flat & (start < middle) & (middle < end)
+        places, parts = (_stacked(each, axes) for each in chord_nodes(count))
+        few = _stacked(np.pad(chord_nodes(FLAT_CHORDS)[0], (0, count - FLAT_CHORDS)), axes)
+        even = _stacked(np.arange(count) < FLAT_CHORDS, axes) / FLAT_CHORDS
+        for second in range(2 if both.any() else 1):
+            right = both if second else start >= middle
+            near, far = np.where(right, end, start), np.where(right, np.maximum(start, middle), np.minimum(end, middle))
+            origin, sign = np.where(right, self.high, self.low), np.where(right, -1.0, 1.0)
+            first, last = (np.sqrt(np.maximum(sign * (at - origin), 0.0)) for at in (near, far))
+            root = first + (last - first) * places
+            v = np.where(flat, start + (end - start) * few, origin + sign * root * root)
+            steep = 2.0 * (last - first) * root * parts
+            yield v, np.where(flat, (end - start) * even, steep) * (both if second else 1.0)
 
     def is_flat(self, left: Array) -> NDArray[np.bool_]:
         """True where chords of the column from `left` to 1 px right of it all begin on one circle, and end on one, and

@@ -74,6 +74,8 @@ class PointSpread:
         Changes of the wavefront over the frame; the pupil is then that on the axis.
     stretched : float
         Part of R by which the rims of ellipses reach beyond those of discs, in a distorted image; 0 for discs alone.
+    side : int
+        Sign of all blur radii, 1 or -1, where waves and aberrations spread no others; else 0.
 
     Examples
     --------
@@ -92,6 +94,7 @@ class PointSpread:
     rims: tuple[Rim, ...] = field(default=(), repr=False)
     varying: SeidelField | None = None
     stretched: float = 0.0
+    side: int = 0
 
     @cached_property
     def layout(self) -> Layout:
@@ -106,6 +109,10 @@ class PointSpread:
         if self.pupil.separable:
             return "separable"
         return "general" if self.signed else "symmetric"
+
+    def of_side(self, side: int) -> PointSpread:
+        """The same for sources whose blur radii have one sign, 1 or -1, or for all: 0."""
+        return replace(self, side=side) if self.diffracted and self.layout == "general" else self
 
     @cached_property
     def places(self) -> tuple[PointSpread, ...]:

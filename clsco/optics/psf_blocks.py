@@ -107,7 +107,7 @@ def _symmetric(psf: PointSpread, span: range, subpixel: int) -> WeightBlock:
 
 
 def _general(psf: PointSpread, span: range, samples: int) -> WeightBlock:
-    """Whole rows, for radii and for negative ones, whose blur is mirrored in its center."""
+    """Whole rows, for radii and for negative ones, whose blur is mirrored in its center; of those that a PSF has."""
     fine = samples > 0
     offsets = subpixel_offsets(samples) if fine else np.zeros(1)
     found: tuple[list[NDArray[np.float32]], ...] = ([], [])
@@ -117,19 +117,22 @@ def _general(psf: PointSpread, span: range, samples: int) -> WeightBlock:
     outlines[..., 1] = -1
     for number, radii, half_width in _runs(psf, span, fine):
         taps = np.arange(-half_width, half_width + 1.0)
-        squares = [psf.rows(radii, taps - ox, taps - oy, fine) for oy in offsets for ox in offsets]
+        squares, mirrored = (
+            [psf.rows(sign * radii, taps - ox, taps - oy, fine) for oy in offsets for ox in offsets]
+            if (sign == 1 and psf.side >= 0) or (sign == -1 and psf.side <= 0 and psf.diffracted)
+            else []
+            for sign in (1, -1)
+        )
         if of_columns:
             columns = slice(reach - half_width, reach + half_width + 1)
             for k, nodes in enumerate(np.split(np.arange(len(radii)), len(radii) // len(NODES)), number):
                 values = squares[0][nodes]
                 outlines[k, columns] = _column_outline(values, _is_open(psf, values, radii[nodes]))
-        if psf.diffracted:  # rays of a lens cross in focus, and waves that it bends do not
-            mirrored = [psf.rows(-radii, taps - ox, taps - oy, fine) for oy in offsets for ox in offsets]
-        else:
+        if not psf.diffracted:  # rays of a lens cross in focus, and waves that it bends do not
             mirrored = [square[:, ::-1, ::-1] for square in reversed(squares)]
         for blocks, each in zip(found, (squares, mirrored), strict=True):
-            blocks += [block.ravel() for block in _cubics(np.concatenate(each, axis=1), half_width)]
-    positive, negative = (np.concatenate(blocks) for blocks in found)
+            blocks += [block.ravel() for block in _cubics(np.concatenate(each, axis=1), half_width)] if each else []
+    positive, negative = (np.concatenate(blocks or [_none()]) for blocks in found)
     return WeightBlock(widths, positive, negative, np.zeros((0, POWERS, 0), np.float32), outlines)
 
 

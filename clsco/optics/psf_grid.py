@@ -115,10 +115,12 @@ def block_intervals(psf: PointSpread, subpixel: bool) -> int:
 def span_of(psf: PointSpread, smallest: float, largest: float, subpixel: bool) -> range:
     """Intervals that hold the |blur radii| from smallest to largest px, and those before them in their TAP_LANES.
 
-    So windows of intervals begin at the same ones whatever the smallest radius is, on which the order of sums depends.
+    So windows of intervals begin at the same ones whatever the smallest radius is, on which the order of sums depends;
+    general shapes that waves or aberrations spread have no windows.
     """
     first, last = (floor(float(table_coordinate(psf, np.array(r), subpixel))) for r in (smallest, largest))
-    return range(first // TAP_LANES * TAP_LANES, last + 1)
+    step = 1 if psf.diffracted and psf.layout == "general" else TAP_LANES
+    return range(first // step * step, last + 1)
 
 
 @lru_cache(maxsize=256)

@@ -43,8 +43,9 @@ class PsfTable:
     rows -half-width..half-width for each of the S/2 x S offsets of a sub-pixel source. Of a general shape all rows of
     either, for all S x S offsets.
     first: the interval that `intervals` begins with; count: how many there are, and of a signed shape so many again, of
-    the negative radii, whose coordinates are larger by count. low, end: of these intervals, those that hold the radii
-    that the table was asked for, to which others are clamped; reach: their largest half-width.
+    the negative radii, whose coordinates are larger by count, or the same ones (`PointSpread.side`). low, end: of these
+    intervals, those that hold the radii that the table was asked for, to which others are clamped; reach: their largest
+    half-width.
     taps, outlines: of a main table, else empty. taps: the same weights once more, float32
     (taps, count / TAP_LANES, POWERS, WIDE_LANES): of the octant's taps a >= b >= 0 in the order of a (a + 1) / 2 + b
     or, of what is separable, of those along an axis, the coefficients of WIDE_LANES intervals from every TAP_LANES-th
@@ -99,7 +100,9 @@ def span_sizes(psf: PointSpread, span: range, subpixel: int) -> dict[str, int]:
     sizes = {"intervals": 8 * len(span), "taps": 0, "outlines": 0}
     of_taps = 4 * POWERS * WIDE_LANES * -(-len(span) // TAP_LANES)
     if psf.layout == "general":
-        coefficients = 2 * len(psf.places) * int((row * (2 * widths + 1) * max(subpixel, 1) ** 2).sum())
+        coefficients = (
+            (2 - abs(psf.side)) * len(psf.places) * int((row * (2 * widths + 1) * max(subpixel, 1) ** 2).sum())
+        )
         sizes |= {"intervals": 16 * len(span), "coefficients": coefficients}
         if psf.has_runs and not subpixel:
             sides = _window_sides(widths)
@@ -199,11 +202,13 @@ def table_of(
     starts = range(span.start // size * size, span.stop, size)
     found = [_part(psf, blocks(psf, start, subpixel), start, span, subpixel) for start in starts]
     widths = np.concatenate([block.widths for block in found])
-    of_radii = [block.coefficients for block in found] + [block.negative for block in found if block.negative.size]
+    every = [block.coefficients for block in found] + [block.negative for block in found]
+    of_radii = [coefficients for coefficients in every if coefficients.size]
     sizes = _interval_size(psf, widths.astype(np.int64), subpixel)
     if psf.signed:
         widths, sizes = np.tile(widths, 2), np.tile(sizes, 2)
-    intervals = np.stack([np.cumsum(sizes) - sizes, widths], axis=1).astype(np.int32)
+    begins = (np.cumsum(sizes) - sizes) % sum(coefficients.size for coefficients in of_radii)
+    intervals = np.stack([begins, widths], axis=1).astype(np.int32)
     if psf.has_runs and not subpixel:
         taps, outlines = _windows(found)
     else:

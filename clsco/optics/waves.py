@@ -59,7 +59,7 @@ def table_seconds(psf: PointSpread, smallest: float, largest: float, silhouettes
     pupils = {each.upright for spread in (psf.places or (psf,)) if isinstance(each := spread.pupil, FourierDiffracted)}
     found = 0.0
     for pupil in pupils:
-        nodes = pupil.NODES / pupil.panel * (1 if pupil.wavefront.is_flat else 2)
+        nodes = pupil.NODES / pupil.panel * (1 if pupil.wavefront.is_flat or psf.side else 2)
         for radius in range(int(smallest), int(largest) + 1):
             found += nodes * pupil.seconds(radius + 1.0, 1 + silhouettes**2)
     return found

@@ -103,4 +103,5 @@ def widened(plan: Plan, smallest: float, largest: float) -> Plan:
     if largest > LARGEST_BLUR:
         raise SceneError(f"camera: the blur radius must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px")
     guard = max(plan.guard_px, guard_band(plan.psf, plan.scene.psf.border, largest))
-    return replace(plan, smallest_blur=smallest, largest_blur=largest, guard_px=guard)
+    psf, spreads = plan.psf.of_side(0), tuple(each.of_side(0) for each in plan.spreads)
+    return replace(plan, psf=psf, spreads=spreads, smallest_blur=smallest, largest_blur=largest, guard_px=guard)

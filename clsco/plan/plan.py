@@ -388,6 +388,7 @@ def make_plan(
         from clsco.optics.waves import check_waves
 
         check_waves(psf, seen.largest)
+        psf, spreads = psf.of_side(seen.side), tuple(each.of_side(seen.side) for each in spreads)
     choices, groups, extents = choose(scene, psf, wanted, eye, maps, channels, device, seen)
     blur, alpha = choices.blur.value, "alpha" in wanted.truth
     guard = seen.guard + (2 * TAP_LANES if blur == "convolve" else 0)

@@ -229,6 +229,8 @@ class Prediction:
         |R| with a margin, px.
     guard : int
         Guard band that follows, px.
+    side : int
+        Sign of R where it is the same for all rays, else 0.
     """
 
     times: list[float]
@@ -238,6 +240,7 @@ class Prediction:
     smallest: float
     largest: float
     guard: int
+    side: int
 
     @property
     def nearest(self) -> Array:
@@ -337,7 +340,8 @@ def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
         _check_fold(scene, cameras, guard)
         w = _inverse_depths(scene, samples, maps, guard) if seen is None else _kept_depths(seen, eye, guard)
         rays = _slopes(cameras, guard)
-        radii = np.abs(_radii(scene, lenses, w, rays))
+        signed = _radii(scene, lenses, w, rays)
+        radii, side = np.abs(signed), int(np.sign(signed[0])) if signed.size else 0
         largest, smallest = (float(radii.max()), float(radii.min())) if radii.size else (0.0, 0.0)
         if largest > LARGEST_BLUR:
             nearest, rule = 1.0 / float(w.max()), f"the blur radius must be at most {LARGEST_BLUR:g} px"
@@ -349,7 +353,8 @@ def predict(scene: Scene, psf: PointSpread, eye: Eye, maps: Maps) -> Prediction:
         if not constant:  # rays between those of the grid
             smallest, largest = max(0.0, 0.9 * smallest - 1.0), 1.1 * largest + 1.0
         band = guard_band(psf, scene.psf.border, largest)
-        return met, Prediction(times, poses, w, rays[len(times) // 2], smallest, largest, band)
+        side = side if (signed * side > 0.0).all() else 0
+        return met, Prediction(times, poses, w, rays[len(times) // 2], smallest, largest, band, side)
 
     guard = cast(0)[1].guard
     found = cast(guard)[1]

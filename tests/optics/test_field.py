@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -11,7 +12,7 @@ import pytest
 from clsco.errors import SceneError
 from clsco.optics.field import SeidelField
 from clsco.optics.point_spread import PointSpread, point_spread
-from clsco.optics.psf_tables import psf_table, table_bytes
+from clsco.optics.psf_tables import PsfTable, psf_table, table_bytes, table_weights
 from clsco.optics.pupils.fourier import FourierDiffracted
 from clsco.reference.spreads import spread_weights
 from clsco.scene.model import Aperture, Camera, Psf
@@ -152,6 +153,23 @@ def test_tables_of_all_places_are_alike() -> None:
     assert table.coefficients.size == 25 * table.stride
     assert table_bytes(psf, 0.0, 0.5) == table.coefficients.nbytes + table.intervals.nbytes
     assert not (table.coefficients[: table.stride] == table.coefficients[-table.stride :]).all()
+
+
+def table_of_last(table: PsfTable) -> PsfTable:
+    """The table of the last place of a field."""
+    return replace(table, coefficients=table.coefficients[-table.stride :])
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_tables_of_radii_of_one_sign_have_no_others(side: int) -> None:
+    psf, radius = lens(0.25).of_side(side), 0.3 * side
+    table, both = psf_table(psf, 0.3, 0.3), psf_table(lens(0.25), 0.3, 0.3)
+    assert table.coefficients.size * 2 == both.coefficients.size
+    assert table_bytes(psf, 0.3, 0.3) == table.coefficients.nbytes + table.intervals.nbytes
+    place = psf.places[-1]
+    assert (
+        table_weights(table_of_last(table), place, radius) == table_weights(table_of_last(both), place, radius)
+    ).all()
 
 
 def test_images_without_a_size_have_no_field() -> None:
