@@ -204,10 +204,10 @@ __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *su
 }
 
 #if SUBPIXELS
-// Gives a slot to every pixel within 2 px of a change of label, and to those whose texture is DETAILED or FINE, and more
-// to those with small surfaces, run by run of TAP_LANES pixels. Slots come in any order; what is in them does not. A
-// pixel that has some from a run with less room keeps them. In: label. Out: marks of source, pixels (slots): index p of the pixel, of one that is only DETAILED
-// -1 - 2 p, that is only FINE -2 - 2 p; statistics.
+// Gives a slot to every pixel within 2 px of a change of label, and to those whose texture is DETAILED or FINE, and
+// more to those with small surfaces, run by run of TAP_LANES pixels. Slots come in any order; what is in them does not.
+// A pixel that has some from a run with less room keeps them. In: label. Out: marks of source, pixels (slots): index p
+// of the pixel, of one that is only DETAILED -1 - 2 p, that is only FINE -2 - 2 p; statistics.
 __kernel void mark_silhouettes(const grid_t grid, __global const uchar *label, const int capacity,
                                __global float *source, __global int *pixels, __global int *statistics)
 {
