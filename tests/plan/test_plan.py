@@ -309,7 +309,7 @@ def test_too_large_tables_are_refused_with_their_size() -> None:
 )
 def test_what_takes_less_of_too_large_tables_is_named(psf: dict[str, str], helps: str) -> None:
     """A wall has no silhouette whose samples might be fewer."""
-    seidel = {"W040": 4.0, "W131": 6.0, "W222": 4.0}
+    seidel = {"W040": 6.0, "W131": 8.0, "W222": 6.0}
     with pytest.raises(SceneError, match=rf"\(what takes less: {helps}\)$"):
         plan_of(
             Plane(distance=250.0, slope_x=0.3),
