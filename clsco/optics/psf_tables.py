@@ -23,6 +23,7 @@ from clsco.optics.psf_grid import (
     table_coordinate,
     table_radius,
 )
+from clsco.optics.ray_means import has_ray_means, ray_floats
 
 LARGEST_TABLES = 2**30  # bytes
 SHARED_BYTES = 2**26  # up to which a table has whole blocks, for other ranges as well
@@ -123,15 +124,19 @@ def table_bytes(psf: PointSpread, smallest: float, largest: float, subpixel: int
     return sum(table_sizes(psf, smallest, largest, subpixel).values())
 
 
-def check_tables(psf: PointSpread, smallest: float, largest: float, silhouettes: int) -> None:
-    """Raise SceneError where the tables for |blur radii| in [smallest, largest] px take more than LARGEST_TABLES."""
+def check_tables(psf: PointSpread, smallest: float, largest: float, silhouettes: int, occluded: bool) -> None:
+    """Raise SceneError where the tables for |blur radii| in [smallest, largest] px, and the means of rays where some
+    are `occluded` (`clsco.optics.ray_means`), take more than LARGEST_TABLES."""
     size = table_bytes(psf, smallest, largest)
     size += table_bytes(psf, smallest, largest, silhouettes) if silhouettes else 0
+    means = 4 * ray_floats(psf, largest) if occluded and has_ray_means(psf) else 0
+    size += means
     if size > LARGEST_TABLES:
         from clsco.optics.pupils.traced import Traced
 
         keys = {
             "fewer silhouette_samples": silhouettes > 0,
+            'psf.occlusion = "none"': means > 0,
             "a larger psf.tail": psf.diffracted and not isinstance(psf.pupil, Traced),
             "less of psf.seidel": psf.varying is not None,
             "a smaller aperture": not psf.diffracted,

@@ -19,7 +19,7 @@ from clsco.optics.point_spread import PointSpread
 from clsco.optics.pupils.pupil import Array, Pupil
 from clsco.optics.pupils.wavefront import Wavefront
 
-STEPS = 4  # radii per px that means are made for; between two of them they change in proportion
+STEPS, EVEN = 4, 4.0  # radii per px up to |R| in px, and fewer beyond; between two of them means change in proportion
 PER_PX, FEWEST, MOST = 3, 24, 128  # rays per radius of the lens
 LEAST_LIGHT = 1e-6  # of all, from which on a pixel has a mean of its own
 ROUNDING = 1e-3  # px: of places of sources in their pixels
@@ -34,7 +34,7 @@ class RayMeans:
     Attributes
     ----------
     first : int
-        Radius that the first ones are for, in steps of 1 / STEPS px; negative radii come first.
+        Radius that the first ones are for, by `step_of`; negative radii come first.
     half_width : int
         Farthest pixel from the source, px along an axis.
     scales : ndarray, (places, radii)
@@ -61,7 +61,7 @@ class RayMeans:
     def around(self, radius: Array, places: NDArray[np.int64], shares: Array) -> tuple[NDArray[np.int64], Array, Array]:
         """Means around sources of signed radii (n,), between places (k, n) of the field with these shares:
         numbers (n, 2 k) in a list of all, their parts, and scales (n,), signed."""
-        at = np.clip(radius * STEPS - self.first, 0.0, self.means.shape[1] - 1.0)
+        at = np.clip(step_of(radius) - self.first, 0.0, self.means.shape[1] - 1.0)
         number = np.minimum(at.astype(np.int64), self.means.shape[1] - 2)
         first, above = places * self.means.shape[1] + number, at - number
         numbers = np.concatenate([first, first + 1]).T
@@ -82,6 +82,12 @@ class RayMeans:
         return found
 
 
+def step_of(radius: Array) -> Array:
+    """Place of signed blur radii in px among those that means are for, from 0 on: by the root of wide ones."""
+    size = np.abs(radius)
+    return np.copysign(STEPS * np.where(size > EVEN, 2.0 * np.sqrt(EVEN * size) - EVEN, size), radius)
+
+
 def has_ray_means(psf: PointSpread) -> bool:
     """True if lens points do not follow from places in the blur alone."""
     return psf.pupil.bends_rays or not (psf.diffracted or psf.pupil.has_plain_rim)
@@ -90,7 +96,7 @@ def has_ray_means(psf: PointSpread) -> bool:
 def ray_floats(psf: PointSpread, largest: float) -> int:
     """Floats that `RayMeans.floats` gives for |blur radii| up to `largest` px."""
     half_width = _half_width(psf, largest)
-    rows, radii = 2 * half_width + 1, 2 * (ceil(largest * STEPS) + 1) + 1
+    rows, radii = 2 * half_width + 1, 2 * _last_step(largest) + 1
     return 3 * TAP_LANES + len(psf.places) * radii * (TAP_LANES + 2 * rows * _pitch(half_width))
 
 
@@ -99,8 +105,10 @@ def ray_means(psf: PointSpread, largest: float) -> RayMeans:
     """Mean lens points for |blur radii| up to `largest` px."""
     from clsco.optics.pupils.traced import Traced
 
-    half_width, last = _half_width(psf, largest), ceil(largest * STEPS) + 1
-    radii = np.arange(-last, last + 1) / STEPS
+    half_width, last = _half_width(psf, largest), _last_step(largest)
+    steps = np.arange(-last, last + 1)
+    radii, wide = steps / STEPS, np.abs(steps) / STEPS > EVEN
+    radii[wide] *= (np.abs(radii[wide]) + EVEN) ** 2 / (4.0 * EVEN * np.abs(radii[wide]))
     shape = len(psf.places), len(radii)
     scales, means = np.zeros(shape), np.zeros((*shape, 2, 2 * half_width + 1, _pitch(half_width)))
     for k, place in enumerate(psf.places):
@@ -111,6 +119,10 @@ def ray_means(psf: PointSpread, largest: float) -> RayMeans:
             scales[k, n], found = _means(opening, wavefront, radius, half_width)
             means[k, n, :, :, : 2 * half_width + 1] = found
     return RayMeans(-last, half_width, scales, means)
+
+
+def _last_step(largest: float) -> int:
+    return ceil(float(step_of(np.asarray(largest)))) + 1
 
 
 def _half_width(psf: PointSpread, largest: float) -> int:

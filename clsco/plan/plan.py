@@ -393,7 +393,8 @@ def make_plan(
     blur, alpha = choices.blur.value, "alpha" in wanted.truth
     guard = seen.guard + (2 * TAP_LANES if blur == "convolve" else 0)
     if blur in MANY_RADII:
-        check_tables(psf, seen.smallest, seen.largest, choices.silhouettes.value)
+        occluded = any(group.occluders for group in groups)
+        check_tables(psf, seen.smallest, seen.largest, choices.silhouettes.value, occluded)
     plan = Plan(
         scene, psf, device, eye, channels + alpha, rows, columns, guard, seen.smallest, seen.largest, choices, groups,
         taps=0.0, spreads=spreads, alpha=alpha, extents=extents,
