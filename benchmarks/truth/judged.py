@@ -77,6 +77,13 @@ def _letter() -> Any:
     return image
 
 
+def _points() -> Any:
+    """Points of light of a pixel."""
+    image = np.zeros((SIZE, SIZE), np.float32)
+    image[2::5, 3::5] = 1.0
+    return image
+
+
 def _rims(*rims: tuple[float, float]) -> Content:
     return {"aperture": {"rim": [{"distance": distance, "diameter": diameter} for distance, diameter in rims]}}
 
@@ -102,8 +109,8 @@ SCENES: dict[str, Callable[[], Content]] = {
     "balls of 0.8 px in focus": lambda: _scene(*_balls(0.8, 250.0)),
     "balls of 1.5 px before a wall": lambda: _scene(*_balls(1.5), _wall(400.0, "#303030")),
     "cards of 0.2 x 10 px": lambda: _scene(
-        {"shape": "rectangle", "center": [1.03, 2.0, 280.0], "size": [0.056, 2.8], "texture": "#ffffff"},
-        {"shape": "rectangle", "center": [-4.01, 0.3, 280.0], "size": [2.8, 0.056], "texture": "#ffffff"},
+        {"shape": "rectangle", "center": [1.0444, 2.0, 280.0], "size": [0.056, 2.8], "texture": "#ffffff"},
+        {"shape": "rectangle", "center": [-4.01, 0.4844, 280.0], "size": [2.8, 0.056], "texture": "#ffffff"},
     ),
     "wire of 0.4 px": lambda: _scene(_wire(0.4, 280.0)),
     "small spheres, wide lens": lambda: {
@@ -112,9 +119,13 @@ SCENES: dict[str, Callable[[], Content]] = {
         "object": [
             {"shape": "sphere", "center": [0.001 * k - 0.03, 0.03 - 0.0013 * k, 10.02], "radius": 0.001,
              "texture": "#ffffff"}
-            for k in (0, 30, 60)
+            for k in (0, 29.55, 60.3)
         ],
     },
+    "distortion alone": lambda: _scene(
+        _wall(313.7, _points()), lens={"distortion": [-0.3, 0.05, 0.0]},
+        camera={"pixel_pitch": 0.25, "aperture_diameter": 40.0},
+    ),
     "field curvature": lambda: _scene(_card(), _wall(), lens={"field_curvature": -0.05}, camera={"pixel_pitch": 0.1}),
     "moving card, triangle": lambda: _scene(
         _card(motion={"velocity": [12.0, 5.0, 0.0]}), _wall(), sequence={"shutter_curve": "triangle"}
@@ -139,7 +150,7 @@ def line_of(name: str, found: Judgement) -> str:
     k, channel = np.unravel_index(int(np.where(found.deviations[:, None], abs(off), -1.0).argmax()), off.shape)
     worst = f"{found.right[k, channel]:.3f}, {found.got[k, channel]:.3f}" if beyond else ""
     shares = [light.got / light.right for light in found.lights if light.right]
-    light = f"{min(shares):.2f} to {max(shares):.2f}" if shares else ""
+    light = f"{min(shares):.2f} to {max(shares):.2f}, {len(found.dim)} of {len(shares)} off" if shares else ""
     cells = (name, f"{whole:.1f}", *each, f"{-20 * math.log10(max(noise, 1e-9)):.0f}", f"{off.mean():+.4f}",
              f"{beyond} of {pixels}", worst, light)  # fmt: skip
     return f"| {' | '.join(cells)} |"

@@ -16,11 +16,12 @@ from scipy.stats import qmc
 
 from clsco.resources import processors
 from clsco.truth.kernel import accumulate
-from clsco.truth.pixels import CLASSES, Pixels, choose_pixels, extent_of, places_of
+from clsco.truth.pixels import CLASSES, SMALL_PX, Pixels, choose_pixels, extent_of, places_of
 from clsco.truth.problem import Array, Problem
 from clsco.truth.pupils import bend, lens_point
 
 NOISE = 1e-3  # standard error of a pixel, of white
+LIGHT_NOISE = 4e-3  # of all light around a small object, in px of white
 REPEATS, FRAME_REPEATS = 16, 4  # independent estimates of a pixel, and of each where all of a frame are traced
 FIRST, MOST_RAYS = 64, 2**16  # samples of each repeat at first, and rays of a pixel at most
 ALLOWED, ALLOWED_ERRORS = 0.01, 5.0  # of white, and standard errors: more than both is a deviation
@@ -155,8 +156,10 @@ def judge(
     whole = [(n, -1) for n, *_ in boxes], [(-1, n) for n, *_ in boxes]
     jobs = np.array([(-1, -1)] * len(places) + whole[0] + whole[1], np.int64).reshape(-1, 2)
     places = np.concatenate([places, *(np.array(each[k]).reshape(1, 5) for k in (1, 2) for each in boxes)])
-    mean, error, cast = trace(problem, jobs, places, rays, began + seconds, seed)
     count = len(pixels.row)
+    enough = np.full(len(jobs), NOISE)
+    enough[count : count + len(boxes)] = [LIGHT_NOISE / (box[2] * box[3]) for _, box, _ in boxes]
+    mean, error, cast = trace(problem, jobs, places, rays, began + seconds, seed, lambda error: error > enough)
     lights = []
     for k, (n, (left, top, wide, high, _), _) in enumerate(boxes):
         area, base, own = wide * high, count + k, count + len(boxes) + k
@@ -224,22 +227,22 @@ def trace(
 
 
 def _boxes(problem: Problem) -> Iterator[tuple[int, tuple[float, ...], tuple[float, ...]]]:
-    """Objects that are small all over, the pixels (left, top, width, height) that have all of their light, and half a
-    width and height in mm about a place that rays are aimed at."""
+    """Objects that are narrow and in the frame all over, the pixels (left, top, width, height) that have all of their
+    light, and half a width and height in mm about a place that rays are aimed at."""
     moments = sorted({0, len(problem.moments.poses) // 2, len(problem.moments.poses) - 1})
     if problem.moments.clock[1] > 0.0 and len(problem.moments.poses) > 1:
         return  # where rows open in turn, light is not that of a time
     widest, bent = _reach(problem)
     for n in range(len(problem.scene.objects)):
         extent = extent_of(problem, n)
-        if extent is None or not extent.small:
+        if extent is None or not extent.width < SMALL_PX:
             continue
         middle = extent.places[len(extent.places) // 2]
         column, row, radius = (
             np.concatenate(part)
-            for part in zip(*(places_of(problem, n, moment, middle[None]) for moment in moments), strict=True)
+            for part in zip(*(places_of(problem, n, moment, extent.places) for moment in moments), strict=True)
         )
-        if len(column) < len(moments):
+        if len(column) < len(moments) * len(extent.places):
             continue
         depth = problem.moments.poses[moments[0], n, 11]
         reach = float(np.abs(radius).max()) * widest + bent + 5.0

@@ -32,17 +32,16 @@ class Pixels:
 
 @dataclass(frozen=True)
 class Extent:
-    """Image of an object: places (n, 3) of its own frame along it, half its size (3) there, its least width in px at
-    the time in the middle, and whether it is small all over."""
+    """Image of an object: places (n, 3) of its own frame along it, half its size (3) there, and its least width in px
+    at the time in the middle."""
 
     places: Array
     half: Array
     width: float
-    small: bool
 
     @property
     def around(self) -> float:
-        """Radius in mm of a ball that has it all, if it is small."""
+        """Radius in mm of a ball that has it all."""
         return float(self.half.max() if len(self.places) == 1 else np.linalg.norm(self.half))
 
 
@@ -139,7 +138,7 @@ def extent_of(problem: Problem, number: int) -> Extent | None:
         return None
     scale = 1.0 / (problem.moments.lenses[len(problem.moments.poses) // 2, 0] * at[2])
     sizes = np.sort(2.0 * half)[::-1] * scale
-    return Extent(places, half, float(sizes[1]), bool(sizes[0] < SMALL_PX))
+    return Extent(places, half, float(sizes[1]))
 
 
 def is_small(problem: Problem, number: int) -> bool:

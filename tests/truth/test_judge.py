@@ -171,6 +171,13 @@ def test_light_of_a_ball_below_a_pixel() -> None:
     assert not judged(given, image, rays=16384).dim
 
 
+def test_light_of_a_card_that_is_long_and_narrow() -> None:
+    mm = 0.02 / 20 * 260
+    card = {"shape": "rectangle", "center": [0.73 * mm, 0.2 * mm, 260.0], "size": [0.2 * mm, 8 * mm]}
+    (light,) = judged(scene(card | {"texture": "#ffffff"}), np.zeros((SIZE, SIZE)), rays=16384).lights
+    assert light.right == pytest.approx(1.6, rel=0.01)
+
+
 def test_scenes_without_rays_say_so() -> None:
     assert "waves" in str(not_judged(scene(WALL, psf={"model": "wave"})))
     assert not_judged(scene(WALL)) is None
