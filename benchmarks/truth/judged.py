@@ -1,16 +1,16 @@
 """Judge frames by rays through the real lens: the examples, and scenes in which faults of light would show.
 
-    python -m benchmarks.truth.judged [--only NAME] [--seconds 2]
+    python -m benchmarks.truth.judged [--only NAME] [--seconds 2] [--size 160]
 
 Of each scene the first frame, the left one of a pair, is compared with rays as `clsco check` does, in float64 where the
-device has it. Figures go to the terminal, and into the tables of benchmarks/results/judged.md and, between two markers,
-of docs/accuracy.md, where scenes that are not judged now keep theirs.
+device has it. Larger examples have --size pixels along an axis, of the same field of view: R in px is smaller. Figures
+go to the terminal, and into the tables of benchmarks/results/judged.md and, between two markers, of docs/accuracy.md,
+where scenes that are not judged now keep theirs.
 """
 
 from __future__ import annotations
 
 import argparse
-import math
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -139,19 +139,28 @@ def examples() -> dict[str, Callable[[], Scene]]:
     return {path.stem: lambda path=path: clsco.load_sweep(path).scenes[0] for path in found}  # type: ignore[misc]
 
 
+def at_most(scene: Scene, size: int) -> Scene:
+    """The scene with its field of view in no more pixels along an axis."""
+    camera, ratio = scene.camera, max(scene.camera.frame_size) / size
+    if ratio <= 1:
+        return scene
+    resolution = tuple(round(count / ratio) for count in camera.frame_size)
+    smaller = {"resolution": resolution, "pixel_pitch": camera.pixel_pitch * ratio}
+    return scene.model_copy(update={"camera": camera.model_copy(update=smaller)})
+
+
 def line_of(name: str, found: Judgement) -> str:
     """Row of the table."""
     classes = {row.name: row for row in found.classes}
     off, pixels = found.got - found.right, len(found.right)
-    rms, noise = (math.sqrt(float(np.mean(each**2))) for each in (off, found.error))
-    whole = -10 * math.log10(max(rms**2 - noise**2, 1e-2 * noise**2, 1e-12))
+    figures = found.figures
     each = [f"{classes[kind].decibels:.1f}" if kind in classes else "" for kind in ("outline", "focus", "small")]
-    beyond = int(found.deviations.sum())
+    beyond = figures["deviations"]
     k, channel = np.unravel_index(int(np.where(found.deviations[:, None], abs(off), -1.0).argmax()), off.shape)
     worst = f"{found.right[k, channel]:.3f}, {found.got[k, channel]:.3f}" if beyond else ""
     shares = [light.got / light.right for light in found.lights if light.right]
-    light = f"{min(shares):.2f} to {max(shares):.2f}, {len(found.dim)} of {len(shares)} off" if shares else ""
-    cells = (name, f"{whole:.1f}", *each, f"{-20 * math.log10(max(noise, 1e-9)):.0f}", f"{off.mean():+.4f}",
+    light = f"{min(shares):.2f} to {max(shares):.2f}, {figures['lights_off']} of {len(shares)} off" if shares else ""
+    cells = (name, f"{figures['psnr']:.1f}", *each, f"{figures['psnr_noise']:.0f}", f"{figures['mean']:+.4f}",
              f"{beyond} of {pixels}", worst, light)  # fmt: skip
     return f"| {' | '.join(cells)} |"
 
@@ -177,6 +186,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", default="", metavar="NAME", help="scenes whose name contains this")
     parser.add_argument("--seconds", type=float, default=3.0, metavar="S", help="of rays for each scene")
+    parser.add_argument("--size", type=int, default=160, metavar="N", help="most pixels of examples along an axis")
     options = parser.parse_args()
     made: dict[str, Callable[[], Scene]] = {
         name: lambda content=content: clsco.parse_scene(content()) for name, content in SCENES.items()  # type: ignore[misc]
@@ -185,7 +195,7 @@ def main() -> None:
     for name, load in (made | examples()).items():
         if options.only not in name:
             continue
-        scene = with_resolution(load()).model_copy(update={"sensor": None})
+        scene = at_most(with_resolution(load()), options.size).model_copy(update={"sensor": None})
         why = not_judged(scene)
         if why is None:
             frame, began = next(iter(clsco.render(scene))), time.process_time()

@@ -54,6 +54,9 @@ if TYPE_CHECKING:
     help="When all frames are there, write a clip beside them, such as clip.mp4: mp4, ffv1, prores or another preset "
     "of clsco video. With -o - and y4m: to the standard output, and no files.",
 )  # fmt: skip
+@click.option(
+    "--check", is_flag=True, help="Record how far frames are from rays through the lens, in their JSON files."
+)
 @click.option("--resume", is_flag=True, help="Leave out frames that are in DIR already, whole and of this scene.")
 @quiet_option
 def render(
@@ -68,6 +71,7 @@ def render(
     computation: Computation,
     subframes: bool,
     preset: str | None,
+    check: bool,
     resume: bool,
     quiet: bool,
 ) -> None:
@@ -81,8 +85,9 @@ def render(
     if str(out) == "-":
         if preset != "y4m":
             raise click.UsageError(f"-o -: needs --video y4m, which alone goes to a pipe; got {preset or 'no --video'}")
-        if files or subframes or resume:
-            raise click.UsageError("-o -: writes no files, so must be without --truth, --subframes and --resume")
+        if files or subframes or resume or check:
+            rule = "writes no files, so must be without --truth, --subframes, --check and --resume"
+            raise click.UsageError(f"-o -: {rule}")
     if no_color and (subframes or preset):
         raise click.UsageError("--no-color: makes no image, so must be without --subframes and --video")
     require_uncolored(files, no_color)
@@ -91,7 +96,11 @@ def render(
     if str(out) == "-":
         _render_to_pipe(loaded, computation, quiet, span)
         return
-    render_to_folders(loaded, out, files, computation, quiet, span, resume, subframes, preset, not no_color)
+    if check:
+        from clsco.truth import require_rays
+
+        require_rays()
+    render_to_folders(loaded, out, files, computation, quiet, span, resume, subframes, preset, not no_color, check)
 
 
 def require_uncolored(files: tuple[TruthFile, ...], no_color: bool) -> None:
@@ -131,6 +140,7 @@ def render_to_folders(
     subframes: bool = False,
     preset: str | None = None,
     color: bool = True,
+    check: bool = False,
 ) -> None:
     """Plan scenes, and render those of each file into its folder."""
     if files:
@@ -160,7 +170,7 @@ def render_to_folders(
     with frame_progress(
         sum(len(job.frames) for job in jobs), quiet, computation.device, lambda: _predicted(jobs)
     ) as advance:
-        for _ in batch.run(jobs, computation.device):
+        for _ in batch.run(jobs, computation.device, check):
             advance()
     if preset is not None:
         from clsco.cli.video import write_clips

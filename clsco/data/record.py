@@ -54,7 +54,10 @@ ABOUT = {
 CODES = {"uint8": 8, "uint16": 16}
 PICTURES = ("color", "sharp")  # what codes can hold
 # Of a frame's metadata what depends on its scene alone, not on memory, devices or clocks.
-_OF_FRAMES = ("frame", "samples", "intermediate", "bits", "precision", "blur_method", "approximation", "chromaticities")
+_OF_FRAMES = (
+    "frame", "samples", "intermediate", "bits", "precision", "blur_method", "approximation", "chromaticities",
+    "check",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -182,12 +182,12 @@ def _written(folder: Path, index: int) -> int | None:
         return None
 
 
-def run(jobs: Sequence[Job], device: str | None) -> Iterator[tuple[Job, tuple[Frame, ...]]]:
+def run(jobs: Sequence[Job], device: str | None, check: bool = False) -> Iterator[tuple[Job, tuple[Frame, ...]]]:
     """Render the frames of jobs, write each one, and then yield it: one frame, or the two views of a stereo pair.
 
     jobs: in the order in which they are rendered; those of one sweep follow each other, and up to `TOGETHER` of them
-    share their rays where they can. What a scene has once is written when all of them are done. Raises as
-    `clsco.render` and `clsco.frame.files.write_frame`.
+    share their rays where they can; check: frames are compared with rays, and their records have the figures. What a
+    scene has once is written when all of them are done. Raises as `clsco.render` and `clsco.frame.files.write_frame`.
     """
     session = session_for(device)
     for _, alike in groupby(
@@ -197,15 +197,20 @@ def run(jobs: Sequence[Job], device: str | None) -> Iterator[tuple[Job, tuple[Fr
         largest = max(job.prepared.plan.rows * job.prepared.plan.columns for job in members)
         count = max(1, min(TOGETHER, PIXELS_TOGETHER // largest))
         for start in range(0, len(members), count):
-            yield from _run_together(session, members[start : start + count])
+            yield from _run_together(session, members[start : start + count], check)
     for job in jobs:
         write_scene_files(job.folder, job.prepared.scene, job.files)
 
 
-def _run_together(session: Session, jobs: Sequence[Job]) -> Iterator[tuple[Job, tuple[Frame, ...]]]:
+def _run_together(session: Session, jobs: Sequence[Job], check: bool) -> Iterator[tuple[Job, tuple[Frame, ...]]]:
     """As `run`, of jobs with the same frames, files and request."""
     left: Frame | None = None
-    for number, frame in render_prepared(session, [job.prepared for job in jobs], jobs[0].frames):
+    for number, rendered in render_prepared(session, [job.prepared for job in jobs], jobs[0].frames):
+        frame = rendered
+        if check:
+            from clsco.truth.judge import judged_frame
+
+            frame = judged_frame(jobs[number].prepared.scene, rendered)
         if frame.eye == "left":
             left = frame
             continue

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,16 +14,19 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 from scipy.stats import qmc
 
+from clsco.frame.frame import Frame
 from clsco.resources import processors
+from clsco.scene.model import Scene
 from clsco.truth.kernel import accumulate
 from clsco.truth.pixels import CLASSES, SMALL_PX, Pixels, choose_pixels, extent_of, places_of
-from clsco.truth.problem import Array, Problem
+from clsco.truth.problem import Array, Problem, make_problem, not_judged
 from clsco.truth.pupils import bend, lens_point
 
 NOISE = 1e-3  # standard error of a pixel, of white
 LIGHT_NOISE = 4e-3  # of all light around a small object, in px of white
 REPEATS, FRAME_REPEATS = 16, 4  # independent estimates of a pixel, and of each where all of a frame are traced
 FIRST, MOST_RAYS = 64, 2**16  # samples of each repeat at first, and rays of a pixel at most
+RECORD_RAYS = 2**12  # of a pixel, for a frame's record
 ALLOWED, ALLOWED_ERRORS = 0.01, 5.0  # of white, and standard errors: more than both is a deviation
 COUNTED_ERRORS = 4.0  # pixels are counted beyond ALLOWED and so many standard errors
 
@@ -112,6 +115,18 @@ class Judgement:
         many = f"{int(self.deviations.sum())} of {len(off)} pixels beyond, by {off[k]:.3f} at {place}"
         return f"{many}, {dim}" if dim else many
 
+    @property
+    def figures(self) -> dict[str, Any]:
+        """All pixels in few numbers: PSNR in dB less the noise of rays, and that of the noise; mean deviation of white;
+        counts of pixels, deviations, small objects, and those of another light."""
+        off, noise = self.got - self.right, max(float(np.mean(self.error**2)), 1e-18)
+        square = max(float(np.mean(off**2)) - noise, 1e-2 * noise, 1e-12)
+        return {
+            "psnr": round(-10 * math.log10(square), 1), "psnr_noise": round(-10 * math.log10(noise), 1),
+            "mean": round(float(off.mean()), 5), "pixels": len(off), "deviations": int(self.deviations.sum()),
+            "lights": len(self.lights), "lights_off": len(self.dim),
+        }  # fmt: skip
+
     def values(self) -> dict[str, Any]:
         """The same for JSON."""
         pixels, kinds = self.pixels, [CLASSES[k] for k in self.pixels.kind]
@@ -125,6 +140,18 @@ class Judgement:
             "pixels": [dict(zip(names, each, strict=True)) for each in table],
             "deviations": int(self.deviations.sum()), "rays": self.rays, "seconds": round(self.seconds, 3),
         }  # fmt: skip
+
+
+def judged_frame(scene: Scene, frame: Frame) -> Frame:
+    """A frame whose metadata have `check`: figures of some rays at each tried pixel, or why there are none."""
+    why = not_judged(scene)
+    if why is None and (scene.sensor is not None or "color" not in frame.arrays()):
+        why = "rays tell light, and not what a sensor or a scene without an image has"
+    if why is None:
+        check = judge(make_problem(scene, frame.index, frame.eye), frame.color, RECORD_RAYS, math.inf).figures
+    else:
+        check = {"not_judged": why}
+    return replace(frame, metadata={**frame.metadata, "check": check})
 
 
 def judge(

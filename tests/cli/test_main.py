@@ -98,6 +98,14 @@ def test_render_writes_frames(ball: Path, tmp_path: Path) -> None:
             np.testing.assert_array_equal(arrays[FILE_NAMES[name]], getattr(frame, name), strict=True)
 
 
+def test_check_adds_figures_of_rays_to_the_record(ball: Path, tmp_path: Path) -> None:
+    assert clsco_("render", ball, "-o", tmp_path, "--check", "--frames", "1:2").exit_code == 0
+    check = json.loads((tmp_path / "frame_0001.json").read_text())["check"]
+    assert check["pixels"] > 100
+    assert check["psnr"] > 45
+    assert check["deviations"] < 0.1 * check["pixels"]
+
+
 def test_the_json_tells_every_parameter_and_what_became_of_it(ball: Path, tmp_path: Path) -> None:
     settings = ["--set", "camera.f_number=4", "--set", "object.0.radius=25", "--precision", "single"]
     began = time.perf_counter()
