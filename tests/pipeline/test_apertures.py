@@ -63,7 +63,7 @@ def drawn(seed: int) -> tuple[Scene, str]:
 @pytest.mark.parametrize("seed", range(COUNT))
 def test_random_openings_are_those_of_the_reference(seed: int) -> None:
     scene, method = drawn(seed)
-    (found,), (exact,) = clsco.render(scene, method=method), reference.render(scene)
+    (found,), (exact,) = clsco.render(scene, method=method, truth=()), reference.render(scene)
     limit = 4 * FIGURE if scene.psf.border == "renormalize" else FIGURE
     assert np.abs(found.color - exact.color).max() < limit
     if seed % 3 == 0:
@@ -74,7 +74,7 @@ def test_random_openings_are_those_of_the_reference(seed: int) -> None:
         assert strips.metadata["strips"] > 1
         np.testing.assert_array_equal(strips.color, whole.color)
     if seed % 3 == 1:
-        (single,) = clsco.render(scene, method=method, precision="single")
+        (single,) = clsco.render(scene, method=method, precision="single", truth=())
         assert np.abs(single.color - found.color).max() < SINGLE
 
 
@@ -89,9 +89,9 @@ def test_lens_files(name: str) -> None:
     camera = {"resolution": [columns // 8, rows // 8], "pixel_pitch": pitch * scene.camera.pixel_pitch}
     for key, value in camera.items():
         scene = scene.replace(f"camera.{key}", value)
-    (found,), (exact,) = clsco.render(scene), reference.render(scene)
+    (found,), (exact,) = clsco.render(scene, truth=()), reference.render(scene)
     assert np.abs(found.color - exact.color).max() < FIGURE
-    (plain,) = clsco.render(scene.replace("aperture", {}))
+    (plain,) = clsco.render(scene.replace("aperture", {}), truth=())
     assert np.abs(found.color - plain.color).max() > 0.01
 
 

@@ -82,7 +82,7 @@ def test_corners_of_a_frame_mirror_each_other_and_tails_point_outwards() -> None
     for row in (5, 26):
         for column in (6, 41):
             dots[row, column] = 1.0
-    (frame,) = clsco.render(scene(object=[{**FACING, "distance": 250.0167, "texture": dots}]))
+    (frame,) = clsco.render(scene(object=[{**FACING, "distance": 250.0167, "texture": dots}]), truth=())
     color = frame.color.astype(np.float64)
     assert color == pytest.approx(color[::-1], abs=1e-6)
     assert color == pytest.approx(color[:, ::-1], abs=1e-6)
@@ -119,7 +119,7 @@ def test_a_plan_names_cells() -> None:
 def test_light_stays() -> None:
     wanted = scene(object=[{**FACING, "texture": "#808080"}], psf={**FIELD, "border": "renormalize"})
     sharp = scene(object=wanted.objects, psf={"border": "renormalize"})
-    (frame,), (plain,) = clsco.render(wanted), clsco.render(sharp)
+    (frame,), (plain,) = clsco.render(wanted, truth=()), clsco.render(sharp, truth=())
     assert frame.color.mean() == pytest.approx(plain.color.mean(), rel=1e-5)
 
 
@@ -153,7 +153,7 @@ def test_distortion_is_a_term_of_the_wavefront() -> None:
     assert k1 * (corner * unit) ** 3 / unit == pytest.approx(2.0 * diffraction_unit(camera, 2500.0) * -2.0)
     assert wanted.replace("psf.seidel.W311", -2.0) == wanted
     same = scene_from({"camera": wide, "lens": {"distortion": [k1, 0.0, 0.0]}}, TILTED)
-    (frame,), (expected,) = clsco.render(wanted), clsco.render(same)
+    (frame,), (expected,) = clsco.render(wanted, truth=()), clsco.render(same, truth=())
     assert (frame.color == expected.color).all()
 
 

@@ -152,8 +152,8 @@ def test_a_disc_differs_as_the_plan_says(f_number: float, pitch: float) -> None:
     for radius in (1.0, 2.0, 4.0):
         distance = 1.0 / (1.0 / 20.0 - 1.0 / 21.739 - radius / scale)
         plane = {**FACING, "distance": distance, "texture": squares}
-        (light,) = clsco.render(scene(object=[plane], camera=camera))
-        (disc,) = clsco.render(scene(object=[plane], camera=camera, psf={"model": "pillbox"}))
+        (light,) = clsco.render(scene(object=[plane], camera=camera), truth=())
+        (disc,) = clsco.render(scene(object=[plane], camera=camera, psf={"model": "pillbox"}), truth=())
         found.append(psnr(disc.color.astype(np.float64), light.color.astype(np.float64)))
     assert min(found) == pytest.approx(disc_psnr(unit), abs=1.5)
 

@@ -36,14 +36,15 @@ GOING = CARD | {"motion": TURNED}
 MOVING: Tables = {"sequence": {"shutter": 0.1, "samples": 3, "shutter_curve": "triangle"}}
 LAID = CARD | {"texture_mapping": "surface", "texture": np.random.default_rng(5).random((48, 48)).astype(np.float32)}
 TWO: Tables = {"camera": CAMERA, "psf": {"silhouette_samples": 2}}
+# Most have the same objects, and so the same programs, which take far longer than their frames.
 SCENES: dict[str, Scene] = {
     "still": scene_from(TWO, BALL, CARD, WALL),
     "moving": scene_from(TWO | MOVING, BALL, GOING, WALL),
-    "auto": scene_from(TWO, GOING, WALL, sequence={"shutter": 0.05}),
-    "rolling": scene_from(TWO | MOVING, GOING, WALL, sequence={"readout": 0.05}),
-    "high": scene_from(TWO, BALL, WALL, camera=CAMERA | {"resolution": [12, BAND + 16]}),
-    "stereo": scene_from(TWO, CARD, WALL, stereo={"baseline": 10.0}),
-    "rims": scene_from(TWO, CARD, WALL, aperture={"rim": [{"distance": 25.0, "diameter": 30.0}]}),
+    "auto": scene_from(TWO, BALL, GOING, WALL, sequence={"shutter": 0.05}),
+    "rolling": scene_from(TWO | MOVING, BALL, GOING, WALL, sequence={"readout": 0.05}),
+    "high": scene_from(TWO, BALL, CARD, WALL, camera=CAMERA | {"resolution": [12, BAND + 16]}),
+    "stereo": scene_from(TWO, BALL, CARD, WALL, stereo={"baseline": 10.0}),
+    "rims": scene_from(TWO, BALL, CARD, WALL, aperture={"rim": [{"distance": 25.0, "diameter": 30.0}]}),
     "laid": scene_from(TWO, LAID, WALL),
     "layered": scene_from(TWO, BALL, WALL, psf={"occlusion": "layered"}),
 }
