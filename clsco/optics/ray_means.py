@@ -19,7 +19,8 @@ from clsco.optics.point_spread import PointSpread
 from clsco.optics.pupils.pupil import Array, Pupil
 from clsco.optics.pupils.wavefront import Wavefront
 
-STEPS, EVEN = 4, 4.0  # radii per px up to |R| in px, and fewer beyond; between two of them means change in proportion
+STEPS = 4  # radii per px; between two of them means change in proportion
+EVEN = 4.0  # |R|, px, beyond which there are fewer
 PER_PX, FEWEST, MOST = 3, 24, 128  # rays per radius of the lens
 LEAST_LIGHT = 1e-6  # of all, from which on a pixel has a mean of its own
 ROUNDING = 1e-3  # px: of places of sources in their pixels

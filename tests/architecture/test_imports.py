@@ -24,7 +24,7 @@ ONLY = {
     "files": {"errors", "resources"},
     "opencl": {"cache", "constants", "errors", "resources", "records"},
     "records": set[str](),
-    "truth": {"errors", "files", "inputs", "resources", "scene"},  # and no formula of what it judges
+    "truth": {"errors", "files", "frame", "inputs", "resources", "scene"},  # and no formula of what it judges
 }
 ON_OPENCL = (
     "opencl", "passes", "engine", "inpainting", "data.shards", "data.verify",
