@@ -27,7 +27,7 @@ from clsco.reference.inpainting.fill import FILLED, UNFILLED, FillReport, fill_o
 from clsco.reference.layered.layered import cluster, spread_depth_layers
 from clsco.reference.plan import Maps, ReferencePlan, band_of, silhouettes_of
 from clsco.reference.trace.mapping import MappedTexture
-from clsco.reference.trace.small import small_members
+from clsco.reference.trace.small import hidden_by_small, small_members
 from clsco.reference.trace.trace import (
     Sources,
     everything,
@@ -72,7 +72,8 @@ def _plane_of_rays(plan: ReferencePlan, textures: tuple[Texture, ...], time: flo
         sources, finer = spread_sources(cast) if psf.tilt and not plan.psf.diffracted else cast, None
         if psf.silhouette_samples > 1:
             bounds, grid = [cutting_bounds(item) for item in view.scene.objects], padded_grid(view.scene.camera, guard)
-            small = small_members(view.scene.camera, view.surfaces, bounds, group, *grid).any(axis=0)
+            known = view.scene.camera, view.surfaces, bounds, group, *grid
+            small = small_members(*known).any(axis=0) | hidden_by_small(*known)
             marked = silhouettes_of(view, group, guard, cast.label) | small
             several = marked if cast.parts is None else marked | (cast.parts > 0)
             finer = trace_subpixels(view, group, guard, marked, cast) if several.any() else None

@@ -193,7 +193,25 @@ def test_the_plan_knows_of_what_rays_miss() -> None:
     assert plan.blur != "none"
 
 
+@pytest.mark.parametrize("focus", [SHARP, WIDE])
+def test_what_a_ball_hides(focus: float) -> None:
+    """Of a wall behind it the area of its image, although no ray through the middle of a pixel meets it."""
+    wall = {"shape": "plane", "distance": 260.0}
+    whole = image(wall, focus=focus).sum()
+    lost = [whole - image(wall, ball(0.45, at, focus, texture="#000000"), focus=focus).sum() for at in PLACES[:6]]
+    check([float(each) / (math.pi * 0.45**2 / 4.0) for each in lost])
+
+
+def test_light_is_at_its_place() -> None:
+    side = np.arange(SIDE) - (SIDE - 1) / 2.0
+    for size, place in zip((0.45, 0.9, 1.6, 3.0), PLACES, strict=False):
+        found = image(ball(size, place, BLURRED), focus=BLURRED)
+        middle = np.array([found.sum(axis=0) @ side, -found.sum(axis=1) @ side]) / found.sum()
+        np.testing.assert_allclose(middle, place, atol=0.02)
+
+
 def test_the_reference_agrees() -> None:
-    for item in (ball(0.45, PLACES[1], BLURRED), card(0.3, 5.0, 20.0, PLACES[2], BLURRED)):
-        ours, theirs = (image(item, focus=BLURRED, engine=engine) for engine in ("device", "reference"))
-        np.testing.assert_allclose(ours, theirs, atol=1e-6)
+    hidden = ball(0.45, PLACES[3], BLURRED), {"shape": "plane", "distance": 260.0}
+    for items in ((ball(0.45, PLACES[1], BLURRED),), (card(0.3, 5.0, 20.0, PLACES[2], BLURRED),), hidden):
+        ours, theirs = (image(*items, focus=BLURRED, engine=engine) for engine in ("device", "reference"))
+        np.testing.assert_allclose(ours, theirs, atol=3e-6)

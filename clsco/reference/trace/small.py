@@ -32,7 +32,7 @@ from clsco.reference.trace.view import Cast, View
 from clsco.scene.model import Camera
 
 LINES, END_LINES = 8, 2
-CLEARLY = 1.001
+CLEARLY, SMALL_REACH = 1.001, 2.0
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 
@@ -78,21 +78,22 @@ def conics_of(camera: Camera, surface: PlacedSurface, bounds: Bounds | None, row
 
 
 def is_small(
-    camera: Camera, surface: PlacedSurface, bounds: Bounds | None, row: NDArray[np.int64], column: NDArray[np.int64]
+    camera: Camera, surface: PlacedSurface, bounds: Bounds | None, row: NDArray[np.int64], column: NDArray[np.int64],
+    reach: float = 0.5,
 ) -> Mask:  # fmt: skip
-    """True of pixels about which the image of a surface is narrow, and in which it may be; rows and columns broadcast,
-    px."""
+    """True of pixels about which the image of a surface is narrow, and of whose middles it may be within `reach` px;
+    rows and columns broadcast, px."""
     row, column = np.broadcast_arrays(row, column)
     if not surface.width < NARROW_IMAGE * ray_step(camera):
         return np.zeros(row.shape, dtype=bool)
-    rays, step = pixel_ray(camera, row, column), ray_step(camera)
+    rays, step = pixel_ray(camera, row, column), (reach + 0.5) * ray_step(camera)
     ends = (surface.seen.x, surface.seen.y)
     near = [(rays[..., k] + step >= low) & (rays[..., k] - step <= high) for k, (low, high) in enumerate(ends)]
     found = near[0] & near[1]
     here = np.ones(int(found.sum()), dtype=bool)
     for one, x, y, xx, xy, yy in conics_of(camera, surface, bounds, row[found], column[found]):
-        beyond = 0.25 * (np.maximum(xx, 0.0) + np.maximum(yy, 0.0) + np.abs(xy))
-        here &= one + 0.5 * (np.abs(x) + np.abs(y)) + beyond >= 0.0
+        beyond = reach * reach * (np.maximum(xx, 0.0) + np.maximum(yy, 0.0) + np.abs(xy))
+        here &= one + reach * (np.abs(x) + np.abs(y)) + beyond >= 0.0
         if surface.width < 0.0:
             bend = -(xx + yy)
             here &= (bend > 0.0) & (4.0 * one * bend + x * x + y * y < (NARROW_IMAGE * bend) ** 2)
@@ -110,6 +111,18 @@ def small_members(
     return np.stack(
         [is_small(camera, *one, row, column) if group.members >> k & 1 else none for k, one in enumerate(each)]
     )
+
+
+def hidden_by_small(
+    camera: Camera, surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], group: OcclusionGroup,
+    row: NDArray[np.int64], column: NDArray[np.int64],
+) -> NDArray[np.bool_]:  # fmt: skip
+    """True (...) of pixels that a small occluder is in, or so near that whole pixels would see an edge of it."""
+    found = np.zeros(np.broadcast(row, column).shape, dtype=bool)
+    for k, (surface, ends) in enumerate(zip(surfaces, bounds, strict=True)):
+        if group.occluders >> k & 1:
+            found |= is_small(camera, surface, ends, row, column, SMALL_REACH)
+    return found
 
 
 def narrow(a: Array, b: Array, c: Array, low: Array, high: Array) -> tuple[Array, Array]:
