@@ -1,8 +1,10 @@
-"""Mean lens points of the light that pixels get of a source: where wide lenses are tested for what hides them, if light
-from a lens point l does not arrive at R l alone, or the rim is neither a circle nor straight edges (float64, pure).
+"""Means and variances of lens points of the light that pixels get of a source: where wide lenses are tested for what
+hides them, if light from a lens point l does not arrive at R l alone, or the rim is neither a circle nor straight edges
+(float64, pure).
 
 A ray through l arrives at R l + 2 grad W px from its source (`clsco.optics.pupils.wavefront`). Of all rays that a pixel
-gets from a source the mean of l stands for the place in the lens that it sees the source through.
+gets from a source the mean of l stands for the place in the lens that it sees the source through, and their variance
+for how soft an edge there looks.
 """
 
 from __future__ import annotations
@@ -19,13 +21,15 @@ from clsco.optics.point_spread import PointSpread
 from clsco.optics.pupils.pupil import Array, Pupil
 from clsco.optics.pupils.wavefront import Wavefront
 
+PLANES = 5  # numbers of each pixel
 STEPS = 4  # radii per px; between two of them means change in proportion
 EVEN = 4.0  # |R|, px, beyond which there are fewer
 PER_PX, FEWEST, MOST = 3, 24, 128  # rays per radius of the lens
 LEAST_LIGHT = 1e-6  # of all, from which on a pixel has a mean of its own
 ROUNDING = 1e-3  # px: of places of sources in their pixels
 SPREADINGS = 2  # px that means go on beyond the blur
-IN_FOCUS = 0.577  # px per lens radius: an edge as soft as a cell of this scale hides what it hides of a whole disc
+IN_FOCUS = 0.577  # px per lens radius, at least
+TENT = 6.0  # over the variance of the tent of two pixels
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +44,9 @@ class RayMeans:
         Farthest pixel from the source, px along an axis.
     scales : ndarray, (places, radii)
         px per lens radius of the blur, by its second moments, without a sign; of each place of the field.
-    means : ndarray, (places, radii, 2, rows, pitch)
-        x and y of lens points, in radii of the lens; row and column from the source, the rest of a row is 0.
+    means : ndarray, (places, radii, PLANES, rows, pitch)
+        x and y of lens points, in radii of the lens, and xx, xy and yy of the identity less their covariance over that
+        of a tent, at the scale; row and column from the source, the rest of a row is 0.
     """
 
     first: int
@@ -71,14 +76,14 @@ class RayMeans:
         return numbers, parts, np.where(radius < 0.0, -scale, scale)
 
     def lens_points(self, numbers: NDArray[np.int64], parts: Array, x: Array, y: Array) -> Array:
-        """Mean lens points (2, n) of taps x, y (n,) px from sources, in radii of the lens, by what `around` gives."""
+        """Numbers (PLANES, n) of taps x, y (n,) px from sources, by what `around` gives."""
         far, means = self.half_width, self.means.reshape(-1, *self.means.shape[2:])
         left, top = (np.floor(at + ROUNDING) for at in (x, y))
         column, row = (np.clip(at, -far, far - 1).astype(np.int64)[:, None] + far for at in (left, top))
-        found = np.zeros((2, len(x)))
+        found = np.zeros((PLANES, len(x)))
         for i, below in enumerate((1.0 - (y - top), y - top)):
             for j, beside in enumerate((1.0 - (x - left), x - left)):
-                for axis in range(2):
+                for axis in range(PLANES):
                     found[axis] += below * beside * (parts * means[numbers, axis, row + i, column + j]).sum(axis=-1)
         return found
 
@@ -98,7 +103,7 @@ def ray_floats(psf: PointSpread, largest: float) -> int:
     """Floats that `RayMeans.floats` gives for |blur radii| up to `largest` px."""
     half_width = _half_width(psf, largest)
     rows, radii = 2 * half_width + 1, 2 * _last_step(largest) + 1
-    return 3 * TAP_LANES + len(psf.places) * radii * (TAP_LANES + 2 * rows * _pitch(half_width))
+    return 3 * TAP_LANES + len(psf.places) * radii * (TAP_LANES + PLANES * rows * _pitch(half_width))
 
 
 @lru_cache(maxsize=8)
@@ -111,7 +116,7 @@ def ray_means(psf: PointSpread, largest: float) -> RayMeans:
     radii, wide = steps / STEPS, np.abs(steps) / STEPS > EVEN
     radii[wide] *= (np.abs(radii[wide]) + EVEN) ** 2 / (4.0 * EVEN * np.abs(radii[wide]))
     shape = len(psf.places), len(radii)
-    scales, means = np.zeros(shape), np.zeros((*shape, 2, 2 * half_width + 1, _pitch(half_width)))
+    scales, means = np.zeros(shape), np.zeros((*shape, PLANES, 2 * half_width + 1, _pitch(half_width)))
     for k, place in enumerate(psf.places):
         opening, wavefront = place.pupil, Wavefront()
         if isinstance(opening, Traced):
@@ -135,7 +140,7 @@ def _pitch(half_width: int) -> int:
 
 
 def _means(opening: Pupil, wavefront: Wavefront, radius: float, half_width: int) -> tuple[float, Array]:
-    """Scale of a blur, and mean lens points (2, rows, columns), of sources that are pixels: rays light four pixels."""
+    """Scale of a blur, and numbers (PLANES, rows, columns), of sources that are pixels: rays light four pixels."""
     from clsco.optics.pupils.traced import bends, lens_points
 
     reach = abs(radius) * opening.extent + 2.0 * wavefront.slope
@@ -144,20 +149,23 @@ def _means(opening: Pupil, wavefront: Wavefront, radius: float, half_width: int)
     at_x, at_y, side = radius * x + right, radius * y + down, 2 * half_width + 1
     column, row = (np.clip(np.floor(at), -half_width, half_width - 1).astype(np.int64) for at in (at_x, at_y))
     parts = [np.clip(at - cell, 0.0, 1.0) for at, cell in ((at_x, column), (at_y, row))]
-    sums, first = np.zeros((3, side * side)), (row + half_width) * side + column + half_width
+    sums, first = np.zeros((1 + PLANES, side * side)), (row + half_width) * side + column + half_width
+    values = (x, y, x * x, x * y, y * y)
     for i, part_y in enumerate((1.0 - parts[1], parts[1])):
         for j, part_x in enumerate((1.0 - parts[0], parts[0])):
             each = light * part_x * part_y
-            for total, value in zip(sums, (each, each * x, each * y), strict=True):
+            for total, value in zip(sums, (each, *(each * v for v in values)), strict=True):
                 total += np.bincount(first + i * side + j, value, side * side)
     spread = [float((light * at * at).sum() - (light * at).sum() ** 2) for at in (at_x, at_y, x, y)]
     scale = max(((spread[0] + spread[1]) / (spread[2] + spread[3])) ** 0.5, IN_FOCUS)
     weight = np.where(sums[0] > LEAST_LIGHT, sums[0], 0.0).reshape(side, side)
-    means = sums[1:].reshape(2, side, side) * (weight > 0.0) / np.where(weight > 0.0, weight, 1.0)
+    means = sums[1:].reshape(PLANES, side, side) * (weight > 0.0) / np.where(weight > 0.0, weight, 1.0)
+    for k, (one, other) in enumerate(((0, 0), (0, 1), (1, 1)), 2):
+        means[k] = (one == other) - TENT * scale * scale * (means[k] - means[one] * means[other])
     for _ in range(SPREADINGS):
         around = [_neighbors(each * (weight > 0.0)) for each in (*means, np.ones_like(weight))]
-        means = np.where(weight > 0.0, means, np.stack(around[:2]) / np.maximum(around[2], 1.0))
-        weight = np.maximum(weight, around[2] > 0.0)
+        means = np.where(weight > 0.0, means, np.stack(around[:-1]) / np.maximum(around[-1], 1.0))
+        weight = np.maximum(weight, around[-1] > 0.0)
     return scale, means
 
 

@@ -132,7 +132,7 @@ def _open_share(plan: ReferencePlan, time: float) -> Array:
     rays = pixel_ray(camera, *padded_grid(scene.camera, 0)).reshape(-1, 3)
     none = np.zeros(len(rays))
     w = blur_radius(lens, rays, none) / along_rays(lens, rays).blur_scale
-    points = Points(rays, w, none, none, none, 1.0, np.zeros((len(rays), 2)))
+    points = Points(rays, w, none, none, none, 0.0, np.zeros((len(rays), 2)))  # by cells of the lens, as points are
     state, _, seen = check_visibility(lens, (), (), NO_GROUP, plan.psf, points)
     share, partly, cells = np.where(state == HIDDEN, 0.0, 1.0), state == PARTLY, plan.psf.lens_cells()
     if seen.by_chords:

@@ -65,7 +65,7 @@ __kernel void see_through(const int sources, __constant float *lens, const float
     __global const float *s = source + 6 * i;
     visibility_t visibility;
     visibility.count = 1;
-    visibility.wide = false;
+    visibility.wide = visibility.behind = false;
     visibility.limb = i & 1;
     visibility.point = i >> 1 & 1;
     visibility.lean_x = 0.03125f, visibility.lean_y = -0.25f;

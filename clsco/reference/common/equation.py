@@ -3,7 +3,7 @@ the lens that it is for, in NumPy float64."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,8 @@ from clsco.reference.common.occluder import TINY, Mask
 
 SOFT_BOX = (5.0 / 12.0) ** 0.5  # half width of the cubic step that has the variance of a box 1 wide
 WIDE_LENS = 3.2  # px: a lens at least so wide is tested once per tap, others on a grid of cells
+TAP_LENS = 1.2  # the same of a point, for the blur
+PIXEL_CELLS = (2.0 / 3.0) ** 0.5  # per lens radius, of a pixel's source in focus: of the disc's variance
 
 
 def _dot(weights: Array, vectors: Array) -> Array:
@@ -68,6 +70,24 @@ def division_of(radius: Array, extent: float, width: Array | float, gradient: Ar
     wide = blur >= WIDE_LENS
     cells = np.where(wide, radius, np.where(radius < 0, -LENS_CELLS, LENS_CELLS) / extent)
     return Division(cells, blur, extent, width, wide, gradient)
+
+
+def tap_division(division: Division, radius: Array) -> Division:
+    """The same for the blur, where rims are sharp: tap by tap from TAP_LENS on, and of pixels' sources however small
+    the lens is, as what each tap sees of it goes with the place in the pixel that light comes from."""
+    wide = (np.asarray(division.width) >= 1.0) | (division.blur >= TAP_LENS)
+    cells = np.where(radius < 0.0, np.minimum(radius, -PIXEL_CELLS), np.maximum(radius, PIXEL_CELLS))
+    return replace(division, wide=wide, cells=np.where(wide, cells, division.cells))
+
+
+def source_ways(division: Division, place: Array) -> tuple[Array, Array]:
+    """How edges at a place (N,) follow pixels' sources aside, and how they narrow with what taps see of the lens (N,):
+    of the variance of an edge's width, over pixels (1 - g)^2 is of that, and g^2 of the source, of those of a tent,
+    with g half a px of the source's way over the lens; over points, 1 of that, of a box."""
+    g = np.minimum(0.5 * np.abs(division.cells) / place, 100.0) * np.where(division.cells < 0.0, -1.0, 1.0)
+    width = np.asarray(division.width)
+    point = np.where(width < 1.0, 1.0 / (1.0 + (width * (2.0 * g - 1.0)) ** 2), 0.0)
+    return np.where(width == 1.0, g, 0.0), np.where(width == 1.0, (1 - g) ** 2 / ((1 - g) ** 2 + g * g), point)
 
 
 @dataclass(frozen=True, eq=False)

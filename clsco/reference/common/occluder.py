@@ -17,6 +17,7 @@ from clsco.reference.common.geometry import Array
 Mask = NDArray[np.bool_]
 
 TINY = 1e-30
+LEAST_WIDTH = 0.02  # square of an edge's width, of what it is without a rim
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +27,8 @@ class Occluder:
     h (N, 3): constant, x, y, over the width of the soft edge, without the root; root (N,), f (N, 5): x, y, xx, xy, yy
     under it. With limits: crossings (N,) 1 or 2, or 0 for a plane, whose limits are an h (N, 3) each; else b (N, 3),
     f0 (N,), c, d (N, 6), soft (N,): 1 over the width of the edge; limits: (N, 4) each,
-    limit + v (limit_0 + limit_x x + limit_y y) >= 0; needed: (N,) each, where the limit matters.
+    limit + v (limit_0 + limit_x x + limit_y y) >= 0; needed: (N,) each, where the limit matters. follows, narrows (N,):
+    see `clsco.reference.common.equation.source_ways`.
     """
 
     h: Array
@@ -40,12 +42,38 @@ class Occluder:
     soft: Array
     limits: tuple[Array, ...]
     needed: tuple[Mask, ...]
+    follows: Array | float = 0.0
+    narrows: Array | float = 0.0
 
     def of(self, chosen: NDArray[Any]) -> Occluder:
         """The same for some of the points."""
-        arrays = {k: v[chosen] for k, v in vars(self).items() if k not in ("limits", "needed")}
+        arrays = {k: v[chosen] for k, v in vars(self).items() if isinstance(v, np.ndarray)}
         limits, needed = (tuple(array[chosen] for array in arrays) for arrays in (self.limits, self.needed))
         return Occluder(**arrays, limits=limits, needed=needed)
+
+
+@dataclass(frozen=True, eq=False)
+class Cut:
+    """What the rim leaves of the part of wide lenses that taps see: from the middle of that to the tap itself, px, and
+    by which part less it varies than without a rim, along both axes; (N,) each."""
+
+    aside_x: Array
+    aside_y: Array
+    xx: Array
+    xy: Array
+    yy: Array
+
+    def of(self, chosen: NDArray[Any]) -> Cut:
+        """The same for some of the taps."""
+        return Cut(*(array[chosen] for array in vars(self).values()))
+
+
+def sharpened(m: Occluder, cut: Cut | None, x: Array, y: Array) -> Array | float:
+    """Factor (N,) by which edges with normals x, y (N,) of any length are steeper."""
+    if cut is None:
+        return 1.0
+    across = (x * x * cut.xx + 2.0 * x * y * cut.xy + y * y * cut.yy) / (x * x + y * y + TINY)
+    return np.asarray(1.0 / np.sqrt(np.maximum(1.0 - m.narrows * across, LEAST_WIDTH)))
 
 
 def soft_step(t: Array) -> Array:
@@ -118,18 +146,19 @@ def crossing_at(m: Occluder, v: Array, b: Array, c: Array, x: Array, y: Array, l
     return Crossing(v, vx, vy)
 
 
-def limit_part(m: Occluder, limit: Array, at: Crossing, x: Array, y: Array) -> Part:
+def limit_part(m: Occluder, limit: Array, at: Crossing, x: Array, y: Array, cut: Cut | None = None) -> Part:
     """Part (N,) of the taps' cells over which a crossing meets one condition (N, 4)."""
     slope = limit[:, 1] + limit[:, 2] * x + limit[:, 3] * y
     gx, gy = at.v * limit[:, 2] + slope * at.x, at.v * limit[:, 3] + slope * at.y
-    return Part(soft_step((limit[:, 0] + at.v * slope) * m.soft / (np.hypot(gx, gy) + TINY)), gx, gy)
+    steep = m.soft * sharpened(m, cut, gx, gy) / (np.hypot(gx, gy) + TINY)
+    return Part(soft_step((limit[:, 0] + at.v * slope) * steep), gx, gy)
 
 
-def crossing_part(m: Occluder, at: Crossing, x: Array, y: Array) -> Part:
+def crossing_part(m: Occluder, at: Crossing, x: Array, y: Array, cut: Cut | None) -> Part:
     """Part (N,) of them from which a crossing occludes: the least that any condition leaves."""
     least = Part(np.ones_like(x), np.zeros_like(x), np.zeros_like(x))
     for limit, needed in zip(m.limits, m.needed, strict=True):
-        part = limit_part(m, limit, at, x, y)
+        part = limit_part(m, limit, at, x, y, cut)
         least = part.where(needed & (part.share < least.share), least)
     # Behind a point of the surface itself the tilt lets no radiance pass; a step there would only show in rounding.
     return replace(least, share=np.where((m.f0 == 0) | (at.v > 0), least.share, 0.0))
@@ -163,26 +192,33 @@ def occluded_height(m: Occluder, x: Array, y: Array) -> Array:
     return np.asarray(m.h[:, 0] + m.h[:, 1] * x + m.h[:, 2] * y - f / (under + m.root + TINY))
 
 
-def occluded_part(m: Occluder, x: Array, y: Array) -> Part:
-    """Part (N,) of the lens, over the cells of taps x, y (N,), that one surface hides."""
+def occluded_part(m: Occluder, x: Array, y: Array, cut: Cut | None = None) -> Part:
+    """Part (N,) of the lens, over the cells of taps x, y (N,), that one surface hides; cut: where it is wide.
+
+    Where rims cut what a tap sees, a pixel's source that it comes from is aside of its own middle as well.
+    """
+    if cut is not None:
+        x, y = x + m.follows * cut.aside_x, y + m.follows * cut.aside_y
     if m.limits and m.limits[0].shape[1] == 3:  # a plane
         part = Part(np.ones_like(x), np.zeros_like(x), np.zeros_like(x))
         for h, needed in zip(m.limits, m.needed, strict=True):
-            one = Part(soft_step(h[:, 0] + h[:, 1] * x + h[:, 2] * y), h[:, 1], h[:, 2])
+            steep = sharpened(m, cut, h[:, 1], h[:, 2])
+            one = Part(soft_step((h[:, 0] + h[:, 1] * x + h[:, 2] * y) * steep), h[:, 1], h[:, 2])
             part = one.where(needed & (one.share < part.share), part)
         return part
     # At the edge, where h = 0, the root is what is before it.
     fx, fy, fxx, fxy, fyy = m.f.T
     root = 2 * (m.h[:, 0] + m.h[:, 1] * x + m.h[:, 2] * y + m.root)
     across, down = root * m.h[:, 1] - (fx + 2 * fxx * x + fxy * y), root * m.h[:, 2] - (fy + fxy * x + 2 * fyy * y)
-    whole = Part(soft_step(occluded_height(m, x, y)), across, down)
+    whole = Part(soft_step(occluded_height(m, x, y) * sharpened(m, cut, across, down)), across, down)
     if not m.limits:
         return whole
     with np.errstate(all="ignore"):  # a lens point on the surface itself has an infinite crossing
-        one, other = (crossing_part(m, at, x, y) for at in find_crossings(m, x, y))
+        one, other = (crossing_part(m, at, x, y, cut) for at in find_crossings(m, x, y))
     part = one.where((m.f0 == 0) | (one.share > other.share), other)
     outline = outline_part(m, x, y)
-    inside = soft_step(outline.share * m.soft / (part_slope(outline) + TINY))
+    steep = m.soft * sharpened(m, cut, outline.x, outline.y)
+    inside = soft_step(outline.share * steep / (part_slope(outline) + TINY))
     twice = replace(part.where(part.share <= inside, outline), share=part.share * inside)
     # Without any condition left, a surface that is crossed twice is as one that never had any.
     return part.where((m.f0 == 0) | (m.crossings == 1), twice.where(np.any(m.needed, axis=0), whole))

@@ -36,6 +36,8 @@ from clsco.reference.common.equation import (
     edge_width,
     equation_of,
     slopes_of,
+    source_ways,
+    tap_division,
 )
 from clsco.reference.common.geometry import (
     Array,
@@ -321,7 +323,7 @@ class Visibility:
     what hides it in part; circles: rims that cut its light; waves: light goes beyond the rim; signed: cells turn over
     where R < 0; round: the rim is a circle; by_chords: its weights have the rims; bent (M, 3): xx, xy, yy from taps to
     an ellipse's disc, or from a narrow lens' cells to it; None: discs. rays: mean lens points of
-    wide lenses, and which of them, `RayMeans.around` (M, k); behind (M,): all is hidden, at the scale of these.
+    wide lenses, and which of them, `RayMeans.around` (M, k); behind (M,): all is hidden, with the cells of the blur.
     """
 
     row: NDArray[np.int64]
@@ -377,12 +379,15 @@ def check_visibility(
     cut, circles = meet_rims(lens, psf, points, division)
     state = np.maximum(state, cut)
     partly = state == PARTLY
-    rays: dict[str, Any] = {}
-    if has_ray_means(psf) and partly.any():
-        division, rays = _by_rays(psf, points, division)
+    taps: dict[str, Any] = {}
+    if partly.any() and (has_ray_means(psf) or not psf.diffracted):
+        division = division if psf.diffracted else tap_division(division, points.radius)
+        if has_ray_means(psf):
+            division, taps = _by_rays(psf, points, division)
         again, _, found, _ = _meet_occluders(lens, surfaces, bounds, group, points, division)
-        rays |= {"behind": again == HIDDEN}
-        rays = {name: value if name == "rays" else value[partly] for name, value in rays.items()}
+        _, circles = meet_rims(lens, psf, points, division)
+        taps |= {"behind": again == HIDDEN}
+        taps = {name: value if name == "rays" else value[partly] for name, value in taps.items()}
     occluders = tuple((mask[partly], occluder.of(mask & partly)) for mask, occluder in found)
     # What is hidden and what the tilt ends go together: both are parts of the lens behind a surface seen edge-on.
     leans = (np.hypot(*division.gradient.T) * division.extent > 1.0) & ~division.wide & (division.width < 1.0)
@@ -393,7 +398,7 @@ def check_visibility(
         occluders, division.extent, psf.lens_cells(), np.array(psf.pupil.edges).reshape(-1, 3),
         lean[partly], np.broadcast_to(points.limb, partly.shape)[partly], nearest[partly],
         tuple(circle.of(partly) for circle in circles), psf.diffracted, psf.signed,
-        not (psf.signed or psf.diffracted or psf.pupil.edges), psf.cut_by_chords, **rays,
+        not (psf.signed or psf.diffracted or psf.pupil.edges), psf.cut_by_chords, **taps,
     )  # fmt: skip
 
 
@@ -408,6 +413,8 @@ def _meet_occluders(
         # The near one of two roots has nothing of its own surface before it.
         if group.occluders >> k & 1 and not (k == group.own and group.root == (2 if surface.constant < 0 else 1)):
             one, changes, occluder, place = meet_occluder(lens, surface, bounds[k], points, division, k == group.own)
+            follows, narrows = source_ways(division, place)
+            occluder = replace(occluder, follows=follows, narrows=narrows)
             nearest = np.where(one == PARTLY, np.minimum(nearest, place), nearest)
             state, edge = np.maximum(state, one), edge ^ changes
             found.append((one == PARTLY, occluder))

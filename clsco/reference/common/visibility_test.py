@@ -12,7 +12,7 @@ from clsco.constants import LEAST_OPENING, LENS_CELLS
 from clsco.optics.chords import chord_weights
 from clsco.optics.ellipses import across_of
 from clsco.reference.common.geometry import Array, tilt_share
-from clsco.reference.common.occluder import Part, leave_free, occluded_part
+from clsco.reference.common.occluder import Cut, Part, leave_free, occluded_part
 from clsco.reference.common.visibility import Visibility
 
 MOST_INWARDS = 0.7  # px along an axis, at the corners of a lens mask
@@ -43,36 +43,44 @@ def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
     rim = np.maximum(np.abs(visibility.radius) * visibility.extent, 1.0)
     if visibility.bent is not None:
         x, y = (np.where(visibility.wide, *both) for both in zip(_bent(visibility.bent, x, y), (x, y), strict=True))
+    tap_x, tap_y = x, y
     if visibility.rays is not None:
-        x, y = _by_rays(visibility, x, y)
+        x, y, *narrow = _by_rays(visibility, x, y)
     elif visibility.mask.size:
-        x, y = _inside(visibility, x, y)
+        x, y, *narrow = _inside(visibility, x, y)
     else:
-        moved = inwards_of(visibility, 0.5 * rim - (x * x + y * y) / (2 * rim))
-        inwards = np.where(visibility.wide, 1 - moved / rim, 1.0)
+        square = x * x + y * y
+        moved, less = inwards_of(visibility, 0.5 * rim - square / (2 * rim))
+        inwards, less = np.where(visibility.wide, 1 - moved / rim, 1.0), less / (square + 1e-30)
+        narrow = [less * x * x, less * x * y, less * y * y]
         x, y = x * inwards, y * inwards
     if visibility.waves and visibility.rays is None:
         distance = np.hypot(x, y)
         within = np.where(visibility.wide & (distance > rim), rim / np.maximum(distance, rim), 1.0)
         x, y = x * within, y * within
+        narrow = [np.zeros_like(x)] * 3
+    aside = (0.0 * x, 0.0 * y) if visibility.waves else (tap_x - x, tap_y - y)
+    cut = Cut(*aside, *(np.where(visibility.wide, part, 0.0) for part in narrow))
     share, across, down = np.ones_like(x), np.zeros_like(x), np.zeros_like(x)
     for mask, occluder in visibility.occluders:
         left = Part(share[mask], across[mask], down[mask])
-        left = leave_free(left, occluded_part(occluder, x[mask], y[mask]))
+        left = leave_free(left, occluded_part(occluder, x[mask], y[mask], cut.of(mask)))
         share[mask], across[mask], down[mask] = left.share, left.x, left.y
     share = share * rim_share(visibility, x, y)
     return share if visibility.behind is None else np.where(visibility.behind, 0.0, share)
 
 
-def inwards_of(visibility: Visibility, s: Array) -> Array:
-    """Distance (M,) in px from taps to the middle of what is left of their response, cut s (M,) px further out.
+def inwards_of(visibility: Visibility, s: Array) -> tuple[Array, Array]:
+    """Distance (M,) in px from taps to the middle of what is left of their response, cut s (M,) px further out, and by
+    which part (M,) its variance is less.
 
-    Of a pixel's source, a tent, whose mean is at -(1 - s)^2 / 3, and below s = 0 at (2 s - 1) / 3; of a point, a box,
-    whose mean is at -(1/2 - s) / 2.
+    Of a pixel's source, a tent, whose mean is at -(1 - s)^2 / 3, and below s = 0 at (2 s - 1) / 3, with a variance of
+    (1 + 2 s) / 18, and (1 + s)^2 / 18; of a point, a box, -(1/2 - s) / 2 and (1/2 + s)^2 / 12.
     """
-    t = np.clip(s, -1.0, 1.0)
+    t, b = np.clip(s, -1.0, 1.0), np.clip(s, -0.5, 0.5)
     tent = np.where(t > 0, (1 - t) ** 2, 1 - 2 * t) / 3
-    return np.where(visibility.point, np.clip(0.5 * (0.5 - s), 0.0, 0.5), tent)
+    narrow = np.where(t > 0, (1 - t) * 2.0 / 3.0, 1.0 - (1 + t) ** 2 / 3)
+    return np.where(visibility.point, 0.5 * (0.5 - b), tent), np.where(visibility.point, 1.0 - (0.5 + b) ** 2, narrow)
 
 
 def response(t: Array, width: Array) -> Array:
@@ -105,13 +113,14 @@ def rim_share(visibility: Visibility, x: Array, y: Array) -> Array:
     return share
 
 
-def _by_rays(visibility: Visibility, x: Array, y: Array) -> tuple[Array, Array]:
-    """Taps of wide lenses, moved to the means of the lens points that light comes from."""
+def _by_rays(visibility: Visibility, x: Array, y: Array) -> tuple[Array, ...]:
+    """Taps of wide lenses, moved to the means of the lens points that light comes from, and xx, xy, yy of a `Cut`."""
     rays, numbers, parts, scale = visibility.rays, visibility.ray_numbers, visibility.ray_parts, visibility.ray_scale
     assert rays is not None and numbers is not None  # noqa: PT018
     assert parts is not None and scale is not None  # noqa: PT018
-    places = scale * rays.lens_points(numbers, parts, x, y)
-    return np.where(visibility.wide, places[0], x), np.where(visibility.wide, places[1], y)
+    right, down, *narrow = rays.lens_points(numbers, parts, x, y)
+    wide = visibility.wide
+    return np.where(wide, scale * right, x), np.where(wide, scale * down, y), *narrow
 
 
 def cut_weights(visibility: Visibility, weight: Array, dx: float, dy: float, point: bool) -> Array:
@@ -135,16 +144,19 @@ def cut_weights(visibility: Visibility, weight: Array, dx: float, dy: float, poi
     return found
 
 
-def _inside(visibility: Visibility, x: Array, y: Array) -> tuple[Array, Array]:
-    """Taps of wide lenses, moved to the mean of the part that each edge of the lens mask leaves of them."""
-    right, down = np.zeros_like(x), np.zeros_like(y)
+def _inside(visibility: Visibility, x: Array, y: Array) -> tuple[Array, ...]:
+    """Taps of wide lenses, moved to the mean of the part that each edge of the lens mask leaves of them, and xx, xy, yy
+    of a `Cut`."""
+    right, down, xx, xy, yy = np.zeros((5, *x.shape))
     turn = np.where(visibility.radius < 0, -1.0, 1.0)
     for nx, ny, distance in visibility.mask:
-        inwards = inwards_of(visibility, distance * np.abs(visibility.radius) - turn * (nx * x + ny * y)) * turn
-        right += nx * inwards
-        down += ny * inwards
+        s = distance * np.abs(visibility.radius) - turn * (nx * x + ny * y)
+        inwards, narrow = inwards_of(visibility, s)
+        right += nx * inwards * turn
+        down += ny * inwards * turn
+        xx, xy, yy = xx + nx * nx * narrow, xy + nx * ny * narrow, yy + ny * ny * narrow
     right, down = (np.where(visibility.wide, np.clip(v, -MOST_INWARDS, MOST_INWARDS), 0.0) for v in (right, down))
-    return x - right, y - down
+    return x - right, y - down, xx, xy, yy
 
 
 def cell_visibility(visibility: Visibility) -> Array:

@@ -125,6 +125,8 @@ INLINE void add_occluded_rows(spread_t s, const visibility_t *visibility, int up
 INLINE void add_occluded(spread_t s, const visibility_t *visibility, int up, int down, const float *light,
                          float4 source, __global float *out, int planes, int pitch SPAN_ARGUMENTS)
 {
+    if (visibility->behind)
+        return;
 #if !WAVES && !ELLIPSES
     if (visibility->wide)
         add_spans(s, visibility, up, down, light, source, out, planes,
