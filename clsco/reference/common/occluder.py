@@ -54,7 +54,7 @@ class Occluder:
 
 @dataclass(frozen=True, eq=False)
 class Cut:
-    """What the rim leaves of the part of wide lenses that taps see: from the middle of that to the tap itself, px, and
+    """Part of wide lenses that the rim leaves to taps: from the middle of what they see to the tap itself, px, and
     by which part less it varies than without a rim, along both axes; (N,) each."""
 
     aside_x: Array
