@@ -81,7 +81,7 @@ def tap_division(division: Division, radius: Array) -> Division:
 
 
 def source_ways(division: Division, place: Array) -> tuple[Array, Array]:
-    """Parts by which edges at a place (N,) follow pixels' sources aside, and narrow with what taps see of the lens (N,):
+    """Parts by which edges at a place (N,) follow pixels' sources aside, and narrow with what taps see of it (N,):
     of the variance of an edge's width, over pixels (1 - g)^2 is of that, and g^2 of the source, of those of a tent,
     with g half a px of the source's way over the lens; over points, 1 of that, of a box."""
     g = np.minimum(0.5 * np.abs(division.cells) / place, 100.0) * np.where(division.cells < 0.0, -1.0, 1.0)
