@@ -34,7 +34,7 @@ POCL_DECLARATIONS, WITHOUT_HEADER = "common/cpu/pocl.clh", "-D_OPENCL_H_"
 # With the feature OCCLUDED, after one of two: taps one by one, or in the vectors of `gather`.
 SINGLE_TAPS, GATHERED_TAPS = "common/lanes.clh", "common/cpu/lanes.clh"
 TAP_BLOCKS = "common/cpu/blocks.clh"
-OCCLUSION_HEADERS = ("common/occluder.clh", "common/visibility.clh", "common/visibility_test.clh")
+OCCLUSION_HEADERS = tuple(f"common/{name}.clh" for name in ("occluder", "visibility", "rims", "visibility_test"))
 SPREAD_HEADERS = ("common/chords.clh", "common/psf.clh", "common/source_visibility.clh")
 OF_SOURCES = ("discs", "quadrants", "shapes", "ellipses", "gaussians", "columns")
 GATHER_HEADERS = tuple(f"blur/cpu/{name}.clh" for name in ("vectors", "many", *OF_SOURCES, "spans"))

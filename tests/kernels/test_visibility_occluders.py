@@ -212,7 +212,7 @@ def meet(
 
 
 def is_wide(radius: Array, extent: float, width: float) -> Array:
-    """Whether the lens is tested tap by tap (points,): for pixels, and where it is at least TAP_LENS px wide."""
+    """True (points,) where the lens is tested tap by tap: for pixels, and where it is at least TAP_LENS px wide."""
     return (np.abs(radius) * extent >= TAP_LENS) | (width >= 1.0)
 
 

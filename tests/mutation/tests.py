@@ -60,6 +60,7 @@ TESTS = {
     "kernels/test_trace kernels/test_trace_hidden pipeline/test_views pipeline/test_strips",
     "common/lanes.clh": "kernels/test_tiles",
     "common/occluder.clh": "kernels/test_visibility_occluders kernels/test_visibility pipeline/test_occlusion",
+    "common/rims.clh": "kernels/test_rims",
     "common/source_visibility.clh": "kernels/test_visibility pipeline/test_occlusion pipeline/test_occlusion_lenses",
     "common/psf.clh": "kernels/test_blur kernels/test_pupils kernels/test_tiles engine/test_defocus",
     "common/sources.clh": "kernels/test_blur kernels/test_trace kernels/test_visibility pipeline/test_occlusion",

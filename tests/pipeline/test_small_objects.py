@@ -195,7 +195,7 @@ def test_the_plan_knows_of_what_rays_miss() -> None:
 
 @pytest.mark.parametrize("focus", [SHARP, WIDE])
 def test_what_a_ball_hides(focus: float) -> None:
-    """Of a wall behind it the area of its image, although no ray through the middle of a pixel meets it."""
+    """A ball hides the area of its image of a wall, although no ray through the middle of a pixel meets it."""
     wall = {"shape": "plane", "distance": 260.0}
     whole = image(wall, focus=focus).sum()
     lost = [whole - image(wall, ball(0.45, at, focus, texture="#000000"), focus=focus).sum() for at in PLACES[:6]]
@@ -212,6 +212,9 @@ def test_light_is_at_its_place() -> None:
 
 def test_the_reference_agrees() -> None:
     hidden = ball(0.45, PLACES[3], BLURRED), {"shape": "plane", "distance": 260.0}
-    for items in ((ball(0.45, PLACES[1], BLURRED),), (card(0.3, 5.0, 20.0, PLACES[2], BLURRED),), hidden):
-        ours, theirs = (image(*items, focus=BLURRED, engine=engine) for engine in ("device", "reference"))
-        np.testing.assert_allclose(ours, theirs, atol=3e-6)
+    alone = (ball(0.45, PLACES[1], BLURRED),), (card(0.3, 5.0, 20.0, PLACES[2], BLURRED),)
+    for items, occlusion in ((alone[0], "none"), (alone[1], "none"), (hidden, "visibility")):
+        ours, theirs = (
+            image(*items, focus=BLURRED, engine=engine, occlusion=occlusion) for engine in ("device", "reference")
+        )
+        np.testing.assert_allclose(ours, theirs, atol=1e-6 if occlusion == "none" else 3e-6)
