@@ -25,7 +25,7 @@ class Occluder:
     """One surface between N points and the lens; x, y: offset of a tap in cells, right and down.
 
     h (N, 3): constant, x, y, over the width of the soft edge, without the root; root (N,), f (N, 5): x, y, xx, xy, yy
-    under it. With limits: crossings (N,) 1 or 2, or 0 for a plane, whose limits are an h (N, 3) each; else b (N, 3),
+    under it. With limits: crossings (N,) 1 or 2, or 0 for a plane, whose limits are h and a roundness; else b (N, 3),
     f0 (N,), c, d (N, 6), soft (N,): 1 over the width of the edge; limits: (N, 4) each,
     limit + v (limit_0 + limit_x x + limit_y y) >= 0; needed: (N,) each, where the limit matters. follows, narrows (N,):
     see `clsco.reference.common.equation.source_ways`.
@@ -76,10 +76,10 @@ def sharpened(m: Occluder, cut: Cut | None, x: Array, y: Array) -> Array | float
     return np.asarray(1.0 / np.sqrt(np.maximum(1.0 - m.narrows * across, LEAST_WIDTH)))
 
 
-def soft_step(t: Array) -> Array:
-    """Cubic step from 0 at t = -1/2 to 1 at 1/2."""
+def soft_step(t: Array, roundness: Array | float = 1.0) -> Array:
+    """Step from 0 at t = -1/2 to 1 at 1/2: a ramp where roundness = 0, cubic where it is 1."""
     t = np.clip(t + 0.5, 0.0, 1.0)
-    return np.asarray(t * t * (3.0 - 2.0 * t))
+    return np.asarray(t * (1.0 - roundness + roundness * (t * (3.0 - 2.0 * t))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,13 +199,13 @@ def occluded_part(m: Occluder, x: Array, y: Array, cut: Cut | None = None) -> Pa
     """
     if cut is not None:
         x, y = x + m.follows * cut.aside_x, y + m.follows * cut.aside_y
-    if m.limits and m.limits[0].shape[1] == 3:  # a plane
-        part = Part(np.ones_like(x), np.zeros_like(x), np.zeros_like(x))
+    if m.limits and not m.crossings.any():  # a plane
+        inside = Part(np.ones_like(x), np.zeros_like(x), np.zeros_like(x))  # and the direction in which it gets less
         for h, needed in zip(m.limits, m.needed, strict=True):
             steep = sharpened(m, cut, h[:, 1], h[:, 2])
-            one = Part(soft_step((h[:, 0] + h[:, 1] * x + h[:, 2] * y) * steep), h[:, 1], h[:, 2])
-            part = one.where(needed & (one.share < part.share), part)
-        return part
+            outside = 1 - soft_step((h[:, 0] + h[:, 1] * x + h[:, 2] * y) * steep, h[:, 3])
+            inside = leave_free(inside, Part(outside, -h[:, 1], -h[:, 2])).where(needed, inside)
+        return Part(inside.share, -inside.x, -inside.y)
     # At the edge, where h = 0, the root is what is before it.
     fx, fy, fxx, fxy, fyy = m.f.T
     root = 2 * (m.h[:, 0] + m.h[:, 1] * x + m.h[:, 2] * y + m.root)

@@ -26,7 +26,6 @@ from clsco.optics.ray_means import RayMeans, has_ray_means, ray_means
 from clsco.optics.rims import rim_circle
 from clsco.optics.visibility import OcclusionGroup
 from clsco.reference.common.equation import (
-    SOFT_BOX,
     Division,
     Equation,
     Points,
@@ -237,8 +236,8 @@ def meet_occluder(
 def flatten_limits(
     lens: Lens, limits: Sequence[Array], near: Array, far: tuple[float, Array, Array], division: Division
 ) -> tuple[NDArray[np.uint8], list[Array], tuple[Mask, ...]]:
-    """Conditions on the one crossing with a plane, linear in the tap: state of the lens (N,), h (N, 3) of each, and
-    where (N,) each is needed.
+    """Conditions on the one crossing with a plane, linear in the tap: state of the lens (N,), h of each and how round
+    its step is (N, 4), and where (N,) each is needed.
 
     The crossing is at v = -near / (far_0 + far_1 x + far_2 y). limits: (N, 4) each. h: constant, x, y, over the width
     of the edge. A condition that is met all over the lens is not needed.
@@ -255,16 +254,20 @@ def flatten_limits(
         # Not so far if it moves on a tilted surface, and not at all if that ends at this limit.
         tilted = base / division.cells
         along = np.hypot(x - tilted * division.gradient[:, 0], y - tilted * division.gradient[:, 1])
-        soft = SOFT_BOX * np.hypot(slope, division.width * moved * np.minimum(along, slope))
+        width = division.width * moved * np.minimum(along, slope)
+        ratio, across = width * width / square, x * x / square
+        boxes = (1 - 2 * across * (1 - across)) * (1 + ratio * ratio) / (1 + ratio) ** 2
+        roundness = np.clip(3.5 * (1 - boxes), 0.0, 1.0)
+        soft = np.hypot(slope, width) / np.sqrt(4 - 1.6 * roundness)
         clear |= base + division.most * slope <= -soft
         needed.append(base - division.most * slope < soft)
-        found.append(np.stack([base, x, y], axis=-1) / (2 * soft)[:, None])
+        found.append(np.stack([*(part / (2 * soft) for part in (base, x, y)), roundness], axis=-1))
     state = np.where(clear, CLEAR, np.where(np.any(needed, axis=0), PARTLY, HIDDEN))
     return state, found, tuple(needed)
 
 
 def _planar(limits: Sequence[Array], needed: tuple[Mask, ...], points: int) -> Occluder:
-    """A plane: of its `limits` each is (N, 3), an h."""
+    """A plane: of its `limits` each is (N, 4), an h and how round its step is."""
     none, zero = np.zeros((points, 6)), np.zeros(points)
     crossings = np.zeros(points, dtype=np.int64)
     return Occluder(
