@@ -287,7 +287,7 @@ def test_wrong_words(words: list[str], status: int, rule: str, ball: Path, tmp_p
 
 def test_folders_that_cannot_be_written(ball: Path, tmp_path: Path) -> None:
     for folder in (ball, ball / "under", tmp_path / ("x" * 300), Path("/proc/none")):
-        for command in (["render", ball, "-o", folder], ["demo", "-o", folder], ["dev", "thesis", "-o", folder]):
+        for command in (["render", ball, "-o", folder], ["demo", "-o", folder]):
             (line,) = messages(clsco_(*command), 1)
             assert "must be a folder that can be written" in line
     assert "Missing option '-o'" in clsco_("render", ball).stderr
@@ -301,7 +301,6 @@ def test_without_a_device_it_says_what_to_install(ball: Path, tmp_path: Path, mo
         ["check", ball],
         ["devices"],
         ["demo", "-o", tmp_path / "out"],
-        ["dev", "thesis", "-o", tmp_path / "out"],
     )
     for command in commands:
         (line,) = messages(clsco_(*command), 3)
@@ -371,10 +370,9 @@ def test_schema() -> None:
 
 def test_help_and_version() -> None:
     assert clsco_("--version").output == f"clsco, version {clsco.__version__}\n"
-    for name in ("render", "plan", "psf", "demo", "devices", "schema", "validate", "check", "dev thesis"):
-        *group, command = name.split()
-        assert f"\n  {command} " in clsco_(*group, "--help").output
-        assert clsco_(*group, command, "--help").exit_code == 0
+    for name in ("render", "plan", "psf", "demo", "devices", "schema", "validate", "check"):
+        assert f"\n  {name} " in clsco_("--help").output
+        assert clsco_(name, "--help").exit_code == 0
     assert clsco_("paint").exit_code == 2
 
 

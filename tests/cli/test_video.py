@@ -239,7 +239,10 @@ def test_wrong_use_of_a_pipe_by_render(scene: Path, tmp_path: Path, monkeypatch:
     for words, message in (
         ([], "-o -: needs --video y4m, which alone goes to a pipe; got no --video"),
         (["--video", "mp4"], "-o -: needs --video y4m, which alone goes to a pipe; got mp4"),
-        (["--video", "y4m", "--format", "npz"], "-o -: writes no files, so must be without --truth, --subframes and"),
+        (
+            ["--video", "y4m", "--format", "npz"],
+            "-o -: writes no files, so must be without --truth, --subframes, --check",
+        ),
         (["--video", "y4m", "--set", "camera.f_number=[2, 4]"], "-o -: must be one scene with one view; got 2 scenes"),
         (["--video", "y4m", "--set", "stereo.baseline=9"], "-o -: must be one scene with one view; got a stereo pair"),
     ):

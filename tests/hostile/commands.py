@@ -143,7 +143,6 @@ TABLE: Table = (
     ("render good.toml -o out --format {0}", ("x", "npz;exr", "npz, exr", "NPZ", ",", "npz,", "tif", "npz+zip",
         "npz+float16", "npz,npz+compressed"), 2, "--format"),
     ("render good.toml -o out --truth depth --types {0}", ("x", "depth", "depth=int", "all=float8"), 2, "--types"),
-    ("dev thesis -o out --only {0}", ("", "x", "4", "4.1", "4.14 ", "é", "9" * 5000), 2, "--only"),
     ("render good.toml -o out --precision {0}", ("", "half", "Double", "64"), 2, "--precision"),
     ("render good.toml -o out --method {0}", ("auto", "gather"), 2, "--method"),
     ("render good.toml -o out --tolerance {0}", ("0", "-1", "x", ""), 2, "--tolerance"),
@@ -184,9 +183,6 @@ TABLE: Table = (
         "--minimum"),
     ("inpaint image.png mask.npy -o out.png --method mean-median --estimator {0}", ("", "x", "mode"), 1, "--estimator"),
     ("inpaint image.png mask.npy -o out.png --minimum {0}", ("3",), 1, "--minimum"),
-    ("dev bench -o out --size {0}", ("0", "-5", "15", "8193", "1000000000", "9" * 400), 1, "--size"),
-    ("dev bench -o out --size {0}", ("x", "1.5", ""), 2, "--size"),
-    ("dev bench -o out --radius {0}", ("nan", "inf", "-1", "61", "1e30"), 1, "--radius"),
 )  # fmt: skip
 
 

@@ -30,7 +30,7 @@ class Points:
     """Surface points of visibility tests: rays (N, 3), inverse depth w (N,) in 1/mm, signed blur radius (N,) in px,
     place x, y (N,) of the source in its pixel, px, the width of the sources, px, and the gradient (N, 2) of the blur
     radius, px per px, right and down, 0 where the tilt of surfaces does not count; limb (N,): at a limb; place (2, N):
-    row and column of the pixel in the frame, px."""
+    row and column of the pixel in the frame, px; shared (N,): middles of pixels that are tested for all their parts."""
 
     rays: Array
     w: Array
@@ -41,6 +41,7 @@ class Points:
     gradient: Array
     limb: Mask | bool = False
     place: NDArray[Any] | None = None
+    shared: Mask | bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,10 +73,11 @@ def division_of(radius: Array, extent: float, width: Array | float, gradient: Ar
     return Division(cells, blur, extent, width, wide, gradient)
 
 
-def tap_division(division: Division, radius: Array) -> Division:
+def tap_division(division: Division, radius: Array, shared: Mask | bool) -> Division:
     """The same for the blur, where rims are sharp: tap by tap from TAP_LENS on, and of pixels' sources however small
-    the lens is, as what each tap sees of it goes with the place in the pixel that light comes from."""
-    wide = (np.asarray(division.width) >= 1.0) | (division.blur >= TAP_LENS)
+    the lens is, as what each tap sees of it goes with the place in the pixel that light comes
+    from; shared (N,): but for these."""
+    wide = ((np.asarray(division.width) >= 1.0) | (division.blur >= TAP_LENS)) & ~np.asarray(shared)
     cells = np.where(radius < 0.0, np.minimum(radius, -PIXEL_CELLS), np.maximum(radius, PIXEL_CELLS))
     return replace(division, wide=wide, cells=np.where(wide, cells, division.cells))
 

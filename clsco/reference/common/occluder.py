@@ -42,6 +42,7 @@ class Occluder:
     soft: Array
     limits: tuple[Array, ...]
     needed: tuple[Mask, ...]
+    strip: Array | float = 0.0
     follows: Array | float = 0.0
     narrows: Array | float = 0.0
 
@@ -192,6 +193,14 @@ def occluded_height(m: Occluder, x: Array, y: Array) -> Array:
     return np.asarray(m.h[:, 0] + m.h[:, 1] * x + m.h[:, 2] * y - f / (under + m.root + TINY))
 
 
+def strip_share(thin: Array | float) -> Array:
+    """Addition to h, over twice the width of the edge, with which a strip hides as much as it is wide.
+
+    thin (N,): curvature of h across the outline less that along it, times the width of the edge over the slope; to 15.
+    """
+    return np.asarray(np.minimum(0.05 * thin, np.maximum(0.073 - 0.02 * thin, 0.03 - 0.0105 * thin)))
+
+
 def occluded_part(m: Occluder, x: Array, y: Array, cut: Cut | None = None) -> Part:
     """Part (N,) of the lens, over the cells of taps x, y (N,), that one surface hides; cut: where it is wide.
 
@@ -210,7 +219,9 @@ def occluded_part(m: Occluder, x: Array, y: Array, cut: Cut | None = None) -> Pa
     fx, fy, fxx, fxy, fyy = m.f.T
     root = 2 * (m.h[:, 0] + m.h[:, 1] * x + m.h[:, 2] * y + m.root)
     across, down = root * m.h[:, 1] - (fx + 2 * fxx * x + fxy * y), root * m.h[:, 2] - (fy + fxy * x + 2 * fyy * y)
-    whole = Part(soft_step(occluded_height(m, x, y) * sharpened(m, cut, across, down)), across, down)
+    steep = sharpened(m, cut, across, down)
+    height = occluded_height(m, x, y) * steep + strip_share(m.strip / steep) - steep * strip_share(m.strip)
+    whole = Part(soft_step(height), across, down)
     if not m.limits:
         return whole
     with np.errstate(all="ignore"):  # a lens point on the surface itself has an infinite crossing
@@ -218,8 +229,8 @@ def occluded_part(m: Occluder, x: Array, y: Array, cut: Cut | None = None) -> Pa
     part = one.where((m.f0 == 0) | (one.share > other.share), other)
     outline = outline_part(m, x, y)
     steep = m.soft * sharpened(m, cut, outline.x, outline.y)
-    inside = soft_step(outline.share * steep / (part_slope(outline) + TINY))
-    twice = replace(part.where(part.share <= inside, outline), share=part.share * inside)
+    within = soft_step(outline.share * steep / (part_slope(outline) + TINY))
+    twice = replace(part.where(part.share <= within, outline), share=part.share * within)
     # Without any condition left, a surface that is crossed twice is as one that never had any.
     return part.where((m.f0 == 0) | (m.crossings == 1), twice.where(np.any(m.needed, axis=0), whole))
 

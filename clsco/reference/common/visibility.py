@@ -46,7 +46,7 @@ from clsco.reference.common.geometry import (
     quarter_discriminant,
     turned,
 )
-from clsco.reference.common.occluder import TINY, Mask, Occluder, hides_all
+from clsco.reference.common.occluder import TINY, Mask, Occluder, hides_all, strip_share
 
 CLEAR, PARTLY, HIDDEN = (np.uint8(state) for state in range(3))
 RIM_MARGIN = 1.5  # cells from the rim of the lens to a circle that cuts none of its taps
@@ -83,6 +83,7 @@ class Outline:
     h: Array
     root: Array
     f: Array
+    strip: Array
     clear: Mask
     hidden: Mask
 
@@ -91,15 +92,6 @@ def outline_slope(m: Slopes) -> Array:
     """Steepest slope (N,) of D per cell where it is 0, across which it curves by twice its lower eigenvalue."""
     curve = 0.5 * (m.D_xx + m.D_yy - np.hypot(m.D_xx - m.D_yy, m.D_xy))
     return np.sqrt(np.maximum(m.D_x * m.D_x + m.D_y * m.D_y - 4 * m.D * curve, 0.0))
-
-
-def strip_share(ratio: Array) -> Array:
-    """Addition to h, over twice the width of the edge, with which a strip hides as much as it is wide.
-
-    ratio (N,): curvature of h across the outline less that along it, times the width of the edge over the slope.
-    """
-    thin = np.minimum(ratio, 15.0)
-    return np.asarray(np.minimum(0.05 * thin, np.maximum(0.073 - 0.02 * thin, 0.03 - 0.0105 * thin)))
 
 
 def outline_of(e: Equation, m: Slopes, soft: Array, most: Array) -> Outline:
@@ -115,12 +107,14 @@ def outline_of(e: Equation, m: Slopes, soft: Array, most: Array) -> Outline:
     scale = 1 / (2 * soft * slope)
     x, y = m.C_x / (2 * e.C), m.C_y / (2 * e.C)  # and, over C, second derivatives of the root
     bent = under * np.hypot((m.C_xx - m.C_yy) / e.C - (x * x - y * y), m.C_xy / e.C - 2 * x * y)
-    h = np.where(e.B < 0.0, m.D / (under - e.B), -e.B - under) + strip_share(bent * soft / slope) / scale
+    thin = np.minimum(bent * soft / slope, 15.0)
+    h = np.where(e.B < 0.0, m.D / (under - e.B), -e.B - under) + strip_share(thin) / scale
     area = scale * scale * e.F
     return Outline(
         h=np.stack([h * scale, -m.B_x * scale, -m.B_y * scale], axis=-1),
         root=under * scale,
         f=np.stack([m.C_x * area, m.C_y * area, m.C_xx * area, m.C_xy * area, m.C_yy * area], axis=-1),
+        strip=thin,
         clear=(h + reach) * scale <= -0.5,
         hidden=(h - reach) * scale >= 0.5,
     )
@@ -157,6 +151,7 @@ def disc_outline(surface: PlacedSurface, e: Equation, points: Points, soft: Arra
         h=np.stack([h * scale, r_x * scale, r_y * scale], axis=-1),
         root=under * scale,
         f=np.stack([f * scale * scale for f in (f_x, f_y, f_xx, f_xy, f_yy)], axis=-1),
+        strip=none,
         clear=(h + span) * scale <= -0.5,
         hidden=(h - span) * scale >= 0.5,
     )
@@ -169,6 +164,7 @@ def keep_equation(e: Equation, m: Slopes, soft: Array, outline: Outline, limits:
         h=outline.h,
         root=outline.root,
         f=outline.f,
+        strip=outline.strip,
         crossings=np.where(e.once, 1, 2),
         b=np.stack([e.B, m.B_x, m.B_y], axis=-1),
         f0=e.F,
@@ -384,7 +380,7 @@ def check_visibility(
     partly = state == PARTLY
     taps: dict[str, Any] = {}
     if partly.any() and (has_ray_means(psf) or not psf.diffracted):
-        division = division if psf.diffracted else tap_division(division, points.radius)
+        division = division if psf.diffracted else tap_division(division, points.radius, points.shared)
         if has_ray_means(psf):
             division, taps = _by_rays(psf, points, division)
         again, _, found, _ = _meet_occluders(lens, surfaces, bounds, group, points, division)

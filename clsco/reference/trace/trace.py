@@ -379,7 +379,7 @@ def _from_middles(
     rays[own] = pixel_ray(view.scene.camera, pixel[0] - guard, pixel[1] - guard)[middle]
     widening = None if sources.widening is None else sources.widening[pixel]
     w[own], tilted[own] = sources.inverse_depth[pixel][middle], _tilted(view, radius, gradient, widening)[middle]
-    return replace(points, rays=rays, w=w, gradient=tilted, width=np.where(own, 1.0, points.width))
+    return replace(points, rays=rays, w=w, gradient=tilted, width=np.where(own, 1.0, points.width), shared=own)
 
 
 def _covering(
