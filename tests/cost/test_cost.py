@@ -13,7 +13,7 @@ import pytest
 from clsco.cost import predict
 from clsco.cost.cheaper import SETTINGS, SHORT, WORTH, cheaper_settings, warning_of
 from clsco.cost.predict import Cost, cost_of, duration, host_work
-from clsco.cost.rates import RATES
+from clsco.cost.rates import CORE_SECONDS, RATES
 from clsco.cost.short import LONG_FRAME, most_seconds
 from clsco.cost.work import LATTICE, frame_work, lattice_of
 from clsco.plan.device import ThisMachine
@@ -144,7 +144,7 @@ def test_more_cores_help_as_far_as_there_are_bands() -> None:
 
 
 def test_a_long_frame_is_announced_with_what_takes_less(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(predict, "core_seconds", lambda: predict.CORE_SECONDS)  # whatever else the machine does
+    monkeypatch.setattr(predict, "core_seconds", lambda: CORE_SECONDS)  # whatever else the machine does
     prepared = prepare(crowd().replace("sequence.samples", 299))
     found = cost(prepared.scene)
     assert found.seconds > LONG_FRAME
