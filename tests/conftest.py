@@ -1,4 +1,4 @@
-"""Fixtures of all tests: one session on PoCL, which runs everywhere, or on CLSCO_DEVICE; a kernel cache per worker."""
+"""Fixtures of all tests: one session on PoCL, which runs everywhere, or on CLSCO_DEVICE; a kernel cache of all runs."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
@@ -24,22 +23,16 @@ if "PYTEST_XDIST_WORKER" not in os.environ:  # workers inherit it
         if not name.startswith("PYTEST_"):
             del os.environ[name]
 
-# Before the first query of the platforms, hence not a fixture. In a folder that is not its own, clsco does not check
-# the files of all tests before; and workers, who inherit what the process that starts them has set, would wait for
-# each other's compilations in one folder.
+# Before the first query of the platforms, hence not a fixture; workers inherit it. In a folder that is not its own,
+# clsco does not check the files of all tests before.
 if not os.environ.get("POCL_CACHE_DIR"):
-    os.environ["POCL_CACHE_DIR"] = str(kernel_cache.new_run())
+    os.environ["POCL_CACHE_DIR"] = str(kernel_cache.cache_folder())
 if "PYTEST_XDIST_WORKER" not in os.environ:  # tables, textures and studios of all workers, and none of the user's
     for place in ("XDG_CACHE_HOME", "XDG_STATE_HOME"):
         os.environ[place] = tempfile.mkdtemp(prefix="clsco-cache-")
         atexit.register(shutil.rmtree, os.environ[place], ignore_errors=True)
 if "PYTEST_XDIST_WORKER" in os.environ:
-    own = Path(os.environ["POCL_CACHE_DIR"]) / os.environ["PYTEST_XDIST_WORKER"]
-    own.mkdir(parents=True, exist_ok=True)
-    os.environ["POCL_CACHE_DIR"] = str(own)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # those of several workers would wait for each other
-if kernel_cache.KEPT in Path(os.environ["POCL_CACHE_DIR"]).parents:  # not a folder that the user has set
-    kernel_cache.take_kept(Path(os.environ["POCL_CACHE_DIR"]))
 # What a processor newer than PoCL needs is done without the line on stderr, which tests compare.
 os.environ.setdefault("CLSCO_POCL_CPU", "1")
 

@@ -138,7 +138,7 @@ def test_rims_that_are_wide_change_no_bit() -> None:
 
 
 NEAR: dict[str, Any] = {
-    "camera": {"f_number": 1.0, "focus_distance": 80.0, "pixel_pitch": 0.15, "resolution": [56, 38]},
+    "camera": {"f_number": 1.0, "focus_distance": 80.0, "pixel_pitch": 0.3, "resolution": [28, 20]},
     "aperture": {"rim": [{"distance": 40.0, "diameter": 24.0}, {"distance": -5.0, "diameter": 19.0}]},
 }
 BALL = {"shape": "sphere", "center": [-8.0, 3.0, 130.0], "radius": 12.0, "texture": "bricks"}
@@ -149,7 +149,7 @@ SCENES: dict[str, Scene] = {
     "wide, in color": scene_from(
         {
             "aperture": {"rim": [{"distance": 40.0, "diameter": 15.0}, {"distance": -5.0, "diameter": 16.0}]},
-            "camera": NEAR["camera"] | {"pixel_pitch": 0.07, "resolution": [44, 18]},
+            "camera": NEAR["camera"] | {"pixel_pitch": 0.14, "resolution": [22, 10]},
         },
         SLOPED | {"texture": np.random.default_rng(4).random((32, 32, 3), np.float32), "slope_y": -0.3},
     ),
@@ -185,9 +185,9 @@ def test_strips_and_single_precision() -> None:
 
 def image_scene(folder: Path, how: str, **psf: Any) -> Scene:
     """A step of depth before a slanted wall, as a map, or objects of which one moves."""
-    row, column = np.indices((38, 56))
-    near = np.hypot(row - 15, column - 30) < 9
-    np.save(folder / "depth.npy", np.where(near, 130.0, 280.0 + row + 0.5 * column))
+    row, column = np.indices((20, 28))
+    near = np.hypot(row - 8, column - 15) < 4.5
+    np.save(folder / "depth.npy", np.where(near, 130.0, 280.0 + 2.0 * row + column))
     map_ = {"shape": "depth_map", "depth": str(folder / "depth.npy"), "unit": "mm", "texture": "bricks"}
     lens = {"distortion": [-0.2, 0.0, 0.0], "field_curvature": -0.02} if how == "distorted" else {}
     moving = {"motion": {"velocity": [30.0, 0.0, 0.0]}}
