@@ -18,7 +18,7 @@ def run() -> None:
 
     Modules are imported when a command needs them. Meanwhile Python would look for garbage a hundred times, and
     pydantic for plug-ins in all installed packages; at the end Python would look through all that was imported once
-    more, which takes a fifth of a short command's time (benchmarks/optimisation_log.md).
+    more, which takes a fifth of a short command's time (docs/lessons.md).
     """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # what the terminal has no letter for is shown as its escape

@@ -89,7 +89,7 @@ class ArrayCache:
 
 def _packed(arrays: Mapping[str, NDArray[Any]]) -> bytes:
     """Arrays of numbers as bytes: a line with the dtype and shape of each, then what they hold. NumPy's own file is an
-    archive with a literal of Python for each, which takes longer to read (benchmarks/optimisation_log.md)."""
+    archive with a literal of Python for each, which takes longer to read."""
     about = {name: (array.dtype.str, array.shape) for name, array in arrays.items()}
     return b"".join([json.dumps(about).encode(), b"\n", *(array.tobytes() for array in arrays.values())])
 

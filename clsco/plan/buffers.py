@@ -139,7 +139,7 @@ def margin(columns: int, guard: int, far: int) -> tuple[int, int]:
     """Scratch columns on both sides of a row of the blurred frame, and the length of the row, in whole vectors.
 
     Not near a multiple of PAGE of them, and not an even number: what lies below each other in a few rows would have the
-    same place in a processor's cache, and take up to four times as long (benchmarks/optimisation_log.md).
+    same place in a processor's cache, and take up to four times as long (docs/lessons.md).
     """
     pad = ceil((guard + far + TAP_LANES) / TAP_LANES) * TAP_LANES
     vectors = ceil(columns / TAP_LANES) + 2 * pad // TAP_LANES | 1

@@ -3,7 +3,7 @@
 //
 // Kahan's sum: `lost` is what rounding has added to `sum` so far, which the next time sample takes back. However many
 // there are, a pixel is off by the rounding of its weights and of one sum. SUMMED_PIXELS of a row at a time took it
-// from 1.6 to 0.4 ns per pixel (benchmarks/optimisation_log.md).
+// from 1.6 to 0.4 ns per pixel.
 
 #if SCAN_COLUMNS
 #define WEIGHT(x, row) weights[x]

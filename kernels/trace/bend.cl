@@ -6,7 +6,7 @@
 //   bends  float (height, width, BENDS): see `kept_bend`
 //
 // Newton's method, root and divisions in double took 108 ns per pixel of `cast` and `aim`, and 17 without distortion;
-// what is read instead takes 8 and 5 (benchmarks/optimisation_log.md).
+// what is read instead takes 8 and 5 (docs/lessons.md).
 
 #if CURVED
 __kernel void bend(const grid_t grid, const lens_t lens, __global float *bends

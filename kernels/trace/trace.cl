@@ -12,7 +12,7 @@
 // Features besides geometry.clh's: MOVED (not all is in its reference pose), TILT, SUBPIXELS (sources per axis in a
 // pixel at a silhouette, 0 none), SAMPLED, OCCLUDED, RIMS.
 // Square roots and floors as instructions took a plane from 36 to 12 ns per pixel, one cast for all lenses of a sweep
-// the prepass from 31 to 6 and 20 per lens (benchmarks/optimisation_log.md).
+// the prepass from 31 to 6 and 20 per lens.
 
 #define EDGE 128  // of a label: behind an odd number of surfaces, or more than what is hit may be in the pixel
 

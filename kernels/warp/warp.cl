@@ -16,7 +16,7 @@
 // Depths are compared as floats, so that rounding in the last digit of a double decides nothing: of equal ones the
 // first source wins. On CPUs (OWNED) a work-item owns a band of the padded grid and walks the sources that come there
 // in their order, without atomics: 5.3 -> 1.0 ns per pixel against atomics, which elsewhere find the same winners in
-// two passes. Targets by one floor and one division, vectorized: 42 -> 2.6 ns (benchmarks/optimisation_log.md).
+// two passes. Targets by one floor and one division, vectorized: 42 -> 2.6 ns (docs/lessons.md).
 // Features besides geometry.clh's: OWNED, MAPPED, FILL_FAR (surfaces at several depths).
 
 // The position p of a source in px is snapped to 1/4096 px and then rounded half up, so that errors far below a step

@@ -11,7 +11,7 @@
 //
 // Each work-item owns a band of BAND output rows and walks the sources that reach it in a fixed order, whole vectors of
 // taps at a time: no atomics, the same bits in every run. The host picks it on processors. Pointers to unaligned
-// vectors and contraction took it from 131 to 27 ns per pixel at R6 (benchmarks/optimisation_log.md, as all figures).
+// vectors and contraction took it from 131 to 27 ns per pixel at R6 (docs/lessons.md).
 // Features: those of blur.cl; BAND; BY_ROWS (whole rows of sources: discs.clh) or BY_COLUMNS of them (columns.clh).
 
 #pragma OPENCL FP_CONTRACT ON
