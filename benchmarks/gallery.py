@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import tomllib
 from pathlib import Path
 
@@ -30,22 +31,25 @@ CHAPTERS = (
 
 HEAD = """# Gallery
 
-Each example with its picture, its file and what it shows. `clsco examples NAME -o .` copies it with its images, and
-`clsco render NAME.toml -o frames` renders it, `clsco dataset make NAME.toml -o DATA --count 100` makes a set of it.
-`python -m benchmarks.gallery` makes this page and its pictures. The figures of [the thesis](thesis.md) are examples as
-well.
+![Glazed balls on a table before the lights of an evening, one of them in focus](evening.jpg)
+
+Every example with its picture and its file. `clsco examples NAME -o .` copies one with its images, and `clsco render
+NAME.toml -o frames` renders it; of a data set, `clsco dataset make NAME.toml -o DATA --count 100` makes samples. R is the
+signed blur radius. [The thesis](thesis.md) has more examples. `python -m benchmarks.evening_picture` renders the picture
+above, `python -m benchmarks.gallery` this page.
 """
+FIRST_END = re.compile(r"(?<=[a-z\d)])\. (?=[A-Z])|; (?=[a-zR])")  # of the first sentence, or of its first half
 
 
 def title_and_words(path: Path) -> tuple[str, str]:
-    """Title of an example, and the comment at its top."""
+    """Title of an example, and the beginning of the comment at its top."""
     text = path.read_text("utf-8")
     top = []
     for line in text.splitlines():
         if not line.startswith("#"):
             break
         top.append(line.removeprefix("#").strip())
-    return tomllib.loads(text)["title"], " ".join(top)
+    return tomllib.loads(text)["title"], FIRST_END.split(" ".join(top))[0].rstrip(".")
 
 
 def chapter(name: str, scene: clsco.Scene, several: bool) -> str:
@@ -111,8 +115,8 @@ def main() -> None:
         if not wanted or name in wanted:
             make_picture(name, scene)
             print(name)
-        picture = f"![{title}](gallery/{picture_name(name)})"
-        row = f"| {picture} | **{title}**<br>[{name}](../examples/{name}.toml)<br>{words} |"
+        picture = f"![{name}](gallery/{picture_name(name)})"
+        row = f"| {picture} | [{name}](../examples/{name}.toml)<br>**{title}**{f'<br>{words}' * bool(words)} |"
         groups[name] = chapter(name, scene, several)
         chapters.setdefault(groups[name], []).append(row)
     tables = ["\n".join((f"## {heading}\n", "| | |", "|---|---|", *chapters[heading])) for heading in CHAPTERS]
