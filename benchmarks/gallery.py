@@ -34,9 +34,9 @@ HEAD = """# Gallery
 ![Glazed balls on a table before the lights of an evening, one of them in focus](evening.jpg)
 
 Every example with its picture and its file. `clsco examples NAME -o .` copies one with its images, and `clsco render
-NAME.toml -o frames` renders it; of a data set, `clsco dataset make NAME.toml -o DATA --count 100` makes samples. R is the
-signed blur radius. [The thesis](thesis.md) has more examples. `python -m benchmarks.evening_picture` renders the picture
-above, `python -m benchmarks.gallery` this page.
+NAME.toml -o frames` renders it; of a data set, `clsco dataset make NAME.toml -o DATA --count 100` makes samples. R is
+the signed blur radius. [The thesis](thesis.md) has more examples. `python -m benchmarks.evening_picture` renders the
+picture above, `python -m benchmarks.gallery` this page.
 """
 FIRST_END = re.compile(r"(?<=[a-z\d)])\. (?=[A-Z])|; (?=[a-zR])")  # of the first sentence, or of its first half
 

@@ -36,30 +36,31 @@ PAGE, PART = "thesis", "thesis_only"  # of all figures, and of some; .md and .ht
 PICTURES = "thesis_figures"
 ACROSS, SIDE, GAP, PAPER = 3, 256, 6, 250  # pictures in a row of a figure, and px
 QUALITY = 80  # of the figures beside the page, WebP; their files in DIR are PNG
-MOST_NAMED = 3  # files of a figure; of more the first two and the last are
 
 INTRODUCTION = """\
 # The thesis, figure by figure
 
-This page compares the figures and numbers of K. Sathyanarayana's thesis *Generating Video Frames with Depth Of Field
-and Motion Blur Effects for 3D Animation* with those that clsco makes by the thesis' own method. In a checkout
-`python -m benchmarks thesis -o DIR` renders all of them, and writes this page, and DIR/thesis.html with the figures in
-full size. With `--only` the pages are called thesis_only.
+The figures and numbers of K. Sathyanarayana's thesis *Generating Video Frames with Depth Of Field and Motion Blur
+Effects for 3D Animation*, made by clsco by the thesis' own method. In a checkout `python -m benchmarks thesis -o DIR`
+renders them into DIR, each in a folder of the name of its scene in `examples/thesis`, and writes this page and
+DIR/thesis.html, with the figures in full size. `--only 4.9` renders some of them, and writes thesis_only.
 """
 NUMBERS_HEAD = """\
 ## Numbers
 
-A number agrees where it is the stated one in all digits that are stated, or within a bound that is stated: the thesis
-restricts the largest blur radius to "(around) 6 pixels", which is read as at most 6.5. What clsco takes over as it is
-stated is an input. Where the thesis does not state the sizes or distances that a number depends on, they are chosen,
-and it cannot be expected to agree: those of figures 4.13, 4.16 and 4.17, of a sphere, a cylinder and a cone.
+A number agrees where it is the stated one in all stated digits, or within a stated bound: "(around) 6 pixels" is read
+as at most 6.5. Numbers of figures 4.13, 4.16 and 4.17 depend on sizes that the thesis does not state.
 
 """
-COLUMNS = ("figure", "what", "stated", "got", "verdict", "scene", "note")
+COLUMNS = ("figure", "what", "stated", "got", "verdict", "note")
+INPUTS_HEAD = "Inputs, as stated:\n\n"
 FIGURES_HEAD = """\
 ## Figures
 
-The files are in DIR, each in a folder of the name of its scene in `examples/thesis`; here they are made smaller.
+"Chosen" is what the thesis does not state.
+
+| figure | |
+|---|---|
 """
 OTHERS_HEAD = """\
 ## Not rendered
@@ -126,20 +127,16 @@ def _row(cells: Iterable[str]) -> str:
 
 def _number_cells(number: Number, got: float) -> tuple[str, ...]:
     """Cells of a row, as COLUMNS has them."""
-    scene = f"`{number.scenes[0]}`" if number.scenes else "defaults of `clsco inpaint`"
-    more = f" and {len(number.scenes) - 1} more" if len(number.scenes) > 1 else ""
-    value = f"{got + 0.0:.{number.digits}f}"
-    return number.figure, number.what, number.stated, value, _verdict(number, got), scene + more, number.note
+    return number.figure, number.what, number.stated, _got(number, got), _verdict(number, got), number.note
 
 
-def _files(figure: Figure) -> str:
-    files = [f"`{picture}`" for picture in figure.pictures]
-    return ", ".join(files if len(files) <= MOST_NAMED else [files[0], f"{files[1]} to {files[-1]}"])
+def _got(number: Number, got: float) -> str:
+    return f"{got + 0.0:.{number.digits}f}"
 
 
 def _caption(figure: Figure) -> str:
-    chosen = f" Chosen, as the thesis does not state it: {figure.chosen}." if figure.chosen else ""
-    return f"Figure {figure.number}: {figure.shows}.{chosen}"
+    chosen = f" Chosen: {figure.chosen}." if figure.chosen else ""
+    return f"{figure.number}: {figure.shows}.{chosen}"
 
 
 def _small(figure: Figure) -> str:
@@ -148,16 +145,20 @@ def _small(figure: Figure) -> str:
 
 
 def page(figures: Collection[Figure], values: Values) -> str:
-    """The page in Markdown: numbers, figures, and a list of figures that are not rendered."""
+    """The page in Markdown: numbers, inputs, figures, and a list of figures that are not rendered."""
     parts = [INTRODUCTION]
+    inputs = {number: got for number, got in values.items() if _verdict(number, got) == "input"}
+    measured = {number: got for number, got in values.items() if number not in inputs}
     if values:
         head = _row(COLUMNS) + "|---" * len(COLUMNS) + "|\n"
-        parts.append(NUMBERS_HEAD + head + "".join(_row(_number_cells(*item)) for item in values.items()))
+        parts.append(NUMBERS_HEAD + head + "".join(_row(_number_cells(*item)) for item in measured.items()))
+    if inputs:
+        lines = (f"- {number.figure}: {number.what} {_got(number, got)}" for number, got in inputs.items())
+        notes = (f" ({number.note})" * bool(number.note) for number in inputs)
+        parts.append(INPUTS_HEAD + "".join(f"{line}{note}\n" for line, note in zip(lines, notes, strict=True)))
     if figures:
-        parts.append(FIGURES_HEAD)
-        for figure in figures:
-            lines = [f"### Figure {figure.number}", f"![{figure.shows}]({_small(figure)})", _caption(figure)]
-            parts += [f"{line}\n" for line in [*lines, f"Files: {_files(figure)}."]]
+        rows = (_row((f"![{figure.number}]({_small(figure)})", _caption(figure))) for figure in figures)
+        parts.append(FIGURES_HEAD + "".join(rows))
     parts.append(OTHERS_HEAD + "".join(map(_row, OTHERS)))
     return "\n".join(parts)
 
