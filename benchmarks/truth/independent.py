@@ -381,10 +381,11 @@ def trace(content: Mapping[str, Any], samples: int) -> tuple[Array, Array]:
     surfaces = [surface for item in items for surface in surfaces_of(item)]
     images = [surface.image for surface in surfaces]
     behind = [image_of(item["texture"]) for item in content["object"] if item["shape"] == "background"]
-    points = np.stack([qmc.Sobol(4, scramble=True, rng=np.random.default_rng(n)).random(samples) for n in range(2)])
+    # Four dimensions for each of the images, and one of times that all pixels of a row share, so that poses are found
+    # once. Dimensions of two sets may not be joined: the first ones of any two go up and down together.
+    samples_of = qmc.Sobol(9, scramble=True, rng=np.random.default_rng(0)).random(samples)
+    points, uniform = np.stack([samples_of[:, :4], samples_of[:, 4:8]]), samples_of[:, 8]
     moves = any(surface.motion for surface in surfaces) or "keyframe" in content.get("lens", {})
-    # A fifth dimension that all pixels of a row share, so that poses are found once.
-    uniform = qmc.Sobol(1, scramble=True, rng=np.random.default_rng(2)).random(samples)[:, 0]
     times = opening_times(shutter, sequence.get("shutter_curve", "box"), uniform) if moves else np.zeros(1)
     sizes = np.array([image.shape[:2] for image in images + behind])
     offsets = np.concatenate([[0], np.cumsum(sizes.prod(axis=1))])

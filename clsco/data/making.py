@@ -20,6 +20,7 @@ from clsco.data.sets import DataSet, Status, begun, finish, known_license
 from clsco.data.storage import open_storage
 from clsco.errors import ClscoError, DeviceError, SceneError
 from clsco.frame.truth_files import ATTRIBUTES, OF_THE_IMAGE, array_names
+from clsco.resources import machine_bytes
 from clsco.scene.text import shown
 
 if TYPE_CHECKING:
@@ -339,5 +340,4 @@ def _make_shards(job: SetJob, who: Workers, given: MakeOptions) -> tuple[Status,
 
 def _memory_limit(workers: int) -> int:
     """Bytes beyond which a process is replaced."""
-    total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    return int(WORKER_SHARE * total / max(1, workers))
+    return int(WORKER_SHARE * machine_bytes() / max(1, workers))

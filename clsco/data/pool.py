@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
-import resource
 import signal
-import sys
 import threading
 import time
 from collections import Counter, deque
@@ -20,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from clsco.data.storage import open_storage
 from clsco.engine.child import Child, at_forced_end, how_ended
 from clsco.errors import ClscoError, DeviceError
-from clsco.resources import processors
+from clsco.resources import processors, resident_bytes
 
 if TYPE_CHECKING:
     from clsco.data.shards import SetJob, ShardMaker
@@ -276,16 +274,6 @@ def failure_of(error: BaseException) -> tuple[str, str]:
             return "fatal", text
         known = known.__cause__
     return "failed", text
-
-
-def resident_bytes() -> int:
-    """Memory of this process."""
-    try:
-        with open("/proc/self/statm", "rb") as file:
-            return int(file.read().split()[1]) * resource.getpagesize()
-    except OSError:  # no such file on other systems: the most that it ever was, in KiB or on macOS in bytes
-        most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        return most if sys.platform == "darwin" else most << 10
 
 
 def _answer(maker: ShardMaker, task: ShardTask, pipe: Connection) -> tuple[Any, ...]:

@@ -119,7 +119,9 @@ def _failing(function: Call) -> Call:
 
 
 def _sync(path: Path) -> None:
-    """Flush a file, or the list of a folder, to the disk."""
+    """Flush a file, or the list of a folder, to the disk; Windows opens no folders."""
+    if os.name != "posix" and path.is_dir():
+        return
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)

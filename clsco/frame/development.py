@@ -2,25 +2,16 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Collection
-from importlib import import_module
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.errors import ImageError, SceneError
+from clsco.errors import SceneError
+from clsco.frame.demosaicing import demosaic, menon_function
 from clsco.optics.sensor import SensorModel, noise_variance
 
-FUNCTIONS = {
-    "bilinear": "demosaicing_CFA_Bayer_bilinear",
-    "malvar": "demosaicing_CFA_Bayer_Malvar2004",
-    "menon": "demosaicing_CFA_Bayer_Menon2007",
-}
-"""Functions of colour-demosaicing by the methods of demosaicing of a scene file."""
-
-APRON = 8  # px, an even number, around a mosaic
 LEAST_SIDE = 2  # px, of frames that can be demosaiced
 
 
@@ -41,7 +32,7 @@ def developed(raw: NDArray[np.uint16], sensor_model: SensorModel) -> NDArray[np.
     Raises
     ------
     ImageError
-        colour-demosaicing is missing.
+        colour-demosaicing is missing, for `demosaic = "menon"`.
     """
     electrons = (raw.astype(np.float64) - sensor_model.sensor.black_level) / sensor_model.gain
     light = electrons / of_sites(sensor_model.white, sensor_model, raw.shape[:2])
@@ -51,10 +42,7 @@ def developed(raw: NDArray[np.uint16], sensor_model: SensorModel) -> NDArray[np.
     if sensor_model.sensor.demosaic == "none":
         colors = of_sites((0, 1, 2), sensor_model, plane.shape) == np.arange(3)
         return np.where(colors, plane[..., None], 0.0).astype(np.float32)
-    function = getattr(_demosaicing(), FUNCTIONS[sensor_model.sensor.demosaic])
-    padded = np.pad(plane, APRON, mode="reflect")  # colors go on as in the mosaic, which its mirror image does not
-    found = function(padded, sensor_model.sensor.mosaic.upper())[APRON:-APRON, APRON:-APRON]
-    return np.ascontiguousarray(found, np.float32)
+    return demosaic(plane, sensor_model.filters[0], sensor_model.sensor.demosaic).astype(np.float32)
 
 
 def of_sites(values: Collection[float], sensor_model: SensorModel, size: tuple[int, ...]) -> NDArray[Any]:
@@ -65,22 +53,13 @@ def of_sites(values: Collection[float], sensor_model: SensorModel, size: tuple[i
 
 
 def check_development(sensor_model: SensorModel, rows: int, columns: int) -> None:
-    """Raise ImageError where colour-demosaicing is needed and missing, SceneError for frames that are too small."""
+    """Raise ImageError where colour-demosaicing is missing and needed, SceneError for frames that are too small."""
     if sensor_model.sensor.demosaic != "none" and sensor_model.channels > 1:
         if min(rows, columns) < LEAST_SIDE:
             size = f"{columns} x {rows}"
             raise SceneError(f"sensor.demosaic: needs frames of {LEAST_SIDE} x {LEAST_SIDE} px at least; got {size}")
-        _demosaicing()
-
-
-def _demosaicing() -> Any:
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)  # of SciPy, for how it imports it
-            return import_module("colour_demosaicing")
-    except ImportError as error:
-        needs = "sensor.demosaic: needs colour-demosaicing: pip install 'clsco[sensor]'"
-        raise ImageError(f"{needs}; got {error}") from error
+        if sensor_model.sensor.demosaic == "menon":
+            menon_function()
 
 
 def sensor_truth(

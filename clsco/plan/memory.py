@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -15,6 +14,7 @@ from clsco.plan.buffers import Sizes, hit_buffers
 from clsco.plan.device import UNKNOWN, DeviceFacts, ThisMachine
 from clsco.plan.image import ImagePlan
 from clsco.plan.plan import Plan
+from clsco.resources import machine_bytes
 
 P = TypeVar("P", Plan, ImagePlan)
 _UNITS = {"": 1, "b": 1} | {f"{p}b": 1000**n for n, p in enumerate("kmgt", 1)}
@@ -46,26 +46,13 @@ def parse_size(size: str | int, name: str = "memory") -> int:
     return found
 
 
-def free_bytes() -> int | None:
-    """Memory of this machine that is free, in bytes; None where the system does not report it."""
-    try:
-        with open("/proc/meminfo", encoding="ascii") as file:
-            found = next(line for line in file if line.startswith("MemAvailable:"))
-        return int(found.split()[1]) * 1024
-    except (OSError, StopIteration, ValueError, IndexError):
-        names = getattr(os, "sysconf_names", {})
-        known = {"SC_PHYS_PAGES", "SC_PAGE_SIZE"} <= set(names)
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") if known else None
-
-
 def limit_of(memory: str | int | None, device: DeviceFacts | None = None) -> Limit:
     """The limit that a user gives, or half of what is free.
 
     memory: as `parse_size` takes it, or None; device: by default the processor. Raises SceneError as `parse_size`.
     """
     known = device or ThisMachine()
-    free = free_bytes() if known.unified_memory else None
-    total = known.global_mem if free is None else min(known.global_mem, free)
+    total = min(known.global_mem, machine_bytes(free=True)) if known.unified_memory else known.global_mem
     total = total if total == UNKNOWN else total // 2
     if memory is not None:
         total = parse_size(memory)

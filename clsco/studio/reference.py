@@ -12,6 +12,7 @@ from typing import Any
 
 from clsco.engine.child import Child
 from clsco.errors import ClscoError, SceneError
+from clsco.resources import machine_bytes
 from clsco.scene.formatting import format_seconds
 from clsco.scene.model import Scene
 from clsco.studio.pictures import REFERENCE, ViewPicture, picture_of
@@ -86,12 +87,11 @@ def _work(pipe: Connection, job: PictureJob) -> None:
 
 def check_memory(scene: Scene) -> None:
     """Raise SceneError where half of the free memory is too little for the reference."""
-    from clsco.plan.memory import free_bytes
     from clsco.plan.prepare import prepare
 
-    plan, free = prepare(scene).plan, free_bytes()
+    plan, free = prepare(scene).plan, machine_bytes(free=True)
     needed = BYTES * plan.width * plan.height
-    if free is not None and needed > free // 2:
+    if needed > free // 2:
         raise SceneError(f"reference: must fit into {free >> 21} MiB; got about {needed >> 20} MiB for this scene")
 
 

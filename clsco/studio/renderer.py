@@ -17,6 +17,7 @@ from clsco.engine.child import Child, how_ended
 from clsco.errors import CanceledError, ClscoError, DeviceError, SceneError
 from clsco.frame.frame import Frame
 from clsco.optics.motion import Eye
+from clsco.resources import machine_bytes
 from clsco.scene.model import Scene
 from clsco.studio.ladder import Ladders, coarser, unblurred, ways_of, work_of
 from clsco.studio.pictures import DRAGGING, EXACT, IMAGES, LOSSY, UNBLURRED, ViewPicture
@@ -348,7 +349,7 @@ class _RenderWorker:
 
     def _short_of_memory(self, content: PictureJob | Question | Scene) -> ClscoError:
         """Error where the device is too small even for strips, or the host for the frame."""
-        from clsco.plan.memory import device_bytes, free_bytes
+        from clsco.plan.memory import device_bytes
         from clsco.plan.prepare import prepare
 
         scene = content if isinstance(content, Scene) else content.scene
@@ -356,8 +357,7 @@ class _RenderWorker:
             needed = device_bytes(prepare(scene, None, self._live.session.device, self._live.files).plan)
         except (MemoryError, ClscoError):
             return SceneError("memory: must hold the textures of the scene; got too little of it")
-        free = free_bytes()
-        got = "too little of it" if free is None else f"{free >> 20} MiB"
+        got = f"{machine_bytes(free=True) >> 20} MiB"
         return SceneError(f"memory: must be about {needed >> 20} MiB for this frame, beside its arrays; got {got}")
 
     def _send(self, number: int, answer: Any) -> None:

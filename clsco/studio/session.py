@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import os
 import secrets
+import sys
 import tempfile
 from contextlib import suppress
 from dataclasses import replace
@@ -33,6 +33,11 @@ from clsco.studio.store import (
     scene_text,
 )
 from clsco.studio.tables import Table
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
 
 __all__ = ["ConflictError", "Document"]
 
@@ -186,7 +191,6 @@ class Document(Editor):
 
 LOCK, KEY = "lock", "key"
 KEY_BYTES = 32
-_LOCKED = os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
 
 
 class StateFolder:
@@ -211,6 +215,8 @@ class StateFolder:
     """
 
     def __init__(self, root: Path) -> None:
+        if fcntl is None:
+            raise ClscoError(f"studio: needs locks of files and folders, as Linux and macOS have; got {sys.platform}")
         real = os.path.realpath(root)
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
         digest = hashlib.sha256(os.fsencode(real)).hexdigest()[:32]
@@ -226,7 +232,8 @@ class StateFolder:
         self._handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
         self._lock = -1
         try:
-            self._lock = os.open(LOCK, _LOCKED, 0o600, dir_fd=self._handle)
+            flags = os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
+            self._lock = os.open(LOCK, flags, 0o600, dir_fd=self._handle)
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             self._release()

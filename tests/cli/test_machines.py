@@ -57,6 +57,54 @@ def test_the_command_makes_a_frame_there(tmp_path: Path) -> None:
     assert list((tmp_path / "tmp").iterdir()) == []
 
 
+ABSENT = ("pread", "sysconf", "killpg", "getpgid", "geteuid", "fork", "sched_getaffinity", "O_NOFOLLOW", "O_DIRECTORY")
+OTHER_SYSTEM = f"""
+import asyncio, multiprocessing.popen_spawn_posix, os, psutil, subprocess, sys, tempfile
+for name in ("fcntl", "resource", "pwd", "grp", "termios"):
+    sys.modules[name] = None
+for name in {ABSENT}:
+    delattr(os, name)
+"""
+SET = """
+[camera]
+resolution = [16, 12]
+[[object]]
+shape = "plane"
+[[vary.object]]
+index = 0
+distance = { uniform = [300, 400] }
+"""
+
+
+def test_what_windows_lacks_is_not_needed(tmp_path: Path) -> None:
+    """Each module is imported, and a set is made by two processes; the studio says what it needs."""
+    (tmp_path / "sitecustomize.py").write_text(OTHER_SYSTEM)
+    (tmp_path / "set.toml").write_text(SET)
+    words = ["clsco", "dataset", "make", str(tmp_path / "set.toml"), "-o", str(tmp_path / "set"), "--count", "3"]
+    words += ["--workers", "2", "--shard-size", "1", "--quiet"]
+    code = f"""if __name__ == "__main__":
+    import pkgutil, sys, importlib, clsco
+    for module in pkgutil.walk_packages(clsco.__path__, "clsco."):
+        if not module.name.endswith("__main__"):
+            importlib.import_module(module.name)
+    from clsco.errors import ClscoError
+    from clsco.studio.session import StateFolder
+    try:
+        StateFolder("studio")
+    except ClscoError as error:
+        print(error)
+    from clsco.cli.process import run
+    sys.argv = {words}
+    run()
+"""
+    (tmp_path / "run.py").write_text(code)
+    command = f"import runpy, sys; runpy.run_path({str(tmp_path / 'run.py')!r}, run_name='__main__')"
+    process = ran(command, HOME=str(tmp_path), PYTHONPATH=str(tmp_path))
+    assert (process.returncode, process.stderr) == (0, "")
+    assert process.stdout.startswith("studio: needs locks of files and folders, as Linux and macOS have; got ")
+    assert len(list((tmp_path / "set").rglob("*.tar"))) == 3
+
+
 def test_without_a_linker_there_is_a_message(tmp_path: Path, session: Session) -> None:
     """PoCL 3.0 would end the process."""
     if "PoCL 3." not in session.device.platform_version:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from clsco.errors import ImageError, SceneError
-from clsco.frame.development import FUNCTIONS, check_development, developed, sensor_truth
+from clsco.frame.demosaicing import demosaic
+from clsco.frame.development import check_development, developed, sensor_truth
 from clsco.optics.sensor import SensorModel, sensor_model
 from clsco.scene.model import Plane, Scene, Sensor
 
@@ -40,10 +41,11 @@ def test_a_mosaic_that_is_not_demosaiced_has_what_was_measured() -> None:
     assert gray.tolist() == [[0.0, 4.0], [np.float32(-0.2), 0.5]]
 
 
-@pytest.mark.parametrize("method", FUNCTIONS)
+@pytest.mark.parametrize("method", ["bilinear", "malvar", "menon"])
 @pytest.mark.parametrize("mosaic", ["rggb", "bggr", "grbg", "gbrg"])
 def test_an_even_color_is_found_again(method: str, mosaic: str) -> None:
-    pytest.importorskip("colour_demosaicing")
+    if method == "menon":
+        pytest.importorskip("colour_demosaicing")
     known = model_of(3, mosaic=mosaic, demosaic=method, quantum_efficiency=(0.5, 1.0, 0.75))
     light = np.array([0.2, 0.6, 0.4])
     filters = np.tile(np.array(known.filters[0]).reshape(2, 2), (5, 6))
@@ -53,16 +55,32 @@ def test_an_even_color_is_found_again(method: str, mosaic: str) -> None:
     assert found.dtype == np.float32
 
 
-@pytest.mark.parametrize("method", FUNCTIONS)
-def test_the_extra_is_named(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    known = model_of(3, mosaic="rggb", demosaic=method)
+@pytest.mark.parametrize(("method", "name"), [("bilinear", "bilinear"), ("malvar", "Malvar2004")])
+@pytest.mark.parametrize("filters", [(0, 1, 1, 2), (1, 2, 0, 1)])
+def test_colors_are_those_of_colour_demosaicing(method: str, name: str, filters: tuple[int, ...]) -> None:
+    package = pytest.importorskip("colour_demosaicing")
+    plane = np.random.default_rng(1).random((13, 10))
+    pattern = "".join("RGB"[channel] for channel in filters)
+    expected = getattr(package, f"demosaicing_CFA_Bayer_{name}")(plane, pattern)
+    np.testing.assert_allclose(demosaic(plane, filters, method)[2:-2, 2:-2], expected[2:-2, 2:-2], atol=1e-12)
+
+
+@pytest.mark.parametrize("method", ["bilinear", "malvar"])
+def test_gray_ramps_are_found_again(method: str) -> None:
+    y, x = np.indices((9, 11))
+    found = demosaic(2.0 * x - y, (1, 0, 2, 1), method)[2:-2, 2:-2]
+    np.testing.assert_allclose(found, np.repeat((2.0 * x - y)[2:-2, 2:-2, None], 3, axis=2), atol=1e-12)
+
+
+def test_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    known = model_of(3, mosaic="rggb", demosaic="menon")
     monkeypatch.setitem(sys.modules, "colour_demosaicing", None)
-    message = r"sensor.demosaic: needs colour-demosaicing: pip install 'clsco\[sensor\]'; got "
+    message = r"sensor.demosaic: menon needs colour-demosaicing: pip install 'clsco\[sensor\]'; got "
     with pytest.raises(ImageError, match=message):
         developed(RAW, known)
     with pytest.raises(ImageError, match=message):
         check_development(known, 2, 2)
-    gray = model_of(1, mosaic="rggb", demosaic=method)
+    gray = model_of(1, mosaic="rggb", demosaic="menon")
     check_development(gray, 1, 1)
     assert developed(RAW, gray)[0, 1] == 1
 

@@ -20,7 +20,8 @@ from clsco.plan import memory
 from clsco.plan.buffers import margin
 from clsco.plan.device import ThisMachine
 from clsco.plan.image import ImagePlan
-from clsco.plan.memory import Limit, device_bytes, fitted, free_bytes, limit_of, parse_size, rows_that_fit
+from clsco.plan.memory import Limit, device_bytes, fitted, limit_of, parse_size, rows_that_fit
+from clsco.resources import machine_bytes
 from tests.scenes import scene_file
 
 
@@ -44,17 +45,13 @@ def test_what_is_no_size(text: str | int) -> None:
 
 
 def test_the_limit_is_given_or_half_of_what_is_free(monkeypatch: pytest.MonkeyPatch) -> None:
-    free = free_bytes()
-    assert free is not None
-    assert free > 2**20
-    monkeypatch.setattr(memory, "free_bytes", lambda: 1000)
+    assert machine_bytes() > machine_bytes(free=True) > 2**20
+    monkeypatch.setattr(memory, "machine_bytes", lambda free: 1000)
     large, small = (ThisMachine(global_mem=size, max_alloc=700) for size in (3000, 600))
     assert limit_of(None, large) == Limit(500, 700, given=False)
     assert limit_of(None, small).total == 300
     assert limit_of(None, replace(large, unified_memory=False)).total == 1500
     assert limit_of("2kB", small) == Limit(2000, 700, given=True)
-    monkeypatch.setattr(memory, "free_bytes", lambda: None)
-    assert limit_of(None).total > 2**60
 
 
 @pytest.mark.parametrize("guard", [0, 3, 24])

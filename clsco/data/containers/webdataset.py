@@ -28,7 +28,7 @@ from clsco.data.containers.base import (
 )
 from clsco.data.record import Record, is_wanted
 from clsco.files.atomic import refuse
-from clsco.resources import open_regular
+from clsco.resources import open_regular, read_at
 
 MOST_EXTENDED = 2**12  # bytes of a header before a file
 _RENAMES = re.compile(rb"(^|[ \n])(path|size|linkpath|GNU\.[^=]*)=")
@@ -65,7 +65,7 @@ def _members(path: Path, file: BinaryIO) -> Iterator[tuple[str, int, int]]:
     time that grows as their square.
     """
     end, place = os.fstat(file.fileno()).st_size, 0
-    while (head := os.pread(file.fileno(), 512, place)) != bytes(512):
+    while (head := read_at(file, 512, place)) != bytes(512):
         checksum = sum(head) - sum(head[148:156]) + 8 * ord(" ")
         if len(head) < 512 or checksum != int(head[148:156].rstrip(b" \0"), 8):
             raise ValueError(f"no header at byte {place}, and no end of the archive before")
@@ -73,7 +73,7 @@ def _members(path: Path, file: BinaryIO) -> Iterator[tuple[str, int, int]]:
         before, _, _ = head[345:500].partition(b"\0") if head[257:263] == b"ustar\0" else (b"", b"", b"")
         member = (before + b"/" * bool(before) + name).decode("utf-8", "replace")
         kind, size, place = head[156:157], int(head[124:136].rstrip(b" \0") or b"0", 8), place + 512
-        extended = os.pread(file.fileno(), min(size, MOST_EXTENDED), place) if kind in (b"x", b"g") else b""
+        extended = read_at(file, min(size, MOST_EXTENDED), place) if kind in (b"x", b"g") else b""
         plain = kind in (b"0", b"\0") or (0 < len(extended) == size and not _RENAMES.search(extended))
         if not plain or not 0 <= size <= end - place:
             refuse(path, "must hold whole, plain files alone", repr(member))
@@ -112,7 +112,7 @@ class TarReader(ShardReader):
                 size = self._sizes[slots[name]]
                 if size > most:
                     raise ValueError(f"{size} bytes of {name}")
-                found = os.pread(file.fileno(), size, self._places[slots[name]])
+                found = read_at(file, size, self._places[slots[name]])
                 if len(found) < size:
                     raise ValueError("the end of the file")
                 return found

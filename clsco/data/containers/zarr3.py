@@ -30,7 +30,7 @@ from clsco.data.containers.base import (
 )
 from clsco.data.record import Record, is_wanted
 from clsco.files.decoders import codec, require, unzstd
-from clsco.resources import open_regular, read_regular
+from clsco.resources import open_regular, read_at, read_regular
 
 NEEDS = ("zarr", "data")
 CHECKSUM = ("google_crc32c", "data")
@@ -127,7 +127,7 @@ class _ArrayColumn:
             return np.zeros(shape, self.dtype)
         with file:
             size = os.fstat(file.fileno()).st_size
-            places = os.pread(file.fileno(), 16 * self.rows + 4, max(0, size - 16 * self.rows - 4))
+            places = read_at(file, 16 * self.rows + 4, max(0, size - 16 * self.rows - 4))
             if crc32c(places[:-4]) != int.from_bytes(places[-4:], "little"):
                 raise ValueError(f"a wrong checksum of the places in {self.folder.name}")
             place, count = np.frombuffer(places, "<u8", 2 * self.rows).reshape(-1, 2)[index % self.rows].tolist()
@@ -135,7 +135,7 @@ class _ArrayColumn:
                 return np.zeros(shape, self.dtype)
             if count > self._stored(shape) or place > size:
                 raise ValueError(f"{count} bytes of sample {index} in {self.folder.name}")
-            return self._unpacked(os.pread(file.fileno(), count, place), shape)
+            return self._unpacked(read_at(file, count, place), shape)
 
     def _opened(self, number: int) -> BinaryIO:
         path = self.folder.joinpath("c", str(number), *"0" * (len(self.shape) - 1))

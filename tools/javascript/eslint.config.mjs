@@ -2,7 +2,6 @@ import js from "@eslint/js";
 import globals from "globals";
 
 export default [
-  { ignores: ["**/*", "!clsco/", "!clsco/studio/", "!clsco/studio/static/", "!clsco/studio/static/*.js"] },
   js.configs.recommended,
   {
     languageOptions: { globals: globals.browser },

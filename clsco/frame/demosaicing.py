@@ -1,0 +1,104 @@
+"""Colors of a Bayer mosaic, of which each pixel has measured one."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.errors import ImageError
+
+Array = NDArray[np.float64]
+_CORNERS = np.array([[1.0, 0.0, 1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 1.0]]) / 4
+_CROSS = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 1.0], [0.0, 1.0, 0.0]]) / 4
+_ROW = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 1.0], [0.0, 0.0, 0.0]]) / 2
+_GREEN, _APRON = 1, 8  # an even number of pixels around a mosaic
+
+KERNELS: dict[str, tuple[Array, Array, Array]] = {
+    "bilinear": (_CROSS, _ROW, _CORNERS),
+    # Malvar, He and Cutler, "High-quality linear interpolation for demosaicing of Bayer-patterned color images", ICASSP
+    # 2004, figure 2: bilinear, corrected by the second derivative of the color that was measured.
+    "malvar": (
+        np.array([[0, 0, -1, 0, 0], [0, 0, 2, 0, 0], [-1, 2, 4, 2, -1], [0, 0, 2, 0, 0], [0, 0, -1, 0, 0]]) / 8,
+        np.array([[0, 0, 1, 0, 0], [0, -2, 0, -2, 0], [-2, 8, 10, 8, -2], [0, -2, 0, -2, 0], [0, 0, 1, 0, 0]]) / 16,
+        np.array([[0, 0, -3, 0, 0], [0, 4, 0, 4, 0], [-3, 0, 12, 0, -3], [0, 4, 0, 4, 0], [0, 0, -3, 0, 0]]) / 16,
+    ),
+}
+"""Weights of neighbors for green where red or blue is measured, for a color whose pixels are in the same row as a green
+one, and for red where blue is measured and the other way round."""
+
+
+def demosaic(plane: NDArray[np.floating], filters: Sequence[int], method: str) -> Array:
+    """Red, green and blue of all pixels.
+
+    Parameters
+    ----------
+    plane : ndarray (rows, columns)
+        What the pixels have measured.
+    filters : sequence of four int
+        Channels of a block of 2 x 2 pixels, row by row.
+    method : {"bilinear", "malvar", "menon"}
+
+    Returns
+    -------
+    ndarray of float64, (rows, columns, 3)
+        Beyond its border the mosaic goes on as its mirror image, which has the same colors.
+
+    Raises
+    ------
+    ImageError
+        For "menon", where colour-demosaicing is missing.
+
+    Examples
+    --------
+    >>> demosaic(np.array([[0.0, 4.0], [4.0, 8.0]]), (0, 1, 1, 2), "bilinear")[0, 0].tolist()
+    [0.0, 4.0, 8.0]
+    """
+    padded = np.pad(np.asarray(plane, np.float64), _APRON, mode="reflect")
+    if method == "menon":
+        pattern = "".join("RGB"[channel] for channel in filters)
+        colors: Array = menon_function()(padded, pattern)[_APRON:-_APRON, _APRON:-_APRON]
+        return colors
+    colors = np.empty((*plane.shape, 3))
+    for site, measured in enumerate(filters):
+        y, x = divmod(site, 2)
+        for channel in range(3):
+            kernel = _kernel(method, measured, channel, same_row=channel == filters[site ^ 1])
+            colors[y::2, x::2, channel] = _weighted(padded, kernel, y, x, colors[y::2, x::2, 0].shape)
+    return colors
+
+
+def _kernel(method: str, measured: int, channel: int, *, same_row: bool) -> Array:
+    cross, row, corners = KERNELS[method]
+    if channel == measured:
+        return np.ones((1, 1))
+    if channel == _GREEN:
+        return cross
+    if measured == _GREEN:
+        return row if same_row else row.T
+    return corners
+
+
+def _weighted(padded: Array, kernel: Array, y: int, x: int, size: tuple[int, ...]) -> Array:
+    """Sums of neighbors of each second pixel of each second row."""
+    total, first = np.zeros(size), _APRON - len(kernel) // 2
+    for (dy, dx), weight in np.ndenumerate(kernel):
+        if weight:
+            below, right = first + y + dy, first + x + dx
+            total += weight * padded[below : below + 2 * size[0] : 2, right : right + 2 * size[1] : 2]
+    return total
+
+
+def menon_function() -> Any:
+    """The function of colour-demosaicing, or ImageError where it is missing."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # of SciPy, for how it imports it
+            return import_module("colour_demosaicing").demosaicing_CFA_Bayer_Menon2007
+    except ImportError as error:
+        needs = "sensor.demosaic: menon needs colour-demosaicing: pip install 'clsco[sensor]'"
+        raise ImageError(f"{needs}; got {error}") from error
