@@ -77,7 +77,7 @@ class PsfTable:
 
 
 def psf_features(psf: PointSpread) -> dict[str, int]:
-    """Features that programs are compiled for: the kind of a PSF; GENERAL is the number of edges of its lens mask."""
+    """Features that programs are compiled for: the kind of a PSF; EDGES is the number of edges of its lens mask."""
     layouts = {name.upper(): int(psf.layout == name) for name in ("disc", "separable", "general")}
     found = layouts | {"SAMPLED": int(psf.sampled), "EDGES": len(psf.pupil.edges)}
     found |= {"RIMS": len(psf.rims), "WAVES": int(psf.diffracted), "RING": int(psf.pupil.hollow)}
