@@ -52,9 +52,6 @@ S, OBJECT = '[[vary.object]]\nshape = "sphere"\n', "vary.object[0]."
             G + "normal must be [mean, standard deviation], the latter above 0",
         ),
         (
-            G + "grid needs steps, the number of its values; got nothing",
-        ),
-        (
             "[vary.camera]\nfocus_distance = { uniform = [10, 300] }",
             "vary.camera.focus_distance: must be greater than focal_length = 20 mm; got 10",
         ),
