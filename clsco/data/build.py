@@ -23,11 +23,9 @@ from clsco.scene.text import key_name, shown
 
 @dataclass(frozen=True)
 class Values:
-    """Parameter values of one sample, the row of each of its tables of rows, and the values of each object of its
-    populations."""
+    """Parameter values of one sample, and the values of each object of its populations."""
 
     values: Sequence[Any]
-    rows: Sequence[int]
     members: Sequence[Sequence[Sequence[Any]]]
 
 
@@ -68,10 +66,6 @@ class Builder:
                     self._parameters[parameter.name] = self._wanted[parameter.location[1:]] = value
                 else:
                     self._set(self._table, parameter.location, value, parameter.name)
-            for rows, number in zip(parts.rows, values.rows, strict=True):
-                self._parameters[rows.parameter.name] = number
-                for location, cell in zip(rows.locations, rows.table[number], strict=True):
-                    self._set(self._table, location, cell, ".".join(map(str, location)))
             for population, members in zip(parts.populations, values.members, strict=True):
                 self._parameters[population.count.name] = len(members)
                 for element, member in enumerate(members):
@@ -212,8 +206,7 @@ def corner_faults(parts: VariedKeys, folder: Path) -> list[str]:
 
 
 def _corners(parts: VariedKeys) -> Iterator[Values]:
-    every = [*parts.parameters, *(rows.parameter for rows in parts.rows)]
-    every += [one for population in parts.populations for one in population.parameters]
+    every = [*parts.parameters, *(one for population in parts.populations for one in population.parameters)]
     extremes = {one.name: _some(one.form.extremes()) for one in every}
     lowest, highest = ({name: values[end] for name, values in extremes.items()} for end in (0, -1))
     yield _values(parts, lowest, 0)
@@ -231,8 +224,7 @@ def _values(parts: VariedKeys, picked: dict[str, Any], many: int | None) -> Valu
         counts = population.count.form.extremes()
         count = min(1, max(counts)) if many is None else sorted(counts)[many]
         members.append([[picked[one.name] for one in population.parameters]] * count)
-    rows = [picked[one.parameter.name] for one in parts.rows]
-    return Values([picked[one.name] for one in parts.parameters], rows, members)
+    return Values([picked[one.name] for one in parts.parameters], members)
 
 
 def _some(values: tuple[Any, ...]) -> list[Any]:

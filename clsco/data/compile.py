@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from clsco.data.acceptance import DERIVED, derivation
 from clsco.data.draws import Splits
-from clsco.data.forms import FORMS, Folder, FormContext, RefusedError, cell_value, form_of, is_form
-from clsco.data.tables import RowTables
-from clsco.data.values import ChoiceForm, Files, Form, Frustum, GridForm, Integers, RowForm
-from clsco.scene.changes import displace, key_parts, put
+from clsco.data.forms import FORMS, Folder, FormContext, RefusedError, form_of, is_form
+from clsco.data.tables import DistributionTables
+from clsco.data.values import ChoiceForm, Files, Form, Frustum, Integers
+from clsco.scene.changes import displace, put
 from clsco.scene.file import FILE_KEYS, names_file
 from clsco.scene.objects import MAX_OBJECTS
 from clsco.scene.text import key_name, shown
@@ -31,15 +31,6 @@ class Parameter:
     name: str
     location: Location
     form: Form
-
-
-@dataclass(frozen=True)
-class Rows:
-    """Keys that vary together: a row of `table` (rows, keys) goes to all of them; `parameter` says which one."""
-
-    parameter: Parameter
-    locations: tuple[Location, ...]
-    table: tuple[tuple[Any, ...], ...]
 
 
 @dataclass(frozen=True)
@@ -65,7 +56,6 @@ class VariedKeys:
 
     scene: dict[str, Any]
     parameters: tuple[Parameter, ...]
-    rows: tuple[Rows, ...]
     populations: tuple[Population, ...]
     derived: tuple[tuple[tuple[str, ...], Any], ...]
     """Keys with what is wanted of them, a number or the parameter that has it."""
@@ -76,7 +66,7 @@ class VariedKeys:
 class Reader:
     """Makes the parts of a distribution from its tables, and lists all faults."""
 
-    def __init__(self, tables: RowTables, folder: Folder, splits: Splits) -> None:
+    def __init__(self, tables: DistributionTables, folder: Folder, splits: Splits) -> None:
         self.faults: list[str] = []
         self._tables, self._folder, self._found = tables, folder, FormContext(folder, splits)
         self._scene = copied(tables.scene)
@@ -85,11 +75,9 @@ class Reader:
     def parts(self) -> VariedKeys:
         """The parts; with `faults` they are not whole."""
         self._no_forms(self._tables.scene, ())
-        parameters, rows, populations = list[Parameter](), list[Rows](), list[Population]()
+        parameters, populations = list[Parameter](), list[Population]()
         for section, value in self._tables.vary.items():
-            if section == "rows":
-                rows = self._rows(value)
-            elif section in ("object", "group"):
+            if section in ("object", "group"):
                 for entry, table in enumerate(self._entries(section, value)):
                     if section == "group" or "index" in table:
                         parameters += self._existing(section, entry, table)
@@ -113,9 +101,7 @@ class Reader:
         members = [one for population in populations for one in population.parameters]
         frustum = any(isinstance(one.form, Frustum) for one in (*parameters, *members))
         sized = bool(frustum or derived or self._tables.accept)
-        return VariedKeys(
-            self._scene, _with_strides(parameters), tuple(rows), tuple(populations), tuple(derived), sized
-        )
+        return VariedKeys(self._scene, tuple(parameters), tuple(populations), tuple(derived), sized)
 
     def _faulty(self, key: Location, rule: str, got: Any) -> None:
         self.faults.append(f"{key_name(key)}: {rule}; got {shown(got)}")
@@ -226,7 +212,7 @@ class Reader:
         for parameter in parameters:
             if parameter.form.designed:
                 place = (*key, *parameter.location)
-                self._faulty(place, "grid, sobol and latin_hypercube are for single values, not for populations", label)
+                self._faulty(place, "sobol is for single values, not for populations", label)
         shapes = [p.form.extremes() for p in parameters if p.location == ("shape",)] or [(constants.get("shape"),)]
         if len(self.faults) > before or count is None:
             return []
@@ -249,48 +235,6 @@ class Reader:
             )
             return None
         return Parameter(name, ("count",), form)
-
-    def _rows(self, value: Any) -> list[Rows]:
-        found: list[Rows] = []
-        entries = self._entries("rows", value)
-        for entry, table in enumerate(entries):
-            key: Location = ("vary", "rows", entry)
-            if table.keys() != {"file"}:
-                self._faulty(key, "must have a file, and nothing else", next(iter(table.keys() - {"file"}), "nothing"))
-                continue
-            try:
-                head, rows = self._folder.rows(table["file"])
-            except RefusedError as error:
-                self.faults.append(error.message(key_name((*key, "file")), table["file"]))
-                continue
-            found += self._row_parameter(key, table["file"], head, rows)
-        return found
-
-    def _row_parameter(
-        self, key: tuple[str | int, ...], name: str, head: list[str], rows: list[list[str]]
-    ) -> list[Rows]:
-        """Keys that the head of a table names, each with a place in the scene."""
-        locations = list[Location]()
-        for column in head:
-            parts = key_parts(column)
-            listed = parts[0] in ("object", "group")
-            if not 1 < len(parts) < 7 or not all(parts) or (listed and not isinstance(self._scene.get(parts[0]), list)):
-                fault: str | None = "must be a key of the scene, like camera.focal_length"
-            else:
-                displace(self._scene, column, None)
-                fault = put(self._scene, parts, None)
-            if fault is None:
-                locations.append((parts[0], int(parts[1]) if listed else parts[1], *parts[2:]))
-            else:
-                self.faults.append(f"{key_name((*key, 'file'))}: column {shown(column)}: {fault}")
-        if len(locations) < len(head):
-            return []
-        table = tuple(tuple(map(cell_value, row)) for row in rows)
-        for place, cells in zip(locations, zip(*table, strict=True), strict=True):
-            for number, cell in enumerate(cells, 1) if place[-1] in FILE_KEYS else ():
-                self._check_file(cell, (*key, "file", f"row {number}"))
-        parameter = Parameter(f"rows.{name}", (), RowForm(None, len(table)))
-        return [Rows(parameter, tuple(locations), table)]
 
     def _derived(self) -> list[tuple[tuple[str, ...], Any]]:
         """Values of the keys of [derive]; a distribution is replaced by the parameter that draws it."""
@@ -351,17 +295,6 @@ def _key_of_file(key: Location) -> str:
 def _is_table(location: Location) -> bool:
     """True if a key has a table of the scene, and not a table that stands for a value."""
     return location[-1] == "motion" or isinstance(location[-1], int)
-
-
-def _with_strides(parameters: list[Parameter]) -> tuple[Parameter, ...]:
-    """Parameters with those of grids such that the last one changes with every sample, and the first one slowest."""
-    found, every = list(parameters), 1
-    for position in range(len(found) - 1, -1, -1):
-        form = found[position].form
-        if isinstance(form, GridForm):
-            found[position] = replace(found[position], form=replace(form, every=every))
-            every = min(every * form.steps, 2**62)
-    return tuple(found)
 
 
 def copied(value: Any) -> Any:

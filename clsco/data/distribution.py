@@ -20,7 +20,7 @@ from clsco.data.build import Builder, Values, corner_faults
 from clsco.data.compile import Parameter, Reader, VariedKeys
 from clsco.data.draws import MAX_SEED, Splits, SplitsLike, Words, of_samples, splits_of, stream_words
 from clsco.data.forms import Folder
-from clsco.data.tables import RowTables, read_tables
+from clsco.data.tables import DistributionTables, read_tables
 from clsco.data.values import Column, Draw
 from clsco.errors import ClscoError, SceneError
 from clsco.resources import read_regular
@@ -74,8 +74,8 @@ class Drawn:
 
     Attributes
     ----------
-    values, rows : list of ndarray, (n,) or (n, size)
-        Values of the parameters that every sample has, and of its tables of rows.
+    values : list of ndarray, (n,) or (n, size)
+        Values of the parameters that every sample has.
     owners : list of ndarray of int64, (m,)
         Positions of the samples that the objects of each population belong to.
     members : list of list of ndarray, (m,) or (m, size)
@@ -83,7 +83,6 @@ class Drawn:
     """
 
     values: list[Column]
-    rows: list[Column]
     owners: list[NDArray[np.int64]]
     members: list[list[Column]]
 
@@ -105,7 +104,7 @@ class Distribution:
     parts : VariedKeys
     accept : tuple of (str, float, float)
         Measures with the least and the largest value.
-    tables : RowTables
+    tables : DistributionTables
         Content of the file, joined with its base and overrides.
     recipe : str
         All of it as text: that of the file, where that has no base and there are no overrides.
@@ -117,7 +116,7 @@ class Distribution:
     splits: Splits
     parts: VariedKeys
     accept: Bounds
-    tables: RowTables
+    tables: DistributionTables
     recipe: str
 
     @property
@@ -182,11 +181,11 @@ class Distribution:
         """
         parts = self.parts
         splits = of_samples(self.splits, seed, numbers)
-        fixed = [*parts.parameters, *(rows.parameter for rows in parts.rows), *(p.count for p in parts.populations)]
+        fixed = [*parts.parameters, *(p.count for p in parts.populations)]
         columns = _columns(fixed, seed, numbers, splits, attempt)
-        rows, populations = len(parts.parameters), len(parts.parameters) + len(parts.rows)
+        own_count = len(parts.parameters)
         owners, members = [], []
-        for population, column in zip(parts.populations, columns[populations:], strict=True):
+        for population, column in zip(parts.populations, columns[own_count:], strict=True):
             known, place = np.unique(column, return_inverse=True)
             count = np.array([population.count.form.value(entry) for entry in known], np.int64)[place]
             owner = np.repeat(np.arange(len(numbers)), count)
@@ -194,7 +193,7 @@ class Distribution:
             own = numbers[owner], splits[owner], attempt, element.astype(np.uint64)
             owners.append(owner)
             members.append(_columns(population.parameters, seed, *own))
-        return Drawn(columns[:rows], columns[rows:populations], owners, members)
+        return Drawn(columns[:own_count], owners, members)
 
     def _values(self, drawn: Drawn) -> Values:
         """The values of the one sample that was drawn."""
@@ -204,7 +203,7 @@ class Distribution:
         for population, owner, columns in zip(parts.populations, drawn.owners, drawn.members, strict=True):
             forms = [(one.form, column) for one, column in zip(population.parameters, columns, strict=True)]
             members.append([[form.value(column[k]) for form, column in forms] for k in range(len(owner))])
-        return Values(values, [int(column[0]) for column in drawn.rows], members)
+        return Values(values, members)
 
 
 def _noise_seed(seed: int, numbers: Words) -> int:
@@ -286,7 +285,7 @@ def load_distribution(
     )
 
 
-def _recipe(where: str, content: Mapping[str, Any] | None, tables: RowTables, overrides: Sequence[str]) -> str:
+def _recipe(where: str, content: Mapping[str, Any] | None, tables: DistributionTables, overrides: Sequence[str]) -> str:
     if content is None and not overrides and not tables.is_joined:
         return read_regular(where, MAX_FILE_BYTES, follow=True).decode("utf-8-sig")
     return toml_text(tables.content())
@@ -300,7 +299,7 @@ def _not_analytic(parts: VariedKeys) -> list[str]:
     return [f'{key}.shape: {rule}; got "depth_map"' for key, shape in shapes if shape == "depth_map"]
 
 
-def _digest(tables: RowTables, splits: Splits, folder: Folder) -> str:
+def _digest(tables: DistributionTables, splits: Splits, folder: Folder) -> str:
     content = [VERSION, tables.scene, tables.vary, tables.accept, tables.derive, splits, sorted(folder.digests.items())]
     content += [tables.check] if tables.check else []
     return hashlib.sha256(json.dumps(content, default=str).encode()).hexdigest()

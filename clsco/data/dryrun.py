@@ -214,13 +214,13 @@ class _Collected:
 def _summaries(distribution: Distribution, seed: int, count: int) -> tuple[Summary, ...]:
     """Summaries of all parameters over all samples, at their first attempt."""
     parts = distribution.parts
-    fixed = [_Collected(one) for one in (*parts.parameters, *(rows.parameter for rows in parts.rows))]
+    fixed = [_Collected(one) for one in parts.parameters]
     counts = [_Collected(population.count) for population in parts.populations]
     members = [[_Collected(one) for one in population.parameters] for population in parts.populations]
     for first in range(0, count, AT_A_TIME):
         numbers = np.arange(first, min(first + AT_A_TIME, count), dtype=np.uint64)
         drawn: Drawn = distribution.drawn(seed, numbers)
-        for one, column in zip(fixed, [*drawn.values, *drawn.rows], strict=True):
+        for one, column in zip(fixed, drawn.values, strict=True):
             one.add(column)
         for size, owner, own, columns in zip(counts, drawn.owners, members, drawn.members, strict=True):
             many = np.bincount(owner, minlength=len(numbers))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping
@@ -20,9 +18,7 @@ from clsco.data.values import (
     Files,
     Form,
     Frustum,
-    GridForm,
     Integers,
-    LatinHypercube,
     LogUniform,
     Normal,
     Sobol,
@@ -33,7 +29,6 @@ from clsco.data.values import (
 )
 from clsco.errors import SceneError
 from clsco.files.atomic import sha256
-from clsco.resources import open_regular
 from clsco.scene.text import shown
 
 MAX_NAME = 1024
@@ -42,8 +37,6 @@ MAX_LOOKED_AT = 1_000_000  # of folders that a pattern makes us look at
 MAX_DEEP = 32  # folders in each other
 MAX_BYTES = 2**31  # of a file
 MAX_TOTAL = 2**37
-MAX_TABLE_BYTES = 2**20
-MAX_CELLS = 100_000
 
 
 class RefusedError(Exception):
@@ -152,53 +145,11 @@ class Folder:
                 raise RefusedError(f"folders must have at most {MAX_LOOKED_AT} entries in all", "more")
             yield entry
 
-    def rows(self, name: Any) -> tuple[list[str], list[list[str]]]:
-        """The head and the rows of a file of comma-separated values. Raises RefusedError."""
-        path = self.inside(name)
-        if path.suffix.lower() != ".csv":
-            raise RefusedError("must end in .csv")
-        try:
-            with io.TextIOWrapper(open_regular(path), encoding="utf-8-sig", newline="") as file:
-                text = file.read(MAX_TABLE_BYTES + 1)
-        except UnicodeDecodeError:
-            raise RefusedError("must be UTF-8 text") from None
-        except OSError as error:
-            raise RefusedError("must be readable", error.strerror) from None
-        if len(text) > MAX_TABLE_BYTES:
-            raise RefusedError(f"must have at most {MAX_TABLE_BYTES} characters")
-        try:
-            head, *rows = [row for row in csv.reader(text.splitlines(), strict=True) if row]
-        except csv.Error as error:
-            raise RefusedError(f"must be comma-separated values: {error}") from None
-        except ValueError:
-            raise RefusedError("must have a head and rows") from None
-        if not rows or len(head) * len(rows) > MAX_CELLS:
-            raise RefusedError(f"must have a row, and at most {MAX_CELLS} cells", f"{len(rows)} rows")
-        for number, row in enumerate(rows, 1):
-            if len(row) != len(head):
-                raise RefusedError(f"row {number} must have {len(head)} cells", len(row))
-        self.take(name)
-        return [cell.strip() for cell in head], rows
-
-
-def cell_value(text: str) -> Any:
-    """Value of a cell of a table: true, false, a number, or text."""
-    text = text.strip()
-    if text in ("true", "false"):
-        return text == "true"
-    for kind in (int, float):
-        try:
-            return kind(text) if len(text) <= 40 else text
-        except ValueError:
-            continue
-    return text
-
 
 LARGEST = 1e30  # of a number, so that sums and cubes are finite
 MAX_INTEGER = 2**53
 MAX_ENTRIES = 10_000
 MAX_SIZE = 16
-MAX_STEPS = 2**20
 MAX_DIMENSIONS = 64
 
 
@@ -361,13 +312,6 @@ def _rotation(given: Mapping[str, Any], _: FormContext) -> Form:
     return Turned(4)
 
 
-def _grid(given: Mapping[str, Any], _: FormContext) -> Form:
-    if "steps" not in given:
-        raise RefusedError("grid needs steps, the number of its values", "nothing")
-    low, high = _at("grid", given, _range)
-    return GridForm(None, low, high, _at("steps", given, lambda value: _whole(value, 2, MAX_STEPS)), 1)
-
-
 def _sobol(given: Mapping[str, Any], found: FormContext) -> Form:
     low, high = _at("sobol", given, _range)
     try:
@@ -378,13 +322,6 @@ def _sobol(given: Mapping[str, Any], found: FormContext) -> Form:
         raise RefusedError(f"sobol must be at most {MAX_DIMENSIONS} keys", "more")
     found.dimensions += 1
     return Sobol(None, low, high, found.dimensions - 1)
-
-
-def _latin_hypercube(given: Mapping[str, Any], _: FormContext) -> Form:
-    if "of" not in given:
-        raise RefusedError("latin_hypercube needs of, the number of samples that it spreads", "nothing")
-    low, high = _at("latin_hypercube", given, _range)
-    return LatinHypercube(None, low, high, _at("of", given, lambda value: _whole(value, 2, MAX_STEPS)))
 
 
 FORMS: dict[str, tuple[Callable[[Mapping[str, Any], FormContext], Form], tuple[str, ...]]] = {
@@ -398,9 +335,7 @@ FORMS: dict[str, tuple[Callable[[Mapping[str, Any], FormContext], Form], tuple[s
     "frustum": (_frustum, ()),
     "direction": (_direction, ()),
     "rotation": (_rotation, ()),
-    "grid": (_grid, ("steps",)),
     "sobol": (_sobol, ()),
-    "latin_hypercube": (_latin_hypercube, ("of",)),
 }
 """Distributions by the key that names them, each with its options."""
 

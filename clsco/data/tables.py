@@ -24,7 +24,7 @@ MAX_DEPTH = 12  # tables and lists in each other
 
 
 @dataclass(frozen=True)
-class RowTables:
+class DistributionTables:
     """The parts of a distribution file, base included: the scene, and what varies in it, is accepted and follows."""
 
     scene: dict[str, Any]
@@ -42,7 +42,7 @@ class RowTables:
 
 def read_tables(
     where: str, overrides: Sequence[str], folder: Folder, content: Mapping[str, Any] | None = None
-) -> RowTables:
+) -> DistributionTables:
     """Read a distribution file with its bases, and apply overrides; content: of the file, where it is known.
 
     Raises SceneError.
@@ -68,7 +68,7 @@ def read_tables(
         parts = key_parts(text.partition("=")[0].strip())
         if parts[0] not in OWN:
             _unvaried(vary, parts, data)
-    return RowTables(data, vary, accept, derive, check or {}, is_joined)
+    return DistributionTables(data, vary, accept, derive, check or {}, is_joined)
 
 
 def _with_base(data: dict[str, Any], path: str, where: str, folder: Folder, names: list[str]) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.data.draws import LARGEST_NORMAL, Words, cube_root, exact_log, exp, name_hash, normal, philox, shuffled, unit
+from clsco.data.draws import LARGEST_NORMAL, Words, cube_root, exact_log, exp, name_hash, normal, philox, unit
 from clsco.errors import SceneError
 
 Column = NDArray[Any]  # (n,) or (n, size): numbers, or positions in a list
@@ -228,41 +228,6 @@ class Turned(Form):
 
 
 @dataclass(frozen=True)
-class RowForm(Form):
-    """A row of a table, by which several keys vary together; count: of rows. A column has the position."""
-
-    count: int
-
-    def _numbers(self, draw: Draw) -> Column:
-        return np.minimum((unit(draw.words) * self.count).astype(np.int64), self.count - 1)
-
-    def extremes(self) -> tuple[Any, ...]:
-        return tuple(range(self.count))
-
-
-@dataclass(frozen=True)
-class GridForm(Form):
-    """{ grid = [low, high], steps = n }; every: samples in a row that have the same value."""
-
-    low: float
-    high: float
-    steps: int
-    every: int
-    designed = True
-
-    @property
-    def words(self) -> int:
-        return 0
-
-    def column(self, draw: Draw) -> Column:
-        step = (draw.numbers // np.uint64(self.every) % np.uint64(self.steps)).astype(np.float64)
-        return _between(self.low, self.high, step / (self.steps - 1))
-
-    def _ends(self) -> tuple[Any, ...]:
-        return self.low, self.high
-
-
-@dataclass(frozen=True)
 class Sobol(Form):
     """{ sobol = [low, high] }: all such keys are the dimensions of one sequence, shifted by the seed."""
 
@@ -290,35 +255,9 @@ class Sobol(Form):
         return self.low, self.high
 
 
-@dataclass(frozen=True)
-class LatinHypercube(Form):
-    """{ latin_hypercube = [low, high], of = n }: each n samples in a row have one value in each n-th of the range."""
-
-    low: float
-    high: float
-    of: int
-    designed = True
-
-    def _numbers(self, draw: Draw) -> Column:
-        turns, places = np.divmod(draw.numbers, np.uint64(self.of))
-        cells = np.empty(len(places), np.int64)
-        for turn in np.unique(turns).tolist():
-            here = turns == turn
-            cells[here] = _order(draw.seed, draw.name, self.of, turn)[places[here]]
-        return _between(self.low, self.high, (cells[:, None] + unit(draw.words)) / self.of)
-
-    def _ends(self) -> tuple[Any, ...]:
-        return self.low, self.high
-
-
 def _between(low: float, high: float, share: NDArray[np.float64]) -> NDArray[np.float64]:
     """From `low`, share 0, to `high`, share 1, and never beyond."""
     return np.clip(low + (high - low) * share, low, high)
-
-
-@lru_cache(maxsize=64)
-def _order(seed: int, name: str, count: int, turn: int) -> NDArray[np.int64]:
-    return shuffled(seed, name, count, turn)
 
 
 @lru_cache(maxsize=1024)

@@ -52,10 +52,6 @@ S, OBJECT = '[[vary.object]]\nshape = "sphere"\n', "vary.object[0]."
             G + "normal must be [mean, standard deviation], the latter above 0",
         ),
         (
-            "[vary.camera]\nf_number = { grid = [2, 4] }",
-            G + "grid needs steps, the number of its values; got nothing",
-        ),
-        (
             "[vary.camera]\nfocus_distance = { uniform = [10, 300] }",
             "vary.camera.focus_distance: must be greater than focal_length = 20 mm; got 10",
         ),
@@ -88,7 +84,7 @@ S, OBJECT = '[[vary.object]]\nshape = "sphere"\n', "vary.object[0]."
         ),
         (
             '[[vary.object]]\nshape = "sphere"\nradius = { sobol = [1, 2] }',
-            OBJECT + "radius: grid, sobol and latin_hypercube are for single values",
+            OBJECT + "radius: sobol is for single values",
         ),
         ("[accept]\nmax_blur = 3", "accept.max_blur: unknown key; must be max_blur_px, "),
         ('[accept]\nmax_blur_px = "3"', "accept.max_blur_px: must be a number, or { min = number, max = number }"),
