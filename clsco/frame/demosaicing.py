@@ -38,7 +38,7 @@ def demosaic(plane: NDArray[np.floating], filters: Sequence[int], method: str) -
     Parameters
     ----------
     plane : ndarray (rows, columns)
-        What the pixels have measured.
+        Measured values of the pixels.
     filters : sequence of four int
         Channels of a block of 2 x 2 pixels, row by row.
     method : {"bilinear", "malvar", "menon"}
