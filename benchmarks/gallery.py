@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import re
 import tomllib
 from pathlib import Path
 
@@ -21,6 +20,7 @@ EXAMPLES, PAGE, PICTURES = ROOT / "examples", ROOT / "docs/gallery.md", ROOT / "
 PRESETS = ROOT / "clsco/studio/static/presets"
 WIDTH, QUALITY = 320, 82  # px, of 100
 SMALL = 160  # px, of the presets' pictures
+ACROSS = 3  # examples in a row of the page
 SEED = 2026
 TOLERANCE = 0.004  # of white, a code of 8 bits
 
@@ -33,23 +33,18 @@ HEAD = """# Gallery
 
 ![Glazed balls on a table before the lights of an evening, one of them in focus](evening.jpg)
 
-Every example with its picture and its file. `clsco examples NAME -o .` copies one with its images, and `clsco render
-NAME.toml -o frames` renders it; of a data set, `clsco dataset make NAME.toml -o DATA --count 100` makes samples. R is
-the signed blur radius. [The thesis](thesis.md) has more examples. `python -m benchmarks.evening_picture` renders the
-picture above, `python -m benchmarks.gallery` this page.
+Every example with its picture and its file, whose first lines say what it shows. `clsco examples NAME -o .` copies one
+with its images, and `clsco render NAME.toml -o frames` renders it; of a data set, `clsco dataset make NAME.toml -o DATA
+--count 100` makes samples. [The thesis](thesis.md) has more examples. `python -m benchmarks.evening_picture` renders
+the picture above, `python -m benchmarks.gallery` this page.
 """
-FIRST_END = re.compile(r"(?<=[a-z\d)])\. (?=[A-Z])|; (?=[a-zR])")  # of the first sentence, or of its first half
 
 
-def title_and_words(path: Path) -> tuple[str, str]:
-    """Title of an example, and the beginning of the comment at its top."""
-    text = path.read_text("utf-8")
-    top = []
-    for line in text.splitlines():
-        if not line.startswith("#"):
-            break
-        top.append(line.removeprefix("#").strip())
-    return tomllib.loads(text)["title"], FIRST_END.split(" ".join(top))[0].rstrip(".")
+def grid(cells: list[str]) -> str:
+    """A Markdown table of cells, ACROSS in a row."""
+    rows = [cells[first : first + ACROSS] for first in range(0, len(cells), ACROSS)]
+    lines = ["| " + " | ".join(row + [""] * (ACROSS - len(row))) + " |" for row in rows]
+    return "\n".join(["|" + " |" * ACROSS, "|" + "---|" * ACROSS, *lines])
 
 
 def chapter(name: str, scene: clsco.Scene, several: bool) -> str:
@@ -110,16 +105,15 @@ def main() -> None:
             print(name)
     for path in sorted([*EXAMPLES.glob("*.toml"), *EXAMPLES.glob("sets/*.toml")]):
         name = path.relative_to(EXAMPLES).with_suffix("").as_posix()
-        title, words = title_and_words(path)
         scene, several = first_scene(name)
         if not wanted or name in wanted:
             make_picture(name, scene)
             print(name)
-        picture = f"![{name}](gallery/{picture_name(name)})"
-        row = f"| {picture} | [{name}](../examples/{name}.toml)<br>**{title}**{f'<br>{words}' * bool(words)} |"
+        title = tomllib.loads(path.read_text("utf-8"))["title"]
+        cell = f"![{name}](gallery/{picture_name(name)})<br>[{name}](../examples/{name}.toml)<br>{title}"
         groups[name] = chapter(name, scene, several)
-        chapters.setdefault(groups[name], []).append(row)
-    tables = ["\n".join((f"## {heading}\n", "| | |", "|---|---|", *chapters[heading])) for heading in CHAPTERS]
+        chapters.setdefault(groups[name], []).append(cell)
+    tables = [f"## {heading}\n\n{grid(chapters[heading])}" for heading in CHAPTERS]
     listed = {heading: [name for name, each in groups.items() if each == heading] for heading in CHAPTERS[:-1]}
     (PRESETS / "groups.json").write_text(json.dumps(listed, indent=1) + "\n", "utf-8")
     PAGE.write_text("\n\n".join((HEAD.rstrip(), *tables)) + "\n", "utf-8")

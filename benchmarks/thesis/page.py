@@ -57,10 +57,10 @@ INPUTS_HEAD = "Inputs, as stated:\n\n"
 FIGURES_HEAD = """\
 ## Figures
 
-"Chosen" is what the thesis does not state.
+What the thesis does not state is chosen in the scenes, and listed in DIR/thesis.html.
 
-| figure | |
-|---|---|
+| | | |
+|---|---|---|
 """
 OTHERS_HEAD = """\
 ## Not rendered
@@ -157,8 +157,9 @@ def page(figures: Collection[Figure], values: Values) -> str:
         notes = (f" ({number.note})" * bool(number.note) for number in inputs)
         parts.append(INPUTS_HEAD + "".join(f"{line}{note}\n" for line, note in zip(lines, notes, strict=True)))
     if figures:
-        rows = (_row((f"![{figure.number}]({_small(figure)})", _caption(figure))) for figure in figures)
-        parts.append(FIGURES_HEAD + "".join(rows))
+        cells = [f"![{figure.number}]({_small(figure)})<br>{figure.number}: {figure.shows}" for figure in figures]
+        rows = (cells[first : first + ACROSS] for first in range(0, len(cells), ACROSS))
+        parts.append(FIGURES_HEAD + "".join(_row([*row, *[""] * (ACROSS - len(row))]) for row in rows))
     parts.append(OTHERS_HEAD + "".join(map(_row, OTHERS)))
     return "\n".join(parts)
 
