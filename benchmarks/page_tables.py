@@ -82,7 +82,14 @@ def photographic() -> str:
         times = [f"{float(row[f'{way}, s']):.3g}" for way in ("visibility", "tolerance")]
         errors = ", ".join(error(row[f"error of {way}"]) for way in ("visibility", "tolerance"))
         less = float(row["better one / clsco at 0.003"])
-        return [SCENES[row["scene"]], row["motion"], *times, errors, f"{min(tracers):.3g}", f"{less:.3g}"]
+        return [
+            SCENES[row["scene"]] * (row["motion"] == "still"),
+            row["motion"],
+            *times,
+            errors,
+            f"{min(tracers):.3g}",
+            f"{less:.3g}",
+        ]
 
     return table(columns, map(cells, result_rows("photographic.md")))
 
