@@ -162,17 +162,19 @@ def chunk_color(chunks: Mapping[bytes, bytes]) -> Color:
         return Color("of cICP", chunks=carried, chromaticities=known, note=note)
     if b"sRGB" in chunks:
         return SRGB
-    carried = tuple((kind, chunks[kind]) for kind in (b"gAMA", b"cHRM") if kind in chunks)
-    if len(gamma) == 4 and (exponent := int.from_bytes(gamma, "big") / 1e5) > 0:
-        chrm, numbers = chunks.get(b"cHRM"), SRGB_CHROMATICITIES
-        if chrm is not None:
-            numbers = tuple((np.frombuffer(chrm, ">u4") / 1e5).tolist()) if len(chrm) == 32 else (0.0,) * 8
-        known = None if chromaticities_to_srgb(numbers) is None else numbers
-        if abs(exponent - 0.45455) < 5e-5:  # which stands for sRGB (PNG, third edition, 11.3.2.2)
-            return SRGB if chrm is None else Color("of gAMA", chunks=carried, chromaticities=known)
-        curve = Curve(_parametric((1 / exponent, *_LINEAR[1:]))[None])
-        return Color("of gAMA", chunks=carried, curve=curve, chromaticities=known)
-    return SRGB
+    exponent = int.from_bytes(gamma, "big") / 1e5 if len(gamma) == 4 else 0.0
+    kinds = (b"gAMA", b"cHRM") if exponent > 0.0 else (b"cHRM",)  # primaries alone have the curve of sRGB
+    carried = tuple((kind, chunks[kind]) for kind in kinds if kind in chunks)
+    chrm, numbers = chunks.get(b"cHRM"), SRGB_CHROMATICITIES
+    if chrm is not None:
+        numbers = tuple((np.frombuffer(chrm, ">u4") / 1e5).tolist()) if len(chrm) == 32 else (0.0,) * 8
+    known = None if chromaticities_to_srgb(numbers) is None else numbers
+    if exponent <= 0.0:
+        return SRGB if known in (None, SRGB_CHROMATICITIES) else Color("of cHRM", chunks=carried, chromaticities=known)
+    if abs(exponent - 0.45455) < 5e-5:  # which stands for sRGB (PNG, third edition, 11.3.2.2)
+        return SRGB if chrm is None else Color("of gAMA", chunks=carried, chromaticities=known)
+    curve = Curve(_parametric((1 / exponent, *_LINEAR[1:]))[None])
+    return Color("of gAMA", chunks=carried, curve=curve, chromaticities=known)
 
 
 def _unless_srgb(tables: list[NDArray[np.float64]]) -> Curve | None:

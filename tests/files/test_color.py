@@ -201,6 +201,8 @@ CHUNKS: dict[str, tuple[dict[bytes, bytes], bool, Array | None]] = {
     "cICP linear": ({b"cICP": bytes([9, 8, 0, 1])}, False, X),
     "gAMA of sRGB": ({b"gAMA": struct.pack(">I", 45455)}, True, None),
     "gAMA and P3": ({b"gAMA": struct.pack(">I", 45455), b"cHRM": CHRM}, False, None),
+    "P3 alone": ({b"cHRM": CHRM}, False, None),
+    "BT.709 alone": ({b"cHRM": struct.pack(">8I", 31270, 32900, 64000, 33000, 30000, 60000, 15000, 6000)}, True, None),
     "gAMA 1": ({b"gAMA": struct.pack(">I", 100000)}, False, X),
     "gAMA 1.8": ({b"gAMA": struct.pack(">I", 55556)}, False, X ** (1 / 0.55556)),
     "gAMA 0": ({b"gAMA": bytes(4)}, True, None),

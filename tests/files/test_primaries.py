@@ -318,7 +318,7 @@ CHRM = (np.array(CICP_CHROMATICITIES[12]) * 1e5).round().astype(">u4").tobytes()
 
 @pytest.mark.parametrize("chunks", [
     {b"cICP": bytes([12, 13, 0, 1])}, {b"cICP": bytes([12, 4, 0, 1])}, {b"iCCP": PROFILES["Display P3"]},
-    {b"gAMA": struct.pack(">I", 45455), b"cHRM": CHRM},
+    {b"gAMA": struct.pack(">I", 45455), b"cHRM": CHRM}, {b"cHRM": CHRM},
 ])  # fmt: skip
 def test_primaries_of_a_png_survive_in_tiff_and_exr(tmp_path: Path, chunks: dict[bytes, bytes]) -> None:
     color = Color("P", chunks[b"iCCP"]) if b"iCCP" in chunks else Color("P", chunks=tuple(chunks.items()))
