@@ -228,9 +228,14 @@ class Scene(Strict):
     @field_validator("sensor")
     @classmethod
     def _with_an_opening_that_stays(cls, value: Sensor | None, info: ValidationInfo) -> Sensor | None:
-        keys = getattr(info.data.get("lens"), "keyframe", None) or ()
-        if value is not None and value.exposure == "physical" and any(key.f_number is not None for key in keys):
+        keys, camera = getattr(info.data.get("lens"), "keyframe", None) or (), info.data.get("camera")
+        if value is None or value.exposure == "normalized":
+            return value
+        if any(key.f_number is not None for key in keys):
             raise at_keys([(("exposure",), fault("must be normalized where keyframes have f-numbers"), "physical")])
+        if keys and isinstance(getattr(camera, "normalization_distance", None), FollowedDistance):
+            rule = 'must be normalized where keyframes change the lens and normalization_distance = "sensor"'
+            raise at_keys([(("exposure",), fault(rule), "physical")])
         return value
 
     @field_validator("fill")

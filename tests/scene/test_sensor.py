@@ -131,9 +131,13 @@ def test_what_is_refused(sensor: Any, message: str) -> None:
 
 
 def test_a_physical_exposure_has_one_opening() -> None:
-    keys = {"keyframe": [{"time": 0.0, "f_number": 2.0}]}
+    physical = {"object": [BALL], "sensor": {"exposure": "physical"}}
+    pulled = {"keyframe": [{"time": 0.0, "focus_distance": 300.0}, {"time": 1.0, "focus_distance": 100.0}]}
     with pytest.raises(SceneError, match=r"sensor.exposure: must be normalized where keyframes have f-numbers; got "):
-        parse_scene({"object": [BALL], "sensor": {"exposure": "physical"}, "lens": keys})
+        parse_scene(physical | {"lens": {"keyframe": [{"time": 0.0, "f_number": 2.0}]}})
+    with pytest.raises(SceneError, match=r"exposure: must be normalized where keyframes change the lens and normaliz"):
+        parse_scene(physical | {"lens": pulled, "camera": {"normalization_distance": "sensor"}})
+    assert parse_scene(physical | {"lens": pulled}).sensor is not None  # N is f / D at any focus
     usual = parse_scene({"object": [BALL], "sensor": EVERY}).replace("sensor.exposure", "normalized").sensor
     assert usual is not None
     assert (usual.reference_shutter, usual.reference_f_number) == (1.0, 1.0)
