@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,14 +14,16 @@ from clsco.optics.lens import ray_step
 from clsco.optics.lens_path import camera_at
 from clsco.optics.light import PlacedLight, place_light
 from clsco.optics.motion import poses_at
-from clsco.optics.quadrics import PlacedSurface, place, predict_inverse_depth
+from clsco.optics.quadrics import PlacedSurface, predict_inverse_depth
+from clsco.optics.quadrics import place as surface_at
 from clsco.optics.rays import slopes_at
 from clsco.plan.plan import Plan
 from clsco.scene.model import Camera, Object, Rectangle, Scene
 
 CLOSE = 0.02  # share by which sizes may differ from those of textbooks without a word
 LOOKS = 65  # rays per axis of a look at the frame, or at the place of an object that these miss
-MOST_FRAMES = 5  # that are looked at
+FEW_FRAMES, MOST_FRAMES = 5, 64  # that are looked at: of all scenes, and where something was not found in these
+RIM = np.exp(0.25j * np.pi * np.arange(8))  # places of the lens, from which something may be seen past what is near
 MOST_NAMED = 3
 
 Array = NDArray[np.float64]
@@ -46,6 +49,10 @@ class _Sight:
     names: dict[Hashable, str] = field(default_factory=dict)
     lit: bool = False
 
+    @property
+    def missing(self) -> list[Hashable]:
+        return [body for body, seen in self.seen.items() if not seen]
+
 
 def sight_notes(plans: tuple[Plan, ...]) -> list[str]:
     """Lines on objects that no frame shows, or that are smaller than a pixel, on a light that falls on backs alone, and
@@ -62,28 +69,38 @@ def sight_notes(plans: tuple[Plan, ...]) -> list[str]:
 
     Notes
     -----
-    At most MOST_FRAMES frames are looked at, at the begin, middle and end of their exposures.
+    FEW_FRAMES frames are looked at, at the begin, middle and end of their exposures, from the middle of the lens; where
+    an object is missing, up to MOST_FRAMES, and from near the rim of the lens.
     """
     scene = plans[0].scene
     if not scene.is_analytic:
         return []
-    sight, dark = _Sight(), []
-    last = scene.sequence.frames - 1 if scene.moves else 0
-    for frame in np.unique(np.linspace(0, last, MOST_FRAMES).round().astype(int)).tolist():
-        times = np.linspace(*shutter_span(scene.sequence, frame), 3).tolist() if scene.moves else [0.0]
-        looks = [_look(sight, scene, plan, time) for plan in plans for time in times]
-        dark += [] if any(looks) else [frame]
+    sight, dark = _Sight(), dict[int, bool]()
+    count = scene.sequence.frames if scene.moves else 1
+    for most in (FEW_FRAMES, MOST_FRAMES):
+        for frame in np.unique(np.linspace(0, count - 1, most).round().astype(int)).tolist():
+            if frame not in dark and (most == FEW_FRAMES or sight.missing):
+                times = np.linspace(*shutter_span(scene.sequence, frame), 3).tolist() if scene.moves else [0.0]
+                looks = [_look(sight, scene, plan, time) for plan in plans for time in times]
+                dark[frame] = not any(looks)
+    if sight.missing and scene.psf.occlusion == "visibility":
+        for frame, plan, place in product(dark, plans, 0.9 * RIM):
+            if sight.missing:
+                middle = sum(shutter_span(scene.sequence, frame)) / 2 if scene.moves else 0.0
+                dark[frame] &= not _look(sight, scene, plan, middle, (place.real, place.imag))
     notes = []
-    if missing := [sight.names[body] for body, seen in sight.seen.items() if not seen]:
-        notes.append(f"objects that are not in sight, beside or behind the picture or hidden: {_listed(missing)}")
+    looked = "" if len(dark) == count else f", of {len(dark)} frames that were looked at"
+    if sight.missing:
+        names = _listed([sight.names[body] for body in sight.missing])
+        notes.append(f"objects that are not in sight, beside or behind the picture or hidden: {names}{looked}")
     small = [f"{sight.names[body]} ({width:.2g} px)" for body, width in sight.widest.items() if 0.0 < width < 1.0]
     if small:
         notes.append(f"objects whose image is less than a pixel wide: {_listed(small)}")
     if scene.light is not None and scene.light.ambient == 0.0 and any(sight.seen.values()) and not sight.lit:
         notes.append("light: falls on no side that is in sight, so that all of them are black without light.ambient")
-    if dark:
-        which = f"frame{'s' * (len(dark) > 1)} {_listed(dark)}" if any(sight.seen.values()) else "all frames"
-        notes.append(f"nothing is in sight, and all is black, in {which}")
+    if black := sorted(frame for frame in dark if dark[frame]):
+        which = f"frame{'s' * (len(black) > 1)} {_listed(black)}" if any(sight.seen.values()) else "all frames"
+        notes.append(f"nothing is in sight, and all is black, in {which}{looked}")
     return notes
 
 
@@ -100,11 +117,19 @@ def _body(index: int, item: Object) -> tuple[Hashable, str]:
     return index, item.name
 
 
-def _look(sight: _Sight, scene: Scene, plan: Plan, time: float) -> bool:
-    """Look at a scene from a view, at a time; True if anything is in sight."""
+def _look(
+    sight: _Sight, scene: Scene, plan: Plan, time: float, place: tuple[float, float] = (0.0, 0.0)
+) -> bool:  # fmt: skip
+    """Look at a scene from a view, at a time, and from a place of the lens, in radii; True if anything is in sight."""
     camera, light = camera_at(scene, time), place_light(scene, time, plan.eye)
-    surfaces = [place(*each) for each in zip(scene.objects, poses_at(scene, time, plan.eye), strict=True)]
-    frame = slopes_at(camera, *np.meshgrid(*(_ends(size, plan.guard_px) for size in camera.frame_size)))
+    eye, power = np.array([*place, 0.0]) * camera.aperture_diameter / 2, 1.0 / camera.focused_distance
+    poses = (replace(pose, shift=pose.shift - eye) for pose in poses_at(scene, time, plan.eye))
+    surfaces = [surface_at(*each) for each in zip(scene.objects, poses, strict=True)]
+    if light is not None and light.is_near:
+        light = replace(light, place=light.place - eye)
+    guard = 0 if any(place) else plan.guard_px  # which is for rays from the middle
+    x, y = slopes_at(camera, *np.meshgrid(*(_ends(size, guard) for size in camera.frame_size)))
+    frame = x - eye[0] * power, y - eye[1] * power  # rays cross in the focal surface
     depths, any_seen = _depths(scene, surfaces, frame), False
     for k, (item, surface) in enumerate(zip(scene.objects, surfaces, strict=True)):
         body, name = _body(k, item)

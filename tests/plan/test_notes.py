@@ -24,6 +24,9 @@ UNSEEN = "objects that are not in sight, beside or behind the picture or hidden:
 BLACK = "nothing is in sight, and all is black, in "
 BACKS = "light: falls on no side that is in sight, so that all of them are black without light.ambient"
 GOING = BALL | {"motion": {"velocity": [40.0, 0.0, 0.0]}}
+CROSSING = BALL | {"center": [-500.0, 0.0, 280.0], "motion": {"velocity": [100.0, 0.0, 0.0]}}
+WIDE = CAMERA | {"f_number": 1.0, "focus_distance": 280.0}
+CARD = {"shape": "rectangle", "center": [0.0, 0.0, 100.0], "size": [6.0, 6.0], "texture": "#202020"}
 SCENES: dict[str, tuple[dict[str, Any], list[str]]] = {
     "a ball": ({"object": [BALL, WALL]}, []),
     "beside the picture": ({"object": [BESIDE, BALL]}, [f"{UNSEEN}far off"]),
@@ -37,6 +40,9 @@ SCENES: dict[str, tuple[dict[str, Any], list[str]]] = {
     "a light with some ambient": ({"object": [BALL], "light": {"direction": [0.0, 0.0, -1.0], "ambient": 0.1}}, []),
     "a box": ({"object": [{"shape": "box"}, {"shape": "box", "center": [300.0, 0.0, 280.0]}]}, [f"{UNSEEN}box 2"]),
     "going away": ({"object": [GOING], "sequence": {"frames": 3}}, [f"{BLACK}frame 2"]),
+    "in one frame of twelve": ({"object": [CROSSING, WALL], "sequence": {"frames": 12, "shutter": 0.01}}, []),
+    "past a card": ({"camera": WIDE, "object": [DOT | {"radius": 3.0}, CARD]}, []),
+    "behind a card": ({"camera": WIDE | {"f_number": 8.0}, "object": [DOT | {"radius": 3.0}, CARD]}, [f"{UNSEEN}dot"]),
     "right eye alone": ({"object": [BALL | {"center": [45.0, 0.0, 280.0]}], "stereo": {"baseline": 40.0}}, []),
 }
 
