@@ -167,7 +167,7 @@ def judge(
     rays : int
         Most rays of a pixel.
     seconds : float
-        Time after which no more rays are begun.
+        Time after which no more rays are begun, without that of the compiler.
     seed : int
         Seed of pixels and rays: the same one has the same bits, unless the time is over.
 
@@ -186,7 +186,7 @@ def judge(
     count = len(pixels.row)
     enough = np.full(len(jobs), NOISE)
     enough[count : count + len(boxes)] = [LIGHT_NOISE / (box[2] * box[3]) for _, box, _ in boxes]
-    mean, error, cast = trace(problem, jobs, places, rays, began + seconds, seed, lambda error: error > enough)
+    mean, error, cast = trace(problem, jobs, places, rays, seconds, seed, lambda error: error > enough)
     lights = []
     for k, (n, (left, top, wide, high, _), _) in enumerate(boxes):
         area, base, own = wide * high, count + k, count + len(boxes) + k
@@ -223,12 +223,12 @@ def trace_frame(problem: Problem, noise: float, rays: int = MOST_RAYS, seed: int
 
 
 def trace(
-    problem: Problem, jobs: NDArray[np.int64], places: Array, rays: int, until: float, seed: int,
+    problem: Problem, jobs: NDArray[np.int64], places: Array, rays: int, seconds: float, seed: int,
     go_on: Callable[[Array], NDArray[np.bool_]] = lambda error: error > NOISE, repeats: int = REPEATS,
 ) -> tuple[Array, Array, int]:  # fmt: skip
     """Radiance (jobs, channels) by rays and its standard error, and the number of rays; arguments as for `accumulate`,
-    until: time at which no more are begun; go_on: which jobs need more, by their errors; repeats: independent estimates
-    of each, whose differences are the errors."""
+    seconds: after which no more are begun, besides those of the compiler; go_on: which jobs need more, by their errors;
+    repeats: independent estimates of each, whose differences are the errors."""
     channels = problem.surfaces.images.shape[1]
     sampler = qmc.Sobol(5, scramble=True, rng=np.random.default_rng(seed))
     sums, counts = np.zeros((len(jobs), repeats, channels)), np.zeros(len(jobs), np.int64)
@@ -236,6 +236,8 @@ def trace(
     most = max(2 ** int(math.log2(max(rays, 2 * repeats) / repeats)), 1)
     arrays: tuple[Any, ...] = problem[1:]
     points, going, last = np.empty((0, 5)), np.arange(len(jobs)), min(FIRST, most)
+    accumulate(sums, jobs, places, going[:0], points, (0, 0), key, *arrays)  # compiles
+    until = time.perf_counter() + seconds
     with ThreadPoolExecutor(processors()) as pool:
         while len(going):
             begin, points = len(points), np.concatenate([points, sampler.random(last - len(points))])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from typing import Any
 
 import numpy as np
@@ -36,7 +35,7 @@ def traced(given: clsco.Scene, rays: int, seed: int = 5, **place: int) -> tuple[
         image, error = trace_frame(problem, NOISE, rays, seed)
         return np.atleast_3d(image), np.atleast_3d(error)
     places = np.array([[place["column"], place["row"], 1.0, 1.0, 0.0]])
-    mean, error, _ = trace(problem, np.full((1, 2), -1), places, rays, time.perf_counter() + 99, seed)
+    mean, error, _ = trace(problem, np.full((1, 2), -1), places, rays, 99.0, seed)
     return mean[0], error[0]
 
 
