@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import sys
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,7 @@ from clsco.errors import ClscoError
 from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import poses_at
 from clsco.truth.judge import NOISE, Judgement, judge, trace, trace_frame
+from clsco.truth.kernel import accumulate
 from clsco.truth.poses import lens_at
 from clsco.truth.problem import make_problem, not_judged
 
@@ -187,3 +190,18 @@ def test_an_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clsco.truth, "find_spec", lambda name: None)
     with pytest.raises(ClscoError, match=r"check: the lens needs numba: pip install 'clsco\[check\]'"):
         clsco.truth.require_rays()
+
+
+def test_seconds_are_those_of_rays_and_not_of_the_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+    module, clock = sys.modules["clsco.truth.judge"], [0.0]
+
+    def compiled_first(*arguments: Any, right: Any = accumulate) -> None:
+        clock[0] += 0.0 if clock[0] else 100.0
+        right(*arguments)
+
+    monkeypatch.setattr(module, "accumulate", compiled_first)
+    monkeypatch.setattr(module, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
+    _, _, cast = trace(
+        make_problem(scene(BALL)), np.full((1, 2), -1), np.array([[37.0, 24.0, 1.0, 1.0, 0.0]]), 2048, 1.0, 5
+    )
+    assert cast == 2048
