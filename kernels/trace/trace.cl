@@ -281,11 +281,10 @@ __kernel void label_subpixels(const grid_t grid, __constant surface_t *surfaces,
 // In: source, sub_label, sub_depth. Out: sub_source float4 (coordinate, tilt right, tilt down, WHOLE ... PARTLY_LIMB),
 // sub_value float (CHANNELS, slots, SUBPIXELS^2).
 __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
-                              const psf_t psf,
-                              __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __global const int *pixels,
-                              const int capacity, __global const float *source, __global float4 *sub_source,
-                              __global float *sub_value, __global const uchar *sub_label,
-                              __global const real *sub_depth, __global int *statistics OF_EXPOSURE)
+                              const psf_t psf, __global const float *texture OF_TEXTURE_MAPS OF_LIGHT,
+                              __global const int *pixels, const int capacity, __global const float *source,
+                              __global float4 *sub_source, __global float *sub_value, __global const uchar *sub_label,
+                              __global real *sub_depth, __global int *statistics OF_EXPOSURE)
 {
     const int slot = get_global_id(0);
     if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] < 0)
@@ -302,7 +301,7 @@ __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant s
 #endif
     const bool outlined = labels_around(grid, marks, pixels, sub_label, slot, labels);
     if (outlined)
-        cell_coverage(grid, surfaces, row, column, labels, &found);
+        cell_coverage(grid, lens, surfaces, row, column, labels, &found);
 #if DIVIDED
     // Sources of a pixel that is not still are not: they may be there at some time samples alone.
     const bool pixel_still = (source[pixel] <= ELSEWHERE) != exposure.still;
@@ -310,17 +309,10 @@ __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant s
     for (int sub = 0; sub < EACH; ++sub) {
         const int id = slot * EACH + sub, cell = CELL_AROUND(sub);
         const real3 middle = cell_ray(grid, pixel, sub, 0, 0);
-        const real depth = sub_depth[id];
-        uchar root = sub_label[id];
-#if DIVIDED
-        if (is_elsewhere(grid, lens, surfaces, group, psf, exposure, places, middle, depth, root ? (root - 1) / 2 : -1,
-                         pixel_still, pixel, statistics)) {
-            sub_source[id] = (float4)(ELSEWHERE, 0, 0, as_float(WHOLE));
-            continue;
-        }
-#endif
+        const uchar hit = outlined ? found.label[cell] : sub_label[id];  // of empty cells as well
+        uchar root = hit;
         real3 ray = middle;
-        real w = depth;
+        real w = sub_depth[id];
         float covered = 1;
         float2 aside = 0;
         if (outlined && root != 0) {
@@ -334,8 +326,17 @@ __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant s
                 // Beside a corner it may be another surface.
                 ray = there == root ? moved : ray;
                 w = there == root ? moved_w : w;
+                root = there == root || hit == sub_label[id] ? root : 0;
             }
         }
+        const real depth = sub_depth[id] = hit == sub_label[id] ? sub_depth[id] : w;
+#if DIVIDED
+        if (is_elsewhere(grid, lens, surfaces, group, psf, exposure, places, middle, depth, root ? (root - 1) / 2 : -1,
+                         pixel_still, pixel, statistics)) {
+            sub_source[id] = (float4)(ELSEWHERE, 0, 0, as_float(WHOLE));
+            continue;
+        }
+#endif
 #if SMALL
         covered *= left[sub];
 #endif
@@ -344,7 +345,7 @@ __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant s
         // The lens is tested from the middle of the cell, as by the blur.
         const float4 record = source_record(grid, lens, surfaces, group, psf, ray, bend_along(grid, lens, ray), w,
                                             middle, bend_along(grid, lens, middle), depth, 1, false, &root, statistics);
-        sub_source[id] = with_limb(grid, surfaces, sub_label[id], ray, aside, record);
+        sub_source[id] = with_limb(grid, surfaces, hit, ray, aside, record);
     }
 }
 

@@ -18,6 +18,7 @@ from clsco.reference.common.occluder import TINY, Mask
 SOFT_BOX = (5.0 / 12.0) ** 0.5  # half width of the cubic step that has the variance of a box 1 wide
 WIDE_LENS = 3.2  # px: a lens at least so wide is tested once per tap, others on a grid of cells
 TAP_LENS = 1.2  # the same of a point, for the blur
+NEAR_LENS = 1.7  # px: pixels' sources of narrower lenses are near the focus
 PIXEL_CELLS = (2.0 / 3.0) ** 0.5  # per lens radius, of a pixel's source in focus: of the disc's variance
 
 
@@ -49,7 +50,8 @@ class Division:
     """Division of the lens into cells for N sources.
 
     cells (N,): per lens radius, signed as the blur radius; wide (N,): a cell is a pixel; blur (N,): |R| extent, px;
-    extent: of the lens in lens radii; width: of the sources, px; gradient (N, 2): of their blur radius.
+    extent: of the lens in lens radii; width: of the sources, px; gradient (N, 2): of their blur radius; part (N,): px
+    of a cell where they are `wide`, less than 1 in focus.
     """
 
     cells: Array
@@ -58,6 +60,7 @@ class Division:
     width: Array | float
     wide: Mask
     gradient: Array
+    part: Array | float = 1.0
 
     @property
     def most(self) -> Array:
@@ -79,17 +82,21 @@ def tap_division(division: Division, radius: Array, shared: Mask | bool) -> Divi
     from; shared (N,): but for these."""
     wide = ((np.asarray(division.width) >= 1.0) | (division.blur >= TAP_LENS)) & ~np.asarray(shared)
     cells = np.where(radius < 0.0, np.minimum(radius, -PIXEL_CELLS), np.maximum(radius, PIXEL_CELLS))
-    return replace(division, wide=wide, cells=np.where(wide, cells, division.cells))
+    part = np.where(wide, radius / cells, 1.0)
+    return replace(division, wide=wide, cells=np.where(wide, cells, division.cells), part=part)
 
 
-def source_ways(division: Division, place: Array) -> tuple[Array, Array]:
-    """Parts by which edges at a place (N,) follow pixels' sources aside, and narrow with what taps see of it (N,):
-    of the variance of an edge's width, over pixels (1 - g)^2 is of that, and g^2 of the source, of those of a tent,
-    with g half a px of the source's way over the lens; over points, 1 of that, of a box."""
+def source_ways(division: Division, place: Array) -> tuple[Array, Array, Array]:
+    """Parts by which edges at a place (N,) follow pixels' sources aside, and narrow with what taps see of the lens, and
+    trail with what they see of the source (N,): of the variance of an edge's width, over pixels (1 - g)^2 is of the
+    first, and g^2 of the other, of those of a tent, with g half a px of the source's way over the lens; over points, 1
+    of the first, of a box."""
     g = np.minimum(0.5 * np.abs(division.cells) / place, 100.0) * np.where(division.cells < 0.0, -1.0, 1.0)
     width = np.asarray(division.width)
     point = np.where(width < 1.0, 1.0 / (1.0 + (width * (2.0 * g - 1.0)) ** 2), 0.0)
-    return np.where(width == 1.0, g, 0.0), np.where(width == 1.0, (1 - g) ** 2 / ((1 - g) ** 2 + g * g), point)
+    own, both = (1 - g * division.part) ** 2, (1 - g) ** 2 + g * g
+    narrows = np.where(width == 1.0, own / both, point)
+    return np.where(width == 1.0, g, 0.0), narrows, np.where(width == 1.0, g * g / both, 1.0 - narrows)
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from clsco.reference.common.geometry import Array
 Mask = NDArray[np.bool_]
 
 TINY = 1e-30
-LEAST_WIDTH = 0.02  # square of an edge's width, of what it is without a rim
+LEAST_WIDTH = 0.001  # square of an edge's width, of what it is without a rim
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,10 +25,10 @@ class Occluder:
     """One surface between N points and the lens; x, y: offset of a tap in cells, right and down.
 
     h (N, 3): constant, x, y, over the width of the soft edge, without the root; root (N,), f (N, 5): x, y, xx, xy, yy
-    under it. With limits: crossings (N,) 1 or 2, or 0 for a plane, whose limits are h and a roundness; else b (N, 3),
-    f0 (N,), c, d (N, 6), soft (N,): 1 over the width of the edge; limits: (N, 4) each,
-    limit + v (limit_0 + limit_x x + limit_y y) >= 0; needed: (N,) each, where the limit matters. follows, narrows (N,):
-    see `clsco.reference.common.equation.source_ways`.
+    under it. With limits: crossings (N,) 1 or 2, or 0 for a plane, whose limits are h and a part of `two_boxes`; else
+    b (N, 3), f0 (N,), c, d (N, 6), soft (N,): 1 over the width of the edge; limits: (N, 4) each,
+    limit + v (limit_0 + limit_x x + limit_y y) >= 0; needed: (N,) each, where the limit matters. follows, narrows,
+    trails (N,): see `clsco.reference.common.equation.source_ways`.
     """
 
     h: Array
@@ -45,6 +45,7 @@ class Occluder:
     strip: Array | float = 0.0
     follows: Array | float = 0.0
     narrows: Array | float = 0.0
+    trails: Array | float = 1.0
 
     def of(self, chosen: NDArray[Any]) -> Occluder:
         """The same for some of the points."""
@@ -55,14 +56,17 @@ class Occluder:
 
 @dataclass(frozen=True, eq=False)
 class Cut:
-    """Part of wide lenses that the rim leaves to taps: from the middle of what they see to the tap itself, px, and
-    by which part less it varies than without a rim, along both axes; (N,) each."""
+    """Part of wide lenses that the rim leaves to taps: from the middle of what they see to the tap itself, px; by which
+    part less it varies than without a rim, along both axes; and the same of the source, for each place in the lens;
+    (N,) each."""
 
     aside_x: Array
     aside_y: Array
     xx: Array
     xy: Array
     yy: Array
+    trail_x: Array
+    trail_y: Array
 
     def of(self, chosen: NDArray[Any]) -> Cut:
         """The same for some of the taps."""
@@ -73,14 +77,24 @@ def sharpened(m: Occluder, cut: Cut | None, x: Array, y: Array) -> Array | float
     """Factor (N,) by which edges with normals x, y (N,) of any length are steeper."""
     if cut is None:
         return 1.0
-    across = (x * x * cut.xx + 2.0 * x * y * cut.xy + y * y * cut.yy) / (x * x + y * y + TINY)
-    return np.asarray(1.0 / np.sqrt(np.maximum(1.0 - m.narrows * across, LEAST_WIDTH)))
+    square = x * x + y * y + TINY
+    across = (x * x * cut.xx + 2.0 * x * y * cut.xy + y * y * cut.yy) / square
+    trail = (x * x * cut.trail_x + y * y * cut.trail_y) / square
+    return np.asarray(1.0 / np.sqrt(np.maximum(m.narrows * (1.0 - across) + m.trails * (1.0 - trail), LEAST_WIDTH)))
 
 
-def soft_step(t: Array, roundness: Array | float = 1.0) -> Array:
-    """Step from 0 at t = -1/2 to 1 at 1/2: a ramp where roundness = 0, cubic where it is 1."""
+def soft_step(t: Array) -> Array:
+    """Cubic step from 0 at t = -1/2 to 1 at 1/2."""
     t = np.clip(t + 0.5, 0.0, 1.0)
-    return np.asarray(t * (1.0 - roundness + roundness * (t * (3.0 - 2.0 * t))))
+    return np.asarray(t * t * (3.0 - 2.0 * t))
+
+
+def two_boxes(t: Array, part: Array) -> Array:
+    """The same that two boxes of widths `part`, 1/2 at most, and 1 - part make of a sharp one."""
+    left = np.maximum(0.5 - np.abs(t), 0.0)
+    least = np.minimum(left, part)
+    beyond = least * (2.0 * left - least) / (2.0 * part * (1.0 - part))
+    return np.where(t < 0.0, beyond, 1.0 - beyond)
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +226,7 @@ def occluded_part(m: Occluder, x: Array, y: Array, cut: Cut | None = None) -> Pa
         inside = Part(np.ones_like(x), np.zeros_like(x), np.zeros_like(x))  # and the direction in which it gets less
         for h, needed in zip(m.limits, m.needed, strict=True):
             steep = sharpened(m, cut, h[:, 1], h[:, 2])
-            outside = 1 - soft_step((h[:, 0] + h[:, 1] * x + h[:, 2] * y) * steep, h[:, 3])
+            outside = 1 - two_boxes((h[:, 0] + h[:, 1] * x + h[:, 2] * y) * steep, h[:, 3])
             inside = leave_free(inside, Part(outside, -h[:, 1], -h[:, 2])).where(needed, inside)
         return Part(inside.share, -inside.x, -inside.y)
     # At the edge, where h = 0, the root is what is before it.

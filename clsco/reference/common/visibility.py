@@ -26,6 +26,7 @@ from clsco.optics.ray_means import RayMeans, has_ray_means, ray_means
 from clsco.optics.rims import rim_circle
 from clsco.optics.visibility import OcclusionGroup
 from clsco.reference.common.equation import (
+    NEAR_LENS,
     Division,
     Equation,
     Points,
@@ -52,7 +53,7 @@ CLEAR, PARTLY, HIDDEN = (np.uint8(state) for state in range(3))
 RIM_MARGIN = 1.5  # cells from the rim of the lens to a circle that cuts none of its taps
 PLANES = (  # of `Visibility`
     "radius", "wide", "point", "x", "y", "lean", "limb", "nearest", "bent", "ray_numbers", "ray_parts", "ray_scale",
-    "behind",
+    "behind", "near", "part",
 )  # fmt: skip
 SHARP_EDGE = 2.0  # px: a blurred outline this narrow needs sub-pixel sources
 
@@ -232,8 +233,8 @@ def meet_occluder(
 def flatten_limits(
     lens: Lens, limits: Sequence[Array], near: Array, far: tuple[float, Array, Array], division: Division
 ) -> tuple[NDArray[np.uint8], list[Array], tuple[Mask, ...]]:
-    """Conditions on the one crossing with a plane, linear in the tap: state of the lens (N,), h of each and how round
-    its step is (N, 4), and where (N,) each is needed.
+    """Conditions on the one crossing with a plane, linear in the tap: state of the lens (N,), h of each and a part of
+    `two_boxes` (N, 4), and where (N,) each is needed.
 
     The crossing is at v = -near / (far_0 + far_1 x + far_2 y). limits: (N, 4) each. h: constant, x, y, over the width
     of the edge. A condition that is met all over the lens is not needed.
@@ -246,24 +247,30 @@ def flatten_limits(
         slope = np.sqrt(square)
         # By how many cells the edge moves if the source moves by 1 px across it: as in `edge_width`, with 1 / v there.
         over_v = sum(u * (far[0] * limit[:, 1 + k] - limit[:, 1] * far[k]) for k, u in ((1, x), (2, y)))
-        moved = np.abs(side * division.cells / lens.blur_scale * over_v / square - division.wide)
+        way = side * division.cells / lens.blur_scale * over_v / square
+        moved = np.abs(way - division.wide)
         # Not so far if it moves on a tilted surface, and not at all if that ends at this limit.
         tilted = base / division.cells
         along = np.hypot(x - tilted * division.gradient[:, 0], y - tilted * division.gradient[:, 1])
         width = division.width * moved * np.minimum(along, slope)
         ratio, across = width * width / square, x * x / square
-        boxes = (1 - 2 * across * (1 - across)) * (1 + ratio * ratio) / (1 + ratio) ** 2
-        roundness = np.clip(3.5 * (1 - boxes), 0.0, 1.0)
-        soft = np.hypot(slope, width) / np.sqrt(4 - 1.6 * roundness)
+        squares, source = 1 - 2 * across * (1 - across), (division.width * way) ** 2
+        boxes = squares * (1 + ratio * ratio) / (1 + ratio) ** 2
+        disc = (4 / 1.2 + squares * source * source) / (2 + source) ** 2
+        boxes = np.maximum(division.part * boxes + (1 - division.part) * disc, 0.5)
+        some = np.minimum(boxes, 0.999999)
+        other = np.where(boxes < 0.999999, np.sqrt((some - np.sqrt(2 * some - 1)) / (1 - some)), 0.0)
+        part = np.maximum(other / (1 + other), 1e-3)  # of the width of both
+        soft = 0.5 * np.hypot(slope, width) / np.hypot(part, 1 - part)
         clear |= base + division.most * slope <= -soft
         needed.append(base - division.most * slope < soft)
-        found.append(np.stack([*(part / (2 * soft) for part in (base, x, y)), roundness], axis=-1))
+        found.append(np.stack([*(each / (2 * soft) for each in (base, x, y)), part], axis=-1))
     state = np.where(clear, CLEAR, np.where(np.any(needed, axis=0), PARTLY, HIDDEN))
     return state, found, tuple(needed)
 
 
 def _planar(limits: Sequence[Array], needed: tuple[Mask, ...], points: int) -> Occluder:
-    """A plane: of its `limits` each is (N, 4), an h and how round its step is."""
+    """A plane: of its `limits` each is (N, 4), an h and a part of `two_boxes`."""
     none, zero = np.zeros((points, 6)), np.zeros(points)
     crossings = np.zeros(points, dtype=np.int64)
     return Occluder(
@@ -322,7 +329,8 @@ class Visibility:
     what hides it in part; circles: rims that cut its light; waves: light goes beyond the rim; signed: cells turn over
     where R < 0; round: the rim is a circle; by_chords: its weights have the rims; bent (M, 3): xx, xy, yy from taps to
     an ellipse's disc, or from a narrow lens' cells to it; None: discs. rays: mean lens points of
-    wide lenses, and which of them, `RayMeans.around` (M, k); behind (M,): all is hidden, with the cells of the blur.
+    wide lenses, and which of them, `RayMeans.around` (M, k); behind (M,): all is hidden, with the cells of the blur;
+    near (M,): a pixel's source near the focus; part (M,): px of its cells.
     """
 
     row: NDArray[np.int64]
@@ -349,6 +357,8 @@ class Visibility:
     ray_parts: Array | None = None
     ray_scale: Array | None = None
     behind: Mask | None = None
+    near: Mask | None = None
+    part: Array | None = None
 
     def of(self, chosen: NDArray[Any] | slice) -> Visibility:
         """The same for some of the sources."""
@@ -385,7 +395,8 @@ def check_visibility(
             division, taps = _by_rays(psf, points, division)
         again, _, found, _ = _meet_occluders(lens, surfaces, bounds, group, points, division)
         _, circles = meet_rims(lens, psf, points, division)
-        taps |= {"behind": again == HIDDEN}
+        near = division.wide & (np.asarray(division.width) == 1.0) & (division.blur < NEAR_LENS)
+        taps |= {"behind": again == HIDDEN, "near": near, "part": np.broadcast_to(division.part, near.shape)}
         taps = {name: value if name == "rays" else value[partly] for name, value in taps.items()}
     occluders = tuple((mask[partly], occluder.of(mask & partly)) for mask, occluder in found)
     # What is hidden and what the tilt ends go together: both are parts of the lens behind a surface seen edge-on.
@@ -412,8 +423,8 @@ def _meet_occluders(
         # The near one of two roots has nothing of its own surface before it.
         if group.occluders >> k & 1 and not (k == group.own and group.root == (2 if surface.constant < 0 else 1)):
             one, changes, occluder, place = meet_occluder(lens, surface, bounds[k], points, division, k == group.own)
-            follows, narrows = source_ways(division, place)
-            occluder = replace(occluder, follows=follows, narrows=narrows)
+            follows, narrows, trails = source_ways(division, place)
+            occluder = replace(occluder, follows=follows, narrows=narrows, trails=trails)
             nearest = np.where(one == PARTLY, np.minimum(nearest, place), nearest)
             state, edge = np.maximum(state, one), edge ^ changes
             found.append((one == PARTLY, occluder))

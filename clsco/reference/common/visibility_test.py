@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 from clsco.constants import LEAST_OPENING, LENS_CELLS
 from clsco.optics.chords import chord_weights
 from clsco.optics.ellipses import across_of
+from clsco.reference.common.equation import PIXEL_CELLS
 from clsco.reference.common.geometry import Array, tilt_share
 from clsco.reference.common.occluder import Cut, Part, leave_free, occluded_part
 from clsco.reference.common.visibility import Visibility
 
 MOST_INWARDS = 0.7  # px along an axis, at the corners of a lens mask
 BEYOND = 0.5  # px outside of the rim, of waves and sources that are pixels
+DISC_NODES = 8  # of integrals over the width of a disc (Gauss, Chebyshev)
 LEAST_CELL = 1e-3  # px: width of a cell of the lens that pixels see, at least
 PIXEL_CORNER, PIXELS_CORNER = 0.7072, 1.4143  # px: of a pixel from its middle, and what two differ by at most
 NARROW_MIDDLE = 7  # px along an axis: farther taps of a lens that is not wide see what those see
@@ -60,7 +62,14 @@ def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
         x, y = x * within, y * within
         narrow = [np.zeros_like(x)] * 3
     aside = (0.0 * x, 0.0 * y) if visibility.waves else (tap_x - x, tap_y - y)
-    cut = Cut(*aside, *(np.where(visibility.wide, part, 0.0) for part in narrow))
+    aside_x, aside_y, none, (xx, xy, yy) = *aside, np.zeros_like(x), narrow
+    each = np.array([[x, xx, none, aside_x], [y, yy, none, aside_y]])
+    if visibility.near is not None and visibility.rays is None:
+        near = np.stack([near_focus(visibility, tap) for tap in (tap_x, tap_y)])
+        each, xy = np.where(visibility.near, near, each), np.where(visibility.near, 0.0, xy)
+    (x, xx, trail_x, aside_x), (y, yy, trail_y, aside_y) = each
+    narrow = [np.where(visibility.wide, part, 0.0) for part in (xx, xy, yy, trail_x, trail_y)]
+    cut = Cut(aside_x, aside_y, *narrow)
     share, across, down = np.ones_like(x), np.zeros_like(x), np.zeros_like(x)
     for mask, occluder in visibility.occluders:
         left = Part(share[mask], across[mask], down[mask])
@@ -81,6 +90,22 @@ def inwards_of(visibility: Visibility, s: Array) -> tuple[Array, Array]:
     tent = np.where(t > 0, (1 - t) ** 2, 1 - 2 * t) / 3
     narrow = np.where(t > 0, (1 - t) * 2.0 / 3.0, 1.0 - (1 + t) ** 2 / 3)
     return np.where(visibility.point, 0.5 * (0.5 - b), tent), np.where(visibility.point, 1.0 - (0.5 + b) ** 2, narrow)
+
+
+def near_focus(visibility: Visibility, t: Array) -> Array:
+    """Of the light that taps t (M,) px along one axis from pixels' sources near the focus get: mean place in the
+    lens, in cells, and what else `Cut` has, of square, trail and aside (4, M). A place v in a lens so narrow is seen if
+    1 - |t - v| > 0, that much."""
+    assert visibility.part is not None
+    size = np.abs(visibility.radius) * visibility.extent
+    cells = visibility.extent * np.where(visibility.part < 1.0, PIXEL_CELLS, np.abs(visibility.radius))
+    angle = np.arange(1, DISC_NODES + 1) * (np.pi / (DISC_NODES + 1))
+    node = np.cos(angle)
+    seen = np.maximum(1.0 - np.abs(t[:, None] - size[:, None] * node), 0.0)
+    share = seen * np.sin(angle) ** 2
+    share /= share.sum(axis=-1, keepdims=True) + 1e-20
+    mean, second, trail = share @ node, share @ node**2, (share * seen**2).sum(axis=-1)
+    return np.stack([cells * mean, 1.0 - 6.0 * cells**2 * (second - mean**2), 1.0 - 2.0 * trail, t - size * mean])
 
 
 def response(t: Array, width: Array) -> Array:

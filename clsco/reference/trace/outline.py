@@ -12,12 +12,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.optics.lens import ray_step
+from clsco.optics.lens import Lens, ray_step
 from clsco.optics.quadrics import PlacedSurface
-from clsco.reference.common.geometry import Array, Bounds, both_roots, pixel_ray, quarter_discriminant, turned
+from clsco.reference.common.geometry import (
+    Array,
+    Bounds,
+    blur_radius,
+    both_roots,
+    pixel_ray,
+    quarter_discriminant,
+    turned,
+)
 from clsco.scene.model import Camera
 
 UNMARKED = 255  # the label of cells without sources of their own
+SHARP_OUTLINE = 1.5  # px: blur radius below which squares between pixels are cut there
+LEAST_PART = 1e-6  # of a square, for which an empty cell is a source
 Labels = NDArray[np.uint8]
 Index = NDArray[np.intp]
 
@@ -25,11 +35,16 @@ Index = NDArray[np.intp]
 @dataclass(frozen=True, eq=False)
 class Coverage:
     """Cells (M, S + 2, S + 2) that each source covers, and where its radius, tilt and radiance are taken, cells to the
-    right and down of its middle; whole for the cells of the pixel itself."""
+    right and down of its middle; whole for the cells of the pixel itself. label: of each, of empty ones as well that a
+    surface covers in part; part, way_x, way_y: of these, which part, and the way to the middle of one that is not."""
 
     covered: Array
     right: Array
     down: Array
+    label: Labels
+    part: Array
+    way_x: Array
+    way_y: Array
 
 
 def root_margins(
@@ -165,14 +180,82 @@ def place_of_source(curved: NDArray[np.bool_], more: Array, inwards: int) -> Arr
     return np.where(curved, 0.75 * more - inwards * 0.25, 0.5 * more)
 
 
+def mean_above(first: Array, last: Array) -> Array:
+    """Mean (n,) of lines from `first` to `last` (n,), where they are above 0."""
+    low, high = np.minimum(first, last), np.maximum(first, last)
+    above = 0.5 * high * high / np.maximum(high - low, 1e-30)
+    return np.where(low >= 0.0, 0.5 * (low + high), np.where(high <= 0.0, 0.0, above))
+
+
+def quarter_beside(top: Array, bottom: Array, row: NDArray[np.intp], column: NDArray[np.intp]) -> Array:
+    """Area (n,) of a quarter of squares, in row and column 0 or 1 (n,), left of lines from x = top to bottom (n,)."""
+    way = 0.5 * (bottom - top)
+    first = top + row * way - 0.5 * column
+    return np.asarray(0.5 * (mean_above(first, first + way) - mean_above(first - 0.5, first + way - 0.5)))
+
+
+def cut_square(found: Coverage, label: Labels, i: int, j: int, place: Array, own: Labels) -> None:
+    """Give what a surface covers of the part of squares (n,) that is in the pixel to its cells there, or to empty ones.
+
+    label: (n, S + 2, S + 2); i, j: the upper left cell; place: (4, n), where an outline crosses the sides, top, bottom,
+    left and right; own: (n,), the surface's label, 0 where nothing is to be done.
+    """
+    side, index = label.shape[1], np.arange(len(own))
+    along = (place[2] >= 0.0) & (place[3] >= 0.0)
+    corner = ~along & ~((place[0] >= 0.0) & (place[1] >= 0.0))
+    # The corner that is beside the line, of one against three that one; rows and columns count from there.
+    row, column = ((corner & (edge >= 0.0)).astype(np.intp) for edge in (place[1], place[3]))
+    first, last = np.where(along, place[2], place[row, index]), np.where(along, place[3], place[1])
+    below = np.where(row == 1, 1.0 - place[2 + column, index], place[2 + column, index])
+    across = np.where(column == 1, 1.0 - first, first)
+    last = np.where(corner, across - across / np.maximum(below, 1e-6), last)
+    first = np.where(corner, across, first)
+    beside = label[index, i + row, j + column] == own
+    cells = [(y, x) for y in (i, i + 1) for x in (j, j + 1) if 0 < y < side - 1 and 0 < x < side - 1]
+    areas = []
+    for y, x in cells:
+        at = (np.abs(y - i - row), np.abs(x - j - column))
+        part = quarter_beside(first, last, *(np.where(along, *pair) for pair in (at[::-1], at)))
+        areas.append(np.where(beside, part, 0.25 - part))
+    of_own = [(own > 0) & (label[:, y, x] == own) for y, x in cells]
+    count, whole = np.sum(of_own, axis=0), np.sum(areas, axis=0)
+    for (y, x), area, covers in zip(cells, areas, of_own, strict=True):
+        found.covered[:, y, x] += np.where(covers, whole / np.maximum(count, 1) - 0.25, 0.0)
+        # The surface is hit in the middle of the nearest cell of another pixel that is there.
+        empty = (own > 0) & (count == 0) & (area > LEAST_PART)
+        aside, down = (1 if x == j else -1), (1 if y == i else -1)
+        is_beside, is_below = (label[:, y, x + aside] == own), (label[:, y + down, x] == own)
+        found.part[:, y, x] += np.where(empty, area, 0.0)
+        found.label[empty, y, x] = own[empty]
+        found.way_x[empty, y, x] = np.where(is_beside | ~is_below, aside, 0.0)[empty]
+        found.way_y[empty, y, x] = np.where(is_beside, 0.0, down)[empty]
+
+
+def cut_label(
+    lens: Lens, surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], corners: Labels, rays: Array
+) -> Labels:
+    """Labels (n,) of surfaces near the focus that squares are cut for, 0 without one or where there is another.
+
+    corners: (n, 2, 2), labels of the cells; rays: (n, 3), through the middles of the squares.
+    """
+    own = corners.max(axis=(1, 2))
+    alone = ((corners == 0) | (corners == own[:, None, None])).all(axis=(1, 2))
+    for one in {*own.tolist()} - {0, UNMARKED}:
+        here = own == one
+        w, _ = root_margins(surfaces, bounds, one, rays[here])
+        alone[here] &= np.abs(blur_radius(lens, rays[here], w)) < SHARP_OUTLINE
+    return np.asarray(own * alone)
+
+
 def share_square(
-    found: Coverage, curved: NDArray[np.bool_], i: int, j: int, top: Array, bottom: Array, left: Array, right: Array
+    found: Coverage, curved: NDArray[np.bool_], i: int, j: int, place: Array, cut: NDArray[np.bool_]
 ) -> None:
     """Give what is more than their quarters of squares (n,) between four cells to the cells of one surface.
 
-    curved: (n, S + 2, S + 2), of the surfaces of cells; i, j: the upper left one; top, bottom, left, right: (n,), where
-    an outline crosses the sides, two of them.
+    curved: (n, S + 2, S + 2), of the surfaces of cells; i, j: the upper left one; place: (4, n), where an outline
+    crosses the sides, top, bottom, left and right, two of them; cut: (n,), squares that `cut_square` gives.
     """
+    top, bottom, left, right = place
     sides = {
         ((i, j), (i, j + 1)): top,
         ((i + 1, j), (i + 1, j + 1)): bottom,
@@ -186,11 +269,11 @@ def share_square(
             there, more = place >= 0.0, place - 0.5
             taken = place_of_source(curved[:, *cell], more, -int(sign))
             moved[:, *cell] += np.where(there, np.where(straight, 0.5, 0.25) * taken, 0.0)
-            found.covered[:, *cell] += np.where(there & straight, sign * 0.5 * more, 0.0)
+            found.covered[:, *cell] += np.where(there & straight & ~cut, sign * 0.5 * more, 0.0)
     # One corner against three.
     for row, across in enumerate((top, bottom)):
         for column, along in enumerate((left, right)):
-            here = ~straight & (across >= 0.0) & (along >= 0.0)
+            here = ~straight & ~cut & (across >= 0.0) & (along >= 0.0)
             x, y = (np.where(turned_over, 1.0 - n, n) for turned_over, n in ((column, across), (row, along)))
             more = np.where(here, 0.5 * x * y - 0.25, 0.0)
             found.covered[:, i + row, j + column] += more
@@ -199,8 +282,8 @@ def share_square(
 
 
 def cell_coverage(
-    camera: Camera, surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], row: Index, column: Index,
-    label: Labels,
+    camera: Camera, lens: Lens, surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], row: Index,
+    column: Index, label: Labels,
 ) -> Coverage:  # fmt: skip
     """Coverage of the cells of pixels (M,), with labels as of `labels_around`."""
     side = label.shape[1]
@@ -210,7 +293,10 @@ def cell_coverage(
         for first, second in ((cell[:, :-1], cell[:, 1:]), (cell[:-1], cell[1:]))
     )
     across, along = across.reshape(-1, side, side - 1), along.reshape(-1, side - 1, side)
-    found = Coverage(np.ones(label.shape), np.zeros(label.shape), np.zeros(label.shape))
+    none = np.zeros(label.shape)
+    found = Coverage(
+        np.ones(label.shape), none.copy(), none.copy(), label.copy(), none.copy(), none.copy(), none.copy()
+    )
     of_labels = [False, *(is_curved(surface) for surface in surfaces for _ in range(2))]
     curved = np.array(of_labels + [False] * (UNMARKED + 1 - len(of_labels)))[label]
     for i in range(side - 1):
@@ -220,5 +306,13 @@ def cell_coverage(
             # Three surfaces, or two outlines, leave the quarters as they are.
             usable = marked & ((edges >= 0.0).sum(axis=0) == 2)
             if usable.any():
-                share_square(found, curved, i, j, *np.where(usable, edges, -1.0))
+                places, cut = np.where(usable, edges, -1.0), np.zeros(len(label), np.uint8)
+                if i % (side - 2) == 0 or j % (side - 2) == 0:
+                    rays = pixel_ray(camera, row + i / (side - 2) - 0.5, column + j / (side - 2) - 0.5)
+                    cut = usable * cut_label(lens, surfaces, bounds, label[:, i : i + 2, j : j + 2], rays)
+                    cut_square(found, label, i, j, places, cut)
+                share_square(found, curved, i, j, places, cut > 0)
+    some = found.part > 0.0
+    for plane, values in ((found.covered, found.part), (found.right, found.way_x), (found.down, found.way_y)):
+        plane[some] = values[some]
     return found

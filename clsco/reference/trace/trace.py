@@ -315,7 +315,11 @@ def trace_subpixels(
     small &= marked[row, column]
     hit = cast_behind(cast, view, group, small, at_row, at_column, texel, samples)
     lens_radius = hit.radius  # of visibility tests
+    empty = hit.label == 0
     hit, limb = _covering(view, group, hit, marked, (row, column), guard)
+    lens_radius = np.where(
+        empty & (hit.label > 0), blur_radius(view.lens, pixel_ray(scene.camera, at_row, at_column), hit.w), lens_radius
+    )
     if small.any():
         hit, pixel = with_small(cast, view, group, hit, small, (row - guard, column - guard))
         row, column, at_row, at_column = row[pixel], column[pixel], at_row[pixel], at_column[pixel]
@@ -395,8 +399,10 @@ def _covering(
     label = np.where(marked[pixel][:, None, None], hit.label, UNMARKED).astype(np.uint8)
     place = (pixel[0] - guard, pixel[1] - guard)
     around = labels_around(*pixel, label, marked.shape)
-    found = cell_coverage(view.scene.camera, view.surfaces, bounds, *place, around)
+    found = cell_coverage(view.scene.camera, view.lens, view.surfaces, bounds, *place, around)
     covered, right, down = (n[:, 1:-1, 1:-1] for n in (found.covered, found.right, found.down))
+    added = (hit.label == 0) & (found.part[:, 1:-1, 1:-1] > 0.0)
+    hit = replace(hit, label=np.where(added, found.label[:, 1:-1, 1:-1], hit.label))
     beside = (hit.label > 0) & ((covered != 1.0) | (right != 0.0) | (down != 0.0))
     slot, i, j = np.nonzero(beside)
     offsets, texel = subpixel_offsets(samples), (place[0][slot], place[1][slot])
@@ -405,9 +411,11 @@ def _covering(
         texel, samples,
     )  # fmt: skip
     same = shown.label == hit.label[beside]  # but for beside a corner
-    planes = {name: getattr(hit, name).copy() for name in ("radius", "gradient", "radiance")}
+    planes = {name: getattr(hit, name).copy() for name in ("radius", "gradient", "radiance", "w")}
     for name, plane in planes.items():
         plane[slot[same], i[same], j[same]] = getattr(shown, name)[same]
+    planes["w"] = np.where(added, planes["w"], hit.w)
+    hit.label[slot[~same], i[~same], j[~same]] *= ~added[beside][~same]
     planes["radiance"] *= np.where(beside, covered, 1.0)[..., None]
     limb = np.zeros(hit.label.shape, dtype=bool)
     moved = [np.where(same, n[beside] / samples, 0.0) for n in (down, right)]
