@@ -259,8 +259,8 @@ def flatten_limits(
         disc = (4 / 1.2 + squares * source * source) / (2 + source) ** 2
         boxes = np.maximum(division.part * boxes + (1 - division.part) * disc, 0.5)
         some = np.minimum(boxes, 0.999999)
-        other = np.where(boxes < 0.999999, np.sqrt((some - np.sqrt(2 * some - 1)) / (1 - some)), 0.0)
-        part = np.maximum(other / (1 + other), 1e-3)  # of the width of both
+        second = np.where(boxes < 0.999999, np.sqrt((some - np.sqrt(2 * some - 1)) / (1 - some)), 0.0)
+        part = np.maximum(second / (1 + second), 1e-3)
         soft = 0.5 * np.hypot(slope, width) / np.hypot(part, 1 - part)
         clear |= base + division.most * slope <= -soft
         needed.append(base - division.most * slope < soft)

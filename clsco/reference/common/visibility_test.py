@@ -93,9 +93,9 @@ def inwards_of(visibility: Visibility, s: Array) -> tuple[Array, Array]:
 
 
 def near_focus(visibility: Visibility, t: Array) -> Array:
-    """Of the light that taps t (M,) px along one axis from pixels' sources near the focus get: mean place in the
-    lens, in cells, and what else `Cut` has, of square, trail and aside (4, M). A place v in a lens so narrow is seen if
-    1 - |t - v| > 0, that much."""
+    """Mean place in the lens along one axis, in cells, of light that taps t (M,) px from pixels' sources near the focus
+    get, and what else `Cut` has of that axis: square, trail and aside, (4, M). A place v is seen as much as
+    1 - |t - v| is above 0."""
     assert visibility.part is not None
     size = np.abs(visibility.radius) * visibility.extent
     cells = visibility.extent * np.where(visibility.part < 1.0, PIXEL_CELLS, np.abs(visibility.radius))
