@@ -4,7 +4,8 @@ hides them, if light from a lens point l does not arrive at R l alone, or the ri
 
 A ray through l arrives at R l + 2 grad W px from its source (`clsco.optics.pupils.wavefront`). Of all rays that a pixel
 gets from a source the mean of l stands for the place in the lens that it sees the source through, and their variance
-for how soft an edge there looks.
+for how soft an edge there looks. Where rays are bent, light from several places in the lens may meet in a pixel, and
+where in the source it comes from does not follow from l: of each of two sheets of rays there are these as well.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from clsco.optics.pupils.pupil import Array, Pupil
 from clsco.optics.pupils.wavefront import Wavefront
 
 PLANES = 5  # numbers of each pixel
+SHEET_PLANES, SHEETS = 10, 2  # the same where rays are bent, of each sheet
 STEPS = 4  # radii per px; between two of them means change in proportion
 EVEN = 4.0  # |R|, px, beyond which there are fewer
 PER_PX, FEWEST, MOST = 3, 24, 128  # rays per radius of the lens
@@ -30,6 +32,8 @@ ROUNDING = 1e-3  # px: of places of sources in their pixels
 SPREADINGS = 2  # px that means go on beyond the blur
 IN_FOCUS = 0.577  # px per lens radius, at least
 TENT = 6.0  # over the variance of the tent of two pixels
+SPLIT = 3.0  # variance along both axes, of that of a tent, beyond which there are two sheets; it is 2 of a plain lens
+LOPSIDED = (0.3, 0.1)  # px, or so: what tells two sheets apart that are as far from the middle of the lens
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,9 +48,12 @@ class RayMeans:
         Farthest pixel from the source, px along an axis.
     scales : ndarray, (places, radii)
         px per lens radius of the blur, by its second moments, without a sign; of each place of the field.
-    means : ndarray, (places, radii, PLANES, rows, pitch)
+    means : ndarray, (places, radii, planes, rows, pitch)
         x and y of lens points, in radii of the lens, and xx, xy and yy of the identity less their covariance over that
-        of a tent, at the scale; row and column from the source, the rest of a row is 0.
+        of a tent, at the scale; row and column from the source, the rest of a row is 0. Where rays are bent, the part
+        of the light that is on the second sheet; then of each sheet, times its part, these, twice the mean place x, y
+        in the source, px, and xx, xy, yy of that place's covariance with the lens point, added to its transpose, over
+        the same, times the scale.
     """
 
     first: int
@@ -76,14 +83,14 @@ class RayMeans:
         return numbers, parts, np.where(radius < 0.0, -scale, scale)
 
     def lens_points(self, numbers: NDArray[np.int64], parts: Array, x: Array, y: Array) -> Array:
-        """Numbers (PLANES, n) of taps x, y (n,) px from sources, by what `around` gives."""
+        """Numbers (planes, n) of taps x, y (n,) px from sources, by what `around` gives."""
         far, means = self.half_width, self.means.reshape(-1, *self.means.shape[2:])
         left, top = (np.floor(at + ROUNDING) for at in (x, y))
         column, row = (np.clip(at, -far, far - 1).astype(np.int64)[:, None] + far for at in (left, top))
-        found = np.zeros((PLANES, len(x)))
+        found = np.zeros((means.shape[1], len(x)))
         for i, below in enumerate((1.0 - (y - top), y - top)):
             for j, beside in enumerate((1.0 - (x - left), x - left)):
-                for axis in range(PLANES):
+                for axis in range(len(found)):
                     found[axis] += below * beside * (parts * means[numbers, axis, row + i, column + j]).sum(axis=-1)
         return found
 
@@ -99,11 +106,15 @@ def has_ray_means(psf: PointSpread) -> bool:
     return psf.pupil.bends_rays or not (psf.diffracted or psf.pupil.has_plain_rim)
 
 
+def _planes(psf: PointSpread) -> int:
+    return 1 + SHEETS * SHEET_PLANES if psf.pupil.bends_rays else PLANES
+
+
 def ray_floats(psf: PointSpread, largest: float) -> int:
     """Floats that `RayMeans.floats` gives for |blur radii| up to `largest` px."""
     half_width = _half_width(psf, largest)
     rows, radii = 2 * half_width + 1, 2 * _last_step(largest) + 1
-    return 3 * TAP_LANES + len(psf.places) * radii * (TAP_LANES + PLANES * rows * _pitch(half_width))
+    return 3 * TAP_LANES + len(psf.places) * radii * (TAP_LANES + _planes(psf) * rows * _pitch(half_width))
 
 
 @lru_cache(maxsize=8)
@@ -116,13 +127,13 @@ def ray_means(psf: PointSpread, largest: float) -> RayMeans:
     radii, wide = steps / STEPS, np.abs(steps) / STEPS > EVEN
     radii[wide] *= (np.abs(radii[wide]) + EVEN) ** 2 / (4.0 * EVEN * np.abs(radii[wide]))
     shape = len(psf.places), len(radii)
-    scales, means = np.zeros(shape), np.zeros((*shape, PLANES, 2 * half_width + 1, _pitch(half_width)))
+    scales, means = np.zeros(shape), np.zeros((*shape, _planes(psf), 2 * half_width + 1, _pitch(half_width)))
     for k, place in enumerate(psf.places):
         opening, wavefront = place.pupil, Wavefront()
         if isinstance(opening, Traced):
             wavefront, opening = opening.wavefront, opening.opening
         for n, radius in enumerate(radii.tolist()):
-            scales[k, n], found = _means(opening, wavefront, radius, half_width)
+            scales[k, n], found = _means(opening, wavefront, radius, half_width, psf.pupil.bends_rays)
             means[k, n, :, :, : 2 * half_width + 1] = found
     return RayMeans(-last, half_width, scales, means)
 
@@ -139,8 +150,8 @@ def _pitch(half_width: int) -> int:
     return (-(-(2 * half_width + 1) // TAP_LANES) + 1) * TAP_LANES
 
 
-def _means(opening: Pupil, wavefront: Wavefront, radius: float, half_width: int) -> tuple[float, Array]:
-    """Scale of a blur, and numbers (PLANES, rows, columns), of sources that are pixels: rays light four pixels."""
+def _means(opening: Pupil, wavefront: Wavefront, radius: float, half_width: int, bent: bool) -> tuple[float, Array]:
+    """Scale of a blur, and numbers (planes, rows, columns), of sources that are pixels: rays light four pixels."""
     from clsco.optics.pupils.traced import bends, lens_points
 
     reach = abs(radius) * opening.extent + 2.0 * wavefront.slope
@@ -148,25 +159,60 @@ def _means(opening: Pupil, wavefront: Wavefront, radius: float, half_width: int)
     (x, y, light), (right, down, *_) = lens_points(opening, count), bends(opening, wavefront, count)
     at_x, at_y, side = radius * x + right, radius * y + down, 2 * half_width + 1
     column, row = (np.clip(np.floor(at), -half_width, half_width - 1).astype(np.int64) for at in (at_x, at_y))
-    parts = [np.clip(at - cell, 0.0, 1.0) for at, cell in ((at_x, column), (at_y, row))]
-    sums, first = np.zeros((1 + PLANES, side * side)), (row + half_width) * side + column + half_width
-    values = (x, y, x * x, x * y, y * y)
-    for i, part_y in enumerate((1.0 - parts[1], parts[1])):
-        for j, part_x in enumerate((1.0 - parts[0], parts[0])):
-            each = light * part_x * part_y
-            for total, value in zip(sums, (each, *(each * v for v in values)), strict=True):
-                total += np.bincount(first + i * side + j, value, side * side)
+    below, beside = np.array([[0], [0], [1], [1]]), np.array([[0], [1], [0], [1]])
+    cells = (row + half_width + below) * side + column + half_width + beside
+    aside = [cell + step - at for at, cell, step in ((at_x, column, beside), (at_y, row, below))]
+    each = light * np.maximum(1.0 - np.abs(aside[0]), 0.0) * np.maximum(1.0 - np.abs(aside[1]), 0.0)
     spread = [float((light * at * at).sum() - (light * at).sum() ** 2) for at in (at_x, at_y, x, y)]
     scale = max(((spread[0] + spread[1]) / (spread[2] + spread[3])) ** 0.5, IN_FOCUS)
-    weight = np.where(sums[0] > LEAST_LIGHT, sums[0], 0.0).reshape(side, side)
-    means = sums[1:].reshape(PLANES, side, side) * (weight > 0.0) / np.where(weight > 0.0, weight, 1.0)
-    for k, (one, other) in enumerate(((0, 0), (0, 1), (1, 1)), 2):
-        means[k] = (one == other) - TENT * scale * scale * (means[k] - means[one] * means[other])
+    values: list[Array] = [np.ones_like(x), x, y, x * x, x * y, y * y]
+    sums = _sums(cells, each, values, side * side)
+    if bent:
+        beyond = _second_sheet(cells, each, values, sums, SPLIT / (TENT * scale * scale))
+        values += [*aside, 2.0 * x * aside[0], x * aside[1] + y * aside[0], 2.0 * y * aside[1]]
+        sums = _sums(cells + side * side * beyond, each, values, SHEETS * side * side)
+    sums = sums.reshape(len(sums), -1, side, side).swapaxes(0, 1)
+    light_of = sums[:, 0].sum(axis=0)
+    weight = np.where(light_of > LEAST_LIGHT, light_of, 0.0)
+    sheets = []
+    for part, *sheet in sums:
+        means = np.stack(sheet) * (part > 0.0) / np.where(part > 0.0, part, 1.0)
+        if bent:
+            for k, (one, other) in enumerate(((0, 0), (0, 1), (1, 1)), 7):
+                means[k] -= means[one] * means[5 + other] + means[other] * means[5 + one]
+            means[7:] *= TENT * scale
+        for k, (one, other) in enumerate(((0, 0), (0, 1), (1, 1)), 2):
+            means[k] = (one == other) - TENT * scale * scale * (means[k] - means[one] * means[other])
+        if bent:
+            means *= part / np.where(weight > 0.0, weight, 1.0)
+        sheets.append(means)
+    seconds = [sums[1, :1] / np.where(weight > 0.0, weight, 1.0)] if bent else []
+    planes = np.concatenate(seconds + sheets) * (weight > 0.0)
     for _ in range(SPREADINGS):
-        around = [_neighbors(each * (weight > 0.0)) for each in (*means, np.ones_like(weight))]
-        means = np.where(weight > 0.0, means, np.stack(around[:-1]) / np.maximum(around[-1], 1.0))
+        around = [_neighbors(plane * (weight > 0.0)) for plane in (*planes, np.ones_like(weight))]
+        planes = np.where(weight > 0.0, planes, np.stack(around[:-1]) / np.maximum(around[-1], 1.0))
         weight = np.maximum(weight, around[-1] > 0.0)
-    return scale, means
+    return scale, planes
+
+
+def _sums(cells: NDArray[np.int64], light: Array, values: list[Array], count: int) -> Array:
+    """Sums (values, count) by cell of values times light."""
+    return np.stack([np.bincount(cells.ravel(), (light * value).ravel(), count) for value in values])
+
+
+def _second_sheet(
+    cells: NDArray[np.int64], light: Array, values: list[Array], sums: Array, most: float
+) -> NDArray[np.bool_]:
+    """Mark rays that are on the second sheet in their cells: where lens points vary by more than `most`, those beyond
+    the mean along the axis along which they vary most, on the side that is farther from the middle of the lens."""
+    _, x, y, xx, _, yy = values
+    at_x, at_y, square_x, product, square_y = sums[1:] / np.where(sums[0] > 0.0, sums[0], 1.0)
+    square_x, product, square_y = square_x - at_x * at_x, product - at_x * at_y, square_y - at_y * at_y
+    angle = 0.5 * np.arctan2(2.0 * product, square_x - square_y)
+    away = xx + yy + LOPSIDED[0] * x + LOPSIDED[1] * y
+    along = (x - at_x[cells]) * np.cos(angle)[cells] + (y - at_y[cells]) * np.sin(angle)[cells]
+    farther = np.bincount(cells.ravel(), (light * along * away).ravel(), len(angle))
+    return np.asarray((square_x + square_y > most)[cells] & (along * np.sign(farther)[cells] > 0.0))
 
 
 def _neighbors(plane: Array) -> Array:

@@ -51,7 +51,7 @@ class Division:
 
     cells (N,): per lens radius, signed as the blur radius; wide (N,): a cell is a pixel; blur (N,): |R| extent, px;
     extent: of the lens in lens radii; width: of the sources, px; gradient (N, 2): of their blur radius; part (N,): px
-    of a cell where they are `wide`, less than 1 in focus.
+    of a cell where they are `wide`, less than 1 in focus; bent: rays are.
     """
 
     cells: Array
@@ -61,6 +61,7 @@ class Division:
     wide: Mask
     gradient: Array
     part: Array | float = 1.0
+    bent: bool = False
 
     @property
     def most(self) -> Array:
@@ -90,11 +91,12 @@ def source_ways(division: Division, place: Array) -> tuple[Array, Array, Array]:
     """Parts by which edges at a place (N,) follow pixels' sources aside, and narrow with what taps see of the lens, and
     trail with what they see of the source (N,): of the variance of an edge's width, over pixels (1 - g)^2 is of the
     first, and g^2 of the other, of those of a tent, with g half a px of the source's way over the lens; over points, 1
-    of the first, of a box."""
+    of the first, of a box. Where rays are bent, 1 is of the first, -2 g of what it has in common with the source, and
+    2 g^2 of this."""
     g = np.minimum(0.5 * np.abs(division.cells) / place, 100.0) * np.where(division.cells < 0.0, -1.0, 1.0)
     width = np.asarray(division.width)
     point = np.where(width < 1.0, 1.0 / (1.0 + (width * (2.0 * g - 1.0)) ** 2), 0.0)
-    own, both = (1 - g * division.part) ** 2, (1 - g) ** 2 + g * g
+    own, both = np.where(division.bent, 1.0, (1 - g * division.part) ** 2), (1 - g) ** 2 + g * g
     narrows = np.where(width == 1.0, own / both, point)
     return np.where(width == 1.0, g, 0.0), narrows, np.where(width == 1.0, g * g / both, 1.0 - narrows)
 

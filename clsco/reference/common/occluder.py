@@ -58,7 +58,8 @@ class Occluder:
 class Cut:
     """Part of wide lenses that the rim leaves to taps: from the middle of what they see to the tap itself, px; by which
     part less it varies than without a rim, along both axes; and the same of the source, for each place in the lens;
-    (N,) each."""
+    (N,) each; both (3, N): where rays are bent, the covariance of the place in the source and in the lens
+    (`clsco.optics.ray_means.RayMeans`)."""
 
     aside_x: Array
     aside_y: Array
@@ -67,10 +68,11 @@ class Cut:
     yy: Array
     trail_x: Array
     trail_y: Array
+    both: Array | None = None
 
     def of(self, chosen: NDArray[Any]) -> Cut:
         """The same for some of the taps."""
-        return Cut(*(array[chosen] for array in vars(self).values()))
+        return Cut(**{name: array[..., chosen] for name, array in vars(self).items() if array is not None})
 
 
 def sharpened(m: Occluder, cut: Cut | None, x: Array, y: Array) -> Array | float:
@@ -78,9 +80,16 @@ def sharpened(m: Occluder, cut: Cut | None, x: Array, y: Array) -> Array | float
     if cut is None:
         return 1.0
     square = x * x + y * y + TINY
-    across = (x * x * cut.xx + 2.0 * x * y * cut.xy + y * y * cut.yy) / square
-    trail = (x * x * cut.trail_x + y * y * cut.trail_y) / square
-    return np.asarray(1.0 / np.sqrt(np.maximum(m.narrows * (1.0 - across) + m.trails * (1.0 - trail), LEAST_WIDTH)))
+    xx, xy, yy = cut.xx, cut.xy, cut.yy
+    if cut.both is not None:
+        xx, xy, yy = (xx, xy, yy) - np.abs(m.follows) * cut.both
+    across = (x * x * xx + 2.0 * x * y * xy + y * y * yy) / square
+    if cut.both is not None:
+        varies = 1.0 + m.narrows * (2.0 * m.follows - across)
+    else:
+        trail = (x * x * cut.trail_x + y * y * cut.trail_y) / square
+        varies = m.narrows * (1.0 - across) + m.trails * (1.0 - trail)
+    return np.asarray(1.0 / np.sqrt(np.maximum(varies, LEAST_WIDTH)))
 
 
 def soft_step(t: Array) -> Array:

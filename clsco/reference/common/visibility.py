@@ -439,5 +439,5 @@ def _by_rays(psf: PointSpread, points: Points, division: Division) -> tuple[Divi
         places, shares = psf.varying.blend(points.place[1], points.place[0])
     numbers, parts, scale = rays.around(points.radius, places, shares)
     wide = np.ones(count, dtype=bool) if psf.diffracted else division.wide
-    division = replace(division, wide=wide, cells=np.where(wide, scale, division.cells))
+    division = replace(division, wide=wide, cells=np.where(wide, scale, division.cells), bent=psf.diffracted)
     return division, {"rays": rays, "ray_numbers": numbers, "ray_parts": parts, "ray_scale": scale}

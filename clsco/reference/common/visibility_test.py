@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from clsco.constants import LEAST_OPENING, LENS_CELLS
 from clsco.optics.chords import chord_weights
 from clsco.optics.ellipses import across_of
+from clsco.optics.ray_means import SHEET_PLANES, SHEETS
 from clsco.reference.common.equation import PIXEL_CELLS
 from clsco.reference.common.geometry import Array, tilt_share
 from clsco.reference.common.occluder import Cut, Part, leave_free, occluded_part
@@ -20,6 +21,7 @@ MOST_INWARDS = 0.7  # px along an axis, at the corners of a lens mask
 BEYOND = 0.5  # px outside of the rim, of waves and sources that are pixels
 DISC_NODES = 8  # of integrals over the width of a disc (Gauss, Chebyshev)
 LEAST_CELL = 1e-3  # px: width of a cell of the lens that pixels see, at least
+LEAST_PART = 1e-6  # of the light of a tap, of a sheet
 PIXEL_CORNER, PIXELS_CORNER = 0.7072, 1.4143  # px: of a pixel from its middle, and what two differ by at most
 NARROW_MIDDLE = 7  # px along an axis: farther taps of a lens that is not wide see what those see
 
@@ -46,6 +48,9 @@ def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
     if visibility.bent is not None:
         x, y = (np.where(visibility.wide, *both) for both in zip(_bent(visibility.bent, x, y), (x, y), strict=True))
     tap_x, tap_y = x, y
+    if visibility.rays is not None and visibility.waves:
+        sheets = [part * _free_of_all(visibility, *at, cut) for part, at, cut in _sheets(visibility, x, y)]
+        return np.asarray(sum(sheets))
     if visibility.rays is not None:
         x, y, *narrow = _by_rays(visibility, x, y)
     elif visibility.mask.size:
@@ -56,7 +61,7 @@ def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
         inwards, less = np.where(visibility.wide, 1 - moved / rim, 1.0), less / (square + 1e-30)
         narrow = [less * x * x, less * x * y, less * y * y]
         x, y = x * inwards, y * inwards
-    if visibility.waves and visibility.rays is None:
+    if visibility.waves:
         distance = np.hypot(x, y)
         within = np.where(visibility.wide & (distance > rim), rim / np.maximum(distance, rim), 1.0)
         x, y = x * within, y * within
@@ -69,7 +74,11 @@ def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
         each, xy = np.where(visibility.near, near, each), np.where(visibility.near, 0.0, xy)
     (x, xx, trail_x, aside_x), (y, yy, trail_y, aside_y) = each
     narrow = [np.where(visibility.wide, part, 0.0) for part in (xx, xy, yy, trail_x, trail_y)]
-    cut = Cut(aside_x, aside_y, *narrow)
+    return _free_of_all(visibility, x, y, Cut(aside_x, aside_y, *narrow))
+
+
+def _free_of_all(visibility: Visibility, x: Array, y: Array, cut: Cut) -> Array:
+    """The same where taps are moved to the middle of what they see."""
     share, across, down = np.ones_like(x), np.zeros_like(x), np.zeros_like(x)
     for mask, occluder in visibility.occluders:
         left = Part(share[mask], across[mask], down[mask])
@@ -146,6 +155,21 @@ def _by_rays(visibility: Visibility, x: Array, y: Array) -> tuple[Array, ...]:
     right, down, *narrow = rays.lens_points(numbers, parts, x, y)
     wide = visibility.wide
     return np.where(wide, scale * right, x), np.where(wide, scale * down, y), *narrow
+
+
+def _sheets(visibility: Visibility, x: Array, y: Array) -> list[tuple[Array, tuple[Array, Array], Cut]]:
+    """Part of the light of taps, means of the lens points that it comes from, and what of these it is, of each sheet of
+    rays that are bent."""
+    rays, numbers, parts, scale = visibility.rays, visibility.ray_numbers, visibility.ray_parts, visibility.ray_scale
+    assert rays is not None and numbers is not None  # noqa: PT018
+    assert parts is not None and scale is not None  # noqa: PT018
+    second, *planes = rays.lens_points(numbers, parts, x, y)
+    found = []
+    for part, sheet in zip((1.0 - second, second), np.reshape(planes, (SHEETS, SHEET_PLANES, -1)), strict=True):
+        right, down, xx, xy, yy, aside_x, aside_y, *both = sheet / np.maximum(part, LEAST_PART)
+        cut = Cut(aside_x, aside_y, xx, xy, yy, 0.0 * xx, 0.0 * xx, np.stack(both))
+        found.append((part, (scale * right, scale * down), cut))
+    return found
 
 
 def cut_weights(visibility: Visibility, weight: Array, dx: float, dy: float, point: bool) -> Array:
