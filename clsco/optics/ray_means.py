@@ -113,7 +113,7 @@ def _planes(psf: PointSpread) -> int:
 def ray_floats(psf: PointSpread, largest: float) -> int:
     """Floats that `RayMeans.floats` gives for |blur radii| up to `largest` px."""
     half_width = _half_width(psf, largest)
-    rows, radii = 2 * half_width + 1, 2 * _last_step(largest) + 1
+    rows, radii = 2 * half_width + 1, len(_steps(psf, largest))
     return 3 * TAP_LANES + len(psf.places) * radii * (TAP_LANES + _planes(psf) * rows * _pitch(half_width))
 
 
@@ -122,8 +122,7 @@ def ray_means(psf: PointSpread, largest: float) -> RayMeans:
     """Mean lens points for |blur radii| up to `largest` px."""
     from clsco.optics.pupils.traced import Traced
 
-    half_width, last = _half_width(psf, largest), _last_step(largest)
-    steps = np.arange(-last, last + 1)
+    half_width, steps = _half_width(psf, largest), np.array(_steps(psf, largest))
     radii, wide = steps / STEPS, np.abs(steps) / STEPS > EVEN
     radii[wide] *= (np.abs(radii[wide]) + EVEN) ** 2 / (4.0 * EVEN * np.abs(radii[wide]))
     shape = len(psf.places), len(radii)
@@ -135,11 +134,13 @@ def ray_means(psf: PointSpread, largest: float) -> RayMeans:
         for n, radius in enumerate(radii.tolist()):
             scales[k, n], found = _means(opening, wavefront, radius, half_width, psf.pupil.bends_rays)
             means[k, n, :, :, : 2 * half_width + 1] = found
-    return RayMeans(-last, half_width, scales, means)
+    return RayMeans(int(steps[0]), half_width, scales, means)
 
 
-def _last_step(largest: float) -> int:
-    return ceil(float(step_of(np.asarray(largest)))) + 1
+def _steps(psf: PointSpread, largest: float) -> range:
+    """Places of blur radii up to `largest` px, of the signs that `PointSpread.side` leaves, by `step_of`."""
+    last = ceil(float(step_of(np.asarray(largest)))) + 1
+    return range(-1 if psf.side > 0 else -last, (1 if psf.side < 0 else last) + 1)
 
 
 def _half_width(psf: PointSpread, largest: float) -> int:
