@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 Array = NDArray[np.float64]
 
@@ -263,39 +264,40 @@ def passes_rims(rims, numbers, focus, depth, lens_x, lens_y, slope_x, slope_y, a
     return True
 
 
-def diffracted(content: Mapping[str, Any]) -> Array:
-    """Frame (rows, columns, 3) of a wall that fills the view of a lens with waves, by Fraunhofer's integral.
+def transfer(radius: float, unit: float, inner: float) -> CubicSpline:
+    """Transfer function of a ring, 0 to 1 / Q cycles per px, Q = unit px: the overlap of the opening with itself, moved
+    by 2 Q f radii, times the difference of the phases there."""
+    at, shifts, found = (np.arange(4096) + 0.5) / 2048 - 1, np.linspace(0.0, 2.0, 2001), []
+    for shift in shifts:
+        far, near = abs(at) + shift / 2, abs(abs(at) - shift / 2)  # from the middles of both openings
+        chord = np.sqrt(np.maximum(1 - far**2, 0)) - np.sqrt(np.maximum(inner**2 - near**2, 0))
+        found.append((np.maximum(chord, 0) * np.cos(np.pi * radius / unit * at * shift)).mean())
+    return CubicSpline(shifts / (2 * unit), np.array(found) / found[0])
 
-    The image on the wall is of squares of a pixel, goes on mirrored, and is the frame's own size."""
+
+def diffracted(content: Mapping[str, Any]) -> Array:
+    """Frame (rows, columns, 3) of a wall that fills the view of a lens with waves, by Hopkins' transfer function: all
+    of the light, however far it goes.
+
+    The image on the wall is of squares of a pixel, the frame's own size, and goes on mirrored: it is a sum of waves of
+    twice that size, of which pixels cannot tell those apart whose frequencies differ by whole numbers."""
     camera, psf, (wall,) = content["camera"], content["psf"], content["object"]
     focal, pitch = camera["focal_length"], camera["pixel_pitch"]
     ratio = focal / camera["aperture_diameter"] / pitch * 1e-6
     radius = 0.5 * focal * camera["aperture_diameter"] / pitch * (1 / camera["focus_distance"] - 1 / wall["distance"])
     image = np.asarray(wall["texture"], float)
-    frame, fine, reach = np.zeros(image.shape), 4, 48  # samples per px, at least; px that a source lights
+    rows, columns = image.shape[:2]
+    frame = np.zeros(image.shape)
     for color, wavelength in enumerate(psf["wavelengths"]):
         unit = wavelength * ratio  # Q, px
-        whole = max(1, math.ceil(2.2 / (fine * unit)))  # samples of the image per 1 / fine px, so that none fold over
-        step = 1 / (fine * whole)
-        size = math.ceil(max(384, 2.5 * reach / unit))  # samples of the opening: no copy of the image is in reach
-        at = (np.arange(size) + 0.5) / size * 2 - 1
-        x, y = np.meshgrid(at, at)
-        grid = np.hypot(x, y)
-        inner = content.get("aperture", {}).get("obstruction", 0.0)
-        edge = 0.5 * size
-        opening = np.clip((1 - grid) * edge + 0.5, 0, 1) - (np.clip((inner - grid) * edge + 0.5, 0, 1) if inner else 0)
-        field = opening * np.exp(2j * np.pi * radius / (4 * unit) * grid**2)
-        places = (np.arange(-reach * fine * whole, reach * fine * whole + 1)) * step
-        kernel = np.exp(-2j * np.pi * np.outer(places, at) / (2 * unit))
-        light = abs(kernel @ field @ kernel.T) ** 2
-        box = np.ones(fine * whole)
-        tent = np.convolve(box, box)  # over the square of the source and that of the pixel
-        rows = np.apply_along_axis(np.convolve, 0, light, tent, "same")[:: fine * whole]
-        weights = np.apply_along_axis(np.convolve, 1, rows, tent, "same")[:, :: fine * whole]
-        weights /= weights.sum()
-        border = len(weights) // 2
-        padded = np.pad(image[..., color], border, mode="symmetric")
-        sizes = [n + len(weights) for n in padded.shape]
-        product = np.fft.rfft2(padded, sizes) * np.fft.rfft2(weights, sizes)
-        frame[..., color] = np.fft.irfft2(product, sizes)[2 * border :, 2 * border :][: len(image), : image.shape[1]]
+        passes, most = transfer(radius, unit, content.get("aperture", {}).get("obstruction", 0.0)), math.ceil(1 / unit)
+        passed = np.zeros((2 * rows, 2 * columns))
+        for i in range(-most, most + 1):
+            for j in range(-most, most + 1):
+                up, right = np.fft.fftfreq(2 * rows)[:, None] + i, np.fft.fftfreq(2 * columns) + j
+                away = np.hypot(up, right)
+                lens = np.where(away < 1 / unit, passes(np.minimum(away, 1 / unit)), 0)
+                passed += lens * (np.sinc(up) * np.sinc(right)) ** 2  # the squares of the source and of the pixel
+        wide = np.pad(image[..., color], ((0, rows), (0, columns)), mode="symmetric")
+        frame[..., color] = np.fft.ifft2(np.fft.fft2(wide) * passed).real[:rows, :columns]
     return frame

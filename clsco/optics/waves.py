@@ -13,7 +13,7 @@ from clsco.optics.pupils.fourier import FourierDiffracted
 from clsco.optics.pupils.traced import Traced
 
 MOST_WAVES = 512.0  # of defocus at the rim: the transform of more would take seconds for each radius
-ADEQUATE, PER_DECADE = 33.0, 17.5  # dB: PSNR of a disc instead of waves is about ADEQUATE - PER_DECADE log10(Q)
+ADEQUATE, PER_DECADE = 29.3, 20.5  # dB: PSNR of a disc instead of waves is about ADEQUATE - PER_DECADE log10(Q)
 
 
 def disc_psnr(unit: float) -> float:

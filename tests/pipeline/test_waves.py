@@ -209,7 +209,7 @@ def test_words_of_the_plan() -> None:
     plan = prepare(scene(object=[TILTED])).plan
     (words,) = [dict(step.parameters) for step in plan.passes if step.kind == "blur"]
     assert words["waves"].startswith("Q = 0.108 px, ")
-    assert words["disc"] == "would have about 50 dB against waves"
+    assert words["disc"] == "would have about 49 dB against waves"
     assert "of the light, beyond" in words["tail"]
     assert words["tables"].endswith("MiB")
     plan = prepare(scene(**CASES["coma"])).plan

@@ -31,7 +31,7 @@ class Diffracted(Pupil):
     tail : float
         Share of the light that is left out, far from the rim.
     keeps : bool
-        The rest has all of the light.
+        What is left out is spread over the blur, so that it has all of the light.
     """
 
     STEPS: ClassVar[tuple[tuple[float, int], ...]]  # intervals of tables per px, from a Q on
@@ -113,11 +113,20 @@ class Diffracted(Pupil):
     def left_out(self, radius: float) -> float:
         """Share of the light of a blur radius in px that is cut off."""
 
+    def within(self, light: Array, distance: Array, end: Array, area: Array) -> Array:
+        """Light (places, radii), less what fades out over the last px before `end`; where it `keeps` all, that goes
+        back in proportion to the squared distance.
 
-def faded(depth: Array) -> Array:
-    """Part of the light that is kept so many px inside of where it ends: 0 outside, and all of it from 1 px on."""
-    held = np.clip(depth, 0.0, 1.0)
-    return np.asarray(held**3 * (10.0 + held * (6.0 * held - 15.0)))
+        Far light is nearly the mean of an image: a blur that were brighter by it in its middle would have too much
+        contrast, by the same share, whatever the detail.
+        """
+        held = np.clip(end - distance, 0.0, 1.0)
+        inside = held**3 * (10.0 + held * (6.0 * held - 15.0))
+        light = light * inside
+        if self.keeps:
+            haze = area * distance**2 * inside
+            light += haze * ((1.0 - light.sum(axis=0)) / haze.sum(axis=0))
+        return np.asarray(light)
 
 
 def panels_of(

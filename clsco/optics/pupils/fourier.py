@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.cache import Cache
-from clsco.optics.pupils.diffracted import PANEL_NODES, Diffracted, faded, panel_nodes, panels_of
+from clsco.optics.pupils.diffracted import PANEL_NODES, Diffracted, panel_nodes, panels_of
 from clsco.optics.pupils.hankel import is_round
 from clsco.optics.pupils.pupil import Array, Pupil
 from clsco.optics.pupils.transform import (
@@ -117,7 +117,7 @@ class FourierDiffracted(Diffracted):
         return np.maximum(found, 0.0)
 
     def left_out(self, radius: float) -> float:
-        return 1.0 - float(self._light(radius, abs(radius)).sum())
+        return 1.0 - float(replace(self, keeps=False)._light(radius, abs(radius)).sum())
 
     @property
     def panel(self) -> float:
@@ -175,11 +175,7 @@ class FourierDiffracted(Diffracted):
         """Light at the nodes of a panel, for sources at any place in their pixels, by spectra (nodes, y, x)."""
         nodes = panel_nodes(np.array([number]), self.panel)[0]
         farthest = self.panel * max(abs(number), abs(number + 1))
-        found = []
-        for radius in nodes.tolist():
-            light = self._light(radius, farthest)
-            found.append(spectra(light / light.sum() if self.keeps else light))
-        return np.stack(found)
+        return np.stack([spectra(self._light(radius, farthest)) for radius in nodes.tolist()])
 
     def _light(self, radius: float, farthest: float) -> Array:
         """Light in cells (y, x) around the source that is inside of the margin; `farthest`: |R| that they are for."""
@@ -190,7 +186,8 @@ class FourierDiffracted(Diffracted):
             for unit, share in self.bands
         )
         at = (np.arange(parts * width) - parts * width // 2) / parts
-        return np.asarray(light * faded(abs(radius) * self.extent + self.margin - np.hypot(at, at[:, None])))
+        distance, end = np.hypot(at, at[:, None]), np.asarray(abs(radius) * self.extent + self.margin)
+        return self.within(np.ravel(light), distance.ravel(), end, np.asarray(1.0)).reshape(distance.shape)
 
 
 @lru_cache(maxsize=64)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import ceil
 
 import numpy as np
 
 from clsco.optics.pupils.circle import Circle
-from clsco.optics.pupils.diffracted import PANEL_NODES, Diffracted, faded, panel_nodes, panels_of
+from clsco.optics.pupils.diffracted import PANEL_NODES, Diffracted, panel_nodes, panels_of
 from clsco.optics.pupils.diffraction import cell_width, pixel_rings, round_light
 from clsco.optics.pupils.pupil import Array, Pupil
 from clsco.optics.pupils.ring import Ring
@@ -54,8 +54,7 @@ class HankelDiffracted(Diffracted):
         return np.asarray(found[place.reshape(a.shape), which.reshape(a.shape)])
 
     def left_out(self, radius: float) -> float:
-        light, inside = self._light(np.array([radius]))
-        return float(1.0 - (light * inside).sum())
+        return 1.0 - float(replace(self, keeps=False)._light(np.array([radius])).sum())
 
     def _weights(self, places: NDArrayComplex, radii: Array, tent: bool) -> Array:
         """Weights (places, radii)."""
@@ -79,14 +78,15 @@ class HankelDiffracted(Diffracted):
     def _width(self) -> float:
         return cell_width(self.narrowest)
 
-    def _light(self, radii: Array) -> tuple[Array, Array]:
-        """Light in each ring (rings, radii), and what part of it is inside of the margin."""
+    def _light(self, radii: Array) -> Array:
+        """Light in each ring (rings, radii)."""
         width, end = self._width, np.abs(radii) * self.extent + self.margin
         count = 2 * ceil(0.5 * float(end.max()) / width)
         light = sum(
             share * round_light(radii, unit, self.inner, np.zeros_like, width, count) for unit, share in self.bands
         )
-        return np.asarray(light), faded(end - (np.arange(count)[:, None] + 0.5) * width)
+        distance: Array = (np.arange(float(count))[:, None] + 0.5) * width
+        return self.within(np.asarray(light), distance, end, distance)
 
 
 NDArrayComplex = np.ndarray[tuple[int, ...], np.dtype[np.complex128]]
@@ -100,6 +100,4 @@ def is_round(opening: Pupil) -> bool:
 @lru_cache(maxsize=32)
 def _rings(pupil: HankelDiffracted, radii: bytes) -> Array:
     """Light in each ring (rings, radii), for radii as float64."""
-    light, inside = pupil._light(np.frombuffer(radii))
-    light = light * inside
-    return np.asarray(light / light.sum(axis=0) if pupil.keeps else light)
+    return pupil._light(np.frombuffer(radii))
