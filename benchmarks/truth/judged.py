@@ -151,6 +151,8 @@ def at_most(scene: Scene, size: int) -> Scene:
 
 def line_of(name: str, found: Judgement) -> str:
     """Row of the table."""
+    if not len(found.right):
+        return f"| {name} | not judged: hidden |  |  |  |  |  |  |  |  |"
     classes = {row.name: row for row in found.classes}
     off, pixels = found.got - found.right, len(found.right)
     figures = found.figures

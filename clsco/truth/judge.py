@@ -21,11 +21,13 @@ from clsco.truth.kernel import accumulate
 from clsco.truth.pixels import CLASSES, SMALL_PX, Pixels, choose_pixels, extent_of, places_of
 from clsco.truth.problem import Array, Problem, make_problem, not_judged
 from clsco.truth.pupils import bend, lens_point
+from clsco.truth.waves import HIDDEN, cells_of, spread_light
 
 NOISE = 1e-3  # standard error of a pixel, of white
 LIGHT_NOISE = 4e-3  # of all light around a small object, in px of white
 REPEATS, FRAME_REPEATS = 16, 4  # independent estimates of a pixel, and of each where all of a frame are traced
 FIRST, MOST_RAYS = 64, 2**16  # samples of each repeat at first, and rays of a pixel at most
+CELL_RAYS = 16  # of a cell whose light waves spread
 RECORD_RAYS = 2**12  # of a pixel, for a frame's record
 ALLOWED, ALLOWED_ERRORS = 0.01, 5.0  # of white, and standard errors: more than both is a deviation
 COUNTED_ERRORS = 4.0  # pixels are counted beyond ALLOWED and so many standard errors
@@ -119,6 +121,8 @@ class Judgement:
     def figures(self) -> dict[str, Any]:
         """All pixels in few numbers: PSNR in dB less the noise of rays, and that of the noise; mean deviation of white;
         counts of pixels, deviations, small objects, and those of another light."""
+        if not len(self.right):  # waves, of which all is hidden or tilted
+            return {"pixels": 0, "deviations": 0}
         off, noise = self.got - self.right, max(float(np.mean(self.error**2)), 1e-18)
         square = max(float(np.mean(off**2)) - noise, 1e-2 * noise, 1e-12)
         return {
@@ -177,6 +181,12 @@ def judge(
     """
     began, pixels = time.perf_counter(), choose_pixels(problem, seed)
     frame = np.asarray(image, float).reshape(*problem.size, -1)
+    if problem.scene.psf.model == "wave":
+        mean, error, hidden, cast = trace_waves(problem, seed)
+        is_judged = hidden[pixels.row, pixels.column] < HIDDEN
+        pixels = Pixels(*(getattr(pixels, name)[is_judged] for name in Pixels.__dataclass_fields__))
+        mean, error = (each[pixels.row, pixels.column] for each in (mean, error))
+        return _judgement(problem, pixels, frame, mean, error, (), cast, began)
     places = np.zeros((len(pixels.row), 5))
     places[:, 0], places[:, 1], places[:, 2:4] = pixels.column, pixels.row, 1.0
     boxes = list(_boxes(problem))
@@ -194,7 +204,13 @@ def judge(
         right = area * mean[base].mean() + mean[own].mean()
         spread = math.hypot(area * error[base].mean(), error[own].mean())
         lights.append(Light(problem.scene.objects[n].name, float(right), spread, float(got), float(mean[own].mean())))
-    mean, error = mean[:count], error[:count]
+    return _judgement(problem, pixels, frame, mean[:count], error[:count], tuple(lights), cast, began)
+
+
+def _judgement(
+    problem: Problem, pixels: Pixels, frame: Array, mean: Array, error: Array, lights: tuple[Light, ...], cast: int,
+    began: float,
+) -> Judgement:  # fmt: skip
     got = np.broadcast_to(frame[pixels.row, pixels.column], mean.shape)
     names = [item.name for item in problem.scene.objects]
     by_class = [(name, pixels.kind == k) for k, name in enumerate(CLASSES)]
@@ -203,7 +219,7 @@ def judge(
         tuple(_row(name, of, pixels, mean, got, error) for name, of in each if of.any())
         for each in (by_class, by_object)
     )
-    return Judgement(classes, objects, tuple(lights), pixels, mean, got, error, cast, time.perf_counter() - began)
+    return Judgement(classes, objects, lights, pixels, mean, got, error, cast, time.perf_counter() - began)
 
 
 def trace_frame(problem: Problem, noise: float, rays: int = MOST_RAYS, seed: int = 0) -> tuple[Array, Array]:
@@ -220,6 +236,14 @@ def trace_frame(problem: Problem, noise: float, rays: int = MOST_RAYS, seed: int
     image, error, _ = trace(problem, jobs, places, rays, math.inf, seed, go_on, FRAME_REPEATS)
     size = problem.size if image.shape[1] == 1 else (*problem.size, image.shape[1])
     return image.reshape(size), error.reshape(size)
+
+
+def trace_waves(problem: Problem, seed: int = 0) -> tuple[Array, Array, Array, int]:
+    """A frame by waves, see `spread_light`, and the number of rays."""
+    cells = cells_of(problem)
+    jobs = np.full((len(cells.places), 2), -1)
+    light, error, cast = trace(cells.problem, jobs, cells.places, CELL_RAYS, 0.0, seed, repeats=2)
+    return *spread_light(problem, cells, light, error), cast
 
 
 def trace(

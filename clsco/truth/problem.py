@@ -78,8 +78,9 @@ def not_judged(scene: Scene) -> str | None:
     """Why rays cannot tell what a frame should be; None where they can."""
     if not scene.is_analytic:
         return "depth maps have no surfaces that rays could meet behind others"
-    if scene.psf.model == "wave":
-        return 'waves have no rays; psf.model = "pillbox" has the same lens without diffraction'
+    varies = set(scene.psf.seidel.model_dump(exclude_unset=True)) - {"W040"} or scene.lens is not None
+    if scene.psf.model == "wave" and (varies or scene.moves):
+        return "waves are summed through a lens that is the same all over the field, and of what stands still"
     return None
 
 

@@ -107,6 +107,22 @@ def lens_point(u, v, p, rows, columns):  # type: ignore[no-untyped-def]
     return radius * math.cos(angle) / p[1], radius * math.sin(angle), weight
 
 
+@njit(cache=True)
+def is_open(x, y, p, columns):  # type: ignore[no-untyped-def]
+    """Transmission at a point of the lens, but for a Gaussian; arguments as for `lens_point`."""
+    x, kind = p[1] * x, int(p[0])
+    away, angle = math.hypot(x, y), math.atan2(y, x)
+    if kind == CELLS:
+        x, y = away * math.cos(angle - p[2]), away * math.sin(angle - p[2])
+        i, j = math.floor(0.5 * (1.0 - y) * len(columns)), math.floor(0.5 * (x + 1.0) * len(columns))
+        inside = 0 <= i < len(columns) and 0 <= j < len(columns)
+        return columns[i, j + 1] - columns[i, j] if inside else 0.0
+    if kind == ROUND:
+        return 1.0 if p[2] <= away * away <= 1.0 else 0.0
+    blade = math.floor((angle - p[2]) / (2.0 * p[3]) + 0.5)
+    return 1.0 if away <= _rim(angle - p[2] - 2.0 * p[3] * blade, p) else 0.0
+
+
 class Wavefront(NamedTuple):
     """Errors of a wavefront that bend rays: `across` and `up` (7, 7), coefficients by powers of x and y of what a ray's
     slope changes by at a lens radius of 1 mm, and three more of what grows over the field."""
@@ -116,12 +132,11 @@ class Wavefront(NamedTuple):
     field: Array
 
 
-def wavefront_of(scene: Any) -> Wavefront:
-    """Rays through l arrive 2 Q grad W px off, Q = wavelength s0 / (D p): slopes change by wavelength / (D / 2) grad W,
-    W in waves of green light."""
-    total, seidel, square = np.zeros((ORDER + 1, ORDER + 1)), scene.psf.seidel, np.zeros((3, 3))
+def path_of(psf: Any) -> Array:
+    """Errors (7, 7) of the wavefront all over the field, in waves of green light by powers of x and y."""
+    total, square = np.zeros((ORDER + 1, ORDER + 1)), np.zeros((3, 3))
     square[2, 0] = square[0, 2] = 1.0
-    table = scene.psf.zernike.model_dump(exclude_unset=True)
+    table = psf.zernike.model_dump(exclude_unset=True)
     terms = [(*map(int, name.split(",")), waves) for name, waves in table.items()]
     for n, m, waves in terms:
         size = waves * math.sqrt((1 if m == 0 else 2) * (n + 1))
@@ -133,7 +148,14 @@ def wavefront_of(scene: Any) -> Wavefront:
             a, b = (n + abs(m)) // 2 - k, (n - abs(m)) // 2 - k
             part = (-1) ** k * math.factorial(n - k) / math.prod(map(math.factorial, (k, a, b)))
             _add(total, size * part, around, square, b)
-    _add(total, seidel.W040, np.ones((1, 1)), square, 2)
+    _add(total, psf.seidel.W040, np.ones((1, 1)), square, 2)
+    return total
+
+
+def wavefront_of(scene: Any) -> Wavefront:
+    """Rays through l arrive 2 Q grad W px off, Q = wavelength s0 / (D p): slopes change by wavelength / (D / 2) grad W,
+    W in waves of green light."""
+    total, seidel = path_of(scene.psf), scene.psf.seidel
     powers, scale = np.arange(1.0, ORDER + 1), scene.psf.wavelengths[1] * 1e-6
     across, up = np.zeros_like(total), np.zeros_like(total)
     across[:-1], up[:, :-1] = total[1:] * powers[:, None], total[:, 1:] * powers

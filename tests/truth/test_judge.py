@@ -13,11 +13,13 @@ from numpy.typing import NDArray
 
 import clsco
 import clsco.truth
+from benchmarks.truth.wave import hopkins
 from clsco.errors import ClscoError
 from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import poses_at
-from clsco.truth.judge import NOISE, Judgement, judge, trace, trace_frame
+from clsco.truth.judge import NOISE, Judgement, judge, trace, trace_frame, trace_waves
 from clsco.truth.kernel import accumulate
+from clsco.truth.pixels import choose_pixels
 from clsco.truth.poses import lens_at
 from clsco.truth.problem import make_problem, not_judged
 
@@ -180,8 +182,35 @@ def test_light_of_a_card_that_is_long_and_narrow() -> None:
     assert light.right == pytest.approx(1.6, rel=0.01)
 
 
+WAVES = {"model": "wave", "wavelengths": [550.0, 550.0, 550.0]}
+SMALL = {"resolution": [32, 32], "aperture_diameter": 2.0, "pixel_pitch": 0.01}  # Q = 0.55 px
+
+
+@pytest.mark.parametrize("distance", [250.0, 312.5])
+def test_points_by_waves_are_those_of_hopkins_transfer_function(distance: float) -> None:
+    point = np.zeros((32, 32), np.float32)
+    point[15, 16] = 1.0
+    given = scene({**WALL, "distance": distance, "texture": point}, camera=SMALL, psf=WAVES)
+    image, error, hidden, _ = trace_waves(make_problem(given))
+    weights = hopkins(0.55, 2000.0 * (1 / 250.0 - 1 / distance), 8)
+    np.testing.assert_allclose(image[15:24, 16:25, 0], weights, atol=5e-5)
+    assert error.max() < 1e-6
+    assert not hidden.any()
+
+
+def test_waves_are_judged_where_nothing_hides() -> None:
+    card = {"shape": "rectangle", "center": [-2.5, 0.0, 240.0], "size": [5.0, 9.0], "texture": "#e0e0e0"}
+    given = scene(card, WALL, camera=SMALL, psf=WAVES)
+    (frame,) = clsco.render(given)
+    found = judged(given, frame.color)
+    assert found.agrees
+    assert 0 < len(found.pixels.row) < len(choose_pixels(make_problem(given), 0).row)
+    assert np.abs(found.pixels.column - 15.5).min() > 2.0  # the outline is in the middle
+    assert not judged(given, frame.color * 0.97).agrees
+
+
 def test_scenes_without_rays_say_so() -> None:
-    assert "waves" in str(not_judged(scene(WALL, psf={"model": "wave"})))
+    assert "waves" in str(not_judged(scene(WALL, psf={"model": "wave", "seidel": {"W131": 1.0}})))
     assert not_judged(scene(WALL)) is None
 
 
