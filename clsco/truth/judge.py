@@ -241,6 +241,9 @@ def trace_frame(problem: Problem, noise: float, rays: int = MOST_RAYS, seed: int
 def trace_waves(problem: Problem, seed: int = 0) -> tuple[Array, Array, Array, int]:
     """A frame by waves, see `spread_light`, and the number of rays."""
     cells = cells_of(problem)
+    if cells.hidden[cells.shines].all():
+        nothing = np.zeros((*problem.size, problem.surfaces.images.shape[1]))
+        return nothing, nothing, np.ones(problem.size), 0
     jobs = np.full((len(cells.places), 2), -1)
     light, error, cast = trace(cells.problem, jobs, cells.places, CELL_RAYS, 0.0, seed, repeats=2)
     return *spread_light(problem, cells, light, error), cast

@@ -207,6 +207,8 @@ def test_waves_are_judged_where_nothing_hides() -> None:
     assert 0 < len(found.pixels.row) < len(choose_pixels(make_problem(given), 0).row)
     assert np.abs(found.pixels.column - 15.5).min() > 2.0  # the outline is in the middle
     assert not judged(given, frame.color * 0.97).agrees
+    tilted = scene({**WALL, "slope_x": 9.0}, camera=SMALL, psf=WAVES)
+    assert judged(tilted, frame.color).figures == {"pixels": 0, "deviations": 0}
 
 
 def test_scenes_without_rays_say_so() -> None:
