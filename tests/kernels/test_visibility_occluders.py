@@ -21,6 +21,7 @@ from clsco.optics.visibility import OcclusionGroup
 from clsco.passes.pack import lens_struct, surface_structs
 from clsco.records import REAL, Real
 from clsco.reference.common.equation import PIXEL_CELLS, TAP_LENS, Points
+from clsco.reference.common.geometry import pixel_reach
 from clsco.reference.common.visibility import CLEAR, HIDDEN, PARTLY, check_visibility
 from clsco.reference.common.visibility_test import free_share
 from clsco.scene.model import Camera, Cone, Cylinder, Ellipsoid, Object, Plane, Psf, Quadric, Sphere
@@ -189,8 +190,8 @@ def meet(
     )  # fmt: skip
     seen = download(session, buffers[0], (count, 4), np.int32)
     if width == 1.0:
-        # What is left of it in records of whole pixels near the focus, as `pixel_tilt` of geometry.clh has it.
-        gradient = gradient * np.minimum(2.0 * np.abs(radius), 1.0)[:, None]
+        # Slopes of whole pixels are over another radius.
+        gradient = gradient * (pixel_reach(radius) / np.maximum(np.abs(radius), 1.0))[:, None]
     state, edge, blocked = np.zeros(count, np.uint8), np.zeros(count, bool), np.zeros((count, TAPS), bool)
     expected = np.zeros((count, TAPS))
     for key in np.unique(chosen, axis=0):

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from clsco.scene.model import Ellipsoid, Motion, Object, ObjectMotion, Psf, Quadric, Sphere
+import clsco
+from clsco.scene.model import Camera, Ellipsoid, Motion, Object, ObjectMotion, Plane, Psf, Quadric, Scene, Sphere
 from clsco.scene.model import Sequence as Exposure
 from clsco.scene.quantities import Vector
 from tests.laws.scenes import (
@@ -192,3 +193,28 @@ def test_brighter_textures_are_brighter_images(
     motion = Motion.model_validate({"texture_filter": texture_filter})
     one, other = (rendered(scene(light, objects, texture, motion=motion)) for texture in ("plain", f"times_{exponent}"))
     assert same_bits(one.color * np.float32(2.0**exponent), other.color)
+
+
+@pytest.mark.parametrize(
+    ("model", "occlusion", "steepness", "error"),
+    [
+        ("pillbox", "none", 0.1, 2e-3),
+        ("pillbox", "visibility", 0.24, 6e-3),
+        ("pillbox", "none", 0.4, 1.3e-2),
+        ("gaussian", "none", 0.24, 1.3e-2),
+    ],
+)
+def test_an_even_white_plane_through_the_focus_is_white(
+    model: str, occlusion: str, steepness: float, error: float
+) -> None:
+    camera = Camera(
+        focal_length=20.0, pixel_pitch=0.02, resolution=(32, 24), focus_distance=250.0, aperture_diameter=10.0
+    )
+    psf, far = Psf.model_validate({"model": model, "occlusion": occlusion}), Plane(distance=500.0, texture="#000000")
+    for right, up in ((1.0, 0.0), (0.6, -0.8)):
+        plane = Plane(
+            distance=250.0, slope_x=50.0 * steepness * right, slope_y=50.0 * steepness * up, texture="#ffffff"
+        )
+        items = (plane, far) if occlusion == "visibility" else (plane,)
+        color = clsco.render_frame(Scene(camera=camera, objects=items, psf=psf)).color[4:-4, 4:-4]
+        np.testing.assert_allclose(color, 1.0, atol=error)

@@ -28,7 +28,6 @@ BOUNDS_SLACK = 1e-14  # relative
 NEAREST_INVERSE_DEPTH = 1e6  # 1/mm: nearer than 1e-6 mm is nothing
 FARTHEST_TEXEL = 1e9  # px: texture positions beyond are not distinguished
 SMALLEST_RADIUS = 1.0  # px: below, the lens offset of a touched pixel is formed with this radius
-HALF_PIXEL = 0.5  # px: weights of a smaller radius reach over the edges of the pixel alone
 STEEPEST_TILT = 1e6  # 1/px: far beyond where a weight is clamped, and finite on a limb
 
 
@@ -396,11 +395,19 @@ def tilt_share(factor: ArrayLike, limb: ArrayLike = False) -> Array:
     return np.where(limb, 0.25 * np.maximum(factor + 1.0, 0.0) ** 2, np.maximum(factor, 0.0))
 
 
+def pixel_reach(radius: ArrayLike, waves: bool = False) -> Array:
+    """What the gradient of R is divided by in a whole pixel (...), px, see kernels/common/geometry.clh."""
+    size = np.abs(np.asarray(radius, dtype=np.float64))
+    if waves:
+        return np.maximum(size, np.minimum(2.0 * size, 1.0))
+    return np.where(size < SMALLEST_RADIUS, 2.0 * size, size + 2.0 / (3.0 * np.maximum(size, SMALLEST_RADIUS)))
+
+
 def pixel_tilt(gradient: Array, radius: ArrayLike, waves: bool = False) -> tuple[Array, Array]:
     """Slope (..., 2) in 1/px of sources that are whole pixels, and the signed radius (...) in px of their weights.
 
-    Arguments as for `tilt_slope`, which this is from 1/2 px on. Below, weights reach over the edges of the pixel alone,
-    and over each goes what is in proportion to |R| there. It is taken as the mean of |R| at the two ends of the edge,
+    Arguments as for `tilt_slope`. From 1 px on it is the gradient over `pixel_reach`. Below, neighbors alone are lit,
+    and over each edge goes what is in proportion to |R| there. It is taken as the mean of |R| at its two ends,
     so that the same goes over it from both sides, even where R changes its sign within the pixel, and constant radiance
     stays constant: the mean of all corners is the radius, half of the differences of opposite edges over it the slopes.
     Weights by waves are smooth there.
@@ -408,12 +415,13 @@ def pixel_tilt(gradient: Array, radius: ArrayLike, waves: bool = False) -> tuple
     radius = np.asarray(radius, dtype=np.float64)
     if waves:
         return tilt_slope(gradient, radius, waves), radius
-    size, near = np.abs(radius), np.abs(radius) < HALF_PIXEL
-    x, y = np.moveaxis(np.minimum(0.5 * np.abs(gradient), HALF_PIXEL), -1, 0)
+    size, near = np.abs(radius), np.abs(radius) < SMALLEST_RADIUS
+    x, y = np.moveaxis(np.minimum(0.5 * np.abs(gradient), 0.5), -1, 0)
     most, aside, below, least = size + x + y, np.abs(size + x - y), np.abs(size - x + y), np.abs(size - x - y)
     mean = np.where(x + y > size, 0.25 * (most + aside + below + least), size)
     change = 0.25 * np.stack([most + aside - below - least, most + below - aside - least], axis=-1)
     sign = np.where((gradient < 0.0) == (radius < 0.0)[..., None], 1.0, -1.0)
     slope = sign * change / np.maximum(mean, 1e-30)[..., None]
     spread = np.where(near, np.where(radius < 0.0, -mean, mean), radius)
-    return np.where(near[..., None], slope, tilt_slope(gradient, radius)), spread
+    far = np.where(radius < 0.0, -1.0, 1.0) * pixel_reach(radius)
+    return np.where(near[..., None], slope, tilt_slope(gradient, far)), spread

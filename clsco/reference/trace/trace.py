@@ -24,7 +24,6 @@ from clsco.optics.rays import ray_changes
 from clsco.optics.visibility import OcclusionGroup
 from clsco.reference.common.equation import Points
 from clsco.reference.common.geometry import (
-    HALF_PIXEL,
     SMALLEST_RADIUS,
     Array,
     blur_gradient,
@@ -32,6 +31,7 @@ from clsco.reference.common.geometry import (
     mirror_index,
     nearest_surface,
     pixel_ray,
+    pixel_reach,
     pixel_tilt,
     rest_pixel,
     sample_texture,
@@ -239,7 +239,7 @@ def _tilted(view: View, radius: Array, gradient: Array, widening: Array | None) 
     """Gradient (N, 2) of the blur radius of whole pixels, as far as the tilt counts, for visibility tests."""
     tilt, _ = pixel_tilt(gradient, radius, view.psf.diffracted)
     tilt = tilt if widening is None else tilt + widening
-    size = np.maximum(np.abs(radius), np.minimum(2.0 * np.abs(radius), 1.0)) * np.where(radius < 0.0, -1.0, 1.0)
+    size = pixel_reach(radius, view.psf.diffracted) * np.where(radius < 0.0, -1.0, 1.0)
     return np.asarray(tilt * size[:, None] * view.scene.psf.tilt)
 
 
@@ -257,9 +257,8 @@ def _ellipses(view: View, row: NDArray[Any], column: NDArray[Any]) -> tuple[Arra
 def spread_sources(sources: Sources) -> Sources:
     """Sources with radius and gradient of what `scatter` makes of each: those of a whole pixel, see `pixel_tilt`."""
     tilt, radius = pixel_tilt(sources.gradient, sources.radius)
-    near = np.abs(sources.radius) < HALF_PIXEL
-    gradient = np.where(radius < 0.0, -1.0, 1.0)[..., None] * tilt
-    return replace(sources, radius=radius, gradient=np.where(near[..., None], gradient, sources.gradient))
+    size = np.maximum(np.abs(radius), SMALLEST_RADIUS) * np.where(radius < 0.0, -1.0, 1.0)
+    return replace(sources, radius=radius, gradient=size[..., None] * tilt)
 
 
 def mark_silhouettes(label: NDArray[np.uint8]) -> NDArray[np.bool_]:
