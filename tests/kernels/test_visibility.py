@@ -55,7 +55,8 @@ __kernel void see_taps(const grid_t grid, const lens_t lens, __constant surface_
     const real radius = blur_radius(lens, ray, w);
     visibility_t visibility;
     bool edge;
-    const float2 tilt = tilt_slope((real2)(0.2, -0.1), radius);
+    const real reach = width < 1 ? ABS(radius) : PIXEL_REACH(ABS(radius));
+    const float2 tilt = tilt_slope((real2)(0.2, -0.1), radius < 0 ? -reach : reach);
     const division_t of_source = division_of(radius, psf.lens_extent, width, tilt);
     state[i] = check_visibility(lens, surfaces, group, ray, w, of_source, 0, &edge);
     edges[i] = edge;
