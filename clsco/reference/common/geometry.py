@@ -396,7 +396,7 @@ def tilt_share(factor: ArrayLike, limb: ArrayLike = False) -> Array:
 
 
 def pixel_reach(radius: ArrayLike, waves: bool = False) -> Array:
-    """What the gradient of R is divided by in a whole pixel (...), px, see kernels/common/geometry.clh."""
+    """Divisor of the gradient of R in a whole pixel (...), px, see kernels/common/geometry.clh."""
     size = np.abs(np.asarray(radius, dtype=np.float64))
     if waves:
         return np.maximum(size, np.minimum(2.0 * size, 1.0))
