@@ -23,7 +23,7 @@ from clsco.passes.pack import camera_grid, group_struct, lens_struct, psf_struct
 from clsco.plan.plan import make_plan
 from clsco.records import Real
 from clsco.reference.common.equation import Points
-from clsco.reference.common.geometry import blur_radius, nearest_surface, pixel_ray, pixel_reach, surface_normal
+from clsco.reference.common.geometry import blur_radius, nearest_surface, pixel_ray, surface_normal
 from clsco.reference.common.visibility import CLEAR, PARTLY, check_visibility
 from clsco.reference.common.visibility_test import cell_visibility, tap_share
 from clsco.scene.model import Camera, Cone, Cylinder, Disc, Ellipsoid, Object, Plane, Psf, Quadric, Scene, Sphere
@@ -177,9 +177,7 @@ def see(
     there = label > 0
     assert ((state >= 0) == there).all()
     w, radius, (x, y) = w[there], blur_radius(Lens.of(camera), rays[there], w[there]), offset[there].T
-    # Slopes of whole pixels are over another radius.
-    reach = pixel_reach(radius) / np.maximum(np.abs(radius), 1.0) if width == 1.0 else np.ones_like(radius)
-    gradient = reach[:, None] * np.array([0.2, -0.1])
+    gradient = np.broadcast_to([0.2, -0.1], (w.size, 2))
     points = Points(rays[there], w, radius, x, y, width, gradient)
     found, outline, visibility = check_visibility(Lens.of(camera), surfaces, bounds, group, point_spread(psf), points)
     cells, expected, wide = cell_visibility(visibility), np.ones((w.size, len(taps))), np.zeros(w.size, dtype=bool)
