@@ -390,7 +390,8 @@ def _of_blur(
     }
     if hits is not None and partly.any():
         narrow, edges = size * psf.extent < WIDE_LENS, hits.edges + hits.rims
-        columns = partly & (size >= 0.5) & (hits.edges == 0) & psf.cut_by_chords & (psf.edge == "integrated")
+        round_lens = psf.cut_by_chords and psf.pupil.borders is None
+        columns = partly & (size >= 0.5) & (hits.edges == 0) & round_lens & (psf.edge == "integrated")
         one, fine = (lit & partly & ~columns) * (1.0 - finer), (lit & partly) * finer * subs
         once = (lit & partly & narrow) * alike * (subs - 1) * plan.spec.shared
         met, across = one * visits + (fine - once) * fine_visits, ~narrow * (one * rows + fine * fine_rows)

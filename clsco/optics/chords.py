@@ -1,14 +1,17 @@
-"""Weights of round openings by chords: of the ellipses that a distorted image has, and of what rims leave open
-(float64, pure)."""
+"""Weights of openings by chords: of the ellipses that a distorted image has, and of what rims leave open of lenses that
+are round or have `Borders` (float64, pure)."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from clsco.optics.pupils.pupil import Borders
 
 Array = NDArray[np.float64]
 Circle = tuple[Array, Array, Array]
@@ -16,6 +19,8 @@ DISC = np.array([1.0, 0.0, 1.0])
 """Shape of a disc, see `clsco.optics.ellipses.shape_of`."""
 FLAT = 1.5
 """Distance, px, of columns from the ends of an opening from which on chords between them are FLAT_CHORDS."""
+UPRIGHT, FAR = 1e-6, 1e6
+"""Edges whose normals are flatter are ends of an opening; px, beyond all openings."""
 FLAT_CHORDS, STEEP_CHORDS, AREA_CHORDS = 2, 5, 48
 """Chords between two columns: where flat, and else; and for the area of half an opening."""
 
@@ -28,16 +33,17 @@ def chord_nodes(count: int) -> tuple[Array, Array]:
 
 
 def chord_weights(
-    dx: Array, dy: Array, radius: Array, shape: Array = DISC, rims: Sequence[Circle] = (), point: bool = False
+    dx: Array, dy: Array, radius: Array, shape: Array = DISC, rims: Sequence[Circle] = (), point: bool = False,
+    borders: Borders | None = None,
 ) -> Array:  # fmt: skip
-    """Share of the light of a round lens, from a square pixel or a point, in a square pixel at (dx, dy) px.
+    """Light of a lens, over that of a round one, from a square pixel or a point, in a square pixel at (dx, dy) px.
 
     Parameters
     ----------
     dx, dy : ndarray
         Right and down; integers, but of a point.
     radius : ndarray
-        |R| of the disc of the same area, px, above 0.
+        |R| of the disc of the same area, px, above 0; signed with `borders`.
     shape : ndarray of float64, (..., 3)
         Form of the ellipse, see `clsco.optics.ellipses.shape_of`. All broadcast.
     rims : sequence of (x, y, radius)
@@ -45,6 +51,8 @@ def chord_weights(
         the same area, px.
     point : bool
         The source is a point.
+    borders : Borders, optional
+        Of a lens that is not round.
 
     Returns
     -------
@@ -52,10 +60,10 @@ def chord_weights(
 
     Notes
     -----
-    Lens and rims together are convex: a column has one chord, from the last of their beginnings to the first of their
-    ends. Chords are in closed form over both pixels, times the tent of both across them, or the
-    detector's pixel. Sums over pixels differ from 1 by less than 3e-5, with rims from the area of the opening by less
-    than 5e-4. Validated against the integral.
+    Lens and rims together are convex, but for holes, whose light is subtracted: a column has one chord, from the last
+    of their beginnings to the first of their ends. Chords are in closed form over both pixels, times the tent of both
+    across them, or the detector's pixel. Sums over pixels differ from 1 by less than 3e-5, with rims from the area of
+    the opening by less than 5e-4. Validated against the integral.
 
     Examples
     --------
@@ -66,29 +74,46 @@ def chord_weights(
     >>> float(flat.sum().round(3)), float((flat * x * x).sum().round(1)), float((flat.T * x * x).sum().round(1))
     (1.0, 11.4, 7.4)
     """
-    opening = _Opening(radius, shape, rims)
-    total = np.zeros(np.broadcast(dx, dy, opening.far[0]).shape)
+    total = np.zeros(np.broadcast(dx, dy, radius).shape)
+    for sign, hole in _parts(borders):
+        total += sign * _light(_Opening(radius, shape, rims, borders, hole), dx, dy, point)
+    return np.asarray(total / (np.pi * radius * radius))
+
+
+def _parts(borders: Borders | None) -> list[tuple[float, Array | None]]:
+    """Convex parts of an opening: 1 and None for all of it, -1 and a circle for each hole in it."""
+    return [(1.0, None), *((-1.0, np.array(hole)) for hole in (borders.holes if borders else ()))]
+
+
+def _light(opening: _Opening, dx: Array, dy: Array, point: bool) -> Array:
+    """Light of a convex opening, px^2."""
+    total = np.zeros(np.broadcast(dx, dy, opening.low).shape)
     below = _in_pixel if point else _below
     for side in (-0.5,) if point else (-1.0, 0.0):
         left = dx + side
         start, end = (np.clip(at, opening.low, opening.high) for at in (left, left + 1.0))
         flat = np.zeros(start.shape, np.bool_) if point else opening.is_flat(left)
-        for v, parts in opening.places(start, end, flat, total.ndim):
-            beginning, ending = opening.chords(v)
-            light = below(ending - dy) - below(beginning - dy)
-            across = 1.0 if point else 1.0 - np.abs(v - dx)
-            total += (parts * across * light).sum(axis=0)
-    return np.asarray(total / (np.pi * radius * radius))
+        for low, high in opening.pieces:
+            ends = np.clip(start, low, high), np.clip(end, low, high)
+            for v, parts in opening.places(*ends, flat, total.ndim):
+                beginning, ending = opening.chords(v)
+                light = below(ending - dy) - below(beginning - dy)
+                across = 1.0 if point else 1.0 - np.abs(v - dx)
+                total += (parts * across * light).sum(axis=0)
+    return np.asarray(total)
 
 
-def open_share(rims: Sequence[Circle]) -> Array:
-    """Share of the light of a round lens that passes all rims, circles in lens radii; to 3e-5."""
-    opening = _Opening(np.ones_like(rims[0][0]), DISC, rims)
+def open_share(rims: Sequence[Circle], borders: Borders | None = None) -> Array:
+    """Light of a lens, over that of a round one, that passes all rims, circles in lens radii; to 3e-5."""
     total = np.zeros_like(rims[0][0])
     flat = np.zeros(total.shape, np.bool_)
-    for v, parts in opening.places(opening.low, opening.high, flat, total.ndim, AREA_CHORDS):
-        beginning, ending = opening.chords(v)
-        total += (parts * (ending - beginning)).sum(axis=0)
+    for sign, hole in _parts(borders):
+        opening = _Opening(np.ones_like(total), DISC, rims, borders, hole)
+        for piece in opening.pieces:
+            start, end = (np.clip(at, *piece) for at in (opening.low, opening.high))
+            for v, parts in opening.places(start, end, flat, total.ndim, AREA_CHORDS):
+                beginning, ending = opening.chords(v)
+                total += sign * (parts * (ending - beginning)).sum(axis=0)
     return np.asarray(total / np.pi)
 
 
@@ -98,26 +123,47 @@ def _stacked(values: NDArray[Any], axes: int) -> Array:
 
 
 class _Opening:
-    """A lens and rims as a source sees them, px: where columns see something of it, `low` to `high`."""
+    """A lens, or the part of it that a hole covers, and rims as a source sees them, px: where columns see something of
+    it, `low` to `high`."""
 
-    def __init__(self, radius: Array, shape: Array, rims: Sequence[Circle]) -> None:
+    def __init__(
+        self, radius: Array, shape: Array, rims: Sequence[Circle], borders: Borders | None = None,
+        hole: Array | None = None,
+    ) -> None:  # fmt: skip
         q1, q2 = np.asarray(shape)[..., 1], np.asarray(shape)[..., 2]
-        self.lean, self.over, root = -q1 / q2, 1.0 / q2, np.sqrt(q2)
-        none = np.zeros_like(radius)
-        self.circles = ((none, none, radius), *rims)
-        self.far = [size * root for _, _, size in self.circles]
-        ends = [(x - far, x + far) for (x, _, _), far in zip(self.circles, self.far, strict=True)]
+        root, none = np.sqrt(q2), np.zeros_like(radius)
+        self.lean, self.edges = -q1 / q2, list[Circle]()
+        self.circles: list[tuple[Any, ...]] = [
+            (x, y, size * root, 1.0 / q2) for x, y, size in ((none, none, radius), *rims)
+        ]
+        if borders:
+            inner, over, size = borders.circles, borders.squeeze, np.abs(radius)
+            lens = [np.asarray(each) for each in (inner if hole is None else (*inner, hole))]
+            within = [(x / over * radius, y * radius, r / over * size, over) for x, y, r in lens]
+            self.circles = [*within, *self.circles[1:]]
+            self.edges = [(x * radius, y * radius, d * size * size) for x, y, d in borders.edges if abs(y) > UPRIGHT]
+        ends: list[Any] = [(x - far, x + far) for x, _, far, _ in self.circles]
+        self.pieces: list[Any] = [(-FAR, FAR)]  # between columns with corners
+        if borders:
+            corners = borders.columns
+            ends.append(np.sort([radius * end for end in (corners[0], corners[-1])], axis=0))
+            self.pieces = [np.sort([radius * one, radius * other], axis=0) for one, other in pairwise(corners)]
         self.low, high = (np.stack(np.broadcast_arrays(*each)) for each in zip(*ends, strict=True))
         self.low, self.high = self.low.max(axis=0), np.maximum(high.min(axis=0), self.low.max(axis=0))
 
     def _ends(self, v: Array) -> tuple[Array, Array]:
-        """Beginnings and ends of chords of each circle down the column at v px, px."""
-        middles, halves = [], []
-        for (x, y, _), far in zip(self.circles, self.far, strict=True):
-            halves.append(np.sqrt(np.maximum((far - (v - x)) * (far + (v - x)), 0.0)) * self.over)
-            middles.append(y + self.lean * (v - x))
-        middle, half = np.stack(np.broadcast_arrays(*middles)), np.stack(np.broadcast_arrays(*halves))
-        return middle - half, middle + half
+        """Beginnings and ends of chords of each circle, and within each edge, down the column at v px, px."""
+        beginnings, ends = [], []
+        for x, y, far, over in self.circles:
+            half = np.sqrt(np.maximum((far - (v - x)) * (far + (v - x)), 0.0)) * over
+            middle = y + self.lean * (v - x)
+            beginnings.append(middle - half)
+            ends.append(middle + half)
+        for across, down, reach in self.edges:
+            at = (reach - across * v) / down
+            beginnings.append(np.where(down < 0.0, at, -FAR))
+            ends.append(np.where(down < 0.0, FAR, at))
+        return np.stack(np.broadcast_arrays(*beginnings)), np.stack(np.broadcast_arrays(*ends))
 
     def chords(self, v: Array) -> tuple[Array, Array]:
         """Beginnings and ends of chords of the opening."""
@@ -154,7 +200,7 @@ class _Opening:
         """True where chords of the column from `left` to 1 px right of it all begin on one circle, and end on one, and
         the ends of the opening are not near."""
         flat = (left - self.low >= FLAT) & (self.high - left - 1.0 >= FLAT)
-        if len(self.circles) == 1:
+        if len(self.circles) + len(self.edges) == 1:
             return np.asarray(flat)
         (first, first_end), (last, last_end) = (self._ends(at) for at in (left, left + 1.0))
         for one, other in ((first, last), (-first_end, -last_end)):

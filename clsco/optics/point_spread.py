@@ -163,7 +163,8 @@ class PointSpread:
     def cut_by_chords(self) -> bool:
         """Weights of what rims cut are those of the opening that they leave, see `clsco.optics.chords`; else each tap
         has a share of its own."""
-        return bool(self.rims) and type(self.pupil) is Circle and self.varying is None
+        round_lens = type(self.pupil) is Circle
+        return bool(self.rims) and self.varying is None and (round_lens or self.pupil.borders is not None)
 
     @property
     def shares_lens(self) -> bool:

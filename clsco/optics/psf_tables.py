@@ -82,6 +82,7 @@ def psf_features(psf: PointSpread) -> dict[str, int]:
     found = layouts | {"SAMPLED": int(psf.sampled), "EDGES": len(psf.pupil.edges)}
     found |= {"RIMS": len(psf.rims), "WAVES": int(psf.diffracted), "RING": int(psf.pupil.hollow)}
     found |= {"CUT_CHORDS": psf.cut_by_chords * (2 if psf.edge == "area" else 1)}
+    found |= {"BORDERS": int(psf.cut_by_chords and psf.pupil.borders is not None)}
     return found | {"FIELD": int(psf.varying is not None), "ELLIPSES": int(psf.stretched > 0.0)}
 
 

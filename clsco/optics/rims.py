@@ -77,10 +77,11 @@ def frame_throughput(scene: Scene, time: float, psf: PointSpread) -> Array:
 def rim_throughput(lens: Lens, psf: PointSpread, slopes: Array, w: Array, radius: Array) -> Array:
     """Share (N,) of the light through the opening of a lens that all rims let through; arguments as for `rim_circle`.
 
-    The area of a round opening; of others summed over cells of the lens, to 0.5 %.
+    The area of the opening where it has borders; else summed over cells of the lens, to 0.5 %.
     """
     if psf.cut_by_chords:
-        return open_share([rim_circle(lens, rim, slopes, w, radius) for rim in psf.rims])
+        circles = [rim_circle(lens, rim, slopes, w, radius) for rim in psf.rims]
+        return open_share(circles, psf.pupil.borders) / psf.pupil.light
     found = np.ones(w.shape)
     at = (np.arange(2.0 * CELLS) + 0.5 - CELLS) * psf.extent / CELLS
     x, y = (axis.ravel() for axis in np.meshgrid(at, at))

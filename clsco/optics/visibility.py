@@ -45,7 +45,8 @@ NO_GROUP = OcclusionGroup(0, 0)  # where objects are not told apart
 @lru_cache(maxsize=16)
 def lens_floats(psf: PointSpread) -> Array:
     """Lens as kernels read it: its cells; of a `signed` one mirrored cells and its straight edges after them, of others
-    factors by which the mean of what a round rim leaves of each cell is nearer to the middle. Not to be written to.
+    factors by which the mean of what a round rim leaves of each cell is nearer to the middle; then, where rims cut it
+    by chords, squeeze and light, the sizes of the lists of its borders, and these. Not to be written to.
 
     A rim at the distance s from the middle of a cell leaves of it what has its mean at (s - 1/2) / 2 from there.
     """
@@ -56,6 +57,10 @@ def lens_floats(psf: PointSpread) -> Array:
         at = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS
         away = np.hypot(at, at[:, None])
         found = np.stack([cells, 1.0 - 0.5 * np.clip(away - (LENS_CELLS - 0.5), 0.0, 1.0) / away])
+    if psf.cut_by_chords and (borders := psf.pupil.borders):
+        lists = [np.ravel(each) for each in (borders.columns, borders.edges, borders.circles, borders.holes)]
+        head = [borders.squeeze, psf.pupil.light, *(float(each.size) for each in lists)]
+        found = np.concatenate([found.ravel(), head, *lists])
     found.flags.writeable = False
     return found
 

@@ -173,7 +173,7 @@ def column_bytes(psf: PointSpread, tilt: bool, channels: int, far: int) -> int:
     rims = int(tilt and psf.diffracted)
     item = 2 + slopes + rims + 2 * channels
     items = MOST_ITEMS * (4 * WIDE_LANES * item + ITEM_BYTES)
-    if psf.cut_by_chords:
+    if psf.cut_by_chords and psf.pupil.borders is None:
         items += chords + MOST_ITEMS * 4 * WIDE_LANES * (3 + slopes + channels + 3 * len(psf.rims))
     return 8 * WIDE_LANES * ends * (BAND + 1) + 4 * WIDE_LANES * sums * (BAND + 2 * far) + tiles + items
 

@@ -331,7 +331,10 @@ class Plan:
             "MERGED": int(spec.merged > 0.0),
             "SHARED": int(spec.shared),
             "RAYS": 0,
-            **{name: psf[name] for name in ("SAMPLED", "GENERAL", "EDGES", "RIMS", "CUT_CHORDS", "WAVES", "ELLIPSES")},
+            **{
+                name: psf[name]
+                for name in ("SAMPLED", "GENERAL", "EDGES", "RIMS", "CUT_CHORDS", "BORDERS", "WAVES", "ELLIPSES")
+            },
         }
 
     @cached_property

@@ -135,10 +135,11 @@ def _open_share(plan: ReferencePlan, time: float) -> Array:
     points = Points(rays, w, none, none, none, 0.0, np.zeros((len(rays), 2)))  # by cells of the lens, as points are
     state, _, seen = check_visibility(lens, (), (), NO_GROUP, plan.psf, points)
     share, partly, cells = np.where(state == HIDDEN, 0.0, 1.0), state == PARTLY, plan.psf.lens_cells()
-    if seen.by_chords:
+    if seen.pupil is not None:
         zero, one = np.zeros(1), np.ones(1)
-        whole = chord_weights(zero, zero, LEAST_OPENING * one, rims=((zero, zero, one),))
-        share[partly] = cut_weights(seen, none[partly], 0.0, 0.0, False) / whole
+        size, borders = LEAST_OPENING * one, seen.pupil.borders
+        whole = chord_weights(zero, zero, size, rims=((zero, zero, one),), borders=borders) / seen.pupil.light
+        share[partly] = cut_weights(seen, none[partly] + 1.0, 0.0, 0.0, False) / whole
     else:
         at_cells = np.arange(2 * LENS_CELLS) + 0.5 - LENS_CELLS
         share[partly] = (

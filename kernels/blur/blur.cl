@@ -253,8 +253,14 @@ __kernel void open_share(const grid_t grid, const psf_t psf, const lens_t lens, 
     visibility_t visibility;
     const int found = meet_rims(here, psf, ray, blur_radius(here, ray, 0) / here.blur_scale, 0, division, &visibility);
 #if CUT_CHORDS
-    const opening_t whole = {.size = (float)LEAST_OPENING}, cut = {.size = (float)LEAST_OPENING, .cut = &visibility};
-    const lanes_t none = 0, passed = chord_weight(&cut, none, none), all = chord_weight(&whole, none, none);
+    opening_t whole = {.size = (float)LEAST_OPENING}, cut;
+#if BORDERS
+    whole.borders = lens_cells + 2 * LENS_ROW * LENS_ROW + 3 * EDGES;
+    whole.turned = whole.size;
+#endif
+    cut = whole;
+    cut.cut = &visibility;
+    const lanes_t none = 0, passed = open_weight(cut, none, none), all = open_weight(whole, none, none);
     const float share = FIRST_LANE(passed) / FIRST_LANE(all);
 #else
     lanes_t passed = 0, whole = 0;

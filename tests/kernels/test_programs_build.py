@@ -56,7 +56,7 @@ BLUR = (
 )
 # Files of programs that can test what hides a source: by one object, or any other number up to all but one.
 OCCLUSION = (TRACE_FILES, FILES_OF["gather"], FILES_OF["scatter"])
-ROOMS = {"OCCLUDED": (0, 4, 1, 63), "RIMS": (0, 2), "CUT_CHORDS": (0, 1, 2)}
+ROOMS = {"OCCLUDED": (0, 4, 1, 63), "RIMS": (0, 2), "CUT_CHORDS": (0, 1, 2), "BORDERS": (0,)}
 GATHER, SCATTER = FILES_OF["gather"], FILES_OF["scatter"]
 # Files that are built together: feature -> value when off, when on, and others. Structure is all that is compiled in.
 PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {

@@ -7,7 +7,8 @@ from functools import cached_property
 from math import cos, pi
 
 from clsco.optics.pupils.outline import Arc, Outline, bulging
-from clsco.optics.pupils.polygon import vertices
+from clsco.optics.pupils.polygon import Polygon, vertices
+from clsco.optics.pupils.pupil import Borders
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,14 @@ class CurvedPolygon(Outline):
         corners = [(float(x), float(y)) for x, y in vertices(self.blades, self.rotation)]
         sagitta = self.curvature * (1.0 - cos(pi / self.blades))
         return [bulging(corners[k - 1], corners[k], sagitta) for k in range(self.blades)]
+
+    @cached_property
+    def borders(self) -> Borders:
+        ends = sorted({x / self.squeeze for each in self.arcs for x, _ in (each.start, each.end)})
+        circles = tuple((*blade[0].center, blade[0].radius) for blade in self._blades if blade[0].radius)
+        edges = () if circles and self.curvature > 0.0 else Polygon(self.blades, self.rotation, self.squeeze).edges
+        convex, holes = ((), circles) if edges else (circles, ())
+        return Borders(tuple(ends), edges, convex, holes, self.squeeze)
 
     @cached_property
     def arcs(self) -> tuple[Arc, ...]:

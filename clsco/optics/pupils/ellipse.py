@@ -7,6 +7,7 @@ from functools import cached_property
 from math import pi
 
 from clsco.optics.pupils.outline import Arc, Outline, arc
+from clsco.optics.pupils.pupil import Borders
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,11 @@ class Ellipse(Outline):
     @property
     def label(self) -> str:
         return f"ring, {self.obstruction:g} covered" if self.obstruction else "circle"
+
+    @cached_property
+    def borders(self) -> Borders:
+        holes = ((0.0, 0.0, self.obstruction),) if self.obstruction else ()
+        return Borders((-1.0 / self.squeeze, 1.0 / self.squeeze), (), ((0.0, 0.0, 1.0),), holes, self.squeeze)
 
     @cached_property
     def arcs(self) -> tuple[Arc, ...]:

@@ -12,7 +12,7 @@ from math import cos, pi, sin
 import numpy as np
 
 from clsco.optics.pupils.differences import grid_share, share_at
-from clsco.optics.pupils.pupil import Array, Edges, Pupil
+from clsco.optics.pupils.pupil import Array, Borders, Edges, Pupil
 
 GAUSS = (0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0))  # nodes on [0, 1], exact for cubics
 
@@ -67,6 +67,10 @@ class Polygon(Pupil):
         mask = lens_mask(self.blades, self.rotation) * (self.squeeze, 1.0, 1.0)
         mask /= np.hypot(mask[:, 0], mask[:, 1])[:, None] if self.squeeze != 1.0 else 1.0
         return tuple((float(x), float(y), float(distance)) for x, y, distance in mask)
+
+    @cached_property
+    def borders(self) -> Borders:
+        return Borders(tuple(np.sort(self.corners[:, 0]).tolist()), self.edges)
 
     @cached_property
     def corners(self) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -12,6 +13,28 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Symmetry = Literal["octant", "none"]
 Edges = tuple[tuple[float, float, float], ...]
+
+
+@dataclass(frozen=True)
+class Borders:
+    """What bounds an opening of one transmission: it is convex, but for holes.
+
+    Attributes
+    ----------
+    columns : tuple of float
+        Places of its ends and corners from left to right, in aperture radii.
+    edges : tuple of (x, y, distance)
+        Straight ones, as `Pupil.edges`.
+    circles, holes : tuple of (x, y, radius)
+        Circles that light passes within, and that cover parts of it, none of which overlap; x times `squeeze`.
+    squeeze : float
+    """
+
+    columns: tuple[float, ...] = (-1.0, 1.0)
+    edges: Edges = ()
+    circles: Edges = ()
+    holes: Edges = ()
+    squeeze: float = 1.0
 
 
 class Pupil(ABC):
@@ -82,6 +105,11 @@ class Pupil(ABC):
     def edges(self) -> Edges:
         """Straight edges (x, y, distance), inside where x l_x + y l_y <= distance; none where the rim is round."""
         return ()
+
+    @property
+    def borders(self) -> Borders | None:
+        """What bounds the opening, where weights can be made of its chords."""
+        return None
 
     @property
     @abstractmethod

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clsco.optics.pupils.circle import disc_coverage
-from clsco.optics.pupils.pupil import Array, Pupil
+from clsco.optics.pupils.pupil import Array, Borders, Pupil
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,10 @@ class Ring(Pupil):
     @property
     def has_plain_rim(self) -> bool:
         return False
+
+    @property
+    def borders(self) -> Borders:
+        return Borders(circles=((0.0, 0.0, 1.0),), holes=((0.0, 0.0, self.obstruction),))
 
     @property
     def name(self) -> str:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from clsco.constants import LEAST_OPENING
 from clsco.optics.lens import Lens
 from clsco.optics.point_spread import PointSpread
+from clsco.optics.pupils.pupil import Pupil
 from clsco.optics.quadrics import PlacedSurface
 from clsco.optics.ray_means import RayMeans, has_ray_means, ray_means
 from clsco.optics.rims import rim_circle
@@ -327,7 +328,7 @@ class Visibility:
     straight edges (n, 3) of the lens, none where it is round; lean (M, 2): change of the tilt per cell of a narrow
     lens, part of which is behind the surface, else 0; limb (M,): at a limb; nearest (M,): least `crossing_place` of
     what hides it in part; circles: rims that cut its light; waves: light goes beyond the rim; signed: cells turn over
-    where R < 0; round: the rim is a circle; by_chords: its weights have the rims; bent (M, 3): xx, xy, yy from taps to
+    where R < 0; round: the rim is a circle; pupil: of which weights have the rims; bent (M, 3): xx, xy, yy from taps to
     an ellipse's disc, or from a narrow lens' cells to it; None: discs. rays: mean lens points of
     wide lenses, and which of them, `RayMeans.around` (M, k); behind (M,): all is hidden, with the cells of the blur;
     near (M,): a pixel's source near the focus; part (M,): px of its cells.
@@ -350,7 +351,7 @@ class Visibility:
     waves: bool = False
     signed: bool = False
     round: bool = True
-    by_chords: bool = False
+    pupil: Pupil | None = None
     bent: Array | None = None
     rays: RayMeans | None = None
     ray_numbers: NDArray[np.int64] | None = None
@@ -408,7 +409,7 @@ def check_visibility(
         occluders, division.extent, psf.lens_cells(), np.array(psf.pupil.edges).reshape(-1, 3),
         lean[partly], np.broadcast_to(points.limb, partly.shape)[partly], nearest[partly],
         tuple(circle.of(partly) for circle in circles), psf.diffracted, psf.signed,
-        not (psf.signed or psf.diffracted or psf.pupil.edges), psf.cut_by_chords, **taps,
+        not (psf.signed or psf.diffracted or psf.pupil.edges), psf.pupil if psf.cut_by_chords else None, **taps,
     )  # fmt: skip
 
 

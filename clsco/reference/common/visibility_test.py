@@ -140,7 +140,7 @@ def rim_share(visibility: Visibility, x: Array, y: Array) -> Array:
     """Share (M,) of the light of taps that the rims let through, over an edge as soft as the response of a pixel; all
     where `cut_weights` have it."""
     share = np.ones_like(x)
-    for circle in visibility.circles * (not visibility.by_chords):
+    for circle in visibility.circles * (visibility.pupil is None):
         t = np.clip((circle.radius - np.hypot(x - circle.x, y - circle.y)) * circle.scale, -1.0, 1.0)
         soft = np.where(t < 0, 0.5 * (1 + t) ** 2, 1 - 0.5 * (1 - t) ** 2)
         share *= np.where(circle.cuts, soft, 1.0)
@@ -173,23 +173,30 @@ def _sheets(visibility: Visibility, x: Array, y: Array) -> list[tuple[Array, tup
 
 
 def cut_weights(visibility: Visibility, weight: Array, dx: float, dy: float, point: bool) -> Array:
-    """Weights (M,) of the tap (dx, dy) px off each source's pixel, where rims cut a round lens those of what they leave
-    open. point: sources are points."""
+    """Weights (M,) of the tap (dx, dy) px off each source's pixel: where rims cut them by chords, those of what they
+    leave open. point: sources are points."""
     cut = np.zeros(weight.shape, np.bool_)
-    for circle in visibility.circles * visibility.by_chords:
+    pupil = visibility.pupil
+    for circle in visibility.circles * (pupil is not None):
         cut |= circle.cuts
-    if not cut.any():
+    if pupil is None or not cut.any():
         return weight
     size = np.maximum(np.abs(visibility.radius), LEAST_OPENING)
     x, y, far = dx - visibility.x, dy - visibility.y, PIXEL_CORNER if point else PIXELS_CORNER
+    borders, whole = pupil.borders, 1.0 / (np.pi * size * size)
     inside = size - np.hypot(x, y)
+    if borders is not None:
+        size, whole = np.where(visibility.radius < 0.0, -size, size), weight
+        inside = np.full_like(size, np.inf)
     for circle in visibility.circles:
-        inside = np.minimum(inside, circle.radius - np.hypot(x - circle.x, y - circle.y))
-    found = np.where(cut, np.where(inside > 0.0, 1.0 / (np.pi * size * size), 0.0), weight)
-    some = cut & (np.abs(inside) < far)
+        within = circle.radius - np.hypot(x - circle.x, y - circle.y)
+        inside = np.minimum(inside, np.where(circle.cuts, within, np.inf))
+    found = np.where(cut, np.where(inside > 0.0, whole, 0.0), weight)
+    some = cut & (np.abs(inside) < far) & (weight > 0.0)
     rims = [(circle.x[some], circle.y[some], circle.radius[some]) for circle in visibility.circles]
     if some.any():
-        found[some] = chord_weights(x[some], y[some], size[some], rims=rims, point=point)
+        light = chord_weights(x[some], y[some], size[some], rims=rims, point=point, borders=borders)
+        found[some] = light / pupil.light
     return found
 
 
