@@ -331,10 +331,8 @@ class Plan:
             "MERGED": int(spec.merged > 0.0),
             "SHARED": int(spec.shared),
             "RAYS": 0,
-            **{
-                name: psf[name]
-                for name in ("SAMPLED", "GENERAL", "EDGES", "RIMS", "CUT_CHORDS", "BORDERS", "WAVES", "ELLIPSES")
-            },
+            "BORDERS": psf["BORDERS"],
+            **{name: psf[name] for name in ("SAMPLED", "GENERAL", "EDGES", "RIMS", "CUT_CHORDS", "WAVES", "ELLIPSES")},
         }
 
     @cached_property
