@@ -331,8 +331,7 @@ class Plan:
             "MERGED": int(spec.merged > 0.0),
             "SHARED": int(spec.shared),
             "RAYS": 0,
-            "BORDERS": psf["BORDERS"],
-            **{name: psf[name] for name in ("SAMPLED", "GENERAL", "EDGES", "RIMS", "CUT_CHORDS", "WAVES", "ELLIPSES")},
+            **{name: psf[name] for name in psf.keys() - {"DISC", "SEPARABLE", "RING", "FIELD"}},
         }
 
     @cached_property
