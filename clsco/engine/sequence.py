@@ -162,7 +162,7 @@ def render_sweep(
     Parameters
     ----------
     scenes : Sweep or iterable of Scene, mapping or path
-        Scenes have the noise of their `sensor.noise_seed`, which those of a Sweep count up.
+        Scenes have the noise of their `noise_seed`, which those of a Sweep count up.
     truth, color, device, precision, method, tolerance, frames, memory
         As for `render`; `frames` of every scene.
 

@@ -55,6 +55,8 @@ def demosaic(plane: NDArray[np.floating], filters: Sequence[int], method: str) -
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from clsco.frame.demosaicing import demosaic
     >>> demosaic(np.array([[0.0, 4.0], [4.0, 8.0]]), (0, 1, 1, 2), "bilinear")[0, 0].tolist()
     [0.0, 4.0, 8.0]
     """

@@ -52,7 +52,7 @@ def chord_weights(
     point : bool
         The source is a point.
     borders : Borders, optional
-        Of a lens that is not round.
+        Edges and circles of a lens that is not round.
 
     Returns
     -------

@@ -23,7 +23,7 @@ ON_GPU: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     files: PROGRAMS[files] for files in PROGRAMS if not any("/cpu/" in name for name in files)
 }
 ON_GPU[TRACE_FILES] = PROGRAMS[TRACE_FILES] | {"GATHER": (0,)}
-ON_GPU[FILES_OF["tiles"]] = PROGRAMS[FILES_OF["scatter"]] | {"OCCLUDED": (0,), "CUT_CHORDS": (0,)}
+ON_GPU[FILES_OF["tiles"]] = PROGRAMS[FILES_OF["scatter"]] | {"OCCLUDED": (0,), "CUT_CHORDS": (0,), "BORDERS": (0,)}
 EXTENSIONS = re.compile(r"__builtin_|ext_vector_type|vector_size|__atomic_|__AVX|__SSE|__FMA__|min_vector_width|\(\{")
 # The last line of PoCL's own header has no end.
 PEDANTIC = '#pragma clang diagnostic error "-Wpedantic"\n#pragma clang diagnostic ignored "-Wnewline-eof"\n'

@@ -56,14 +56,14 @@ BLUR = (
 )
 # Files of programs that can test what hides a source: by one object, or any other number up to all but one.
 OCCLUSION = (TRACE_FILES, FILES_OF["gather"], FILES_OF["scatter"])
-ROOMS = {"OCCLUDED": (0, 4, 1, 63), "RIMS": (0, 2), "CUT_CHORDS": (0, 1, 2), "BORDERS": (0,)}
+ROOMS = {"OCCLUDED": (0, 4, 1, 63), "RIMS": (0, 2), "CUT_CHORDS": (0, 1, 2), "BORDERS": ON_OR_OFF}
 GATHER, SCATTER = FILES_OF["gather"], FILES_OF["scatter"]
 # Files that are built together: feature -> value when off, when on, and others. Structure is all that is compiled in.
 PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     TRACE_FILES: GEOMETRY
     | dict.fromkeys(("MOVED", "TILT", "OCCLUDED", "LIMITED", "GATHER", "DIVIDED"), ON_OR_OFF)
     | {"SUBPIXELS": (0, 4, 2, 3), "TEXTURED": (0, 2, 1), "LIT": (0, 1, 3), "EDGES": (0,), "RIMS": (0, 2), "RAYS": (0,)}
-    | {"CUT_CHORDS": ON_OR_OFF, "SMALL": ON_OR_OFF, "WAVES": (0, 0, 1), "MERGED": ON_OR_OFF}
+    | {"CUT_CHORDS": ON_OR_OFF, "BORDERS": ON_OR_OFF, "SMALL": ON_OR_OFF, "WAVES": (0, 0, 1), "MERGED": ON_OR_OFF}
     | {"ELLIPSES": ON_OR_OFF, "SHARED": ON_OR_OFF},
     GATHER: dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(BLUR, ON_OR_OFF)
@@ -84,7 +84,7 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     ("blur/tiles.cl",): dict.fromkeys(PLAIN, (0,))
     | dict.fromkeys(("SAMPLED", "TILT", "DISC", "SEPARABLE"), ON_OR_OFF)
     | {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 3)}
-    | dict.fromkeys(("RIMS", "CUT_CHORDS", "RING", "ELLIPSES", "GATHER"), (0,))
+    | dict.fromkeys(("RIMS", "CUT_CHORDS", "BORDERS", "RING", "ELLIPSES", "GATHER"), (0,))
     | GENERAL,
     ("blur/accumulate.cl",): GEOMETRY | {"SCAN_COLUMNS": ON_OR_OFF},
     ("blur/vignetting.cl",): GEOMETRY,

@@ -31,7 +31,7 @@ class Diffracted(Pupil):
     tail : float
         Share of the light that is left out, far from the rim.
     keeps : bool
-        What is left out is spread over the blur, so that it has all of the light.
+        Light that is left out is spread over the blur, so that it has all of the light.
     """
 
     STEPS: ClassVar[tuple[tuple[float, int], ...]]  # intervals of tables per px, from a Q on

@@ -51,7 +51,7 @@ class FourierDiffracted(Diffracted):
     >>> from clsco.optics.pupils.wavefront import Wavefront
     >>> lens = FourierDiffracted(Circle(), ((0.5, 1.0),), wavefront=Wavefront(((3, 1, 0.1),)))
     >>> lens.share(np.array([-1.0, 0.0, 1.0]), np.zeros(3), np.array(0.0), tent=True).round(3)
-    array([0.156, 0.221, 0.083])
+    array([0.155, 0.22 , 0.083])
     """
 
     STEPS = ((1.6, 2), (0.45, 4), (0.1, 8), (0.04, 16))

@@ -29,7 +29,7 @@ class HankelDiffracted(Diffracted):
     >>> from clsco.optics.pupils.hankel import HankelDiffracted
     >>> lens = HankelDiffracted(Circle(), ((0.5, 1.0),))
     >>> lens.share(np.array([0.0, 1.0]), np.zeros(2), np.array(0.0), tent=True).round(4)
-    array([0.6151, 0.0695])
+    array([0.6095, 0.0689])
     """
 
     STEPS = ((1.6, 2), (0.8, 4), (0.2, 8), (0.05, 16))

@@ -17,7 +17,7 @@ Edges = tuple[tuple[float, float, float], ...]
 
 @dataclass(frozen=True)
 class Borders:
-    """What bounds an opening of one transmission: it is convex, but for holes.
+    """Edges and circles around an opening of one transmission: it is convex, but for holes.
 
     Attributes
     ----------
@@ -108,7 +108,7 @@ class Pupil(ABC):
 
     @property
     def borders(self) -> Borders | None:
-        """What bounds the opening, where weights can be made of its chords."""
+        """Edges and circles around the opening, where weights can be made of its chords."""
         return None
 
     @property
