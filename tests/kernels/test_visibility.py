@@ -60,9 +60,12 @@ __kernel void see_taps(const grid_t grid, const lens_t lens, __constant surface_
     const division_t of_source = division_of(radius, psf.lens_extent, width, tilt);
     state[i] = check_visibility(lens, surfaces, group, ray, w, of_source, 0, &edge);
     edges[i] = edge;
-    const division_t of_taps = tap_division(radius, psf.lens_extent, width, tilt);
+    division_t of_taps = tap_division(radius, psf.lens_extent, width, tilt);
     bool again;
-    visibility.behind = check_visibility(lens, surfaces, group, ray, w, of_taps, &visibility, &again) == HIDDEN;
+    int hidden = check_visibility(lens, surfaces, group, ray, w, of_taps, &visibility, &again);
+    if (sees_by_cells(of_taps, &visibility))
+        hidden = check_visibility(lens, surfaces, group, ray, w, of_source, &visibility, &again);
+    visibility.behind = hidden == HIDDEN;
     if (!visibility.wide)
         cell_visibility(&visibility, cells, radius, psf.lens_extent, place[i].z, place[i].w, NARROW_MIDDLE);
     for (int t = 0; t < taps; ++t) {
