@@ -192,7 +192,7 @@ def cut_weights(visibility: Visibility, weight: Array, dx: float, dy: float, poi
         within = circle.radius - np.hypot(x - circle.x, y - circle.y)
         inside = np.minimum(inside, np.where(circle.cuts, within, np.inf))
     found = np.where(cut, np.where(inside > 0.0, whole, 0.0), weight)
-    some = cut & (np.abs(inside) < far) & (weight > 0.0)
+    some = cut & (np.abs(inside) < far) & ((weight > 0.0) | (borders is None))
     rims = [(circle.x[some], circle.y[some], circle.radius[some]) for circle in visibility.circles]
     if some.any():
         light = chord_weights(x[some], y[some], size[some], rims=rims, point=point, borders=borders)
