@@ -19,6 +19,7 @@ SOFT_BOX = (5.0 / 12.0) ** 0.5  # half width of the cubic step that has the vari
 WIDE_LENS = 3.2  # px: a lens at least so wide is tested once per tap, others on a grid of cells
 TAP_LENS = 1.2  # the same of a point, for the blur
 NEAR_LENS = 1.7  # px: pixels' sources of narrower lenses are near the focus
+FAR_PLACE, FOCUSED, FAR_RADII = 4.0, 0.1, 3.0  # see `sees_by_cells`
 PIXEL_CELLS = (2.0 / 3.0) ** 0.5  # per lens radius, of a pixel's source in focus: of the disc's variance
 
 
@@ -77,14 +78,23 @@ def division_of(radius: Array, extent: float, width: Array | float, gradient: Ar
     return Division(cells, blur, extent, width, wide, gradient)
 
 
-def tap_division(division: Division, radius: Array, shared: Mask | bool) -> Division:
+def tap_division(division: Division, radius: Array, by_cells: Mask) -> Division:
     """The same for the blur, where rims are sharp: tap by tap from TAP_LENS on, and of pixels' sources however small
-    the lens is, as what each tap sees of it goes with the place in the pixel that light comes
-    from; shared (N,): but for these."""
-    wide = ((np.asarray(division.width) >= 1.0) | (division.blur >= TAP_LENS)) & ~np.asarray(shared)
+    the lens is, as what each tap sees of it goes with the place in the pixel that light comes from; by_cells (N,): but
+    for these."""
+    wide = ((np.asarray(division.width) >= 1.0) | (division.blur >= TAP_LENS)) & ~by_cells
     cells = np.where(radius < 0.0, np.minimum(radius, -PIXEL_CELLS), np.maximum(radius, PIXEL_CELLS))
     part = np.where(wide, radius / cells, 1.0)
     return replace(division, wide=wide, cells=np.where(wide, cells, division.cells), part=part)
+
+
+def sees_by_cells(division: Division, place: Array) -> Mask:
+    """True (N,) of pixels that look through the cells of the lens, however narrow their blur is, as all that hides it
+    is far: see kernels/common/visibility_test.clh. place (N,): least of what hides the lens, px per lens radius;
+    infinite where nothing does."""
+    least = np.maximum(FAR_PLACE * np.minimum(division.blur / FOCUSED, 1.0), FAR_RADII * division.blur)
+    is_pixel = (np.asarray(division.width) == 1.0) & (division.blur < WIDE_LENS)
+    return np.asarray(is_pixel & np.isfinite(place) & (place >= least))
 
 
 def source_ways(division: Division, place: Array) -> tuple[Array, Array, Array]:

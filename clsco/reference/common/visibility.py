@@ -28,7 +28,6 @@ from clsco.optics.rims import rim_circle
 from clsco.optics.visibility import OcclusionGroup
 from clsco.reference.common.equation import (
     NEAR_LENS,
-    WIDE_LENS,
     Division,
     Equation,
     Points,
@@ -37,6 +36,7 @@ from clsco.reference.common.equation import (
     division_of,
     edge_width,
     equation_of,
+    sees_by_cells,
     slopes_of,
     source_ways,
     tap_division,
@@ -392,16 +392,16 @@ def check_visibility(
     partly = state == PARTLY
     taps: dict[str, Any] = {}
     if partly.any() and (has_ray_means(psf) or not psf.diffracted):
-        whole, by_cells = division, np.asarray(points.shared)
-        for _ in range(1 if psf.diffracted else 2):
+        whole, by_cells = division, np.broadcast_to(points.shared, partly.shape)
+        while True:
             division = whole if psf.diffracted else tap_division(whole, points.radius, by_cells)
             if has_ray_means(psf):
                 division, taps = _by_rays(psf, points, division)
             again, _, found, place = _meet_occluders(lens, surfaces, bounds, group, points, division)
-            # One tap of a pixel that is far from all that hides the lens from it sees much of the lens, whose cells
-            # have the shape of what is hidden.
-            far = np.isfinite(place) & (place >= np.maximum(np.minimum(40 * division.blur, 4.0), 3 * division.blur))
-            by_cells = by_cells | (far & (np.asarray(division.width) == 1.0) & (division.blur < WIDE_LENS))
+            far = sees_by_cells(division, place) & ~by_cells
+            if psf.diffracted or not far.any():
+                break
+            by_cells = by_cells | far
         _, circles = meet_rims(lens, psf, points, division)
         near = division.wide & (np.asarray(division.width) == 1.0) & (division.blur < NEAR_LENS)
         taps |= {"behind": again == HIDDEN, "near": near, "part": np.broadcast_to(division.part, near.shape)}
