@@ -1,7 +1,8 @@
 """Compiled kernels that one run of the tests leaves to the next ones: compiling is most of their time.
 
-Processes and runs share a folder: PoCL writes each file under another name, renames it where it is whole, and waits for
-nobody, so that a run that is killed leaves nothing that might be damaged.
+Processes and runs share a folder: PoCL 3.0, which tests run on, writes each file under another name and renames it
+where it is whole, so that a run that is killed leaves nothing that might be damaged. What users have may do otherwise,
+against which `clsco.opencl.pocl_cache` keeps a lock.
 """
 
 from __future__ import annotations

@@ -291,7 +291,7 @@ __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant s
         return;
     const int pixel = pixels[slot], row = FRAME_ROW(grid, pixel / grid.width), column = pixel % grid.width - grid.guard;
     uchar labels[CELLS_AROUND * CELLS_AROUND];
-    coverage_t found;
+    coverage_t coverage;
     __global const float *marks = MARKS(source, grid.height * grid.width);
 #if SMALL
     if (slot != FIRST_SLOT(as_int(marks[pixel])))
@@ -301,7 +301,7 @@ __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant s
 #endif
     const bool outlined = labels_around(grid, marks, pixels, sub_label, slot, labels);
     if (outlined)
-        cell_coverage(grid, lens, surfaces, row, column, labels, &found);
+        cell_coverage(grid, lens, surfaces, row, column, labels, &coverage);
 #if DIVIDED
     // Sources of a pixel that is not still are not: they may be there at some time samples alone.
     const bool pixel_still = (source[pixel] <= ELSEWHERE) != exposure.still;
@@ -309,15 +309,15 @@ __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant s
     for (int sub = 0; sub < EACH; ++sub) {
         const int id = slot * EACH + sub, cell = CELL_AROUND(sub);
         const real3 middle = cell_ray(grid, pixel, sub, 0, 0);
-        const uchar hit = outlined ? found.label[cell] : sub_label[id];  // of empty cells as well
+        const uchar hit = outlined ? coverage.label[cell] : sub_label[id];  // of empty cells as well
         uchar root = hit;
         real3 ray = middle;
         real w = sub_depth[id];
         float covered = 1;
         float2 aside = 0;
         if (outlined && root != 0) {
-            aside = (float2)((float)found.right[cell], (float)found.down[cell]);
-            covered = found.covered[cell];
+            aside = (float2)((float)coverage.right[cell], (float)coverage.down[cell]);
+            covered = coverage.covered[cell];
             if (aside.x != 0 || aside.y != 0) {
                 const real3 moved = cell_ray(grid, pixel, sub, aside.x, aside.y);
                 uchar there;

@@ -194,7 +194,7 @@ def quarter_beside(top: Array, bottom: Array, row: NDArray[np.intp], column: NDA
     return np.asarray(0.5 * (mean_above(first, first + way) - mean_above(first - 0.5, first + way - 0.5)))
 
 
-def cut_square(found: Coverage, label: Labels, i: int, j: int, place: Array, own: Labels) -> None:
+def cut_square(coverage: Coverage, label: Labels, i: int, j: int, place: Array, own: Labels) -> None:
     """Give what a surface covers of the part of squares (n,) that is in the pixel to its cells there, or to empty ones.
 
     label: (n, S + 2, S + 2); i, j: the upper left cell; place: (4, n), where an outline crosses the sides, top, bottom,
@@ -220,15 +220,15 @@ def cut_square(found: Coverage, label: Labels, i: int, j: int, place: Array, own
     of_own = [(own > 0) & (label[:, y, x] == own) for y, x in cells]
     count, whole = np.sum(of_own, axis=0), np.sum(areas, axis=0)
     for (y, x), area, covers in zip(cells, areas, of_own, strict=True):
-        found.covered[:, y, x] += np.where(covers, whole / np.maximum(count, 1) - 0.25, 0.0)
+        coverage.covered[:, y, x] += np.where(covers, whole / np.maximum(count, 1) - 0.25, 0.0)
         # The surface is hit in the middle of the nearest cell of another pixel that is there.
         empty = (own > 0) & (count == 0) & (area > LEAST_PART)
         aside, down = (1 if x == j else -1), (1 if y == i else -1)
         is_beside, is_below = (label[:, y, x + aside] == own), (label[:, y + down, x] == own)
-        found.part[:, y, x] += np.where(empty, area, 0.0)
-        found.label[empty, y, x] = own[empty]
-        found.way_x[empty, y, x] = np.where(is_beside | ~is_below, aside, 0.0)[empty]
-        found.way_y[empty, y, x] = np.where(is_beside, 0.0, down)[empty]
+        coverage.part[:, y, x] += np.where(empty, area, 0.0)
+        coverage.label[empty, y, x] = own[empty]
+        coverage.way_x[empty, y, x] = np.where(is_beside | ~is_below, aside, 0.0)[empty]
+        coverage.way_y[empty, y, x] = np.where(is_beside, 0.0, down)[empty]
 
 
 def cut_label(
@@ -248,7 +248,7 @@ def cut_label(
 
 
 def share_square(
-    found: Coverage, curved: NDArray[np.bool_], i: int, j: int, place: Array, cut: NDArray[np.bool_]
+    coverage: Coverage, curved: NDArray[np.bool_], i: int, j: int, place: Array, cut: NDArray[np.bool_]
 ) -> None:
     """Give what is more than their quarters of squares (n,) between four cells to the cells of one surface.
 
@@ -264,21 +264,21 @@ def share_square(
     }
     straight = (top < 0.0) == (bottom < 0.0)
     for (first, second), place in sides.items():
-        moved = found.right if first[0] == second[0] else found.down
+        moved = coverage.right if first[0] == second[0] else coverage.down
         for cell, sign in ((first, 1.0), (second, -1.0)):
             there, more = place >= 0.0, place - 0.5
             taken = place_of_source(curved[:, *cell], more, -int(sign))
             moved[:, *cell] += np.where(there, np.where(straight, 0.5, 0.25) * taken, 0.0)
-            found.covered[:, *cell] += np.where(there & straight & ~cut, sign * 0.5 * more, 0.0)
+            coverage.covered[:, *cell] += np.where(there & straight & ~cut, sign * 0.5 * more, 0.0)
     # One corner against three.
     for row, across in enumerate((top, bottom)):
         for column, along in enumerate((left, right)):
             here = ~straight & ~cut & (across >= 0.0) & (along >= 0.0)
             x, y = (np.where(turned_over, 1.0 - n, n) for turned_over, n in ((column, across), (row, along)))
             more = np.where(here, 0.5 * x * y - 0.25, 0.0)
-            found.covered[:, i + row, j + column] += more
-            found.covered[:, i + row, j + 1 - column] -= 0.5 * more
-            found.covered[:, i + 1 - row, j + column] -= 0.5 * more
+            coverage.covered[:, i + row, j + column] += more
+            coverage.covered[:, i + row, j + 1 - column] -= 0.5 * more
+            coverage.covered[:, i + 1 - row, j + column] -= 0.5 * more
 
 
 def cell_coverage(
@@ -294,7 +294,7 @@ def cell_coverage(
     )
     across, along = across.reshape(-1, side, side - 1), along.reshape(-1, side - 1, side)
     none = np.zeros(label.shape)
-    found = Coverage(
+    coverage = Coverage(
         np.ones(label.shape), none.copy(), none.copy(), label.copy(), none.copy(), none.copy(), none.copy()
     )
     of_labels = [False, *(is_curved(surface) for surface in surfaces for _ in range(2))]
@@ -310,9 +310,13 @@ def cell_coverage(
                 if i % (side - 2) == 0 or j % (side - 2) == 0:
                     rays = pixel_ray(camera, row + i / (side - 2) - 0.5, column + j / (side - 2) - 0.5)
                     cut = usable * cut_label(lens, surfaces, bounds, label[:, i : i + 2, j : j + 2], rays)
-                    cut_square(found, label, i, j, places, cut)
-                share_square(found, curved, i, j, places, cut > 0)
-    some = found.part > 0.0
-    for plane, values in ((found.covered, found.part), (found.right, found.way_x), (found.down, found.way_y)):
+                    cut_square(coverage, label, i, j, places, cut)
+                share_square(coverage, curved, i, j, places, cut > 0)
+    some = coverage.part > 0.0
+    for plane, values in (
+        (coverage.covered, coverage.part),
+        (coverage.right, coverage.way_x),
+        (coverage.down, coverage.way_y),
+    ):
         plane[some] = values[some]
-    return found
+    return coverage
