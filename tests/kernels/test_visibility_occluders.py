@@ -48,8 +48,10 @@ __kernel void meet(const lens_t lens, __constant surface_t *surfaces, const real
     const division_t division = division_of(radius[i], extent, width, tilt);
     const division_t taps = tap_division(radius[i], extent, width, tilt);
     const real w = place[3 * i + 2];
-    visibility.behind =
-        check_visibility(lens, surfaces + chosen[i].x, group, ray, w, taps, &visibility, &edge) == HIDDEN;
+    int hidden = check_visibility(lens, surfaces + chosen[i].x, group, ray, w, taps, &visibility, &edge);
+    if (sees_by_cells(taps, &visibility))
+        hidden = check_visibility(lens, surfaces + chosen[i].x, group, ray, w, division, &visibility, &edge);
+    visibility.behind = hidden == HIDDEN;
     const int state = check_visibility(lens, surfaces + chosen[i].x, group, ray, w, division, 0, &edge);
     seen[i] = (int4)(state, edge, visibility.wide, visibility.count);
     for (int t = i * TAPS; t < (i + 1) * TAPS; ++t) {
@@ -155,6 +157,7 @@ class Met:
     share: Array
     expected_state: Array
     expected_edge: Array
+    expected_wide: Array
     expected: Array
     blocked: Array
 
@@ -179,7 +182,20 @@ def meet(
     chosen = np.stack([points["surface"], points["own"], points["root"], 0 * points["own"]], axis=-1)
     turn = np.arange(count) * 2.4  # slopes of R in every direction, none at some points
     gradient = (np.arange(count) % 5 * 0.1 * np.stack([np.cos(turn), np.sin(turn)])).T
-    wide = is_wide(radius, extent, width)
+    reach = pixel_reach(radius) / np.maximum(np.abs(radius), 1.0) if width == 1.0 else np.ones(count)
+    wide, state, edge = is_wide(radius, extent, width), np.zeros(count, np.uint8), np.zeros(count, bool)
+    checked = []
+    for key in np.unique(chosen, axis=0):
+        (k, own, root, _), at = key.tolist(), np.flatnonzero((chosen == key).all(axis=1))
+        rays, nothing = np.stack([points["x"][at], points["y"][at], np.ones(at.size)], axis=-1), np.zeros(at.size)
+        # Slopes of whole pixels are over another radius.
+        slope = gradient[at] * reach[at, None]
+        state[at], edge[at], visibility = check_visibility(
+            LENS, placed[k : k + 1], [cutting_bounds(items[k])], OcclusionGroup(1, 1, 0 if own else -1, root),
+            point_spread(psf), Points(rays, points["w"][at], radius[at], nothing, nothing, width, slope),
+        )  # fmt: skip
+        wide[at[visibility.row >= 0]] = visibility.wide
+        checked.append((k, at, rays, visibility))
     cells = np.where(wide, np.maximum(np.abs(radius), PIXEL_CELLS), LENS_CELLS / extent) * np.where(radius < 0, -1, 1)
     rim = np.abs(cells) * extent  # within which taps of wide lenses stay where they are
     taps = some_taps(count, np.where(wide, np.sqrt(np.maximum(rim * rim - 2 * rim, (rim / 8) ** 2)), rim))
@@ -188,28 +204,17 @@ def meet(
         number(extent), number(width), np.stack([points[k] for k in "xyw"], axis=-1).astype(REAL[real]),
         chosen.astype(np.int32), radius.astype(number), gradient.astype(number), taps, *buffers,
     )  # fmt: skip
-    seen = download(session, buffers[0], (count, 4), np.int32)
-    if width == 1.0:
-        # Slopes of whole pixels are over another radius.
-        gradient = gradient * (pixel_reach(radius) / np.maximum(np.abs(radius), 1.0))[:, None]
-    state, edge, blocked = np.zeros(count, np.uint8), np.zeros(count, bool), np.zeros((count, TAPS), bool)
-    expected = np.zeros((count, TAPS))
-    for key in np.unique(chosen, axis=0):
-        (k, own, root, _), at = key.tolist(), np.flatnonzero((chosen == key).all(axis=1))
-        rays, nothing = np.stack([points["x"][at], points["y"][at], np.ones(at.size)], axis=-1), np.zeros(at.size)
-        state[at], edge[at], visibility = check_visibility(
-            LENS, placed[k : k + 1], [cutting_bounds(items[k])], OcclusionGroup(1, 1, 0 if own else -1, root),
-            point_spread(psf), Points(rays, points["w"][at], radius[at], nothing, nothing, width, gradient[at]),
-        )  # fmt: skip
-        expected[at] = state[at, None] == CLEAR
+    expected, blocked = (state == CLEAR)[:, None] * np.ones(TAPS), np.zeros((count, TAPS), bool)
+    for k, at, rays, visibility in checked:
         partly = at[visibility.row >= 0]
         for tap in range(TAPS):
             expected[partly, tap] = free_share(visibility, *taps[partly, tap].T.astype(np.float64))
         ends = lens_points(LENS, cells[at, None], taps[at, :, 0], taps[at, :, 1])
         item, pose = surfaces[k]
         blocked[at] = crossings(item, pose, (rays / points["w"][at, None])[:, None], ends)
+    seen = download(session, buffers[0], (count, 4), np.int32)
     share = download(session, buffers[1], (count, TAPS), np.float32)
-    return Met(seen[:, 0], seen[:, 1] != 0, seen[:, 2] != 0, seen[:, 3], share, state, edge, expected, blocked)
+    return Met(seen[:, 0], seen[:, 1] != 0, seen[:, 2] != 0, seen[:, 3], share, state, edge, wide, expected, blocked)
 
 
 def is_wide(radius: Array, extent: float, width: float) -> Array:
@@ -239,8 +244,10 @@ def test_any_surface_before_any_point(session: Session, run_source: Runner, psf:
     assert (met.edge == met.expected_edge).all()
     assert met.edge.mean() > 0.1
     assert (met.count == (met.state == PARTLY)).mean() > 0.95  # edges of pixels near the focus are sharper for the blur
-    assert (met.wide == is_wide(points["radius"], point_spread(psf).extent, width)).all()
-    error = np.abs(met.share - met.expected)[~other & (met.state == PARTLY)]
+    sure = ~other & (met.state == PARTLY)
+    assert (met.wide == met.expected_wide)[sure].all()
+    assert (met.wide != is_wide(points["radius"], point_spread(psf).extent, width))[sure].any() == bool(gather)
+    error = np.abs(met.share - met.expected)[sure]
     # h has terms of up to some ten widths of the edge, each rounded to 6e-8 of that, and the step is up to 1.5 times as
     # steep.
     assert np.quantile(error, 0.99) < 1e-5

@@ -90,11 +90,10 @@ def tap_division(division: Division, radius: Array, by_cells: Mask) -> Division:
 
 def sees_by_cells(division: Division, place: Array) -> Mask:
     """True (N,) of pixels that look through the cells of the lens, however narrow their blur is, as all that hides it
-    is far: see kernels/common/visibility_test.clh. place (N,): least of what hides the lens, px per lens radius;
-    infinite where nothing does."""
+    is far: see kernels/common/visibility_test.clh. place (N,): least of what hides the lens, px per lens radius."""
     least = np.maximum(FAR_PLACE * np.minimum(division.blur / FOCUSED, 1.0), FAR_RADII * division.blur)
     is_pixel = (np.asarray(division.width) == 1.0) & (division.blur < WIDE_LENS)
-    return np.asarray(is_pixel & np.isfinite(place) & (place >= least))
+    return np.asarray(is_pixel & (place >= least))
 
 
 def source_ways(division: Division, place: Array) -> tuple[Array, Array, Array]:

@@ -398,7 +398,8 @@ def check_visibility(
             if has_ray_means(psf):
                 division, taps = _by_rays(psf, points, division)
             again, _, found, place = _meet_occluders(lens, surfaces, bounds, group, points, division)
-            far = sees_by_cells(division, place) & ~by_cells
+            hidden = np.any([mask for mask, _ in found], axis=0)
+            far = hidden & sees_by_cells(division, place) & ~by_cells
             if psf.diffracted or not far.any():
                 break
             by_cells = by_cells | far
