@@ -151,25 +151,27 @@ class _Opening:
         self.low, high = (np.stack(np.broadcast_arrays(*each)) for each in zip(*ends, strict=True))
         self.low, self.high = self.low.max(axis=0), np.maximum(high.min(axis=0), self.low.max(axis=0))
 
-    def _ends(self, v: Array) -> tuple[Array, Array]:
-        """Beginnings and ends of chords of each circle, and within each edge, down the column at v px, px."""
-        beginnings, ends = [], []
+    def _each(self, v: Array) -> Iterator[tuple[Array | float, Array | float]]:
+        """Beginning and end of the chord of each circle, and within each edge, down the column at v px, px."""
         for x, y, far, over in self.circles:
-            half = np.sqrt(np.maximum((far - (v - x)) * (far + (v - x)), 0.0)) * over
-            middle = y + self.lean * (v - x)
-            beginnings.append(middle - half)
-            ends.append(middle + half)
+            aside = v - x
+            half, middle = np.sqrt(np.maximum((far - aside) * (far + aside), 0.0)) * over, y + self.lean * aside
+            yield middle - half, middle + half
         for across, down, reach in self.edges:
             at = (reach - across * v) / down
-            beginnings.append(np.where(down < 0.0, at, -FAR))
-            ends.append(np.where(down < 0.0, FAR, at))
+            yield np.where(down < 0.0, at, -FAR), np.where(down < 0.0, FAR, at)
+
+    def _ends(self, v: Array) -> tuple[Array, Array]:
+        """All beginnings, and all ends."""
+        beginnings, ends = zip(*self._each(v), strict=True)
         return np.stack(np.broadcast_arrays(*beginnings)), np.stack(np.broadcast_arrays(*ends))
 
     def chords(self, v: Array) -> tuple[Array, Array]:
         """Beginnings and ends of chords of the opening."""
-        beginnings, ends = self._ends(v)
-        beginning = beginnings.max(axis=0)
-        return beginning, np.maximum(ends.min(axis=0), beginning)
+        beginning, ending = np.full(v.shape, -FAR), np.full(v.shape, FAR)
+        for first, last in self._each(v):
+            beginning, ending = np.maximum(beginning, first), np.minimum(ending, last)
+        return beginning, np.maximum(ending, beginning)
 
     def places(
         self, start: Array, end: Array, flat: NDArray[np.bool_], axes: int, count: int = STEEP_CHORDS

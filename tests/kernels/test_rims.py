@@ -16,7 +16,7 @@ from clsco.constants import BAND
 from clsco.errors import SceneError
 from clsco.optics.lens import Lens, blur_radius
 from clsco.optics.point_spread import point_spread
-from clsco.optics.rims import rim_throughput
+from clsco.optics.rims import frame_throughput, rim_throughput
 from clsco.scene.model import Scene
 from tests.pipeline.test_strips import memory_for
 from tests.scenes import scene_from
@@ -292,6 +292,20 @@ def test_throughput_is_that_of_the_overlap() -> None:
         assert found == pytest.approx([overlap(size, abs(center)) for center, size in circles], abs=1e-4)
         assert found[1] == pytest.approx(found[2], abs=1e-4)
         assert found[3] == 0.0
+
+
+def test_throughput_of_wide_frames_is_that_of_each_pixel() -> None:
+    """At its own point in focus, from where rims cut nothing to where they let nothing through."""
+    camera = {"aperture_diameter": 10.0, "focus_distance": 250.0, "pixel_pitch": 0.02, "resolution": [700, 2]}
+    scene = scene_from({"camera": camera, "aperture": {"rim": [{"distance": 35.0, "diameter": 11.0}]}}, SLOPED)
+    psf, lens = point_spread(scene.psf, scene.aperture), Lens.of(scene.camera)
+    slopes = np.stack([(np.arange(700) - 349.5) * 0.02 / 20.0, np.full(700, 0.01 / 20.0)], axis=-1)
+    right = rim_throughput(lens, psf, slopes, np.full(700, 1 / 250.0), np.zeros(700))
+    assert right.max() == pytest.approx(1.0, abs=1e-5)
+    assert right.min() == 0.0
+    error = np.abs(frame_throughput(scene, 0.0, psf)[0] - right)
+    assert error.max() < 1e-3
+    assert error.mean() < 1e-4
 
 
 @pytest.mark.slow
