@@ -111,10 +111,10 @@ def table(columns: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
 
 def errors(settings: Mapping[str, str], scenes: Mapping[str, tuple[str, ...]]) -> str:
     """PSNR of whole frames in accuracy.md: rows by name of their setting, columns by names of their scenes."""
-    found = {row["setting"]: row for row in result_rows("accuracy.md")}
+    rows = {row["setting"]: row for row in result_rows("accuracy.md")}
 
     def cells(setting: str) -> list[str]:
-        columns = ([found[setting][name].split(" / ")[0] for name in names] for names in scenes.values())
+        columns = ([rows[setting][name].split(" / ")[0] for name in names] for names in scenes.values())
         return [settings[setting], *(", ".join(column) for column in columns)]
 
     return table(("settings", *scenes), map(cells, settings))
