@@ -50,7 +50,9 @@ NUMBERS_HEAD = """\
 ## Numbers
 
 A number agrees where it is the stated one in all stated digits, or within a stated bound: "(around) 6 pixels" is read
-as at most 6.5. Numbers of figures 4.13, 4.16 and 4.17 depend on sizes that the thesis does not state. """
+as at most 6.5. Numbers of figures 4.13, 4.16 and 4.17 depend on sizes that the thesis does not state.
+
+"""
 COLUMNS = ("figure", "what", "stated", "got", "verdict", "note")
 INPUTS_HEAD = "Inputs, as stated:\n\n"
 ALL_NUMBERS = "[all numbers](../benchmarks/results/thesis_numbers.md)"
