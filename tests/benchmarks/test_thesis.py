@@ -165,12 +165,15 @@ def test_only_what_is_stated_as_a_bound_is_one() -> None:
     ],
 )
 def test_what_the_page_says_of_a_number(number: Number, verdict: str) -> None:
-    assert f"| 4 | {verdict} |" in thesis.page((), {number: 4.0})
+    row = f"| 4 | {verdict} |"
+    assert row in thesis.numbers_page({number: 4.0})
+    assert (row in thesis.page((), {number: 4.0})) == (verdict != "agrees")
 
 
 def test_inputs_are_listed_apart() -> None:
-    page = thesis.page((), {Number("4.13", "sub-frames", "4", (), float, is_input=True): 4.0})
-    assert "Inputs, as stated:\n\n- 4.13: sub-frames 4\n" in page
+    values: thesis.Values = {Number("4.13", "sub-frames", "4", (), float, is_input=True): 4.0}
+    assert "Inputs, as stated:\n\n- 4.13: sub-frames 4\n" in thesis.numbers_page(values)
+    assert "\n1 of 1 agree (" in thesis.page((), values)
 
 
 def test_figures_before_filling_are_those_that_are_filled_later() -> None:
