@@ -112,13 +112,14 @@ quick_option = click.option("--quick", is_flag=True, help="A small grid: a minut
 def thesis(out: Path, numbers: tuple[str, ...], device: str | None, quiet: bool) -> None:
     """Render the figures of the thesis, with a page of the numbers that it states and those that are measured.
 
-    DIR/thesis.html is the page, for a browser, and DIR/thesis.md the same as text; with --only they are called
-    thesis_only. They are written when all else is there; each scene has a folder with its frames in DIR.
+    DIR/thesis.html is the page, for a browser, DIR/thesis.md that of the documentation, and DIR/thesis_numbers.md all
+    numbers; with --only they are called thesis_only. They are written when all else is there; each scene has a folder
+    with its frames in DIR.
     """
     figures, stated = chosen(numbers)
     require_device(device)
     name = page.PART if numbers else page.PAGE
-    pages = [writable_folder(out) / f"{name}{ending}" for ending in (".html", ".md")]
+    pages = [writable_folder(out) / f"{name}{ending}" for ending in (".html", ".md", page.NUMBERS_PAGE)]
     for path in pages:
         remove(path)  # an older page is not whole any more
     page.write_page(out, name, figures, page.render(out, figures, stated, device, quiet))

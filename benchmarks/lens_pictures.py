@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import clsco
-from benchmarks.apertures_picture import heart
 
 ROWS, COLUMNS, APART, GAP = 144, 208, 32, 4  # px
 BRIGHTNESS, DARKNESS = 120.0, 0.008  # of a point, and of all between
@@ -27,6 +26,13 @@ CAMERA = {
 CAT_EYE = [{"distance": 16.0, "diameter": 17.0}, {"distance": -6.0, "diameter": 13.0}]  # mm
 FAR, FOCUS, NEAR = 1000.0, 100.0, 53.0  # mm
 WAVES = {"model": "wave", "wavelengths": [20000.0] * 3}  # Q is 0.23 px
+
+
+def heart(count: int = 256) -> NDArray[np.float32]:
+    """Transmission (count, count) of the heart (x^2 + y^2 - a)^3 < b x^2 y^3."""
+    at = (np.arange(count) + 0.5) * 2 / count - 1
+    x, y = at[None, :], 0.1 - at[:, None]
+    return ((x * x + y * y - 0.35) ** 3 < 1.2 * x * x * y**3).astype(np.float32)
 
 
 @dataclass(frozen=True)

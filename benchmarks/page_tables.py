@@ -7,7 +7,7 @@ compares them.
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -26,6 +26,48 @@ MEMORY = {
     "`clsco.render`": "render", "`clsco.defocus`": "defocus", "`clsco.defocus`, layered occlusion": "layered",
     "`clsco defocus` of files": "map",
 }  # fmt: skip
+STILL_SETTINGS = {
+    "thesis": "the thesis' (sampled PSF)", "edge area": '`psf.edge = "area"`',
+    "integrated, no tilt, no silhouettes": "no tilt, no silhouettes", "no tilt": "no tilt",
+    "no silhouettes": "no silhouettes", "defaults": "defaults",
+}  # fmt: skip
+STILL_SCENES = {
+    "sphere": ("sphere",), "cylinder": ("cylinder",), "ellipsoid": ("ellipsoid",), "cone": ("cone",),
+    "plane tilted in x, in both": ("plane_b1.5", "plane_b1_c1"),
+}  # fmt: skip
+MOVING_SETTINGS = {
+    "thesis": "the thesis' (forward warp, 5 endpoints)", "5 samples": "5 time samples", "forward": "forward warp",
+    "bilinear": '`motion.texture_filter = "bilinear"`', "defaults": "defaults",
+}  # fmt: skip
+MOVING_SCENES = {
+    "plane moving 17 px, in focus": ("plane_moving_250",), "plane moving 17 px, defocused": ("plane_moving_240",),
+    "sphere turning": ("sphere_turning",), "sphere turning and moving": ("sphere_moving_turning",),
+}  # fmt: skip
+DEVIATION_CAUSES = {
+    "the scene asks for approximations": ("thesis_pipeline",),
+    "a projected texture is seen anew": (
+        "background", "bowl", "camera_motion", "dolly_zoom", "lens_fast_prime", "plane_approaching", "plane_turning",
+        "road", "rolling_fan", "rolling_train", "tube", "wide_angle",
+    ),
+    "partly hidden points near the focus, corners, textures behind outlines": (
+        "cat-eye, near card", "distortion below R 2", "hand_held", "lit", "occlusion_ground", "occlusion_tube",
+        "stereo",
+    ),
+}  # fmt: skip
+OCCLUSION_SCENES = {
+    "near_sphere": "near sphere before a far plane, both blurred", "sharp_near": "sharp sphere, blurred plane",
+    "sharp_far": "blurred sphere, sharp plane", "three": "sphere, cylinder, plane",
+    "ground": "sphere standing on a floor", "interpenetrating": "two spheres through one another",
+    "passing": "ball passing behind a pillar", "card": "card before a plane",
+    "wire": "wire, thinner than its blur", "tube": "tube, seen inside", "alone": "one sphere, nothing overlaps",
+}  # fmt: skip
+SOFT_DEPTHS = {
+    "averaged": "averaged over the pixel", "blurred by 0.7 px": "blurred by 0.7 px",
+    "blurred by 2 px": "blurred by 2 px", "halved, bilinear": "halved, enlarged bilinearly",
+    "halved, bicubic": "halved, enlarged bicubically",
+    "codes halved, bicubic, then JPEG": "8 bits, halved, bicubic, JPEG of quality 90",
+    "codes, JPEG": "8 bits, hard, JPEG of quality 90",
+}  # fmt: skip
 CARD_CASES = (
     ("sphere, 512 x 512", "H100", "sphere, 512 x 512"),
     ("sphere, 1920 x 1080, R to 15 px", "H100", "sphere, 1920 x 1080"),
@@ -43,7 +85,7 @@ CARD_CASES = (
 
 
 def result_rows(name: str) -> list[Row]:
-    """Rows of all Markdown tables of a result file, by the names of their columns."""
+    """Rows of all Markdown tables of a result file, by the names of their columns; `cost` gets that before it."""
     rows: list[Row] = []
     columns: list[str] = []
     for line in (RESULTS / name).read_text("utf-8").splitlines():
@@ -51,7 +93,10 @@ def result_rows(name: str) -> list[Row]:
         if not cells:
             columns = []
         elif not columns:
-            columns = cells
+            before = ["", *cells[:-1]]
+            columns = [
+                f"cost of {b.strip('`')}" if name == "cost" else name for b, name in zip(before, cells, strict=True)
+            ]
         elif not cells[0].startswith("---"):
             rows.append(dict(zip(columns, cells, strict=True)))
     return rows
@@ -62,6 +107,84 @@ def table(columns: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
     head = list(columns)
     lines = ["| " + " | ".join(cells) + " |\n" for cells in [head, *rows]]
     return "".join([lines[0], "|---" * len(head) + "|\n", *lines[1:]])
+
+
+def errors(settings: Mapping[str, str], scenes: Mapping[str, tuple[str, ...]]) -> str:
+    """PSNR of whole frames in accuracy.md: rows by name of their setting, columns by names of their scenes."""
+    rows = {row["setting"]: row for row in result_rows("accuracy.md")}
+
+    def cells(setting: str) -> list[str]:
+        columns = ([rows[setting][name].split(" / ")[0] for name in names] for names in scenes.values())
+        return [settings[setting], *(", ".join(column) for column in columns)]
+
+    return table(("settings", *scenes), map(cells, settings))
+
+
+def still() -> str:
+    return errors(STILL_SETTINGS, STILL_SCENES)
+
+
+def moving() -> str:
+    return errors(MOVING_SETTINGS, MOVING_SCENES)
+
+
+def textures() -> str:
+    rows = [row for row in result_rows("surface_textures.md") if row["frame 50"]]
+    objects = dict.fromkeys(row["object"] for row in rows)
+    ranges: dict[tuple[str, str], str] = {}
+    for row in rows:
+        figures = [float(row[name]) for name in row if name.startswith("frame ")]
+        ranges[row["shutter"], row["object"]] = f"{min(figures)}, {max(figures)}"
+    return table(("shutter", *objects), ([way, *(ranges[way, name] for name in objects)] for way in ("closed", "open")))
+
+
+def judged() -> str:
+    """Deviations of frames from rays by their causes, and the scenes without any."""
+    rows = [row for row in result_rows("judged.md") if not row["dB"].startswith("not judged")]
+    off = {row["scene"]: row for row in rows if not row["beyond"].startswith("0 ")}
+    causes = {name: cause for cause, names in DEVIATION_CAUSES.items() for name in names}
+
+    def span(group: Iterable[Row]) -> str:
+        return " to ".join(dict.fromkeys(f"{end(float(row['dB']) for row in group)}" for end in (min, max)))
+
+    def worst(row: Row) -> str:
+        right, got = map(float, row["right, got"].split(", "))
+        return f"`{row['scene']}` {abs(got - right):.2f}"
+
+    groups = {cause: [row for name, row in off.items() if causes[name] == cause] for cause in DEVIATION_CAUSES}
+    lines = [[cause, ", ".join(map(worst, group)), span(group)] for cause, group in groups.items()]
+    others = [row for row in rows if row["scene"] not in off]
+    lines.append(["none beyond 0.01", f"{len(others)} others", span(others)])
+    return table(("cause", "scenes, with the worst pixel's deviation", "dB"), lines)
+
+
+def occlusion() -> str:
+    def cells(row: Row) -> list[str]:
+        times = [row[name].rstrip("x") for name in ("cost of layered", "cost of visibility")]
+        return [
+            OCCLUSION_SCENES[row["scene"]],
+            row["`none`"],
+            row["`layered`"],
+            times[0],
+            row["`visibility`"],
+            times[1],
+        ]
+
+    columns = ("scene", "`none`", "`layered`", "time", "`visibility`", "time")
+    return table(columns, map(cells, result_rows("occlusion.md")))
+
+
+def soft_depths() -> str:
+    rows = {(row["scene"], row["depth"]): row for row in result_rows("soft_depths.md") if row["textures"] == "plain"}
+    scenes = ("near blurred", "far blurred", "both blurred")
+
+    def cells(depth: str) -> list[str]:
+        figures = [rows[scene, depth][name] for scene in scenes for name in ("RMS as it is", "RMS assigned")]
+        return [SOFT_DEPTHS[depth], *(f"{float(figure):.2g}" for figure in figures)]
+
+    hard = [f"{float(rows[scene, 'averaged']['RMS hard']):.2g}" for scene in scenes for _ in range(2)]
+    heads = (f"{scene}: {way}" for scene in ("near blurred", "far", "both") for way in ("as it is", "assigned"))
+    return table(("depth", *heads), [["hard", *hard], *map(cells, SOFT_DEPTHS)])
 
 
 def memory() -> str:
@@ -149,6 +272,9 @@ def inpainting() -> str:
 
 
 TABLES: dict[str, tuple[str, Callable[[], str]]] = {
+    "still": ("accuracy.md", still), "moving": ("accuracy.md", moving), "textures": ("accuracy.md", textures),
+    "judged": ("accuracy.md", judged), "occlusion": ("occlusion.md", occlusion),
+    "soft depths": ("depth_maps.md", soft_depths),
     "memory": ("speed.md", memory), "photographic": ("speed.md", photographic), "mitsuba": ("speed.md", mitsuba),
     "numba": ("speed.md", numba), "cards": ("speed.md", cards), "presets": ("video.md", video),
     "methods": ("inpainting.md", inpainting),

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 import clsco
-from benchmarks.apertures_picture import heart
+from benchmarks.lens_pictures import heart
 
 SIDE, REPETITIONS = 448, 5
 RADII = (6.0, 20.0)  # px

@@ -33,6 +33,7 @@ from clsco.scene.file import load_scene
 from clsco.scene.model import Scene
 
 PAGE, PART = "thesis", "thesis_only"  # of all figures, and of some; .md and .html
+NUMBERS_PAGE = "_numbers.md"  # after these names; that of all figures is in benchmarks/results
 PICTURES = "thesis_figures"
 ACROSS, SIDE, GAP, PAPER = 3, 256, 6, 250  # pictures in a row of a figure, and px
 QUALITY = 80  # of the figures beside the page, WebP; their files in DIR are PNG
@@ -54,6 +55,8 @@ as at most 6.5. Numbers of figures 4.13, 4.16 and 4.17 depend on sizes that the 
 """
 COLUMNS = ("figure", "what", "stated", "got", "verdict", "note")
 INPUTS_HEAD = "Inputs, as stated:\n\n"
+ALL_NUMBERS = "[all numbers](../benchmarks/results/thesis_numbers.md)"
+NUMBERS_TITLE = "# Numbers of the thesis\n\n`python -m benchmarks thesis -o DIR`\n"
 FIGURES_HEAD = """\
 ## Figures
 
@@ -144,18 +147,29 @@ def _small(figure: Figure) -> str:
     return f"{PICTURES}/{figure.number}.webp"
 
 
-def page(figures: Collection[Figure], values: Values) -> str:
-    """The page in Markdown: numbers, inputs, figures, and a list of figures that are not rendered."""
-    parts = [INTRODUCTION]
+def _numbers_table(values: Values) -> str:
+    head = _row(COLUMNS) + "|---" * len(COLUMNS) + "|\n"
+    return head + "".join(_row(_number_cells(*item)) for item in values.items())
+
+
+def numbers_page(values: Values) -> str:
+    """All numbers in Markdown, and the inputs."""
     inputs = {number: got for number, got in values.items() if _verdict(number, got) == "input"}
-    measured = {number: got for number, got in values.items() if number not in inputs}
-    if values:
-        head = _row(COLUMNS) + "|---" * len(COLUMNS) + "|\n"
-        parts.append(NUMBERS_HEAD + head + "".join(_row(_number_cells(*item)) for item in measured.items()))
+    parts = [NUMBERS_TITLE, _numbers_table({number: values[number] for number in values if number not in inputs})]
     if inputs:
         lines = (f"- {number.figure}: {number.what} {_got(number, got)}" for number, got in inputs.items())
         notes = (f" ({number.note})" * bool(number.note) for number in inputs)
         parts.append(INPUTS_HEAD + "".join(f"{line}{note}\n" for line, note in zip(lines, notes, strict=True)))
+    return "\n".join(parts)
+
+
+def page(figures: Collection[Figure], values: Values) -> str:
+    """The page in Markdown: numbers that do not agree, figures, and a list of figures that are not rendered."""
+    parts = [INTRODUCTION]
+    if values:
+        others = {number: got for number, got in values.items() if _verdict(number, got) not in ("agrees", "input")}
+        count = f"{len(values) - len(others)} of {len(values)} agree ({ALL_NUMBERS})."
+        parts.append(f"{NUMBERS_HEAD}{count} The others:\n\n{_numbers_table(others)}")
     if figures:
         cells = [f"![{figure.number}]({_small(figure)})<br>{figure.number}: {figure.shows}" for figure in figures]
         rows = (cells[first : first + ACROSS] for first in range(0, len(cells), ACROSS))
@@ -212,6 +226,8 @@ def write_page(out: Path, name: str, figures: Collection[Figure], values: Values
                 with whole_file(made / Path(_small(figure)).name) as file:
                     small_figure(out, figure).save(file, "WEBP", quality=QUALITY)
     with together(out, name) as made:
-        for ending, text in ((".md", page(figures, values)), (".html", html_page(figures, values))):
+        texts = {NUMBERS_PAGE: numbers_page(values)} if values else {}
+        texts |= {".md": page(figures, values), ".html": html_page(figures, values)}
+        for ending, text in texts.items():
             with whole_file(made / f"{name}{ending}") as file:
                 file.write(text.encode())

@@ -78,7 +78,6 @@ SHAKEN = {"shake": {"rotation_rms": 0.2, "translation_rms": 0.1, "band": [0.5, 3
 ZOOM = {"keyframe": [{"time": 0.0, "focal_length": 20.0}, {"time": 1.0, "focal_length": 21.0}]}
 
 PLAIN = {"tilt": False, "silhouette_samples": 1}
-AUTO = {"sequence": {"samples": "auto"}}
 SETTINGS: dict[str, dict[str, Any]] = {
     "thesis": {
         "psf": {"edge": "sampled", **PLAIN, "occlusion": "none"},
@@ -102,14 +101,12 @@ SETTINGS: dict[str, dict[str, Any]] = {
 }
 MOVING_SETTINGS: dict[str, dict[str, Any]] = {
     "endpoint": {"sequence": {"sampling": "endpoint"}},
-    "auto": AUTO,
-    "auto, endpoint": {"sequence": {"samples": "auto", "sampling": "endpoint"}},
-    "auto, bilinear": {**AUTO, "motion": {"texture_filter": "bilinear"}},
+    "5 samples": {"sequence": {"samples": 5}},
+    "bilinear": {"motion": {"texture_filter": "bilinear"}},
     "51 samples": {"sequence": {"samples": 51}},
     "51 samples, bilinear": {"sequence": {"samples": 51}, "motion": {"texture_filter": "bilinear"}},
-    "auto, nearest": {**AUTO, "motion": {"texture_filter": "nearest"}},
-    "auto, forward": {**AUTO, "motion": {"warp": "forward"}},
-    "auto, forward, span": {**AUTO, "motion": {"warp": "forward"}, "fill": {"domain": "span"}},
+    "nearest": {"motion": {"texture_filter": "nearest"}},
+    "forward": {"motion": {"warp": "forward"}},
 }
 
 

@@ -40,8 +40,8 @@ class Setting:
 
 
 SETTINGS = (
-    Setting("psf.occlusion", "layered", "31 to 43 dB where objects overlap", "docs/occlusion.md"),
-    Setting("psf.occlusion", "none", "24 to 36 dB where objects overlap", "docs/occlusion.md"),
+    Setting("psf.occlusion", "layered", "27 to 40 dB where objects overlap", "docs/occlusion.md"),
+    Setting("psf.occlusion", "none", "21 to 35 dB where objects overlap", "docs/occlusion.md"),
     Setting("psf.silhouette_samples", 1, "50 to 80 dB, lowest at outlines along rows or columns", "docs/accuracy.md"),
     Setting("sequence.samples", 5, "38 to 55 dB of motions of up to 17 px", "docs/accuracy.md"),
 )

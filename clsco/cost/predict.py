@@ -105,7 +105,7 @@ def host_work(plan: Plan) -> Work:
 
 
 def _abreast(plan: Plan, kind: str) -> int:
-    """Work-items that a pass has at a time: those of `gather` own bands of rows."""
+    """Number of work-items of a pass that can run in parallel: one per row, with `gather` one per band of rows."""
     return ceil(plan.strips[0].rows / BAND) if kind == "blur" and plan.blur == "gather" else plan.rows
 
 

@@ -244,7 +244,7 @@ def _of_part(
     plan: Plan, group: OcclusionGroup, lattice: Lattice, view: View, hits: Hits,
     part: tuple[NDArray[np.bool_], NDArray[np.bool_]],
 ) -> dict[str, Work]:  # fmt: skip
-    """The same of a part of the sources, by where they are, and where rays are cast for them (n, m)."""
+    """Work of a part of the sources, by masks of where they are and where their rays are cast (n, m)."""
     total, (made, cast) = lattice.total, part
     found = {"trace": _of_rays(plan, group, hits.number, lattice, cast)}
     found["trace"] |= {"test": total(cast * hits.tests), "cut test": total(cast * hits.cuts)}

@@ -62,7 +62,7 @@ class Identity:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of all of it."""
+        """SHA-256 of all fields."""
         return hashlib.sha256(line(self.record()).encode()).hexdigest()
 
     def record(self) -> dict[str, Any]:

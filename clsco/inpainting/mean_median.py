@@ -280,7 +280,7 @@ class Holes:
         self, wins: np.int32, minimum: int, limit: int, level: NDArray[np.int32], before: NDArray[np.int32],
         progress: Progress,
     ) -> NDArray[np.int32]:  # fmt: skip
-        """Sweeps until nothing is missing or there have been `limit`; numbers of sweeps and of pixels filled so far.
+        """Fill in sweeps, at most `limit`, until no pixel is missing; return the counts of sweeps and of filled pixels.
 
         level: valid neighbors of missing pixels (M,), 0 where one is filled; before: such numbers. Short sweeps run one
         after another on the device, long ones are launched one by one.

@@ -149,7 +149,7 @@ def _steep(radius: Array) -> tuple[Indices, Indices]:
 
 
 def _edges(radius: Array, stored: Array, line: Indices, column: Indices, top: int) -> _Edges:
-    """Edges of lines from number `top` on that are steepest at places."""
+    """Soft edges that are steepest between the pixels `column` and `column` + 1 of `line`; lines count from `top`."""
     between = _between_flat(stored, line, column)
     line, column = line[between], column[between]
     near = _steps(stored, line, column, 2)

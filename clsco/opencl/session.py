@@ -101,7 +101,7 @@ class Session:
         return found
 
     def unwatched(self) -> Session:
-        """The same session for work that nobody waits for."""
+        """This session without progress, for work that nobody waits for."""
         found = copy(self)
         found.progress = None
         return found

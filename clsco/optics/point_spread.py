@@ -111,7 +111,7 @@ class PointSpread:
         return "general" if self.signed else "symmetric"
 
     def of_side(self, side: int) -> PointSpread:
-        """The same for sources whose blur radii have one sign, 1 or -1, or for all: 0."""
+        """The PSF of sources whose blur radii have the sign `side`, 1 or -1; 0: of all."""
         return replace(self, side=side) if self.diffracted and self.layout == "general" else self
 
     @cached_property
@@ -161,8 +161,8 @@ class PointSpread:
 
     @property
     def cut_by_chords(self) -> bool:
-        """Weights of what rims cut are those of the opening that they leave, see `clsco.optics.chords`; else each tap
-        has a share of its own."""
+        """True if weights are those of the opening that the rims leave (`clsco.optics.chords`), false if each tap is
+        multiplied by the share of the lens that it sees."""
         round_lens = type(self.pupil) is Circle
         return bool(self.rims) and self.varying is None and (round_lens or self.pupil.borders is not None)
 

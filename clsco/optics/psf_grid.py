@@ -90,7 +90,7 @@ def _sampled_reach(psf: PointSpread, coordinate: Array) -> Array:
 
 
 def half_widths(psf: PointSpread, span: range, subpixel: bool) -> NDArray[np.int64]:
-    """Half-widths in px of the rows of intervals, of which a sampled PSF has as many as R^2."""
+    """Half-widths in px of the stencils of a span of intervals; a sampled PSF has about R^2 intervals."""
     if psf.edge == "sampled" and not subpixel:
         return np.floor(np.sqrt(_sampled_reach(psf, np.array(span)))).astype(np.int64)
     return psf.reaches(table_radius(psf, np.array(span) + 1.0, subpixel), subpixel)

@@ -227,7 +227,7 @@ def prepare_sources(
     target: Target, grid: Struct, psf: Struct, maps: tuple[cl.Buffer, ...], source: cl.Buffer, events: Events,
     rims: tuple[object, ...] = (),
 ) -> None:  # fmt: skip
-    """Enqueue what makes sources of a map of signed radii.
+    """Enqueue the kernel that turns a map of signed radii into sources.
 
     Parameters
     ----------

@@ -207,7 +207,7 @@ class PlacedScene:
 
     @cached_property
     def packed_maps(self) -> NDArray[np.void]:
-        """The same on the host."""
+        """texture_map_t of every object, on the host."""
         base = sum(self.channels * texture.radiance.shape[0] * texture.radiance.shape[1] for texture in self.stack)
         bases = {}
         for texture in self.mapped:

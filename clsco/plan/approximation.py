@@ -392,7 +392,7 @@ def _power(texture: Texture) -> tuple[Array, Array]:
 
 
 def _mapped_power(scene: Scene, number: int, texture: Texture, x: Array, y: Array) -> tuple[Array, Array]:
-    """The same of a texture on a surface, which rays of slopes (n,) meet in the middle of the sequence."""
+    """Power of a texture on a surface, which rays of slopes (n,) meet in the middle of the sequence."""
     time, item, image = middle_of(scene), scene.objects[number], texture.radiance
     mapped = texture_map(item, image.shape[1], image.shape[0])
     across = footprints(item, poses_at(scene, time)[number], mapped, camera_at(scene, time), x, y)

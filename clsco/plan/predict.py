@@ -146,7 +146,7 @@ def _kept_depths(scene: Scene, eye: Eye, guard: int) -> Array:
 
 
 def without_lens(scene: Scene) -> Scene:
-    """The same scene for all lenses and sensors, which rays do not depend on."""
+    """The scene without its lens and sensor, on which rays do not depend."""
     camera = scene.camera.model_copy(update=dict.fromkeys(LENS_KEYS))
     return scene.model_copy(update={"camera": camera, "sensor": None})
 

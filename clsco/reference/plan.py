@@ -166,8 +166,8 @@ def band_of(plan: ReferencePlan, view: View) -> int:
 
 
 def silhouettes_of(view: View, group: OcclusionGroup, guard: int, label: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Pixels (H, W) that get sub-pixel sources: near a change of the labels (H, W), and near what no ray through a
-    middle within SILHOUETTE_RANGE px hits."""
+    """Pixels (H, W) that get sub-pixel sources: those near a change of the labels (H, W), and those near an object that
+    the rays through all pixel centers within SILHOUETTE_RANGE px miss."""
     row, column = padded_grid(view.scene.camera, guard)
     bounds, center = [cutting_bounds(item) for item in view.scene.objects], label & 127
     missed = np.zeros(label.shape, dtype=bool)

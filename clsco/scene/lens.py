@@ -97,7 +97,7 @@ class Lens(Strict):
 
     @property
     def at_rest(self) -> Self:
-        """The same without changes over time."""
+        """The lens without keyframes."""
         return self.model_copy(update=dict.fromkeys(("keyframe", "interpolation", "outside")))
 
     @property

@@ -1,1 +1,1 @@
-"""A window in the browser: the five panels of the thesis, alive."""
+"""The scene editor in the browser."""

@@ -132,7 +132,7 @@ class Judgement:
         }  # fmt: skip
 
     def values(self) -> dict[str, Any]:
-        """The same for JSON."""
+        """Figures and pixels as values of JSON."""
         pixels, kinds = self.pixels, [CLASSES[k] for k in self.pixels.kind]
         numbers = (pixels.column, pixels.row, self.right, self.got, self.error)
         names = ("class", "column", "row", "right", "got", "error")

@@ -99,6 +99,12 @@ def test_keys_exist_and_have_their_defaults() -> None:
         assert str(default).lower() == (word or number), key
 
 
+def test_the_sensor_of_its_page_has_the_defaults() -> None:
+    lines = PAGES["docs/sensor.md"].partition("    [sensor]")[2].partition("\n\n")[0]
+    scene = clsco.parse_scene(f"[sensor]{lines}\n[[object]]\nshape = 'plane'")
+    assert scene.sensor == clsco.Sensor()
+
+
 @pytest.mark.parametrize("page", PAGES)
 def test_links_exist(page: str) -> None:
     text, folder = PAGES[page], (ROOT / page).parent

@@ -28,6 +28,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SCENES = ROOT / "examples" / "thesis"
 SAID = "figures, and numbers as stated and as measured"
 DOCUMENT = (ROOT / "docs" / "thesis.md").read_text("utf-8")
+ALL_NUMBERS = (ROOT / "benchmarks/results/thesis_numbers.md").read_text("utf-8")
 
 
 def run(*words: object) -> Result:
@@ -51,7 +52,10 @@ def test_some_figures_have_the_rows_of_the_document(tmp_path: Path) -> None:
     assert whole.read_text("utf-8") == "all figures"
     page = (tmp_path / "thesis_only.md").read_text("utf-8")
     assert {row for row in rows(page) if "![" not in row} < set(rows(DOCUMENT))
-    assert len(rows(page)) == 3 + 9 + 1 + 3  # heads, numbers, figures, and what is not rendered
+    assert len(rows(page)) == 3 + 1 + 1 + 3  # heads, numbers, figures, and what is not rendered
+    numbers = (tmp_path / "thesis_only_numbers.md").read_text("utf-8")
+    assert set(rows(numbers)) < set(rows(ALL_NUMBERS))
+    assert len(rows(numbers)) == 1 + 9
     shown = (tmp_path / "thesis_only.html").read_text("utf-8")
     assert shown.count("<figure>") == 3
     for name in re.findall(r'src="([^"]+)"', shown):
@@ -59,9 +63,9 @@ def test_some_figures_have_the_rows_of_the_document(tmp_path: Path) -> None:
     assert "<td>36993</td><td>36993</td><td>agrees</td>" in shown
     with Image.open(tmp_path / "thesis_figures/4.9.webp") as small:
         assert small.size == (3 * SIDE + 2 * GAP, SIDE)
-    assert "| 4.15 | filled in the first sweep | 36993 | 36993 | agrees |  |" in page
+    assert "| 4.15 | filled in the first sweep | 36993 | 36993 | agrees |  |" in numbers
     assert "| 4.9 | missing pixels |  | 19680 | not stated |  |" in page
-    assert "| section 4.3.3 | 10 mm at 285 mm, px | 70 | 70.18 | agrees |" in page
+    assert "| section 4.3.3 | 10 mm at 285 mm, px | 70 | 70.18 | agrees |" in numbers
     assert names(tmp_path / "fig_4_09") == ["frame_0000.json", "frame_0000.png", "missing.png"]
     assert read_complete(tmp_path / "fig_4_14", 0) is not None
     mask = read_image(tmp_path / "fig_4_09/missing.png").data
@@ -73,6 +77,7 @@ def test_some_figures_have_the_rows_of_the_document(tmp_path: Path) -> None:
 def test_all_figures_are_the_document(tmp_path: Path) -> None:
     assert run("thesis", "-o", tmp_path).exit_code == 0
     assert (tmp_path / "thesis.md").read_text("utf-8") == DOCUMENT
+    assert (tmp_path / "thesis_numbers.md").read_text("utf-8") == ALL_NUMBERS
     pictures = {picture for figure in FIGURES for picture in figure.pictures}
     assert pictures <= set(names(tmp_path))
     for figure in FIGURES:
@@ -160,12 +165,15 @@ def test_only_what_is_stated_as_a_bound_is_one() -> None:
     ],
 )
 def test_what_the_page_says_of_a_number(number: Number, verdict: str) -> None:
-    assert f"| 4 | {verdict} |" in thesis.page((), {number: 4.0})
+    row = f"| 4 | {verdict} |"
+    assert row in thesis.numbers_page({number: 4.0})
+    assert (row in thesis.page((), {number: 4.0})) == (verdict != "agrees")
 
 
 def test_inputs_are_listed_apart() -> None:
-    page = thesis.page((), {Number("4.13", "sub-frames", "4", (), float, is_input=True): 4.0})
-    assert "Inputs, as stated:\n\n- 4.13: sub-frames 4\n" in page
+    values: thesis.Values = {Number("4.13", "sub-frames", "4", (), float, is_input=True): 4.0}
+    assert "Inputs, as stated:\n\n- 4.13: sub-frames 4\n" in thesis.numbers_page(values)
+    assert "\n1 of 1 agree (" in thesis.page((), values)
 
 
 def test_figures_before_filling_are_those_that_are_filled_later() -> None:

@@ -151,7 +151,7 @@ class FourierDiffracted(Diffracted):
 
     @property
     def upright(self) -> FourierDiffracted:
-        """The same behind a wavefront that several places of a field share, mirrored as weights are."""
+        """The pupil with its wavefront mirrored upright, which several places of a field share."""
         if not is_round(self.opening) or self.wavefront.zernike:
             return self
         return replace(self, wavefront=self.wavefront.upright)

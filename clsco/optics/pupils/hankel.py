@@ -67,7 +67,7 @@ class HankelDiffracted(Diffracted):
         return np.maximum(found, 0.0)
 
     def _interpolated(self, places: NDArrayComplex, radii: Array, tent: bool) -> Array:
-        """The same by polynomials in the radius, which the weights are smooth in: to 1e-9 where Q is 0.1 px or more."""
+        """Weights at radii, interpolated by polynomials in the radius: within 1e-9 where Q is 0.1 px or more."""
         panel = min(PANEL, 2.0 * self.narrowest)
         numbers, which, factors = panels_of(radii, panel)
         nodes = panel_nodes(numbers, panel)

@@ -175,7 +175,7 @@ class Outline(Pupil):
         return float(0.5 * (along_x / self.squeeze**2 + along_y) / self.area)
 
     def _walked(self) -> Iterable[tuple[Array, Array, Array, Array]]:
-        """Places x, y at the nodes of each arc, and their changes."""
+        """Coordinates x, y of the quadrature nodes on each arc, and their derivatives along it."""
         for each in self.arcs:
             x, y = each.at(_nodes()[0])
             yield x, y, *each.slope(x, y)

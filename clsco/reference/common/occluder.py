@@ -48,7 +48,7 @@ class Occluder:
     trails: Array | float = 1.0
 
     def of(self, chosen: NDArray[Any]) -> Occluder:
-        """The same for some of the points."""
+        """Arrays of the chosen points."""
         arrays = {k: v[chosen] for k, v in vars(self).items() if isinstance(v, np.ndarray)}
         limits, needed = (tuple(array[chosen] for array in arrays) for arrays in (self.limits, self.needed))
         return Occluder(**arrays, limits=limits, needed=needed)
@@ -71,7 +71,7 @@ class Cut:
     both: Array | None = None
 
     def of(self, chosen: NDArray[Any]) -> Cut:
-        """The same for some of the taps."""
+        """Arrays of the chosen taps."""
         return Cut(**{name: array[..., chosen] for name, array in vars(self).items() if array is not None})
 
 
@@ -99,7 +99,7 @@ def soft_step(t: Array) -> Array:
 
 
 def two_boxes(t: Array, part: Array) -> Array:
-    """The same that two boxes of widths `part`, 1/2 at most, and 1 - part make of a sharp one."""
+    """Step from 0 at t = -1/2 to 1 at 1/2: a sharp one blurred by boxes of widths `part`, at most 1/2, and 1 - part."""
     left = np.maximum(0.5 - np.abs(t), 0.0)
     least = np.minimum(left, part)
     beyond = least * (2.0 * left - least) / (2.0 * part * (1.0 - part))

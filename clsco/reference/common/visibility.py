@@ -293,7 +293,7 @@ class Circle:
     scale: Array
 
     def of(self, chosen: NDArray[Any]) -> Circle:
-        """The same for some of the sources."""
+        """Arrays of the chosen sources."""
         return Circle(*(getattr(self, name)[chosen] for name in ("cuts", "x", "y", "radius", "scale")))
 
 
@@ -363,7 +363,7 @@ class Visibility:
     part: Array | None = None
 
     def of(self, chosen: NDArray[Any] | slice) -> Visibility:
-        """The same for some of the sources."""
+        """Arrays of the chosen sources."""
         row = self.row[chosen]
         there = row[row >= 0]
         occluders = tuple(

@@ -27,7 +27,7 @@ NARROW_MIDDLE = 7  # px along an axis: farther taps of a lens that is not wide s
 
 
 def bend_visibility(visibility: Visibility, shape: Array) -> Visibility:
-    """The same for blur of ellipses; shape (M, 3): see `clsco.optics.ellipses.shape_of`."""
+    """Visibility for sources that blur to ellipses; shape (M, 3): see `clsco.optics.ellipses.shape_of`."""
     across = across_of(shape)
     bent = np.where(visibility.wide[:, None], across, across[:, ::-1] * (1.0, -1.0, 1.0))
     return replace(visibility, bent=bent, lean=np.stack(_bent(bent, *visibility.lean.T), axis=-1))
@@ -78,7 +78,7 @@ def free_share(visibility: Visibility, x: Array, y: Array) -> Array:
 
 
 def _free_of_all(visibility: Visibility, x: Array, y: Array, cut: Cut) -> Array:
-    """The same where taps are moved to the middle of what they see."""
+    """Share of the lens that all occluders leave free, with taps moved to the middle of what they see."""
     share, across, down = np.ones_like(x), np.zeros_like(x), np.zeros_like(x)
     for mask, occluder in visibility.occluders:
         left = Part(share[mask], across[mask], down[mask])
