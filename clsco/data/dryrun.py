@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import re
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -16,11 +16,8 @@ from numpy.typing import NDArray
 
 from clsco.data.acceptance import Look, looks_of
 from clsco.data.build import located
-from clsco.data.compile import Parameter
 from clsco.data.dataset import TILE
-from clsco.data.distribution import Distribution, Drawn, Sample
-from clsco.data.draws import of_samples
-from clsco.data.values import ChoiceForm, Column, Files, Frustum, Turned
+from clsco.data.distribution import Distribution, Sample
 from clsco.errors import ClscoError, DeviceError, SceneError
 from clsco.files.images import write_png
 from clsco.files.transfer import encode
@@ -34,7 +31,6 @@ from clsco.plan.request import Request
 from clsco.scene.model import Scene
 from clsco.scene.toml import toml_text
 
-AT_A_TIME = 16384  # samples whose parameters are drawn
 LOOKED_AT = 128  # samples that rays are cast at
 SHOWN = 16  # on the contact sheet
 TIMED = 2  # samples of which a frame is rendered, twice: the first time to compile
@@ -42,6 +38,7 @@ LONG, LONGEST = 20.0, 120.0  # s, after which the second time has one sample, or
 TIME_SAMPLES = 8  # of a frame with motion blur on the contact sheet, at most
 BINS = 12
 VALUES = 8  # of a choice that are listed
+_MEMBER = re.compile(r"^(object\.[^.]+\.)\d+\.")  # name of a parameter of an object of a population
 BYTES = {"color": 2, "sharp": 2, "alpha": 2, "normal": 12, "flow": 8, "flow_backward": 8, "uv": 8}
 """Bytes of a pixel; of the first three for each channel. Masks have 1 byte, all other arrays 4."""
 MASKS = ("mask", "filled", "missing", "hidden", "flow_occluded", "occluded")
@@ -49,7 +46,7 @@ MASKS = ("mask", "filled", "missing", "hidden", "flow_occluded", "occluded")
 
 @dataclass(frozen=True)
 class Summary:
-    """Values of one parameter: lowest, mean and highest, or the shares of those of a choice, or what is known of it."""
+    """Values of one parameter: lowest, mean and highest of numbers, or the shares of texts, or how many there are."""
 
     name: str
     low: float | None
@@ -75,12 +72,11 @@ class DryRun:
     ----------
     count : int
         Samples of the set.
-    parameters : tuple of Summary
-        Values of all samples, as drawn first, before any is refused.
-    splits : dict of str to int
-        Samples of each split.
+    splits : dict of str to float
+        Share of each split.
     looked_at : int
         Samples that all below is from, at equal distances in the set.
+    parameters : tuple of Summary
     attempts : int
         Number of draws in all.
     failed : tuple of str
@@ -101,9 +97,9 @@ class DryRun:
     """
 
     count: int
-    parameters: tuple[Summary, ...]
-    splits: dict[str, int]
+    splits: dict[str, float]
     looked_at: int
+    parameters: tuple[Summary, ...]
     attempts: int
     failed: tuple[str, ...]
     histograms: tuple[SeenHistogram, ...]
@@ -145,9 +141,6 @@ def dry_run(
             failed += error.messages
     if not samples:
         raise SceneError(failed)
-    splits = Counter(
-        int(position) for position in of_samples(distribution.splits, seed, np.arange(count, dtype=np.uint64))
-    )
     planned = [_planned(sample, wanted) for sample in samples[:SHOWN]]
     frames = [len(s.scenes) * s.scenes[0].sequence.frames * len(views(s.scenes[0])) for s in samples]
     sizes = {name: fmean(frames) * fmean(size[name] for size, _ in planned) for name in wanted}
@@ -158,8 +151,8 @@ def dry_run(
         sheet = sheet_path
     return DryRun(
         count=count,
-        parameters=_summaries(distribution, seed, count),
-        splits={name: splits[k] for k, (name, _) in enumerate(distribution.splits)},
+        parameters=_summaries(samples),
+        splits=dict(distribution.splits),
         looked_at=many,
         attempts=sum(sample.attempts for sample in samples),
         failed=tuple(failed),
@@ -181,55 +174,22 @@ def show(distribution: Distribution, seed: int, number: int) -> str:
     return f"# Sample {number} of seed {seed}{split}, drawn {sample.attempts} times.\n{text}"
 
 
-class _Collected:
-    """Values of one parameter, some samples at a time."""
-
-    def __init__(self, parameter: Parameter) -> None:
-        self.name, self.form = parameter.name, parameter.form
-        self.counts: Counter[int] = Counter()
-        self.number, self.total, self.low, self.high = 0, 0.0, math.inf, -math.inf
-
-    def add(self, column: Column) -> None:
-        if isinstance(self.form, ChoiceForm | Files):
-            codes, many = np.unique(column, return_counts=True)
-            self.counts.update(dict(zip(codes.tolist(), many.tolist(), strict=True)))
-        elif column.size and not isinstance(self.form, Turned):
-            values = column[:, 2] if isinstance(self.form, Frustum) else column
-            self.number, self.total = self.number + values.size, self.total + float(values.sum())
-            self.low, self.high = min(self.low, float(values.min())), max(self.high, float(values.max()))
-
-    def summary(self) -> Summary:
-        if self.number:
-            note = "depth, mm" if isinstance(self.form, Frustum) else ""
-            return Summary(self.name, self.low, self.total / self.number, self.high, note)
-        if isinstance(self.form, Files):
-            return Summary(self.name, None, None, None, f"{len(self.counts)} of {len(self.form.names)} files")
-        total = max(1, sum(self.counts.values()))
-        listed = [f"{self.form.value(code)}: {n / total:.1%}" for code, n in sorted(self.counts.items())[:VALUES]]
-        more = f", and {len(self.counts) - VALUES} more" if len(self.counts) > VALUES else ""
-        uniform = "uniform on the sphere" if isinstance(self.form, Turned) else ""
-        return Summary(self.name, None, None, None, ", ".join(listed) + more + uniform)
+def _summaries(samples: Sequence[Sample]) -> tuple[Summary, ...]:
+    """Summaries of all parameters, those of the objects of a population together."""
+    values: dict[str, list[Any]] = {}
+    for sample in samples:
+        for name, value in sample.parameters.items():
+            values.setdefault(_MEMBER.sub(r"\1", name), []).append(value)
+    return tuple(_summary(name, own) for name, own in values.items())
 
 
-def _summaries(distribution: Distribution, seed: int, count: int) -> tuple[Summary, ...]:
-    """Summaries of all parameters over all samples, at their first attempt."""
-    parts = distribution.parts
-    fixed = [_Collected(one) for one in parts.parameters]
-    counts = [_Collected(population.count) for population in parts.populations]
-    members = [[_Collected(one) for one in population.parameters] for population in parts.populations]
-    for first in range(0, count, AT_A_TIME):
-        numbers = np.arange(first, min(first + AT_A_TIME, count), dtype=np.uint64)
-        drawn: Drawn = distribution.drawn(seed, numbers)
-        for one, column in zip(fixed, drawn.values, strict=True):
-            one.add(column)
-        for size, owner, own, columns in zip(counts, drawn.owners, members, drawn.members, strict=True):
-            many = np.bincount(owner, minlength=len(numbers))
-            size.number, size.total = size.number + len(many), size.total + float(many.sum())
-            size.low, size.high = min(size.low, float(many.min())), max(size.high, float(many.max()))
-            for one, column in zip(own, columns, strict=True):
-                one.add(column)
-    groups = zip(counts, members, strict=True)
-    return tuple(one.summary() for one in [*fixed, *(one for size, own in groups for one in (size, *own))])
+def _summary(name: str, values: list[Any]) -> Summary:
+    numbers = [each for value in values for each in (value if isinstance(value, list) else [value])]
+    if all(isinstance(number, int | float) for number in numbers):
+        return Summary(name, min(numbers), fmean(numbers), max(numbers), "")
+    counts = Counter(map(str, values))
+    listed = ", ".join(f"{text}: {n / len(values):.1%}" for text, n in sorted(counts.items()))
+    return Summary(name, None, None, None, listed if len(counts) <= VALUES else f"{len(counts)} values")
 
 
 def _histograms(samples: Sequence[Sample]) -> tuple[SeenHistogram, ...]:

@@ -55,7 +55,6 @@ def linked(tmp_path: Path, outside: Path) -> None:
         ('{object}texture = "folder/secret.png"', LINK),
         ('{object}texture = {{ choice = ["bricks", "../secret.png"] }}', OUT),
         ('{object}texture = {{ choice = ["bricks", "secret.png"] }}', LINK),
-        ('{object}texture = {{ constant = "secret.png" }}', LINK),
         ('{object}texture = {{ files = "../*.png" }}', "must be a pattern inside the folder"),
         ('{object}texture = {{ files = "{outside}/*.png" }}', "must be a pattern inside the folder"),
         ('{object}texture = {{ files = "*.png" }}', LINK),

@@ -170,21 +170,6 @@ def _many_channels(folder: Path) -> Made:
     return "bomb.exr", lambda path: read_exr(path, ["Y"])
 
 
-def _hard_links(folder: Path) -> Made:
-    """HDF5: one array under a thousand names of a sample."""
-    own, count = record(1, (1024, 1024), ("depth",)), max(1, ZEROS // 2**22)
-    names = [f"v{k:04d}.depth" for k in range(count)]
-    about = own.meta["arrays"]["depth"]
-    meta = json.dumps({**own.meta, "arrays": dict.fromkeys(names, about)}).encode()
-    with h5py.File(folder / "bomb.h5", "w") as file:
-        group = file.create_group("000000001")
-        group.create_dataset("meta", data=meta, dtype=h5py.string_dtype("utf-8", len(meta)))
-        group.create_dataset(names[0], data=np.zeros((1024, 1024), "f4"), chunks=(1024, 1024), compression="gzip")
-        for name in names[1:]:
-            group[name] = group[names[0]]
-    return "bomb.h5", CONTAINERS["hdf5"].read
-
-
 def _deflated_chunk(folder: Path) -> Made:
     own = record(1, (64, 64), ("depth",))
     CONTAINERS["hdf5"].write(folder / "bomb.h5", iter([own]))
@@ -307,7 +292,6 @@ BOMBS: dict[str, Callable[[Path], Made]] = {
     "sample npz of bzip2": _sample_npz(zipfile.ZIP_BZIP2),
     "sample npz of lzma": _sample_npz(zipfile.ZIP_LZMA),
     "sample npz deflated": _sample_npz(zipfile.ZIP_DEFLATED),
-    "hdf5 of hard links": _hard_links,
     "hdf5 chunk deflated": _deflated_chunk,
     "zarr chunk of gzip": _zarr_chunk("gzip"),
     "zarr chunk of zstd": _zarr_chunk("zstd"),

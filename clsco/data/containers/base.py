@@ -11,17 +11,18 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.data.record import Record
+from clsco.data.record import Record, is_wanted
 from clsco.errors import ClscoError, ImageError
 from clsco.files.atomic import refuse
 from clsco.files.bounded import npy_array as npy_array
 from clsco.files.bounded import npy_size as npy_size
 from clsco.files.bounded import strict_json
+from clsco.files.confined import confined
 from clsco.files.decoders import codec, unzstd
 from clsco.files.png import GRAY, RGB, SIGNATURE, png_parts
 
@@ -324,6 +325,20 @@ def described(path: Path, meta: Mapping[str, Any], name: str) -> dict[str, Any]:
     if not plain or prod(shape) * dtype.itemsize > LARGEST:
         refuse(path, f"shape of {name} must be 1 to 5 sizes of at most {LARGEST} bytes in all", about.get("shape"))
     return {"dtype": dtype, "shape": tuple(shape)}
+
+
+def confined_arrays(
+    function: str, file: BinaryIO, meta: Mapping[str, Any], wanted: Collection[str] | None, **options: Any
+) -> dict[str, NDArray[Any]]:
+    """The wanted arrays of a record, which a function reads in the process with limits: of the types and shapes that
+    `meta` describes, and of no more bytes. Raises ValueError for any others."""
+    known = {name: described(Path(file.name), meta, name) for name in meta["arrays"] if is_wanted(name, wanted)}
+    most = sum(prod(about["shape"]) * about["dtype"].itemsize for about in known.values())
+    _, arrays = confined(function, file, most, names=list(known), **options)
+    for (name, about), array in zip(known.items(), arrays, strict=True):
+        if (array.dtype, array.shape) != (about["dtype"], about["shape"]):
+            raise ValueError(f"{name} of {array.dtype} {array.shape}")
+    return dict(zip(known, arrays, strict=True))
 
 
 def _is_list(about: Mapping[str, Any]) -> bool:
