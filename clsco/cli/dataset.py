@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -201,17 +201,14 @@ def verify(data: str, sample: int, device: str | None, base: Path, quiet: bool) 
     from clsco.data.storage import open_storage
     from clsco.data.verify import chosen_samples, hold_arrays, verify_files, verify_samples
 
-    storage = open_storage(data)
-    there = open_set(storage)
-    try:
+    with closing(open_storage(data)) as storage:
+        there = open_set(storage)
         with progress(len(there.shards) + sample, quiet, "checks") as advance:
             findings = verify_files(there, advance)
             chosen = chosen_samples(there, sample)
             left_out = hold_arrays(there, chosen)
             chosen = [number for number in chosen if number not in left_out]
             findings += verify_samples(there, chosen, device, advance, base)
-    finally:
-        storage.close()
     for finding in findings:
         echo(finding)
     if findings:
@@ -285,14 +282,11 @@ def show(data: str, number: int, base: Path) -> None:
     from clsco.data.verify import hold_arrays, scene_table
     from clsco.scene.toml import toml_text
 
-    storage = open_storage(data)
-    try:
+    with closing(open_storage(data)) as storage:
         there = open_set(storage)
         if hold_arrays(there, [number]):
             raise SceneError(f"sample {number}: must be a scene of files; got arrays, which its function alone makes")
         echo(toml_text(located(scene_table(there, number), base.absolute())), nl=False)
-    finally:
-        storage.close()
 
 
 @dataset.command(short_help="Write a data set in another format.")
@@ -306,15 +300,12 @@ def show(data: str, number: int, base: Path) -> None:
 @quiet_option
 def convert(data: str, out: str, form: str, resume: bool, quiet: bool) -> None:
     """Write the data set DATA in another format. All arrays keep their bits."""
-    from clsco.cli.progress import progress
     from clsco.data.copies import convert as convert_set
     from clsco.data.storage import open_storage
 
-    source, target = open_storage(data), open_storage(out)
-    target.tidy()
     with ExitStack() as stack:
-        stack.callback(source.close)
-        stack.callback(target.close)
+        source, target = (stack.enter_context(closing(open_storage(place))) for place in (data, out))
+        target.tidy()
         _, status = convert_set(
             source, target, form, resume, lambda count: stack.enter_context(progress(count, quiet, "shards"))
         )

@@ -70,23 +70,10 @@ class Sample:
 class Distribution:
     """All samples of a distribution file, as a function of seed and number. It may be pickled.
 
-    Attributes
-    ----------
-    where : str
-        Name of the file.
-    folder : Path
-        Start of its paths, links resolved.
-    digest : str
-        SHA-256 in hexadecimal of all that decides samples: the tables with base and overrides, the splits, and names
-        and contents of the files that samples may have.
-    splits : tuple of (str, float)
-    parts : VariedKeys
-    accept : tuple of (str, float, float)
-        Measures with the least and the largest value.
-    tables : DistributionTables
-        Content of the file, joined with its base and overrides.
-    recipe : str
-        All of it as text: that of the file, where that has no base and there are no overrides.
+    where: name of the file; folder: start of its paths, links resolved; digest: SHA-256 of all that decides samples,
+    which is the tables with base and overrides, the splits, and names and contents of the files that samples may have;
+    accept: measures with the least and the largest value; tables: content of the file, joined with its base and
+    overrides; recipe: all of it as text, that of the file where that has no base and there are no overrides.
     """
 
     where: str
@@ -251,17 +238,8 @@ DrawScene = Callable[[np.random.Generator, int], SceneLike]
 class ScriptedDistribution:
     """All samples that a function draws, as a function of seed and number. It is pickled by the function's name.
 
-    Attributes
-    ----------
-    function : callable
-        `draw(rng, sample)`, defined in a module or a script, which other processes import.
-    where : str
-        Name of the function, for messages.
-    folder : Path
-        Start of the paths of textures.
-    source : str
-        Text of the module, from which the digest is made.
-    splits : tuple of (str, float)
+    where: name of the function, for messages; folder: start of the paths of textures; source: text of the module, from
+    which the digest is made.
     """
 
     function: DrawScene
@@ -324,22 +302,10 @@ class ScriptedDistribution:
 
 
 def scripted(function: DrawScene, splits: SplitsLike = None, folder: Path | None = None) -> ScriptedDistribution:
-    """The distribution of a function.
+    """The distribution of a function `draw(rng, sample)`, which takes a `numpy.random.Generator` and the number of the
+    sample, and gives a scene; arguments as of `clsco.data.make`.
 
-    Parameters
-    ----------
-    function : callable
-        `draw(rng, sample)`: takes a `numpy.random.Generator` and the number of the sample, and gives a scene, as
-        `clsco.render` takes it. It should take random numbers from `rng` alone.
-    splits : str, mapping, sequence of (str, float) or None
-        Shares of the splits, such as "train=0.9,val=0.05,test=0.05".
-    folder : Path, optional
-        Start of the paths of textures; by default the current folder.
-
-    Raises
-    ------
-    SceneError
-        Other processes cannot import the function, or its source is not known.
+    Raises SceneError: other processes cannot import the function, or its source is not known.
     """
     name = getattr(function, "__qualname__", repr(function))
     try:

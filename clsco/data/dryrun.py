@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.data.acceptance import Look, looks_of
-from clsco.data.build import located
-from clsco.data.dataset import TILE
+from clsco.data.dataset import TILE, shrunk
 from clsco.data.distribution import Distribution, Sample
 from clsco.errors import ClscoError, DeviceError, SceneError
 from clsco.files.images import write_png
@@ -29,7 +28,6 @@ from clsco.optics.exposure import frame_lines
 from clsco.plan.prepare import prepare
 from clsco.plan.request import Request
 from clsco.scene.model import Scene
-from clsco.scene.toml import toml_text
 
 LOOKED_AT = 128  # samples that rays are cast at
 SHOWN = 16  # on the contact sheet
@@ -66,34 +64,13 @@ class SeenHistogram:
 
 @dataclass(frozen=True)
 class DryRun:
-    """Result of `dry_run`.
+    """Result of `dry_run`: what a set of `count` samples will be, by those that are looked at, at equal distances in
+    it.
 
-    Attributes
-    ----------
-    count : int
-        Samples of the set.
-    splits : dict of str to float
-        Share of each split.
-    looked_at : int
-        Samples that all below is from, at equal distances in the set.
-    parameters : tuple of Summary
-    attempts : int
-        Number of draws in all.
-    failed : tuple of str
-        Messages of those that give no sample.
-    histograms : tuple of SeenHistogram
-    frames : float
-        Mean number of frames of a sample, all variants and views counted.
-    bytes : dict of str to float
-        Mean size of a sample, by array, before compression.
-    weights : float
-        Predicted work of a frame, in weights of its blur: the median.
-    seconds : float or None
-        Predicted for the set, with one process on the device that was found.
-    basis : str
-        Basis of `seconds`, or the reason for None.
-    sheet : Path or None
-        The contact sheet, if it was written.
+    `splits` has the share of each split, `attempts` the number of draws, `failed` the messages of samples that cannot
+    be drawn, `frames` the mean number of a sample, all variants and views counted, `bytes` the mean size of a sample by
+    array before compression, `weights` the predicted work of a frame in weights of its blur, the median. `seconds` are
+    for the set, with one process on the device that was found, and `basis` says from what, or why they are not known.
     """
 
     count: int
@@ -114,23 +91,9 @@ class DryRun:
 def dry_run(
     distribution: Distribution, seed: int, count: int, *, wanted: Sequence[str], sheet_path: Path | None = None
 ) -> DryRun:
-    """Find out what a data set will be.
+    """Find out what a data set will be. Raises SceneError where no sample can be drawn.
 
-    Parameters
-    ----------
-    distribution : Distribution
-    seed : int
-    count : int
-        Number of samples.
-    wanted : sequence of str
-        Names of the arrays, as in files: "color", "depth", "coc", ...
-    sheet_path : Path, optional
-        PNG file with pictures of 16 samples; it is not written where there is no device.
-
-    Raises
-    ------
-    SceneError
-        As `Distribution.draw` for all samples that are looked at.
+    wanted: names of arrays as in files; sheet_path: PNG with pictures of 16 samples, where there is a device.
     """
     many = min(count, LOOKED_AT)
     samples, failed = list[Sample](), list[str]()
@@ -164,14 +127,6 @@ def dry_run(
         basis=basis,
         sheet=sheet,
     )
-
-
-def show(distribution: Distribution, seed: int, number: int) -> str:
-    """The scene file of one sample, as TOML that renders it by itself. Raises SceneError as `Distribution.draw`."""
-    sample = distribution.draw(seed, number)
-    split = f", split {sample.split}" if sample.split else ""
-    text = toml_text(located(sample.table, distribution.folder))
-    return f"# Sample {number} of seed {seed}{split}, drawn {sample.attempts} times.\n{text}"
 
 
 def _summaries(samples: Sequence[Sample]) -> tuple[Summary, ...]:
@@ -296,5 +251,4 @@ def _picture(scene: Scene) -> NDArray[np.uint8]:
         return np.full((small[1], small[0], 3), 128, np.uint8)
     color = frame.color if frame.color.ndim == 3 else np.repeat(frame.color[..., None], 3, axis=2)
     codes = encode(color, 8, "srgb").astype(np.uint8)
-    row, column = ((np.arange(n) * m) // n for n, m in zip((small[1], small[0]), codes.shape, strict=False))
-    return codes[row][:, column]
+    return shrunk(codes)

@@ -47,13 +47,7 @@ class RefusedError(Exception):
 
 
 class Folder:
-    """The folder of a distribution file.
-
-    Parameters
-    ----------
-    path : Path
-        Nothing outside of it is read, whatever links say.
-    """
+    """The folder of a distribution file; nothing outside of it is read, whatever links say."""
 
     def __init__(self, path: Path) -> None:
         self.path = path.resolve()

@@ -221,7 +221,7 @@ def test_a_set_is_made_again_from_its_card(place: Path) -> None:
     lines = result.stdout.splitlines()
     assert result.exit_code == 1
     assert lines[0].startswith("distribution must be ")
-    assert "sample 0: depth must be what is made again; got another" in lines
+    assert "manifest/000000.jsonl: samples 0-3 must be what is made again; got others" in lines
     assert result.stderr == f"error: one: must be what is made again; got {len(lines)} differences\n"
 
 

@@ -16,9 +16,9 @@ from PIL import Image
 from clsco.data.build import located
 from clsco.data.distribution import Distribution, Sample
 from clsco.data.draws import split_of
-from clsco.data.dryrun import show
 from clsco.errors import SceneError
 from clsco.scene.sweep import parse_sweep
+from clsco.scene.toml import toml_text
 from tests.data.written import SCENE, Load
 
 
@@ -102,7 +102,7 @@ def test_the_table_of_a_sample_renders_it_by_itself(load: Load) -> None:
         sample = distribution.draw(1, number)
         sweep = parse_sweep(located(sample.table, distribution.folder))
         assert (sweep.labels, sweep.scenes) == (sample.labels, sample.scenes)
-        assert parse_sweep(tomllib.loads(show(distribution, 1, number))).scenes == sample.scenes
+        assert parse_sweep(tomllib.loads(toml_text(located(sample.table, distribution.folder)))).scenes == sample.scenes
         assert len(sample.scenes[0].objects) == 1 + sample.parameters["object.ball.count"]
 
 

@@ -31,6 +31,7 @@ import numpy as np
 import OpenEXR
 import tifffile
 import zarr
+from zarr.codecs import ZstdCodec
 
 from clsco.data.containers import CONTAINERS
 from clsco.data.containers.base import meta_bytes, npy_bytes
@@ -178,35 +179,15 @@ def _deflated_chunk(folder: Path) -> Made:
     return "bomb.h5", CONTAINERS["hdf5"].read
 
 
-def _zarr_chunk(compressor: str) -> Callable[[Path], Made]:
-    def make(folder: Path) -> Made:
-        own = record(1, (64, 64), ("depth",))
-        CONTAINERS["zarr"].write(folder / "bomb.zarr", iter([own]))
-        group = zarr.open_group(folder / "bomb.zarr", mode="r+", zarr_format=3)
-        codecs = importlib.import_module("zarr.codecs")
-        codec = {"gzip": codecs.GzipCodec, "zstd": codecs.ZstdCodec}[compressor]()
-        group.create_array("depth", shape=(1, 64, 64), dtype="f4", chunks=(1, 64, 64), compressors=codec, filters=None,
-                           overwrite=True)[:] = 1  # fmt: skip
-        pack = zlib.compressobj(9, wbits=31)
-        zipped = b"".join([pack.compress(bytes(2**20)) for _ in range(ZEROS >> 20)] + [pack.flush()])
-        content = zipped if compressor == "gzip" else imagecodecs.zstd_encode(bytes(ZEROS), 3)
-        (folder / "bomb.zarr/depth/c/0/0/0").write_bytes(content)
-        return "bomb.zarr", CONTAINERS["zarr"].read
-
-    return make
-
-
-def _zarr_shard(folder: Path) -> Made:
-    """Zarr as clsco writes it, with a large chunk in its shard."""
+def _zarr_chunk(folder: Path) -> Made:
+    """Zarr as clsco writes it, with a large chunk in place of a file of several."""
     own = record(1, (64, 64), ("depth",))
     CONTAINERS["zarr"].write(folder / "bomb.zarr", iter([own]))
-    content = bytes(imagecodecs.zstd_encode(bytes(ZEROS), 3))
-    path = folder / "bomb.zarr/depth/c/0/0/0"
-    count = json.loads((path.parents[3] / "zarr.json").read_text())["chunk_grid"]["configuration"]["chunk_shape"][0]
-    places = struct.pack("<QQ", 0, len(content)) + b"\xff" * 16 * (count - 1)
-    import google_crc32c
-
-    path.write_bytes(content + places + struct.pack("<I", google_crc32c.value(places)))
+    group = zarr.open_group(folder / "bomb.zarr", mode="r+", zarr_format=3)
+    zstd = ZstdCodec()
+    group.create_array("depth", shape=(1, 64, 64), dtype="f4", chunks=(1, 64, 64), compressors=zstd, filters=None,
+                       overwrite=True)[:] = 1  # fmt: skip
+    (folder / "bomb.zarr/depth/c/0/0/0").write_bytes(imagecodecs.zstd_encode(bytes(ZEROS), 3))
     return "bomb.zarr", CONTAINERS["zarr"].read
 
 
@@ -293,9 +274,7 @@ BOMBS: dict[str, Callable[[Path], Made]] = {
     "sample npz of lzma": _sample_npz(zipfile.ZIP_LZMA),
     "sample npz deflated": _sample_npz(zipfile.ZIP_DEFLATED),
     "hdf5 chunk deflated": _deflated_chunk,
-    "zarr chunk of gzip": _zarr_chunk("gzip"),
-    "zarr chunk of zstd": _zarr_chunk("zstd"),
-    "zarr shard": _zarr_shard,
+    "zarr chunk": _zarr_chunk,
     "parquet keys": _long_keys,
     "parquet lists": _long_lists,
     "tar pax records": _pax,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import json
 import re
 from abc import ABC, abstractmethod
@@ -24,6 +23,8 @@ from clsco.files.bounded import npy_size as npy_size
 from clsco.files.bounded import strict_json
 from clsco.files.confined import confined
 from clsco.files.decoders import codec, unzstd
+from clsco.files.npy import ZSTD
+from clsco.files.npy import npy_bytes as npy_bytes
 from clsco.files.png import GRAY, RGB, SIGNATURE, png_parts
 
 
@@ -32,11 +33,6 @@ class ShardReader(ABC):
 
     Nothing is open before the first record is read; a closed reader opens again. A reader is used by one thread at a
     time.
-
-    Attributes
-    ----------
-    path : Path
-    keys : tuple of str
     """
 
     def __init__(self, path: Path, keys: Iterable[str]) -> None:
@@ -45,19 +41,9 @@ class ShardReader(ABC):
 
     @abstractmethod
     def record(self, index: int, wanted: Collection[str] | None = None) -> Record:
-        """Read one record.
+        """Read one record. Raises ImageError where the shard is damaged.
 
-        Parameters
-        ----------
-        index : int
-            From 0.
-        wanted : collection of str, optional
-            Names of arrays, whole ones or what they hold; nothing else is read where the format has it apart.
-
-        Raises
-        ------
-        ImageError
-            The shard is damaged.
+        wanted: names of arrays, whole ones or what they hold; nothing else is read where the format has it apart.
         """
 
     def close(self) -> None:  # noqa: B027, some keep nothing open
@@ -77,18 +63,9 @@ class ShardReader(ABC):
 class Container:
     """A format that holds the records of a shard in one file, or in one folder.
 
-    Attributes
-    ----------
-    name : str
-        As users give it.
-    suffix : str
-        End of a shard's name; "" where it is a folder without one.
-    write : callable
-        Takes a new local path and records; the same records give the same bytes. Few records are in memory at a time.
-    read : callable
-        Takes a local path and gives a ShardReader. Raises ImageError where it is no whole shard.
-    needs : (str, str), optional
-        Module that it needs, and the extra of clsco that brings it.
+    suffix: end of a shard's name, "" for a folder without one. write: takes a new local path and records, few of which
+    are in memory at a time; the same records give the same bytes. read: takes a local path, and raises ImageError where
+    it is no whole shard. needs: a module, and the extra of clsco that brings it.
     """
 
     name: str
@@ -156,9 +133,8 @@ def _differing(layout: Layout, own: Layout) -> str:
     return f"{name} {own[name][0]} {own[name][1]}"
 
 
-NEEDS = ("imagecodecs", "formats")  # the one package with both Zstandard and PNG of 16 bits in color
+NEEDS = ZSTD  # the one package with both Zstandard and PNG of 16 bits in color
 EXTENSIONS = ("npy.zst", "npy", "png")
-LEVEL = 3  # 0.29 of the size at 500 MB/s; bytes shuffled first it is 0.26, and is read at half the rate
 LARGEST = 2**31  # bytes of an array
 LARGEST_RECORD = 2**32  # and of all arrays of a record
 LARGEST_META = 2**26
@@ -168,55 +144,22 @@ _DTYPES = {np.dtype(name).name: np.dtype(name) for name in ("?", "u1", "u2", "i4
 
 
 def encoded(path: Path, array: NDArray[Any], raw: bool = False) -> tuple[str, bytes]:
-    """Encode an array.
+    """Extension, one of `EXTENSIONS`, and content of an array; path: for messages.
 
-    Parameters
-    ----------
-    path : Path
-        For messages.
-    array : ndarray
-    raw : bool
-        As NPY, uncompressed.
-
-    Returns
-    -------
-    (str, bytes)
-        Extension, one of `EXTENSIONS`, and content. The same array gives the same bytes.
-
-    Raises
-    ------
-    ImageError
-        The extra `formats` is missing.
+    The same array gives the same bytes. Raises ImageError: the extra `formats` is missing.
     """
     if raw:
         return "npy", npy_bytes(array)
     if is_png(array.dtype.name, array.shape):
         return "png", png_bytes(array)
-    return "npy.zst", codec(path, *NEEDS).zstd_encode(npy_bytes(array), LEVEL)
+    return "npy.zst", npy_bytes(array, zstd=True, where=str(path))
 
 
 def decoded(path: Path, extension: str, content: bytes, about: Mapping[str, Any]) -> NDArray[Any]:
-    """Decode an array; the inverse of `encoded` bit by bit.
+    """Decode an array that can be written to; the inverse of `encoded` bit by bit.
 
-    Parameters
-    ----------
-    path : Path
-        For messages.
-    extension : str
-        One of `EXTENSIONS`.
-    content : bytes
-    about : mapping
-        `dtype` and `shape` that it must have, as `described` gives them; memory for no more is taken.
-
-    Returns
-    -------
-    ndarray
-        That can be written to.
-
-    Raises
-    ------
-    Exception
-        For damage any of the codecs', which readers turn into an ImageError.
+    about: `dtype` and `shape` that it must have, as `described` gives them; memory for no more is allocated. Damage
+    raises any error of a codec, which readers turn into an ImageError.
     """
     dtype, shape = about["dtype"], tuple(about["shape"])
     if extension == "png":
@@ -255,26 +198,10 @@ def _from_png(path: Path, content: bytes, dtype: np.dtype[Any], shape: tuple[int
     return data != 0 if dtype == np.bool_ else data
 
 
-def npy_bytes(array: NDArray[Any]) -> bytes:
-    """An NPY file of an array, for np.load."""
-    file = io.BytesIO()
-    np.lib.format.write_array(file, np.ascontiguousarray(array), allow_pickle=False)
-    return file.getvalue()
-
-
 def meta_bytes(record: Record, flat: bool = False) -> bytes:
-    """JSON of what describes a record, in one line.
+    """JSON of what describes a record, in one line. Raises ImageError where JSON cannot hold it.
 
-    Parameters
-    ----------
-    record : Record
-    flat : bool
-        Nested tables are text, again JSON: `datasets` needs one type for each key, and scenes differ in theirs.
-
-    Raises
-    ------
-    ImageError
-        JSON cannot hold it.
+    flat: nested tables are text, again JSON: `datasets` needs one type for each key, and scenes differ in theirs.
     """
     try:
         nested = {name: _json(value) for name, value in record.meta.items() if isinstance(value, (dict, list, tuple))}
@@ -288,18 +215,8 @@ def _json(value: Any) -> str:
 
 
 def parsed_meta(path: Path, content: bytes | str) -> dict[str, Any]:
-    """Parse the meta.json of a record, whose arrays are such as `described` takes.
-
-    Parameters
-    ----------
-    path : Path
-        For messages.
-    content : bytes or str
-
-    Raises
-    ------
-    ImageError
-    """
+    """Parse the meta.json of a record, whose arrays are such as `described` takes. Raises ImageError, or ValueError
+    for no JSON."""
     if len(content) > LARGEST_META:
         refuse(path, f"meta.json must have at most {LARGEST_META} bytes", len(content))
     meta = strict_json(content)

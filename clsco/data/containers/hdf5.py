@@ -19,15 +19,8 @@ _FILE = "clsco.data.containers.hdf5_file"
 
 
 def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
-    """Write records to a new file.
-
-    Parameters
-    ----------
-    path : Path
-    records : iterable of Record
-    raw : bool
-        Nothing is compressed; else bytes are shuffled and deflated (gzip 4), which every build of HDF5 reads.
-    """
+    """Write records to a new file: bytes are shuffled and deflated (gzip 4), which every build of HDF5 reads, or
+    `raw`."""
     h5py = codec(path, *NEEDS)
     options = {} if raw else {"shuffle": True, "compression": "gzip", "compression_opts": 4}
     with h5py.File(path, "x", track_order=False) as file:

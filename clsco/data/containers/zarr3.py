@@ -32,16 +32,7 @@ _FILE = "clsco.data.containers.zarr_file"
 
 
 def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
-    """Write records to a new folder.
-
-    Parameters
-    ----------
-    path : Path
-    records : iterable of Record
-        With the same arrays, each of one type and size.
-    raw : bool
-        Nothing is compressed; else by Zstandard 3.
-    """
+    """Write records with the same arrays, each of one type and size, to a new folder: by Zstandard 3, or `raw`."""
     zarr = codec(path, *NEEDS)
     compressors = None if raw else zarr.codecs.ZstdCodec(level=3)
     texts: list[bytes] = []
