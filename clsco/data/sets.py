@@ -1,4 +1,4 @@
-"""Data sets in a folder or a store: begun, gone on with, looked at, and ended."""
+"""Data sets in a folder or a store: opened, resumed, measured and completed."""
 
 from __future__ import annotations
 
