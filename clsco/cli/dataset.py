@@ -79,8 +79,10 @@ base_option = click.option(
 @click.option("--no-color", is_flag=True, help="Those arrays alone: no image is made, which is most of the work.")
 @types_option
 @click.option("--split", "splits", metavar="NAME=SHARE,...", help="Such as train=0.9,test=0.1.")
-@click.option("--device", "devices", metavar="NAME", multiple=True, help="Where to render; may be given again.")
-@click.option("--devices", "every", type=click.Choice(["all"]), help="On all devices of the best kind.")
+@click.option(
+    "--device", "devices", metavar="NAME", multiple=True,
+    help="Where to render; may be given again. all: all devices of the best kind.",
+)  # fmt: skip
 @click.option(
     "--workers", metavar="N", type=click.IntRange(1, 1024),
     help="Processes. Default: one for each graphics card, or for each core of a processor.",
@@ -120,16 +122,12 @@ def make(distribution: Path, out: str, devices: tuple[str, ...], quiet: bool, **
     if options.pop("dry_run"):
         _dry_run(distribution, out, samples, arrays, options)
         return
-    if options["scheduler"] and (devices or options["every"] or options["workers"]):
-        raise click.UsageError("--scheduler: its workers have devices; got --device, --devices or --workers as well")
-    if devices and options["every"]:
-        raise click.UsageError("--devices: all are meant; got --device as well")
+    if options["scheduler"] and (devices or options["workers"]):
+        raise click.UsageError("--scheduler: its workers have devices; got --device or --workers as well")
     if not options["scheduler"]:
         require_opencl()
-    chosen = ("all",) if options.pop("every") else devices
-
     try:
-        status = making.make(distribution, out, color=color, devices=chosen, progress=_bar(quiet), **options)
+        status = making.make(distribution, out, color=color, devices=devices, progress=_bar(quiet), **options)
     except making.FailedSamplesError as error:
         echo(_line(out, error.status))
         raise
