@@ -28,7 +28,7 @@ from clsco.errors import ClscoError, SceneError
 from clsco.scene.formatting import format_bytes, format_seconds
 
 if TYPE_CHECKING:
-    from clsco.data.making import Progress
+    from clsco.data.creation import Progress
     from clsco.data.sets import Status
 
 SHOWN = 16  # samples on a sheet
@@ -110,13 +110,13 @@ def make(distribution: Path, out: str, devices: tuple[str, ...], quiet: bool, **
 
     The same file, seed and version give the same bytes on devices of a family, whatever makes them.
     """
-    from clsco.data import making
+    from clsco.data import creation
     from clsco.data.record import parse_stored
 
     color = not options.pop("no_color")
     try:
-        samples = making.numbers_wanted(options["count"], options["only"])
-        arrays, _ = making.stored_arrays(options["truth"], color), parse_stored(options["types"])
+        samples = creation.numbers_wanted(options["count"], options["only"])
+        arrays, _ = creation.stored_arrays(options["truth"], color), parse_stored(options["types"])
     except SceneError as error:
         raise usage_error(error) from None
     if options.pop("dry_run"):
@@ -127,8 +127,8 @@ def make(distribution: Path, out: str, devices: tuple[str, ...], quiet: bool, **
     if not options["scheduler"]:
         require_opencl()
     try:
-        status = making.make(distribution, out, color=color, devices=devices, progress=_bar(quiet), **options)
-    except making.FailedSamplesError as error:
+        status = creation.make(distribution, out, color=color, devices=devices, progress=_bar(quiet), **options)
+    except creation.FailedSamplesError as error:
         echo(_line(out, error.status))
         raise
     echo(_line(out, status))

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from clsco.data.containers import CONTAINERS, container_named
-from clsco.data.making import DistributionLike, Progress, make
+from clsco.data.creation import DistributionLike, Progress, make
 from clsco.data.manifest import part_bytes, part_key
 from clsco.data.record import Record
 from clsco.data.sets import CARD, DataSet, Status, check_resumable, finish, open_set, ranges, status_of

@@ -19,7 +19,7 @@ from clsco.data.draws import split_of
 from clsco.errors import SceneError
 from clsco.scene.sweep import parse_sweep
 from clsco.scene.toml import toml_text
-from tests.data.written import SCENE, Load
+from tests.data.distributions import SCENE, Load
 
 
 def first_values(distribution: Distribution, count: int) -> dict[str, list[Any]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.data.written import SCENE, Load, messages
+from tests.data.distributions import SCENE, Load, messages
 
 F, G = "[vary.camera]\nf_number = ", "vary.camera.f_number: "
 S, OBJECT = '[[vary.object]]\nshape = "sphere"\n', "vary.object[0]."

@@ -13,7 +13,7 @@ from clsco.data import dryrun
 from clsco.data.distribution import load_distribution
 from clsco.data.dryrun import dry_run
 from clsco.errors import SceneError
-from tests.data.written import SCENE, Load
+from tests.data.distributions import SCENE, Load
 
 SETS = sorted((Path(__file__).parents[2] / "examples" / "sets").glob("*.toml"))
 TEXT = """

@@ -13,7 +13,7 @@ import pytest
 from clsco.data.distribution import load_distribution
 from clsco.data.forms import Folder, RefusedError
 from clsco.errors import SceneError
-from tests.data.written import SCENE, Load, messages
+from tests.data.distributions import SCENE, Load, messages
 from tests.hostile.mutate import VALUE_CHANGES
 
 OUT = "must be a path inside the folder of the distribution file, without .."

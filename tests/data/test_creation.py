@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 import clsco
 import clsco.data
 from clsco.cli.main import main
-from clsco.data import making
+from clsco.data import creation
 from clsco.data.distribution import scripted
 from clsco.errors import SceneError
 from clsco.files.images import save_image
@@ -104,7 +104,7 @@ def test_a_function_draws_scenes(place: Path) -> None:
 
 def test_samples_of_a_function_may_fail(place: Path) -> None:
     with pytest.raises(
-        making.FailedSamplesError, match="bad: every sample must be made; got 3 of 4 that failed; "
+        creation.FailedSamplesError, match="bad: every sample must be made; got 3 of 4 that failed; "
     ) as e:
         clsco.data.make(draw_badly, "bad", **SMALL)
     assert e.value.status.failed == 3
