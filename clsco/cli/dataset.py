@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +28,7 @@ from clsco.errors import ClscoError, SceneError
 from clsco.scene.formatting import format_bytes, format_seconds
 
 if TYPE_CHECKING:
-    from clsco.data.making import Progress
+    from clsco.data.creation import Progress
     from clsco.data.sets import Status
 
 SHOWN = 16  # samples on a sheet
@@ -79,8 +79,10 @@ base_option = click.option(
 @click.option("--no-color", is_flag=True, help="Those arrays alone: no image is made, which is most of the work.")
 @types_option
 @click.option("--split", "splits", metavar="NAME=SHARE,...", help="Such as train=0.9,test=0.1.")
-@click.option("--device", "devices", metavar="NAME", multiple=True, help="Where to render; may be given again.")
-@click.option("--devices", "every", type=click.Choice(["all"]), help="On all devices of the best kind.")
+@click.option(
+    "--device", "devices", metavar="NAME", multiple=True,
+    help="Where to render; may be given again. all: all devices of the best kind.",
+)  # fmt: skip
 @click.option(
     "--workers", metavar="N", type=click.IntRange(1, 1024),
     help="Processes. Default: one for each graphics card, or for each core of a processor.",
@@ -108,29 +110,25 @@ def make(distribution: Path, out: str, devices: tuple[str, ...], quiet: bool, **
 
     The same file, seed and version give the same bytes on devices of a family, whatever makes them.
     """
-    from clsco.data import making
+    from clsco.data import creation
     from clsco.data.record import parse_stored
 
     color = not options.pop("no_color")
     try:
-        samples = making.numbers_wanted(options["count"], options["only"])
-        arrays, _ = making.stored_arrays(options["truth"], color), parse_stored(options["types"])
+        samples = creation.numbers_wanted(options["count"], options["only"])
+        arrays, _ = creation.stored_arrays(options["truth"], color), parse_stored(options["types"])
     except SceneError as error:
         raise usage_error(error) from None
     if options.pop("dry_run"):
         _dry_run(distribution, out, samples, arrays, options)
         return
-    if options["scheduler"] and (devices or options["every"] or options["workers"]):
-        raise click.UsageError("--scheduler: its workers have devices; got --device, --devices or --workers as well")
-    if devices and options["every"]:
-        raise click.UsageError("--devices: all are meant; got --device as well")
+    if options["scheduler"] and (devices or options["workers"]):
+        raise click.UsageError("--scheduler: its workers have devices; got --device or --workers as well")
     if not options["scheduler"]:
         require_opencl()
-    chosen = ("all",) if options.pop("every") else devices
-
     try:
-        status = making.make(distribution, out, color=color, devices=chosen, progress=_bar(quiet), **options)
-    except making.FailedSamplesError as error:
+        status = creation.make(distribution, out, color=color, devices=devices, progress=_bar(quiet), **options)
+    except creation.FailedSamplesError as error:
         echo(_line(out, error.status))
         raise
     echo(_line(out, status))
@@ -201,17 +199,14 @@ def verify(data: str, sample: int, device: str | None, base: Path, quiet: bool) 
     from clsco.data.storage import open_storage
     from clsco.data.verify import chosen_samples, hold_arrays, verify_files, verify_samples
 
-    storage = open_storage(data)
-    there = open_set(storage)
-    try:
+    with closing(open_storage(data)) as storage:
+        there = open_set(storage)
         with progress(len(there.shards) + sample, quiet, "checks") as advance:
             findings = verify_files(there, advance)
             chosen = chosen_samples(there, sample)
             left_out = hold_arrays(there, chosen)
             chosen = [number for number in chosen if number not in left_out]
             findings += verify_samples(there, chosen, device, advance, base)
-    finally:
-        storage.close()
     for finding in findings:
         echo(finding)
     if findings:
@@ -285,14 +280,11 @@ def show(data: str, number: int, base: Path) -> None:
     from clsco.data.verify import hold_arrays, scene_table
     from clsco.scene.toml import toml_text
 
-    storage = open_storage(data)
-    try:
+    with closing(open_storage(data)) as storage:
         there = open_set(storage)
         if hold_arrays(there, [number]):
             raise SceneError(f"sample {number}: must be a scene of files; got arrays, which its function alone makes")
         echo(toml_text(located(scene_table(there, number), base.absolute())), nl=False)
-    finally:
-        storage.close()
 
 
 @dataset.command(short_help="Write a data set in another format.")
@@ -306,15 +298,12 @@ def show(data: str, number: int, base: Path) -> None:
 @quiet_option
 def convert(data: str, out: str, form: str, resume: bool, quiet: bool) -> None:
     """Write the data set DATA in another format. All arrays keep their bits."""
-    from clsco.cli.progress import progress
     from clsco.data.copies import convert as convert_set
     from clsco.data.storage import open_storage
 
-    source, target = open_storage(data), open_storage(out)
-    target.tidy()
     with ExitStack() as stack:
-        stack.callback(source.close)
-        stack.callback(target.close)
+        source, target = (stack.enter_context(closing(open_storage(place))) for place in (data, out))
+        target.tidy()
         _, status = convert_set(
             source, target, form, resume, lambda count: stack.enter_context(progress(count, quiet, "shards"))
         )

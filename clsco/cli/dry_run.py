@@ -18,15 +18,15 @@ def dry_run_tables(found: DryRun) -> list[RenderableType]:
     ]
     tables: list[RenderableType] = [
         table(
-            f"Parameters of {found.count} samples, as first drawn",
+            f"Parameters of {found.looked_at - len(found.failed)} samples",
             ("parameter", "lowest", "mean", "highest", ""),
             parameters,
             ("lowest", "mean", "highest"),
         )
     ]
     if found.splits:
-        rows = [(name, f"{many}", f"{many / found.count:.2%}") for name, many in found.splits.items()]
-        tables.append(table("Splits", ("split", "samples", "share"), rows, ("samples", "share")))
+        rows = [(name, f"{share * found.count:.0f}", f"{share:.2%}") for name, share in found.splits.items()]
+        tables.append(table("Splits, about", ("split", "samples", "share"), rows, ("samples", "share")))
     accepted = found.looked_at - len(found.failed)
     seen = [
         ("accepted", f"{accepted / max(1, found.attempts):.1%} of {found.attempts} attempts"),

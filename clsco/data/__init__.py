@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from clsco.data.copies import remake as remake
+    from clsco.data.creation import FailedSamplesError as FailedSamplesError
+    from clsco.data.creation import make as make
     from clsco.data.dataset import Dataset as Dataset
     from clsco.data.dataset import open as open  # noqa: A004
-    from clsco.data.making import FailedSamplesError as FailedSamplesError
-    from clsco.data.making import make as make
     from clsco.data.record import Record as Record
 
 _HOME = {
-    "make": "clsco.data.making",
-    "FailedSamplesError": "clsco.data.making",
+    "make": "clsco.data.creation",
+    "FailedSamplesError": "clsco.data.creation",
     "open": "clsco.data.dataset",
     "Dataset": "clsco.data.dataset",
     "Record": "clsco.data.record",

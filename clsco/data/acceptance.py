@@ -48,19 +48,10 @@ class UnfitError(SceneError):
 class Look:
     """Surfaces seen at the middle of some frames, each on RAYS x RAYS rays at equal distances over the frame.
 
-    Attributes
-    ----------
-    inverse_depth : ndarray of float64, (n,)
-        Inverse depth of the rays that meet a surface, of all these frames, 1/mm.
-    blur : ndarray of float64, (n,)
-        |R| there, px; with what is seen of a background.
-    flow : ndarray of float64, (n,)
-        Length of the flow there to the next frame, px.
-    valid : float
-        Share of rays that meet a surface, of the frame with the least.
-    visible : float
-        Share of the rays that meet an object, of those that would if it were alone; of the object and frame with the
-        least. 0 where an object is not in the frame. A box is one object.
+    Of the rays that meet a surface, in all these frames: inverse depth in 1/mm, |R| in px (with what is seen of a
+    background), and length of the flow to the next frame in px. `valid` is the share of rays that meet a surface, of
+    the frame with the least; `visible` the share of the rays that meet an object, of those that would if it were alone,
+    of the object and frame with the least: 0 where an object is not in the frame. A box is one object.
     """
 
     inverse_depth: Array
@@ -215,20 +206,9 @@ def refusal(bounds: Bounds, scenes: Sequence[Scene]) -> str | None:
 
 
 def derived(key: tuple[str, ...], wanted: float, scenes: Sequence[Scene]) -> float:
-    """The value of a key by which a sample gets the wanted measure; raises UnfitError where none does.
+    """The value of a key of DERIVED by which a sample gets the wanted measure, rounded to DIGITS digits.
 
-    Parameters
-    ----------
-    key : tuple of str
-        One of DERIVED.
-    wanted : float
-    scenes : sequence of Scene
-        The variants; the wanted measure is that of the variant with the most of it.
-
-    Returns
-    -------
-    float
-        Rounded to DIGITS digits.
+    scenes: the variants; the measure is that of the variant with the most of it. Raises UnfitError where no value does.
     """
     name = ".".join(key)
     if key == ("sequence", "shutter"):

@@ -39,14 +39,7 @@ class Built:
 
 
 class Builder:
-    """Makes one sample.
-
-    Parameters
-    ----------
-    parts : VariedKeys
-    folder : Path
-        Start of paths.
-    """
+    """Makes one sample. folder: start of paths."""
 
     def __init__(self, parts: VariedKeys, folder: Path) -> None:
         self._parts, self._folder = parts, folder

@@ -47,19 +47,8 @@ def cluster_device(address: str) -> tuple[str, str]:
 def run_cluster(job: SetJob, shards: Sequence[int], address: str, advance: Callable[[int], object]) -> None:
     """Make shards on the workers of a cluster, one at a time on each.
 
-    Parameters
-    ----------
-    job : SetJob
-    shards : sequence of int
-    address : str
-        Address of the scheduler, such as tcp://host:8786.
-    advance : callable
-        Takes numbers of samples that are done since the last call.
-
-    Raises
-    ------
-    ClscoError
-        There is no scheduler, it goes away, the storage fails, or a shard cannot be made.
+    address: of the scheduler, such as tcp://host:8786; advance: takes numbers of samples that are done since the last
+    call. Raises ClscoError: there is no scheduler, it goes away, the storage fails, or a shard cannot be made.
     """
     distributed = _distributed()
     schedule = Schedule((shard, job.numbers(shard)) for shard in shards)

@@ -209,10 +209,6 @@ class Reader:
                 constant, varying = self._value(one, (*key, *place), place, f"object.{label}.{dotted}")
                 put(constants, list(map(str, place)), constant)
                 parameters += varying
-        for parameter in parameters:
-            if parameter.form.designed:
-                place = (*key, *parameter.location)
-                self._faulty(place, "sobol is for single values, not for populations", label)
         shapes = [p.form.extremes() for p in parameters if p.location == ("shape",)] or [(constants.get("shape"),)]
         if len(self.faults) > before or count is None:
             return []

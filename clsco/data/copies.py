@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from clsco.data.containers import CONTAINERS, container_named
-from clsco.data.making import DistributionLike, Progress, make
+from clsco.data.creation import DistributionLike, Progress, make
 from clsco.data.manifest import part_bytes, part_key
 from clsco.data.record import Record
-from clsco.data.sets import CARD, DataSet, Status, begun, finish, open_set, status_of
+from clsco.data.sets import CARD, DataSet, Status, check_resumable, finish, open_set, ranges, status_of
 from clsco.data.storage import Storage, open_storage, remove_path
 from clsco.errors import ImageError, SceneError
 from clsco.files.atomic import file_digests
@@ -93,31 +93,13 @@ def _differences(there: DataSet, again: DataSet) -> Iterator[str]:
     yield from again.identity.differences(there.identity.record())
     for shard in there.shards:
         key = part_key(shard)
-        old, new = there.storage.read(key), again.storage.read(key)
-        if old is None:
+        part = there.storage.read(key)
+        if part is None:
             yield f"{key}: shard {shard} must be there; got none"
-        elif old != new:
-            yield from _of_samples(there, again, shard) or [f"{key}: must be what is made again; got other lines"]
-
-
-def _of_samples(there: DataSet, again: DataSet, shard: int) -> list[str]:
-    """Differences of the samples of a shard."""
-    found = []
-    old, new = (_lines(each, shard) for each in (there, again))
-    for number in there.numbers(shard):
-        one, two = old.get(number, {}), new.get(number, {})
-        found += [
-            f"sample {number}: {name} must be what is made again; got another"
-            for name in sorted(one.keys() | two.keys())
-            if one.get(name) != two.get(name)
-        ]
-    return found
-
-
-def _lines(there: DataSet, shard: int) -> dict[int, dict[str, Any]]:
-    """Digests of the arrays of each sample, or its error, by number."""
-    rows, failures = there.lines(shard)
-    return {row["number"]: row["arrays"] for row in rows} | {row["number"]: {"error": row["error"]} for row in failures}
+        elif part != again.storage.read(key):
+            old, new = ([*rows, *failures] for rows, failures in (there.lines(shard), again.lines(shard)))
+            others = ranges(row["number"] for row in old if row not in new)
+            yield f"{key}: {f'samples {others}' if others else 'files'} must be what is made again; got others"
 
 
 OWN = ("identity", "samples", "counts", "arrays", "conventions", "load", "cite", "files")  # of a card, not carried over
@@ -126,36 +108,12 @@ OWN = ("identity", "samples", "counts", "arrays", "conventions", "load", "cite",
 def convert(
     source: Storage, target: Storage, form: str, resume: bool, begin: Callable[[int], Callable[[], object]]
 ) -> tuple[DataSet, Status]:
-    """Write a whole set in another format.
+    """Write a whole set in another format, as `clsco dataset make --format` would have made it, byte by byte.
 
-    Parameters
-    ----------
-    source : Storage
-    target : Storage
-        Empty, or with a conversion that was interrupted.
-    form : str
-        Name of a container.
-    resume : bool
-        Go on with what is in `target`: shards that are whole there stay.
-    begin : callable
-        Takes the number of shards that are left, and gives what is called after each.
-
-    Returns
-    -------
-    (DataSet, Status)
-        The set in `target` and its progress.
-
-    Raises
-    ------
-    SceneError
-        There is no such format, or another set is in `target`.
-    ImageError
-        The set is not whole or damaged: each array must have the SHA-256 that the manifest names.
-
-    Notes
-    -----
-    What comes out is what `clsco dataset make --format` would have made, byte by byte, so that `dataset status`,
-    `verify` and `--resume` take it.
+    target: empty, or with a conversion that was interrupted, whose whole shards stay with `resume`; begin: takes the
+    number of shards that are left, and gives what is called after each. Returns the set in `target` and its progress.
+    Raises SceneError: there is no such format, or another set is in `target`; ImageError: the set is not whole or
+    damaged, as each array must have the SHA-256 that the manifest names.
     """
     container_named(form)
     there = open_set(source)
@@ -165,7 +123,7 @@ def convert(
         found = next(iter(status.faults), f"{len(status.done)}")
         raise ImageError(f"{source.where}: all {status.shards} shards must be whole; got {found}")
     made = DataSet(target, replace(there.identity, format=form), there.samples)
-    begun(made, resume)
+    check_resumable(made, resume)
     card = strict_json(source.read(CARD) or b"{}")
     made.write({name: value for name, value in card.items() if name not in OWN})
     done = made.done(made.shards, target.is_local, [])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import threading
 from bisect import bisect_right
@@ -18,11 +17,10 @@ import numpy as np
 from clsco.data.containers import ShardReader, container_named
 from clsco.data.draws import shuffled
 from clsco.data.record import ABOUT, PICTURES, Record, is_wanted
-from clsco.data.sets import CARD, split_files
+from clsco.data.sets import CARD, DataSet, open_set, split_files
 from clsco.data.storage import Storage, checked_key, open_storage, remove_path
 from clsco.errors import ImageError, SceneError
 from clsco.files.atomic import refuse
-from clsco.files.bounded import strict_json
 from clsco.frame.contact_sheet import contact_sheet, in_rows
 from clsco.frame.shown import html_to_show
 from clsco.frame.views import Picture
@@ -31,7 +29,6 @@ if TYPE_CHECKING:
     from clsco.data.record import Record
 
 MOST_OPEN = 16  # shards, of the formats that keep a file or a row group
-LARGEST_CARD = 2**26
 
 
 class _Shards:
@@ -310,7 +307,9 @@ def open(data: str | os.PathLike[str], split: str | None = None, arrays: Iterabl
     <Dataset of 7 samples, npz: color, depth>
     """
     storage = open_storage(data)
-    card = _read_card(storage)
+    there = open_set(storage)
+    container_named(there.identity.format)
+    card = _card_with_files(there)
     files = card["files"]
     if split is not None and split not in files:
         raise SceneError(f"split: must be one of {', '.join(files)}; got {split}")
@@ -318,7 +317,7 @@ def open(data: str | os.PathLike[str], split: str | None = None, arrays: Iterabl
     wanted = None if arrays is None else frozenset([arrays] if isinstance(arrays, str) else arrays)
     if unknown := sorted(name for name in wanted or () if name.rpartition(".")[2] not in ABOUT):
         raise SceneError(f"arrays: must be some of {', '.join(ABOUT)}; got {unknown[0]}")
-    shards = _Shards(storage.where, card["identity"]["format"], sorted(chosen, key=_shard))
+    shards = _Shards(storage.where, there.identity.format, sorted(chosen, key=_shard))
     return Dataset(card, shards, wanted, range(sum(count for _, count in chosen)))
 
 
@@ -328,32 +327,17 @@ def _shard(file: tuple[str, int]) -> tuple[str, str]:
     return name, split
 
 
-def _read_card(storage: Storage) -> dict[str, Any]:
+def _card_with_files(there: DataSet) -> dict[str, Any]:
     """The card with the `files` of each split, which are checked. Raises ImageError."""
-    path = f"{storage.where}/{CARD}"
     try:
-        data = storage.read(CARD)
-        if data is None:
-            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
-        if len(data) > LARGEST_CARD:
-            raise ValueError(f"{len(data)} bytes")
-        card = strict_json(data)
-        form = card["identity"]["format"]
-        listed = card["files"] if "files" in card else split_files(storage)
+        listed = there.about["files"] if "files" in there.about else split_files(there.storage)
         files = {
             str(split): [(checked_key(str(file)), _count(count)) for file, count in each]
             for split, each in dict(listed).items()
         }
-        if not isinstance(form, str):
-            raise TypeError(f"a format of {form!r}")
-    except ImageError:
-        raise
-    except OSError as error:
-        refuse(path, "must be the card of a data set", error, error)
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        refuse(path, "must be the card of a data set", repr(error), error)
-    container_named(form)
-    return {**card, "files": files}
+    except (ValueError, TypeError) as error:
+        refuse(f"{there.storage.where}/{CARD}", "must list the files of a data set", repr(error), error)
+    return {**there.about, "files": files}
 
 
 def _count(value: Any) -> int:

@@ -7,21 +7,19 @@ import inspect
 import json
 import os
 import pickle
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clsco.data.acceptance import Bounds, UnfitError, bounds_of, refusal
 from clsco.data.build import Builder, Values, corner_faults
 from clsco.data.compile import Parameter, Reader, VariedKeys
-from clsco.data.draws import MAX_SEED, Splits, SplitsLike, Words, of_samples, splits_of, stream_words
+from clsco.data.draws import MAX_SEED, Splits, SplitsLike, split_of, splits_of, stream_words
 from clsco.data.forms import Folder
 from clsco.data.tables import DistributionTables, read_tables
-from clsco.data.values import Column, Draw
 from clsco.errors import ClscoError, SceneError
 from clsco.resources import read_regular
 from clsco.scene.changes import dump, table_at
@@ -69,45 +67,13 @@ class Sample:
 
 
 @dataclass(frozen=True, eq=False)
-class Drawn:
-    """Values drawn for many samples.
-
-    Attributes
-    ----------
-    values : list of ndarray, (n,) or (n, size)
-        Values of the parameters that every sample has.
-    owners : list of ndarray of int64, (m,)
-        Positions of the samples that the objects of each population belong to.
-    members : list of list of ndarray, (m,) or (m, size)
-        Values of the parameters of each population.
-    """
-
-    values: list[Column]
-    owners: list[NDArray[np.int64]]
-    members: list[list[Column]]
-
-
-@dataclass(frozen=True, eq=False)
 class Distribution:
     """All samples of a distribution file, as a function of seed and number. It may be pickled.
 
-    Attributes
-    ----------
-    where : str
-        Name of the file.
-    folder : Path
-        Start of its paths, links resolved.
-    digest : str
-        SHA-256 in hexadecimal of all that decides samples: the tables with base and overrides, the splits, and names
-        and contents of the files that samples may have.
-    splits : tuple of (str, float)
-    parts : VariedKeys
-    accept : tuple of (str, float, float)
-        Measures with the least and the largest value.
-    tables : DistributionTables
-        Content of the file, joined with its base and overrides.
-    recipe : str
-        All of it as text: that of the file, where that has no base and there are no overrides.
+    where: name of the file; folder: start of its paths, links resolved; digest: SHA-256 of all that decides samples,
+    which is the tables with base and overrides, the splits, and names and contents of the files that samples may have;
+    accept: measures with the least and the largest value; tables: content of the file, joined with its base and
+    overrides; recipe: all of it as text, that of the file where that has no base and there are no overrides.
     """
 
     where: str
@@ -144,14 +110,14 @@ class Distribution:
         SceneError
             The sample is no valid scene, or none of 100 attempts is accepted.
         """
-        numbers = sample_numbers(seed, number)
-        position = int(of_samples(self.splits, seed, numbers)[0])
+        check_numbers(seed, number)
+        position = split_of(self.splits, seed, number)
         split = self.splits[position][0] if self.splits else ""
         reason = None
         for attempt in range(1, MAX_ATTEMPTS + 1):
             try:
-                values = self._values(self.drawn(seed, numbers, attempt))
-                built = Builder(self.parts, self.folder).build(values, noise_seed=_noise_seed(seed, numbers))
+                values = self._values(seed, number, position, attempt)
+                built = Builder(self.parts, self.folder).build(values, noise_seed=_noise_seed(seed, number))
                 reason = refusal(self.accept, built.sweep.scenes)
             except UnfitError as error:
                 reason = str(error)
@@ -164,74 +130,33 @@ class Distribution:
         rule = f"accept: must hold for one of {MAX_ATTEMPTS} attempts; got of the last one: {reason}"
         raise SceneError(f"{self.where}: {rule} (sample {number}, seed {seed})")
 
-    def drawn(self, seed: int, numbers: Words, attempt: int = 1) -> Drawn:
-        """Draw the parameters of many samples alone.
+    def _values(self, seed: int, number: int, split: int, attempt: int) -> Values:
+        """The values of a sample that an attempt draws."""
 
-        Parameters
-        ----------
-        seed : int
-        numbers : ndarray of uint64, (n,)
-        attempt : int
-            From 1.
+        def drawn(parameters: Iterable[Parameter], element: int = 0) -> list[Any]:
+            return [
+                one.form.value(stream_words(seed, number, one.name, one.form.words, attempt, element), split)
+                for one in parameters
+            ]
 
-        Returns
-        -------
-        Drawn
-            The bits that `draw` has for each of them, at that attempt.
-        """
-        parts = self.parts
-        splits = of_samples(self.splits, seed, numbers)
-        fixed = [*parts.parameters, *(p.count for p in parts.populations)]
-        columns = _columns(fixed, seed, numbers, splits, attempt)
-        own_count = len(parts.parameters)
-        owners, members = [], []
-        for population, column in zip(parts.populations, columns[own_count:], strict=True):
-            known, place = np.unique(column, return_inverse=True)
-            count = np.array([population.count.form.value(entry) for entry in known], np.int64)[place]
-            owner = np.repeat(np.arange(len(numbers)), count)
-            element = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
-            own = numbers[owner], splits[owner], attempt, element.astype(np.uint64)
-            owners.append(owner)
-            members.append(_columns(population.parameters, seed, *own))
-        return Drawn(columns[:own_count], owners, members)
-
-    def _values(self, drawn: Drawn) -> Values:
-        """The values of the one sample that was drawn."""
-        parts = self.parts
-        values = [one.form.value(column[0]) for one, column in zip(parts.parameters, drawn.values, strict=True)]
-        members = []
-        for population, owner, columns in zip(parts.populations, drawn.owners, drawn.members, strict=True):
-            forms = [(one.form, column) for one, column in zip(population.parameters, columns, strict=True)]
-            members.append([[form.value(column[k]) for form, column in forms] for k in range(len(owner))])
-        return Values(values, members)
+        counts = drawn(population.count for population in self.parts.populations)
+        members = [
+            [drawn(population.parameters, element) for element in range(count)]
+            for population, count in zip(self.parts.populations, counts, strict=True)
+        ]
+        return Values(drawn(self.parts.parameters), members)
 
 
-def _noise_seed(seed: int, numbers: Words) -> int:
+def _noise_seed(seed: int, number: int) -> int:
     """Seed of the noise of a sample's exposures, where its scene has none."""
-    (words,) = stream_words(seed, numbers, ["sensor.noise_seed"], [1])
-    return int(words[0, 0]) % NOISE_SEEDS
+    return int(stream_words(seed, number, "sensor.noise_seed", 1)[0]) % NOISE_SEEDS
 
 
-def sample_numbers(seed: Any, number: Any) -> Words:
-    """The number of a sample as an array. Raises SceneError where seed or number cannot be."""
-    if type(seed) is not int or not 0 <= seed <= MAX_SEED:
-        raise SceneError(f"seed: must be an integer between 0 and {MAX_SEED}; got {shown(seed)}")
-    if type(number) is not int or not 0 <= number <= MAX_NUMBER:
-        raise SceneError(f"number: must be an integer between 0 and {MAX_NUMBER}; got {shown(number)}")
-    return np.array([number], np.uint64)
-
-
-def _columns(
-    parameters: Sequence[Parameter], seed: int, numbers: Words, splits: NDArray[np.int64], attempt: int,
-    elements: Words | None = None,
-) -> list[Column]:  # fmt: skip
-    """Values of some parameters for many samples, or for many objects of a population."""
-    names, counts = [one.name for one in parameters], [one.form.words for one in parameters]
-    words = stream_words(seed, numbers, names, counts, attempt, elements)
-    return [
-        one.form.column(Draw(own, one.name, seed, numbers, splits))
-        for one, own in zip(parameters, words, strict=True)
-    ]  # fmt: skip
+def check_numbers(seed: Any, number: Any) -> None:
+    """Raise SceneError where a seed or the number of a sample cannot be."""
+    for name, value, most in (("seed", seed, MAX_SEED), ("number", number, MAX_NUMBER)):
+        if type(value) is not int or not 0 <= value <= most:
+            raise SceneError(f"{name}: must be an integer between 0 and {most}; got {shown(value)}")
 
 
 def load_distribution(
@@ -313,17 +238,8 @@ DrawScene = Callable[[np.random.Generator, int], SceneLike]
 class ScriptedDistribution:
     """All samples that a function draws, as a function of seed and number. It is pickled by the function's name.
 
-    Attributes
-    ----------
-    function : callable
-        `draw(rng, sample)`, defined in a module or a script, which other processes import.
-    where : str
-        Name of the function, for messages.
-    folder : Path
-        Start of the paths of textures.
-    source : str
-        Text of the module, from which the digest is made.
-    splits : tuple of (str, float)
+    where: name of the function, for messages; folder: start of the paths of textures; source: text of the module, from
+    which the digest is made.
     """
 
     function: DrawScene
@@ -350,14 +266,14 @@ class ScriptedDistribution:
         -----
         The generator is NumPy's Philox with the key (seed, number): its bits depend on nothing else.
         """
-        numbers = sample_numbers(seed, number)
-        position = int(of_samples(self.splits, seed, numbers)[0])
+        check_numbers(seed, number)
+        position = split_of(self.splits, seed, number)
         rng = np.random.Generator(np.random.Philox(key=[seed, number]))
         try:
             drawn = self.function(rng, number)
             scene = scene_of(drawn)
             if scene.sensor is not None and "noise_seed" not in scene.sensor.model_fields_set:
-                scene = exposed_again(scene, _noise_seed(seed, numbers))
+                scene = exposed_again(scene, _noise_seed(seed, number))
             table = self._table(scene)
         except ClscoError as error:
             messages = [f"{message} (sample {number}, seed {seed})" for message in str(error).splitlines()]
@@ -386,22 +302,10 @@ class ScriptedDistribution:
 
 
 def scripted(function: DrawScene, splits: SplitsLike = None, folder: Path | None = None) -> ScriptedDistribution:
-    """The distribution of a function.
+    """The distribution of a function `draw(rng, sample)`, which takes a `numpy.random.Generator` and the number of the
+    sample, and gives a scene; arguments as of `clsco.data.make`.
 
-    Parameters
-    ----------
-    function : callable
-        `draw(rng, sample)`: takes a `numpy.random.Generator` and the number of the sample, and gives a scene, as
-        `clsco.render` takes it. It should take random numbers from `rng` alone.
-    splits : str, mapping, sequence of (str, float) or None
-        Shares of the splits, such as "train=0.9,val=0.05,test=0.05".
-    folder : Path, optional
-        Start of the paths of textures; by default the current folder.
-
-    Raises
-    ------
-    SceneError
-        Other processes cannot import the function, or its source is not known.
+    Raises SceneError: other processes cannot import the function, or its source is not known.
     """
     name = getattr(function, "__qualname__", repr(function))
     try:

@@ -1,9 +1,9 @@
 """Random numbers that are a function: counter-based streams, and transcendental functions of the same bits everywhere.
 
 A word of 64 bits depends on the seed, the number of the sample, the name of the parameter, the element of a population,
-the attempt and the position alone. So samples may be drawn in any order, alone or by the million, and a parameter that
-is added moves no other. What is computed from words here uses additions, products, quotients and square roots only,
-which IEEE 754 rounds in one way: vectors of any length, and other machines, give the same bits.
+the attempt and the position alone. So samples may be drawn in any order, and a parameter that is added moves no other.
+What is computed from words here uses additions, products, quotients and square roots only, which IEEE 754 rounds in one
+way: other machines give the same bits.
 """
 
 from __future__ import annotations
@@ -26,12 +26,6 @@ from clsco.scene.text import shown
 Words = NDArray[np.uint64]
 Floats = NDArray[np.float64]
 MAX_SEED = 2**64 - 1
-CHUNK = 4096  # blocks at a time: what they take stays in the cache of a processor
-_LOW = np.uint64(0xFFFFFFFF)
-_HALF = np.uint64(32)
-_FACTORS = (0xD2E7470EE14C6C93, 0xCA5A826395121157)
-_STEPS = (0x9E3779B97F4A7C15, 0xBB67AE8584CAA73B)
-_ROUNDS = 10
 _LN2 = (6.93147180369123816490e-01, 1.90821492927058770002e-10)  # high part with 32 bits of 0, and the rest
 _LOG2E = 1.44269504088896338700
 # 1 / k! for k = 0 ... 13, by which e^r is summed for |r| <= ln(2) / 2.
@@ -41,46 +35,6 @@ _EXP = (
 )  # fmt: skip
 
 
-def philox(key: tuple[Words, Words], counter: tuple[Words, Words, Words, Words]) -> Words:
-    """Philox4x64-10 of Salmon et al. (2011), for many keys and counters at once.
-
-    Parameters
-    ----------
-    key : two of ndarray of uint64
-    counter : four of ndarray of uint64
-        All arrays broadcast to one shape (n,).
-
-    Returns
-    -------
-    ndarray of uint64, (n, 4)
-
-    Notes
-    -----
-    Validated against the known answers of Random123 and numpy.random.Philox, which adds 1 to its counter first.
-    """
-    parts = np.broadcast_arrays(*key, *counter)
-    found = np.empty((parts[0].size, 4), np.uint64)
-    for first in range(0, len(found), CHUNK):
-        k0, k1, c0, c1, c2, c3 = (part[first : first + CHUNK] for part in parts)
-        for turn in range(_ROUNDS):
-            if turn:
-                k0, k1 = k0 + np.uint64(_STEPS[0]), k1 + np.uint64(_STEPS[1])
-            (high0, low0), (high1, low1) = _product(_FACTORS[0], c0), _product(_FACTORS[1], c2)
-            c0, c1, c2, c3 = high1 ^ c1 ^ k0, low1, high0 ^ c3 ^ k1, low0
-        for word, part in enumerate((c0, c1, c2, c3)):
-            found[first : first + CHUNK, word] = part
-    return found
-
-
-def _product(factor: int, value: Words) -> tuple[Words, Words]:
-    """High and low 64 bits of a product of 128."""
-    high, low = np.uint64(factor >> 32), np.uint64(factor & 0xFFFFFFFF)
-    value_high, value_low = value >> _HALF, value & _LOW
-    across = high * value_low
-    middle = ((low * value_low) >> _HALF) + (across & _LOW) + low * value_high
-    return high * value_high + (across >> _HALF) + (middle >> _HALF), np.uint64(factor) * value
-
-
 @lru_cache(maxsize=4096)
 def name_hash(name: str) -> tuple[int, int]:
     """The first 128 bits of the SHA-256 of a parameter's name, as two words."""
@@ -88,50 +42,16 @@ def name_hash(name: str) -> tuple[int, int]:
     return int.from_bytes(digest[:8], "little"), int.from_bytes(digest[8:16], "little")
 
 
-def stream_words(
-    seed: int, numbers: Words, names: list[str], counts: list[int], attempt: int = 1, elements: Words | None = None
-) -> list[Words]:
-    """Words of several parameters, for many samples.
+def stream_words(seed: int, number: int, name: str, count: int, attempt: int = 1, element: int = 0) -> Words:
+    """Words (count,) of a parameter of a sample, or of an element of a population.
 
-    Parameters
-    ----------
-    seed : int
-        0 to 2^64 - 1.
-    numbers : ndarray of uint64, (n,)
-        Numbers of the samples.
-    names : list of str
-        Names of the parameters.
-    counts : list of int
-        Words that each parameter takes.
-    attempt : int
-        From 1.
-    elements : ndarray of uint64, (n,), optional
-        Numbers in a population, below 2^32; by default 0.
-
-    Returns
-    -------
-    list of ndarray of uint64, (n, count)
-        One for each name.
-
-    Notes
-    -----
-    Philox with the key (seed, number) and the counter (block of four words, element + 2^32 attempt, hash of the name).
+    They are those of Philox4x64-10 with the key (seed, number) and the counter (block of four words, element + 2^32
+    attempt, hash of the name).
     """
-    taken = zip(names, counts, strict=True)
-    blocks = [(*name_hash(name), block) for name, count in taken for block in range(-(-count // 4))]
-    if not blocks:
-        return [np.empty((len(numbers), 0), np.uint64) for _ in names]
-    first, second, block = (np.array(column, np.uint64) for column in zip(*blocks, strict=True))
-    place = np.uint64(attempt << 32) + (np.zeros_like(numbers) if elements is None else elements)
-    count, wide = len(numbers), len(blocks)
-    key = np.broadcast_to(np.uint64(seed), count * wide), np.repeat(numbers, wide)
-    counter = np.tile(block, count), np.repeat(place, wide), np.tile(first, count), np.tile(second, count)
-    words = philox(key, counter).reshape(count, 4 * wide)
-    found, start = [], 0
-    for count in counts:
-        found.append(words[:, start : start + count])
-        start += 4 * -(-count // 4)
-    return found
+    first, second = name_hash(name)
+    counter = (element + (attempt << 32)) << 64 | first << 128 | second << 192
+    # NumPy adds 1 to the counter before it makes a block.
+    return np.random.Philox(key=seed | number << 64, counter=(counter - 1) % 2**256).random_raw(count)
 
 
 def unit(words: Words) -> Floats:
@@ -198,12 +118,8 @@ def _ratio(coefficients: tuple[tuple[float, ...], tuple[float, ...]], x: Floats)
 
 
 def normal(words: Words) -> Floats:
-    """Standard normal numbers of words, by the inverse of their distribution.
-
-    Notes
-    -----
-    AS 241, which the standard library's `statistics.NormalDist.inv_cdf` has, too; validated against it.
-    """
+    """Standard normal numbers of words, by the inverse of their distribution: AS 241, as `NormalDist.inv_cdf` of the
+    standard library, whose logarithm is that of the C library."""
     p = ((words >> np.uint64(12)).astype(np.float64) + 0.5) * 2.0**-52  # in (0, 1), symmetric
     q = p - 0.5
     middle = q * _ratio(_CENTRAL, 0.180625 - q * q)
@@ -221,11 +137,7 @@ def exact_log(value: float) -> float:
 
 def shuffled(seed: int, name: str, count: int, turn: int) -> NDArray[np.int64]:
     """A random order of 0 ... count - 1, by the seed, a name, and which one it is."""
-    numbers = np.arange(count, dtype=np.uint64)
-    first, second = name_hash(name)
-    fixed = [np.full(1, part, np.uint64) for part in (seed, turn, first, second)]
-    words = philox((fixed[0], numbers), (fixed[1], np.full(1, MAX_SEED, np.uint64), fixed[2], fixed[3]))
-    return np.argsort(words[:, 0], kind="stable")
+    return np.argsort(stream_words(seed, turn, name, count), kind="stable")
 
 
 Splits = tuple[tuple[str, float], ...]
@@ -236,24 +148,16 @@ _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 
 def splits_of(given: SplitsLike) -> Splits:
-    """Splits of any form that users may give.
+    """Splits of names and shares, such as "train=0.9,val=0.05,test=0.05"; None or "": no splits.
 
-    Parameters
-    ----------
-    given : str, mapping, sequence of pairs or None
-        Names and shares, such as "train=0.9,val=0.05,test=0.05"; None or "": no splits.
-
-    Raises
-    ------
-    SceneError
-        Names must be able to name folders and differ, also without regard to case; shares must be positive and be 1 in
-        all.
+    Raises SceneError: names must be able to name folders and differ, also without regard to case; shares must be
+    positive and be 1 in all.
     """
     if not given:
         return ()
     pairs: list[tuple[Any, Any]]
     if isinstance(given, str):
-        pairs = [_split_of(part) for part in given.split(",")]
+        pairs = [_parsed_split(part) for part in given.split(",")]
     else:
         pairs = list(given.items() if isinstance(given, Mapping) else given)
     if len(pairs) > MAX_SPLITS:
@@ -277,7 +181,7 @@ def splits_of(given: SplitsLike) -> Splits:
     return tuple((name, float(share)) for name, share in pairs)
 
 
-def _split_of(part: str) -> tuple[str, float]:
+def _parsed_split(part: str) -> tuple[str, float]:
     """A split from NAME=SHARE."""
     name, _, share = part.partition("=")
     try:
@@ -292,12 +196,9 @@ def positions(splits: Splits, place: NDArray[np.float64]) -> NDArray[np.int64]:
     return np.searchsorted(ends, place, side="right")
 
 
-def of_samples(splits: Splits, seed: int, numbers: Words) -> NDArray[np.int64]:
-    """Position of the split of each sample, (n,): by a hash of seed and number alone."""
-    if not splits:
-        return np.zeros(len(numbers), np.int64)
-    (words,) = stream_words(seed, numbers, ["split"], [1], attempt=0)
-    return positions(splits, unit(words[:, 0]))
+def split_of(splits: Splits, seed: int, number: int) -> int:
+    """Position of the split of a sample: by a hash of seed and number alone."""
+    return int(positions(splits, unit(stream_words(seed, number, "split", 1, attempt=0)))[0])
 
 
 def of_files(splits: Splits, digests: Sequence[str]) -> NDArray[np.int64]:

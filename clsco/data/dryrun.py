@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import re
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -15,12 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.data.acceptance import Look, looks_of
-from clsco.data.build import located
-from clsco.data.compile import Parameter
-from clsco.data.dataset import TILE
-from clsco.data.distribution import Distribution, Drawn, Sample
-from clsco.data.draws import of_samples
-from clsco.data.values import ChoiceForm, Column, Files, Frustum, Turned
+from clsco.data.dataset import TILE, shrunk
+from clsco.data.distribution import Distribution, Sample
 from clsco.errors import ClscoError, DeviceError, SceneError
 from clsco.files.images import write_png
 from clsco.files.transfer import encode
@@ -32,9 +28,7 @@ from clsco.optics.exposure import frame_lines
 from clsco.plan.prepare import prepare
 from clsco.plan.request import Request
 from clsco.scene.model import Scene
-from clsco.scene.toml import toml_text
 
-AT_A_TIME = 16384  # samples whose parameters are drawn
 LOOKED_AT = 128  # samples that rays are cast at
 SHOWN = 16  # on the contact sheet
 TIMED = 2  # samples of which a frame is rendered, twice: the first time to compile
@@ -42,6 +36,7 @@ LONG, LONGEST = 20.0, 120.0  # s, after which the second time has one sample, or
 TIME_SAMPLES = 8  # of a frame with motion blur on the contact sheet, at most
 BINS = 12
 VALUES = 8  # of a choice that are listed
+_MEMBER = re.compile(r"^(object\.[^.]+\.)\d+\.")  # name of a parameter of an object of a population
 BYTES = {"color": 2, "sharp": 2, "alpha": 2, "normal": 12, "flow": 8, "flow_backward": 8, "uv": 8}
 """Bytes of a pixel; of the first three for each channel. Masks have 1 byte, all other arrays 4."""
 MASKS = ("mask", "filled", "missing", "hidden", "flow_occluded", "occluded")
@@ -49,7 +44,7 @@ MASKS = ("mask", "filled", "missing", "hidden", "flow_occluded", "occluded")
 
 @dataclass(frozen=True)
 class Summary:
-    """Values of one parameter: lowest, mean and highest, or the shares of those of a choice, or what is known of it."""
+    """Values of one parameter: lowest, mean and highest of numbers, or the shares of texts, or how many there are."""
 
     name: str
     low: float | None
@@ -69,41 +64,19 @@ class SeenHistogram:
 
 @dataclass(frozen=True)
 class DryRun:
-    """Result of `dry_run`.
+    """Result of `dry_run`: what a set of `count` samples will be, by those that are looked at, at equal distances in
+    it.
 
-    Attributes
-    ----------
-    count : int
-        Samples of the set.
-    parameters : tuple of Summary
-        Values of all samples, as drawn first, before any is refused.
-    splits : dict of str to int
-        Samples of each split.
-    looked_at : int
-        Samples that all below is from, at equal distances in the set.
-    attempts : int
-        Number of draws in all.
-    failed : tuple of str
-        Messages of those that give no sample.
-    histograms : tuple of SeenHistogram
-    frames : float
-        Mean number of frames of a sample, all variants and views counted.
-    bytes : dict of str to float
-        Mean size of a sample, by array, before compression.
-    weights : float
-        Predicted work of a frame, in weights of its blur: the median.
-    seconds : float or None
-        Predicted for the set, with one process on the device that was found.
-    basis : str
-        Basis of `seconds`, or the reason for None.
-    sheet : Path or None
-        The contact sheet, if it was written.
+    `splits` has the share of each split, `attempts` the number of draws, `failed` the messages of samples that cannot
+    be drawn, `frames` the mean number of a sample, all variants and views counted, `bytes` the mean size of a sample by
+    array before compression, `weights` the predicted work of a frame in weights of its blur, the median. `seconds` are
+    for the set, with one process on the device that was found, and `basis` says from what, or why they are not known.
     """
 
     count: int
-    parameters: tuple[Summary, ...]
-    splits: dict[str, int]
+    splits: dict[str, float]
     looked_at: int
+    parameters: tuple[Summary, ...]
     attempts: int
     failed: tuple[str, ...]
     histograms: tuple[SeenHistogram, ...]
@@ -118,23 +91,9 @@ class DryRun:
 def dry_run(
     distribution: Distribution, seed: int, count: int, *, wanted: Sequence[str], sheet_path: Path | None = None
 ) -> DryRun:
-    """Find out what a data set will be.
+    """Find out what a data set will be. Raises SceneError where no sample can be drawn.
 
-    Parameters
-    ----------
-    distribution : Distribution
-    seed : int
-    count : int
-        Number of samples.
-    wanted : sequence of str
-        Names of the arrays, as in files: "color", "depth", "coc", ...
-    sheet_path : Path, optional
-        PNG file with pictures of 16 samples; it is not written where there is no device.
-
-    Raises
-    ------
-    SceneError
-        As `Distribution.draw` for all samples that are looked at.
+    wanted: names of arrays as in files; sheet_path: PNG with pictures of 16 samples, where there is a device.
     """
     many = min(count, LOOKED_AT)
     samples, failed = list[Sample](), list[str]()
@@ -145,9 +104,6 @@ def dry_run(
             failed += error.messages
     if not samples:
         raise SceneError(failed)
-    splits = Counter(
-        int(position) for position in of_samples(distribution.splits, seed, np.arange(count, dtype=np.uint64))
-    )
     planned = [_planned(sample, wanted) for sample in samples[:SHOWN]]
     frames = [len(s.scenes) * s.scenes[0].sequence.frames * len(views(s.scenes[0])) for s in samples]
     sizes = {name: fmean(frames) * fmean(size[name] for size, _ in planned) for name in wanted}
@@ -158,8 +114,8 @@ def dry_run(
         sheet = sheet_path
     return DryRun(
         count=count,
-        parameters=_summaries(distribution, seed, count),
-        splits={name: splits[k] for k, (name, _) in enumerate(distribution.splits)},
+        parameters=_summaries(samples),
+        splits=dict(distribution.splits),
         looked_at=many,
         attempts=sum(sample.attempts for sample in samples),
         failed=tuple(failed),
@@ -173,63 +129,22 @@ def dry_run(
     )
 
 
-def show(distribution: Distribution, seed: int, number: int) -> str:
-    """The scene file of one sample, as TOML that renders it by itself. Raises SceneError as `Distribution.draw`."""
-    sample = distribution.draw(seed, number)
-    split = f", split {sample.split}" if sample.split else ""
-    text = toml_text(located(sample.table, distribution.folder))
-    return f"# Sample {number} of seed {seed}{split}, drawn {sample.attempts} times.\n{text}"
+def _summaries(samples: Sequence[Sample]) -> tuple[Summary, ...]:
+    """Summaries of all parameters, those of the objects of a population together."""
+    values: dict[str, list[Any]] = {}
+    for sample in samples:
+        for name, value in sample.parameters.items():
+            values.setdefault(_MEMBER.sub(r"\1", name), []).append(value)
+    return tuple(_summary(name, own) for name, own in values.items())
 
 
-class _Collected:
-    """Values of one parameter, some samples at a time."""
-
-    def __init__(self, parameter: Parameter) -> None:
-        self.name, self.form = parameter.name, parameter.form
-        self.counts: Counter[int] = Counter()
-        self.number, self.total, self.low, self.high = 0, 0.0, math.inf, -math.inf
-
-    def add(self, column: Column) -> None:
-        if isinstance(self.form, ChoiceForm | Files):
-            codes, many = np.unique(column, return_counts=True)
-            self.counts.update(dict(zip(codes.tolist(), many.tolist(), strict=True)))
-        elif column.size and not isinstance(self.form, Turned):
-            values = column[:, 2] if isinstance(self.form, Frustum) else column
-            self.number, self.total = self.number + values.size, self.total + float(values.sum())
-            self.low, self.high = min(self.low, float(values.min())), max(self.high, float(values.max()))
-
-    def summary(self) -> Summary:
-        if self.number:
-            note = "depth, mm" if isinstance(self.form, Frustum) else ""
-            return Summary(self.name, self.low, self.total / self.number, self.high, note)
-        if isinstance(self.form, Files):
-            return Summary(self.name, None, None, None, f"{len(self.counts)} of {len(self.form.names)} files")
-        total = max(1, sum(self.counts.values()))
-        listed = [f"{self.form.value(code)}: {n / total:.1%}" for code, n in sorted(self.counts.items())[:VALUES]]
-        more = f", and {len(self.counts) - VALUES} more" if len(self.counts) > VALUES else ""
-        uniform = "uniform on the sphere" if isinstance(self.form, Turned) else ""
-        return Summary(self.name, None, None, None, ", ".join(listed) + more + uniform)
-
-
-def _summaries(distribution: Distribution, seed: int, count: int) -> tuple[Summary, ...]:
-    """Summaries of all parameters over all samples, at their first attempt."""
-    parts = distribution.parts
-    fixed = [_Collected(one) for one in parts.parameters]
-    counts = [_Collected(population.count) for population in parts.populations]
-    members = [[_Collected(one) for one in population.parameters] for population in parts.populations]
-    for first in range(0, count, AT_A_TIME):
-        numbers = np.arange(first, min(first + AT_A_TIME, count), dtype=np.uint64)
-        drawn: Drawn = distribution.drawn(seed, numbers)
-        for one, column in zip(fixed, drawn.values, strict=True):
-            one.add(column)
-        for size, owner, own, columns in zip(counts, drawn.owners, members, drawn.members, strict=True):
-            many = np.bincount(owner, minlength=len(numbers))
-            size.number, size.total = size.number + len(many), size.total + float(many.sum())
-            size.low, size.high = min(size.low, float(many.min())), max(size.high, float(many.max()))
-            for one, column in zip(own, columns, strict=True):
-                one.add(column)
-    groups = zip(counts, members, strict=True)
-    return tuple(one.summary() for one in [*fixed, *(one for size, own in groups for one in (size, *own))])
+def _summary(name: str, values: list[Any]) -> Summary:
+    numbers = [each for value in values for each in (value if isinstance(value, list) else [value])]
+    if all(isinstance(number, int | float) for number in numbers):
+        return Summary(name, min(numbers), fmean(numbers), max(numbers), "")
+    counts = Counter(map(str, values))
+    listed = ", ".join(f"{text}: {n / len(values):.1%}" for text, n in sorted(counts.items()))
+    return Summary(name, None, None, None, listed if len(counts) <= VALUES else f"{len(counts)} values")
 
 
 def _histograms(samples: Sequence[Sample]) -> tuple[SeenHistogram, ...]:
@@ -336,5 +251,4 @@ def _picture(scene: Scene) -> NDArray[np.uint8]:
         return np.full((small[1], small[0], 3), 128, np.uint8)
     color = frame.color if frame.color.ndim == 3 else np.repeat(frame.color[..., None], 3, axis=2)
     codes = encode(color, 8, "srgb").astype(np.uint8)
-    row, column = ((np.arange(n) * m) // n for n, m in zip((small[1], small[0]), codes.shape, strict=False))
-    return codes[row][:, column]
+    return shrunk(codes)

@@ -10,8 +10,6 @@ from fnmatch import fnmatchcase
 from pathlib import Path, PureWindowsPath
 from typing import Any
 
-import numpy as np
-
 from clsco.data.draws import Splits, of_files
 from clsco.data.values import (
     ChoiceForm,
@@ -21,13 +19,10 @@ from clsco.data.values import (
     Integers,
     LogUniform,
     Normal,
-    Sobol,
     Turned,
     Uniform,
-    qmc,
     shares,
 )
-from clsco.errors import SceneError
 from clsco.files.atomic import sha256
 from clsco.scene.text import shown
 
@@ -52,13 +47,7 @@ class RefusedError(Exception):
 
 
 class Folder:
-    """The folder of a distribution file.
-
-    Parameters
-    ----------
-    path : Path
-        Nothing outside of it is read, whatever links say.
-    """
+    """The folder of a distribution file; nothing outside of it is read, whatever links say."""
 
     def __init__(self, path: Path) -> None:
         self.path = path.resolve()
@@ -150,17 +139,14 @@ LARGEST = 1e30  # of a number, so that sums and cubes are finite
 MAX_INTEGER = 2**53
 MAX_ENTRIES = 10_000
 MAX_SIZE = 16
-MAX_DIMENSIONS = 64
 
 
 @dataclass
 class FormContext:
-    """Context that the forms of a file share: its folder and splits, and the number of dimensions of a Sobol
-    sequence."""
+    """Context that the forms of a file share: its folder and splits."""
 
     folder: Folder
     splits: Splits
-    dimensions: int = 0
 
 
 def _number(value: Any) -> float:
@@ -266,19 +252,15 @@ def _choice(given: Mapping[str, Any], _: FormContext) -> Form:
     return ChoiceForm(None, entries, shares(numbers))
 
 
-def _constant(given: Mapping[str, Any], _: FormContext) -> Form:
-    return ChoiceForm(None, _at("constant", {"constant": [given["constant"]]}, _entries), (1.0,))
-
-
 def _files(given: Mapping[str, Any], found: FormContext) -> Form:
     names = _at("files", given, found.folder.match)
     digests = [_at("files", {"files": name}, found.folder.take) for name in names]
-    all_of_them = np.arange(len(names))
+    count = max(1, len(found.splits))
     if "split" not in given:
-        return Files(None, tuple(names), (all_of_them,) * max(1, len(found.splits)))
+        return Files(None, tuple(names), (tuple(range(len(names))),) * count)
     _at("split", given, _word("by_file"))
     place = of_files(found.splits, digests)
-    of_split = tuple(all_of_them[place == number] for number in range(max(1, len(found.splits))))
+    of_split = tuple(tuple((place == number).nonzero()[0].tolist()) for number in range(count))
     empty = [name for (name, _), own in zip(found.splits, of_split, strict=False) if not len(own)]
     if empty:
         rule = f"files must be more, so that each split has one: there is none for {', '.join(empty)}"
@@ -312,20 +294,7 @@ def _rotation(given: Mapping[str, Any], _: FormContext) -> Form:
     return Turned(4)
 
 
-def _sobol(given: Mapping[str, Any], found: FormContext) -> Form:
-    low, high = _at("sobol", given, _range)
-    try:
-        qmc()
-    except SceneError as error:
-        raise RefusedError(str(error).partition("; got ")[0], "no such module") from None
-    if found.dimensions == MAX_DIMENSIONS:
-        raise RefusedError(f"sobol must be at most {MAX_DIMENSIONS} keys", "more")
-    found.dimensions += 1
-    return Sobol(None, low, high, found.dimensions - 1)
-
-
 FORMS: dict[str, tuple[Callable[[Mapping[str, Any], FormContext], Form], tuple[str, ...]]] = {
-    "constant": (_constant, ()),
     "uniform": (_uniform, ("size",)),
     "log_uniform": (_log_uniform, ("size",)),
     "normal": (_normal, ("size", "clip")),
@@ -335,7 +304,6 @@ FORMS: dict[str, tuple[Callable[[Mapping[str, Any], FormContext], Form], tuple[s
     "frustum": (_frustum, ()),
     "direction": (_direction, ()),
     "rotation": (_rotation, ()),
-    "sobol": (_sobol, ()),
 }
 """Distributions by the key that names them, each with its options."""
 

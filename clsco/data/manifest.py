@@ -27,25 +27,8 @@ AT_ONCE = 16  # parts that are read at the same time
 class Identity:
     """All that decides the bytes of a set besides the number of its samples.
 
-    Attributes
-    ----------
-    distribution : str
-        Digest of the distribution.
-    seed : int
-    first : int
-        Number of the first sample.
-    shard_size : int
-    format : str
-    arrays : tuple of str
-        As they are called in files.
-    precision : str
-        Precision of the geometry: "double" or "single".
-    splits : tuple of (str, float)
-    version : str
-        Version of clsco.
-    device_family : str
-    types : tuple of (str, str)
-        Types of arrays that are not stored as by default, as `parse_stored` gives them.
+    distribution: its digest; first: number of the first sample; arrays: as they are called in files; precision: of the
+    geometry, "double" or "single"; version: of clsco; types: those of arrays that are not stored as by default.
     """
 
     distribution: str
@@ -81,21 +64,9 @@ class Identity:
 
 @dataclass(frozen=True)
 class ManifestPart:
-    """The part of the manifest of a shard.
+    """The part of the manifest of a shard, which has `count` samples from number `first` on.
 
-    Attributes
-    ----------
-    shard : int
-    identity : str
-        Digest of that of its set.
-    first, count : int
-        Numbers of its samples.
-    made, failed : int
-        Numbers of samples that are in its files, and that are not.
-    files : mapping
-        Key to its bytes and SHA-256.
-    rows : str
-        SHA-256 of the lines that follow.
+    identity: digest of that of its set; files: key to bytes and SHA-256; rows: SHA-256 of the lines that follow.
     """
 
     shard: int
@@ -225,25 +196,8 @@ class ManifestParts:
     ) -> dict[int, ManifestPart]:  # fmt: skip
         """Shards whose part is there, of this set, with all of their samples, and whose files are whole.
 
-        Parameters
-        ----------
-        identity : Identity
-            That of the set.
-        samples : range
-            Samples of the set.
-        shards : iterable of int
-            Shards to look at.
-        hashes : bool
-            Files must have the SHA-256 that their part names; else their sizes are compared.
-        faults : list of str
-            A line is added for each part that is there, but whose shard is not whole.
-        merged : Merged, optional
-            Takes the lines of all shards that are done.
-
-        Returns
-        -------
-        dict
-            Number to part.
+        hashes: files must have the SHA-256 that their part names; else their sizes are compared. A line is added to
+        `faults` for each part that is there, but whose shard is not whole; `merged` takes the lines of all that are.
         """
         there, found = set(self.keys), dict[int, ManifestPart]()
         keys, digest = {part_key(shard): shard for shard in shards}, identity.digest
@@ -292,10 +246,7 @@ class ManifestParts:
 class Merged:
     """Lines of all parts of a set, one after the other, and the files of its splits. Parts are added in order.
 
-    Parameters
-    ----------
-    storage : Storage
-        Lines are in its scratch folder until `put`.
+    Lines are in the scratch folder of the storage until `put`.
     """
 
     def __init__(self, storage: Storage) -> None:

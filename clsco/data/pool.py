@@ -57,12 +57,7 @@ class _Worker:
 def places(devices: Sequence[tuple[DeviceName, bool]], workers: int | None) -> list[Place]:
     """List the places for working processes: one for each graphics card, on a processor one for each of its cores.
 
-    Parameters
-    ----------
-    devices : sequence of (str or int or None, bool)
-        Each with whether it is a processor.
-    workers : int, optional
-        Processes in all, which take the devices in turn.
+    devices: each with whether it is a processor; workers: processes in all, which take the devices in turn.
     """
     cores = processors()
     if workers is None:
@@ -77,23 +72,9 @@ def places(devices: Sequence[tuple[DeviceName, bool]], workers: int | None) -> l
 
 
 def run_pool(job: SetJob, shards: Sequence[int], where: Sequence[Place], advance: Advance, memory: int) -> None:
-    """Make shards in processes.
+    """Make shards in processes, one in each place, which is replaced after a shard where it has over `memory` bytes.
 
-    Parameters
-    ----------
-    job : SetJob
-    shards : sequence of int
-    where : sequence of Place
-        One for each process.
-    advance : callable
-        Takes numbers of samples that are done since the last call.
-    memory : int
-        Bytes beyond which a process is replaced after its shard.
-
-    Raises
-    ------
-    ClscoError
-        No process starts, a device is of another family, the storage fails, or a shard cannot be made.
+    Raises ClscoError: no process starts, a device is of another family, the storage fails, or a shard cannot be made.
     """
     _Pool(job, shards, where, advance, memory).run()
 
@@ -303,16 +284,8 @@ DIED = f"sample: must be made; got a process that ended, {RETRIES} times"
 
 @dataclass(frozen=True)
 class ShardTask:
-    """A shard that is to be made, or some of its samples that are tried only.
-
-    Attributes
-    ----------
-    shard : int
-    tried : range or None
-        Numbers of samples that are made and dropped; None to make the shard.
-    failed : tuple of (int, str)
-        Samples that are known to fail, with their messages.
-    """
+    """A shard that is to be made without the samples `failed`, which have messages; or samples that are `tried`
+    only."""
 
     shard: int
     tried: range | None = None
@@ -320,15 +293,10 @@ class ShardTask:
 
 
 class Schedule:
-    """The tasks of a set.
+    """The tasks of a set, by the numbers of its shards, each with those of its samples.
 
     A shard whose process dies is made again, up to `RETRIES` times in all; then halves of its samples are tried, down
     to those that fail by themselves. The rest of the shard is made without them.
-
-    Parameters
-    ----------
-    shards : iterable of (int, range)
-        Numbers of the shards that are to be made, each with those of its samples.
     """
 
     def __init__(self, shards: Iterable[tuple[int, range]]) -> None:

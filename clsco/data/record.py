@@ -182,12 +182,7 @@ class Record(Mapping[str, NDArray[Any]]):
 
 
 def array_sha256(array: NDArray[Any]) -> str:
-    """SHA-256 in hexadecimal of dtype, shape and bytes, in C order and little endian.
-
-    Parameters
-    ----------
-    array : ndarray of numbers or bool, any shape
-    """
+    """SHA-256 in hexadecimal of dtype, shape and bytes, in C order and little endian."""
     plain = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
     digest = hashlib.sha256(f"{array.dtype.name} {','.join(map(str, array.shape))}\n".encode())
     digest.update(plain.data.cast("B"))
@@ -200,18 +195,10 @@ def is_wanted(name: str, wanted: Collection[str] | None) -> bool:
 
 
 def parse_stored(text: str) -> dict[str, str]:
-    """Types in which arrays are stored, by name.
+    """Types in which arrays are stored, by name, from a text such as "color=float32,depth=float16", or "all=float16".
 
-    Parameters
-    ----------
-    text : str
-        Such as "color=float32,depth=float16", or "all=float16". Images can be codes, uint8 or uint16 (default), or
-        linear floats; what else is in floats can be float32 (default) or float16.
-
-    Raises
-    ------
-    SceneError
-        Anything else; one message for each.
+    Images can be codes, uint8 or uint16 (default), or linear floats; what else is in floats can be float32 (default) or
+    float16. Raises SceneError for anything else; one message for each.
     """
     known = {name: (*FLOATS, *(CODES if name in PICTURES else ())) for name in ABOUT}
     return parse_types(text, known)
@@ -224,27 +211,11 @@ def make_record(
     wanted: Collection[str],
     stored: Mapping[str, str] | None = None,
 ) -> Record:
-    """Make the record of a sample from its frames.
+    """Make the record of a sample from the frames of each variant, of a stereo pair left and right after each other.
 
-    Parameters
-    ----------
-    sample : Sample
-    seed : int
-        Seed of the data set.
-    frames : sequence of sequence of Frame
-        All frames of each variant in order, of a stereo pair left and right after each other.
-    wanted : collection of str
-        Names in files. What a frame does not have is left out, such as `uv` where no texture lies on a surface.
-    stored : mapping, optional
-        Types as `parse_stored` gives them.
+    wanted: names in files; what a frame does not have is left out, such as `uv` where no texture lies on a surface.
+    stored: types as `parse_stored` gives them. Raises ImageError: radiance that is not finite; floats beyond float16.
 
-    Raises
-    ------
-    ImageError
-        A value does not fit: radiance that is not finite; floats beyond float16.
-
-    Notes
-    -----
     Codes end at white as those of a sensor do, and at black, below which interpolated textures may go at an edge. Both
     are no error, but what share of an array was clipped is in `meta["arrays"][name]["clipped"]`; float32 keeps all.
     """

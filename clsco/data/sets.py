@@ -1,4 +1,4 @@
-"""Data sets in a folder or a store: begun, gone on with, looked at, and ended."""
+"""Data sets in a folder or a store: opened, resumed, measured and completed."""
 
 from __future__ import annotations
 
@@ -28,21 +28,13 @@ from clsco.errors import ImageError, SceneError
 from clsco.files.bounded import strict_json
 
 MOST_SHARDS = 10**6
+LARGEST_CARD = 2**26
 LATEST = 64  # shards from whose times the rate is taken
 
 
 @dataclass(frozen=True)
 class DataSet:
-    """A set in a storage.
-
-    Attributes
-    ----------
-    storage : Storage
-    identity : Identity
-    samples : range
-    about : mapping
-        Entries of the card about what made the set, where it is there already.
-    """
+    """A set in a storage. about: entries of the card about what made the set, where it is there already."""
 
     storage: Storage
     identity: Identity
@@ -85,10 +77,13 @@ def open_set(storage: Storage) -> DataSet:
     if data is None:
         raise ImageError(f"{storage.where}: must hold a data set that clsco dataset make made; got no {CARD}")
     try:
+        if len(data) > LARGEST_CARD:
+            raise ValueError(f"{len(data)} bytes")
         card = strict_json(data)
-        if not all(isinstance(card.get(name, ""), str) for name in ("license", "recipe")):
-            raise TypeError("a license or recipe that is no text")
         about = dict(card["identity"])
+        texts = (card.get("license", ""), card.get("recipe", ""), about["format"])
+        if not all(isinstance(text, str) for text in texts):
+            raise TypeError("a license, recipe or format that is no text")
         about["arrays"] = tuple(map(str, about["arrays"]))
         about["splits"] = tuple((str(name), float(share)) for name, share in about["splits"])
         about["types"] = tuple((str(name), str(kind)) for name, kind in about["types"])
@@ -100,59 +95,34 @@ def open_set(storage: Storage) -> DataSet:
     return DataSet(storage, identity, samples, card)
 
 
-def known_license(storage: Storage) -> str:
-    """License on the card of a set, "" where there is none."""
-    try:
-        return str(json.loads(storage.read(CARD) or b"{}").get("license", ""))
-    except (ValueError, AttributeError, RecursionError):
-        return ""
+def check_resumable(new: DataSet, resumes: bool) -> Mapping[str, Any]:
+    """The card of the set that a storage holds and that may be resumed as `new`, {} for an empty storage.
 
-
-def begun(wanted: DataSet, goes_on: bool) -> bool:
-    """True if the storage holds a set that may be resumed.
-
-    Parameters
-    ----------
-    wanted : DataSet
-    goes_on : bool
-        The set is to be resumed.
-
-    Raises
-    ------
-    SceneError
-        The set there is another one, has samples that are not wanted, or is not to be gone on with; or the folder has
-        other files.
+    Raises SceneError: the set there is another one, has more samples, or is not to be resumed; or the folder has other
+    files.
     """
-    storage, where = wanted.storage, wanted.storage.where
+    storage, where = new.storage, new.storage.where
     if storage.read(CARD) is None:
         if storage.has_others():
             raise SceneError(f"{where}: must be an empty folder, or hold a data set; got other files")
-        return False
+        return {}
     there = open_set(storage)
-    if not goes_on:
+    if not resumes:
         raise SceneError(f"{where}: must hold no data set, unless that is resumed; got one")
-    faults = there.identity.differences(wanted.identity.record())
-    if there.samples.stop > wanted.samples.stop:
-        faults.append(f"count must be at least {there.samples.stop}, as in the set; got {wanted.samples.stop}")
+    faults = there.identity.differences(new.identity.record())
+    if there.samples.stop > new.samples.stop:
+        faults.append(f"count must be at least {there.samples.stop}, as in the set; got {new.samples.stop}")
     if faults:
         raise SceneError([f"{where}: {fault}" for fault in faults])
-    return True
+    return there.about
 
 
 @dataclass(frozen=True, repr=False)
 class Status:
-    """Progress of a set.
+    """Progress of a set of so many shards and samples.
 
-    Attributes
-    ----------
-    shards, samples : int
-        Numbers in the whole set.
-    done : mapping
-        Parts of the shards that are whole, by number.
-    faults : tuple of str
-        A line for each part whose shard is not.
-    rate : float or None
-        Samples per second over the latest shards, of all processes together; None where it is not known.
+    `done` has the parts of the shards that are whole, by number; `faults` a line for each part whose shard is not;
+    `rate` samples per second over the latest shards, of all processes together, None where it is not known.
     """
 
     shards: int
@@ -193,18 +163,7 @@ class Status:
 def status_of(
     there: DataSet, hashes: bool = False, shards: Sequence[int] | None = None, merged: Merged | None = None
 ) -> Status:
-    """Measure the progress of a set.
-
-    Parameters
-    ----------
-    there : DataSet
-    hashes : bool
-        Files must have the SHA-256 that the parts of the manifest name; else their sizes are compared.
-    shards : sequence of int, optional
-        Shards that are looked at; by default all.
-    merged : Merged, optional
-        Takes the lines of those that are done.
-    """
+    """Measure the progress of a set, of all shards or some; arguments are those of `DataSet.done`."""
     faults: list[str] = []
     done = there.done(there.shards if shards is None else shards, hashes, faults, merged)
     return Status(len(there.shards), len(there.samples), done, tuple(faults), _rate(there, done))
@@ -281,20 +240,8 @@ def split_files(storage: Storage) -> dict[str, list[tuple[str, int]]]:
 def write_card(storage: Storage, identity: Identity, listed: Mapping[str, list[tuple[str, int]]]) -> None:
     """Complete the card of a set whose shards are all done, and write README.md.
 
-    Parameters
-    ----------
-    storage : Storage
-        Its `dataset.json` is kept, what it has of the license and the distribution above all, and gains arrays, files,
-        counts, how to load it and how to cite it.
-    identity : Identity
-        Identity of the set.
-    listed : mapping
-        Split to its files, with the number of samples in them.
-
-    Raises
-    ------
-    ImageError
-        The set cannot be read or written.
+    What `dataset.json` has stays, of the license and the distribution above all. listed: split to its files, with the
+    number of samples in them. Raises ImageError: the set cannot be read or written.
     """
     card = json.loads(storage.read(CARD) or b"{}")
     files = {split: listed[split] for split in sorted(listed)}
@@ -386,13 +333,7 @@ def _citation(identity: Identity) -> str:
 
 
 def readme(card: Mapping[str, Any]) -> str:
-    """The text of README.md: a header for the hub, and what people want to know.
-
-    Parameters
-    ----------
-    card : mapping
-        The whole card.
-    """
+    """The text of README.md from the whole card: a header for the hub, and what people want to know."""
     identity, counts = card["identity"], card["counts"]
     lines = [
         "---", *_header(card), "---", "", "# Synthetic images with defocus and motion blur", "",

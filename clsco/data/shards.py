@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import math
-import queue
-import threading
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, field
+from itertools import chain, count
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -43,17 +43,7 @@ QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
 
 @dataclass(frozen=True)
 class SetJob:
-    """A set that is to be made; it travels to worker processes.
-
-    Attributes
-    ----------
-    distribution : Distribution or ScriptedDistribution
-    identity : Identity
-    samples : range
-        Numbers of all samples of the set.
-    where : str
-        Folder or address of the set.
-    """
+    """A set that is to be made in a folder or at an address; it travels to worker processes."""
 
     distribution: Distribution | ScriptedDistribution
     identity: Identity
@@ -89,15 +79,9 @@ def device_family(device: Device) -> str:
 
 
 class SampleRenderer:
-    """Renders samples one after the other on one device; data that several of them need are kept.
+    """Renders samples one after the other on one device; data that several of them need stay in memory.
 
-    Parameters
-    ----------
-    device : Device
-    arrays : tuple of str
-        Arrays, as they are called in files; without "color" no image is made.
-    precision : str
-        Precision of the geometry.
+    arrays: as they are called in files; without "color" no image is made. precision: of the geometry.
     """
 
     def __init__(self, device: Device, arrays: tuple[str, ...], precision: str) -> None:
@@ -126,13 +110,7 @@ class SampleRenderer:
 class ShardMaker:
     """Makes shards of a set, one after the other, on one device.
 
-    Parameters
-    ----------
-    job : SetJob
-    storage : Storage
-    device : Device
-    overlapped : bool
-        Samples are encoded while the next ones are rendered, in another thread.
+    overlapped: samples are encoded while the next ones are rendered, in another thread.
     """
 
     def __init__(self, job: SetJob, storage: Storage, device: Device, overlapped: bool) -> None:
@@ -150,27 +128,11 @@ class ShardMaker:
         failed: Mapping[int, str] | None = None,
         advance: Callable[[], object] = lambda: None,
     ) -> MadeShard:
-        """Make the files of a shard in the scratch folder.
+        """Make the files of a shard in the scratch folder: all samples, or those with some numbers.
 
-        Parameters
-        ----------
-        shard : int
-        numbers : iterable of int, optional
-            Its samples; by default all.
-        failed : mapping, optional
-            Samples that are not to be rendered, with their messages.
-        advance : callable
-            Is called after each sample.
-
-        Returns
-        -------
-        Made
-            A sample that cannot be drawn or rendered is among its failures.
-
-        Raises
-        ------
-        ClscoError
-            The device fails, or files cannot be written.
+        failed: samples that are not to be rendered, with their messages; advance: is called after each sample. A sample
+        that cannot be drawn or rendered is among the failures. Raises ClscoError: the device fails, or files cannot be
+        written.
         """
         began, spent = time.time(), {"draw": 0.0, "render": 0.0, "all": time.perf_counter()}
         wanted = self.job.numbers(shard) if numbers is None else numbers
@@ -194,6 +156,7 @@ class ShardMaker:
             splits.setdefault(sample.split, []).append(sample)
 
         def records(samples: Sequence[Sample], key: str) -> Generator[Record, None, None]:
+            offsets = count()
             for sample in samples:
                 start = time.perf_counter()
                 try:
@@ -208,7 +171,7 @@ class ShardMaker:
                     failures[sample.number] = _failure(sample, self._portable(error))
                     advance()
                     continue
-                rows[sample.number] = _row(sample, key, record)
+                rows[sample.number] = _row(sample, key, next(offsets), record)
                 yield record
                 advance()
 
@@ -222,11 +185,8 @@ class ShardMaker:
                 if first is None:
                     continue
                 remove_path(path)
-                self.container.write(path, _chained(first, source))
+                self.container.write(path, chain([first], source))
             files[key] = path
-        for offsets in _by_file(rows.values()):
-            for offset, row in enumerate(offsets):
-                row["offset"] = offset
         described = {name: about for key, path in files.items() for name, about in file_digests(key, path).items()}
         part = part_bytes(
             shard, self.job.identity.digest, self.job.numbers(shard), described,
@@ -290,22 +250,17 @@ class ShardMaker:
             remove_path(path)
 
 
-def _chained(first: Record, rest: Iterator[Record]) -> Iterator[Record]:
-    yield first
-    yield from rest
-
-
 def _failure(sample: Sample, error: str) -> dict[str, Any]:
     return {"number": sample.number, "split": sample.split, "error": error, "scene": sample.table}
 
 
-def _row(sample: Sample, key: str, record: Record) -> dict[str, Any]:
-    """The line of a sample in the manifest; its place in the file follows when all are written."""
+def _row(sample: Sample, key: str, offset: int, record: Record) -> dict[str, Any]:
+    """The line of a sample in the manifest, whose place in its file is `offset`."""
     return {
         "number": sample.number,
         "split": sample.split,
         "file": key,
-        "offset": 0,
+        "offset": offset,
         "attempts": sample.attempts,
         "parameters": sample.parameters,
         "arrays": record.sha256(),
@@ -329,53 +284,14 @@ def statistics(arrays: Mapping[str, NDArray[Any]]) -> dict[str, list[float | Non
     return found
 
 
-def _by_file(rows: Iterable[dict[str, Any]]) -> list[list[dict[str, Any]]]:
-    found: dict[str, list[dict[str, Any]]] = {}
-    for row in sorted(rows, key=lambda row: row["number"]):
-        found.setdefault(row["file"], []).append(row)
-    return list(found.values())
-
-
 V = TypeVar("V")
-DEPTH = 2
 
 
-def prefetch(produced: Generator[V, None, None], depth: int = DEPTH) -> Generator[V, None, None]:
-    """Yield what `produced` does, up to `depth` values of which wait meanwhile.
-
-    An error of the producer is raised here. When this generator is closed, the producer ends before its next value.
-    """
-    values: queue.Queue[tuple[bool, V | BaseException | None]] = queue.Queue(depth)
-    ended = threading.Event()
-
-    def put(value: tuple[bool, V | BaseException | None]) -> None:
-        while not ended.is_set():
-            try:
-                values.put(value, timeout=0.1)
-            except queue.Full:
-                continue
-            return
-
-    def produce() -> None:
-        try:
-            for value in produced:
-                put((True, value))
-                if ended.is_set():
-                    return
-            put((False, None))
-        except BaseException as error:  # raised again where the values are used
-            put((False, error))
-
-    thread = threading.Thread(target=produce, daemon=True)
-    thread.start()
-    try:
-        while True:
-            goes_on, value = values.get()
-            if isinstance(value, BaseException):
-                raise value
-            if not goes_on:
-                return
+def prefetch(produced: Generator[V, None, None]) -> Generator[V, None, None]:
+    """Yield what `produced` does, whose next value is made in a thread meanwhile; its errors are raised here."""
+    end = object()
+    with ThreadPoolExecutor(1) as thread:
+        following = thread.submit(next, produced, end)
+        while (value := following.result()) is not end:
+            following = thread.submit(next, produced, end)
             yield value  # type: ignore[misc]
-    finally:
-        ended.set()
-        thread.join()

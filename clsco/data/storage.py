@@ -12,7 +12,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import wraps
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from clsco.errors import ImageError
 from clsco.files.atomic import file_sha256, refuse
@@ -23,70 +23,12 @@ MOST_BYTES = 2**30  # of a card or a part of a manifest
 Call = TypeVar("Call", bound=Callable[..., Any])
 
 
-class Storage(Protocol):
-    """A place for objects by their keys, which are relative paths with "/". All raise ImageError where it fails.
-
-    Attributes
-    ----------
-    where : str
-        For messages, and to open it again in another process.
-    is_local : bool
-        A folder of this machine, or of a shared file system.
-    """
-
-    where: str
-    is_local: bool
-
-    def scratch(self) -> Path:
-        """The folder of this process for files that are not whole yet."""
-
-    def put(self, key: str, path: Path) -> None:
-        """Move a file, or a folder of files, from the scratch folder under its final key."""
-
-    def write(self, key: str, data: bytes) -> None:
-        """Put bytes under a key."""
-
-    def read(self, key: str) -> bytes | None:
-        """Content of a key, None where it has none."""
-
-    def digest(self, key: str) -> str | None:
-        """SHA-256 of the content of a key, None where it has none."""
-
-    def local(self, key: str) -> Path:
-        """A local file or folder with the content of a key."""
-
-    def sizes(self, prefix: str) -> dict[str, int]:
-        """Keys that begin with `prefix`, a folder, with their bytes."""
-
-    def has_others(self) -> bool:
-        """True if the storage holds anything that is not hidden."""
-
-    def remove(self, key: str) -> None:
-        """Remove a file or a folder, if it is there."""
-
-    def tidy(self) -> None:
-        """Remove temporary files of processes that are gone."""
-
-    def close(self) -> None:
-        """Remove those of this process."""
-
-
 def remove_path(path: Path) -> None:
     """Remove a file or a folder, if it is there."""
     if path.is_dir():
         shutil.rmtree(path)
     else:
         path.unlink(missing_ok=True)
-
-
-def open_storage(where: str | os.PathLike[str]) -> Storage:
-    """The storage of a data set: a folder, or an address such as s3://bucket/set. Raises ImageError for neither."""
-    text = os.fspath(where)
-    if "://" not in text:
-        return _Folder(Path(text))
-    if text.startswith("file://"):
-        return _Folder(Path(text.removeprefix("file://")))
-    return _Remote(text)
 
 
 def checked_key(key: str) -> str:
@@ -130,7 +72,10 @@ def _sync(path: Path) -> None:
 
 
 class _Folder:
-    """A folder. A file gets its name when all of it is on the disk: it is made in a hidden folder beside."""
+    """A folder for objects by their keys, relative paths with "/". All methods raise ImageError where it fails.
+
+    A file gets its name when all of it is on the disk: it is made in a hidden folder beside.
+    """
 
     is_local = True
 
@@ -147,12 +92,14 @@ class _Folder:
 
     @_failing
     def scratch(self) -> Path:
+        """The folder of this process for files that are not whole yet."""
         path = self.root / work_name(".work")
         path.mkdir(parents=True, exist_ok=True)
         return path
 
     @_failing
     def put(self, key: str, path: Path) -> None:
+        """Move a file, or a folder of files, from the scratch folder under its final key."""
         target = self._path(key)
         for each in path.rglob("*") if path.is_dir() else (path,):
             _sync(each)
@@ -164,12 +111,14 @@ class _Folder:
 
     @_failing
     def write(self, key: str, data: bytes) -> None:
+        """Put bytes under a key."""
         path = self.scratch() / f"{secrets.token_hex(4)}.tmp"
         path.write_bytes(data)
         self.put(key, path)
 
     @_failing
     def read(self, key: str) -> bytes | None:
+        """Content of a key, None where it has none."""
         try:
             return read_regular(self._path(key), MOST_BYTES)
         except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
@@ -177,6 +126,7 @@ class _Folder:
 
     @_failing
     def digest(self, key: str) -> str | None:
+        """SHA-256 of the content of a key, None where it has none."""
         try:
             with open_regular(self._path(key)) as file:
                 return file_sha256(file)
@@ -184,6 +134,7 @@ class _Folder:
             return None
 
     def local(self, key: str) -> Path:
+        """A local file or folder with the content of a key."""
         path = self._path(key)
         if not path.resolve().is_relative_to(self.root.resolve()):
             refuse(path, "must lie in the folder of the data set", "a link that leaves it")
@@ -191,6 +142,7 @@ class _Folder:
 
     @_failing
     def sizes(self, prefix: str) -> dict[str, int]:
+        """Keys that begin with `prefix`, a folder, with their bytes."""
         folder, found = self.root / checked_key(prefix), dict[str, int]()
         for inside, _, names in os.walk(folder):
             for name in names:
@@ -201,10 +153,12 @@ class _Folder:
 
     @_failing
     def has_others(self) -> bool:
+        """True if the storage holds anything that is not hidden."""
         return self.root.is_dir() and any(not path.name.startswith(".") for path in self.root.iterdir())
 
     @_failing
     def remove(self, key: str) -> None:
+        """Remove a file or a folder, if it is there."""
         path = self._path(key)
         if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path)
@@ -213,14 +167,17 @@ class _Folder:
 
     @_failing
     def tidy(self) -> None:
+        """Remove temporary files of processes that are gone."""
         remove_left(self.root, ".work")
 
     def close(self) -> None:
+        """Remove those of this process."""
         shutil.rmtree(self.root / work_name(".work"), ignore_errors=True)
 
 
 class _Remote:
-    """An object store, or any other file system of fsspec. A file is made locally and sent by one request."""
+    """An object store, or any other file system of fsspec, with the methods of `_Folder`. A file is made locally and
+    sent by one request."""
 
     is_local = False
 
@@ -309,3 +266,16 @@ class _Remote:
 
     def close(self) -> None:
         shutil.rmtree(Path(tempfile.gettempdir()) / work_name("clsco-batch"), ignore_errors=True)
+
+
+Storage = _Folder | _Remote
+
+
+def open_storage(where: str | os.PathLike[str]) -> Storage:
+    """The storage of a data set: a folder, or an address such as s3://bucket/set. Raises ImageError for neither."""
+    text = os.fspath(where)
+    if "://" not in text:
+        return _Folder(Path(text))
+    if text.startswith("file://"):
+        return _Folder(Path(text.removeprefix("file://")))
+    return _Remote(text)

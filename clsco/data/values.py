@@ -2,35 +2,15 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.data.draws import LARGEST_NORMAL, Words, cube_root, exact_log, exp, name_hash, normal, philox, unit
-from clsco.errors import SceneError
-
-Column = NDArray[Any]  # (n,) or (n, size): numbers, or positions in a list
-SOBOL_BITS = 32
-SOBOL_BLOCK = 1024
-MAX_SOBOL = 2**24  # samples: the way to one of them takes a time that grows with its number
-
-
-@dataclass(frozen=True)
-class Draw:
-    """Input of a draw: random words (n, words), the name of the parameter, the seed, and for every sample its number
-    (n,) and the position of its split (n,)."""
-
-    words: Words
-    name: str
-    seed: int
-    numbers: Words
-    splits: NDArray[np.int64]
+from clsco.data.draws import LARGEST_NORMAL, Words, cube_root, exact_log, exp, normal, unit
 
 
 @dataclass(frozen=True)
@@ -38,28 +18,22 @@ class Form:
     """Distribution of one value, or of `size` numbers."""
 
     size: int | None
-    designed: ClassVar[bool] = False
-    """True if values follow from the number of the sample, and not from chance alone."""
 
     @property
     def words(self) -> int:
         """Number of random words that a draw takes."""
         return self.size or 1
 
-    def column(self, draw: Draw) -> Column:
-        """Values (n,), those of `size` numbers as (n, size)."""
-        found = self._numbers(draw)
-        return found if self.size else found[:, 0]
-
-    def value(self, entry: Any) -> Any:
-        """An entry of a column as a scene file has it."""
-        return entry.tolist()
+    def value(self, words: Words, split: int) -> Any:  # noqa: ARG002, files depend on the split
+        """The value that words give in a sample of a split, as a scene file has it."""
+        numbers = self._numbers(words).tolist()
+        return numbers if self.size else numbers[0]
 
     def extremes(self) -> tuple[Any, ...]:
         """The lowest and the highest value, or all that there are, as a scene file has them."""
         return tuple([end] * self.size if self.size else end for end in self._ends())
 
-    def _numbers(self, draw: Draw) -> Column:
+    def _numbers(self, words: Words) -> NDArray[Any]:
         raise NotImplementedError
 
     def _ends(self) -> tuple[Any, ...]:
@@ -73,8 +47,8 @@ class Uniform(Form):
     low: float
     high: float
 
-    def _numbers(self, draw: Draw) -> Column:
-        return _between(self.low, self.high, unit(draw.words))
+    def _numbers(self, words: Words) -> NDArray[Any]:
+        return _between(self.low, self.high, unit(words))
 
     def _ends(self) -> tuple[Any, ...]:
         return self.low, self.high
@@ -84,9 +58,9 @@ class Uniform(Form):
 class LogUniform(Uniform):
     """{ log_uniform = [low, high] }: the logarithm is uniform."""
 
-    def _numbers(self, draw: Draw) -> Column:
+    def _numbers(self, words: Words) -> NDArray[Any]:
         start, end = exact_log(self.low), exact_log(self.high)
-        return np.clip(exp(_between(start, end, unit(draw.words))), self.low, self.high)
+        return np.clip(exp(_between(start, end, unit(words))), self.low, self.high)
 
 
 @dataclass(frozen=True)
@@ -97,8 +71,8 @@ class Normal(Form):
     deviation: float
     clip: tuple[float, float]
 
-    def _numbers(self, draw: Draw) -> Column:
-        return np.clip(self.mean + self.deviation * normal(draw.words), *self.clip)
+    def _numbers(self, words: Words) -> NDArray[Any]:
+        return np.clip(self.mean + self.deviation * normal(words), *self.clip)
 
     def _ends(self) -> tuple[Any, ...]:
         reach = LARGEST_NORMAL * self.deviation
@@ -112,9 +86,9 @@ class Integers(Form):
     low: int
     high: int
 
-    def _numbers(self, draw: Draw) -> Column:
+    def _numbers(self, words: Words) -> NDArray[Any]:
         count = self.high - self.low + 1
-        return self.low + np.minimum((unit(draw.words) * count).astype(np.int64), count - 1)
+        return self.low + np.minimum((unit(words) * count).astype(np.int64), count - 1)
 
     def _ends(self) -> tuple[Any, ...]:
         return self.low, self.high
@@ -127,11 +101,8 @@ class ChoiceForm(Form):
     entries: tuple[Any, ...]
     below: tuple[float, ...]
 
-    def _numbers(self, draw: Draw) -> Column:
-        return np.searchsorted(self.below[:-1], unit(draw.words), side="right")
-
-    def value(self, entry: Any) -> Any:
-        return self.entries[int(entry)]
+    def value(self, words: Words, split: int) -> Any:  # noqa: ARG002
+        return self.entries[int(np.searchsorted(self.below[:-1], unit(words)[0], side="right"))]
 
     def extremes(self) -> tuple[Any, ...]:
         return self.entries
@@ -145,17 +116,11 @@ class Files(Form):
     """
 
     names: tuple[str, ...]
-    of_split: tuple[NDArray[np.int64], ...]
+    of_split: tuple[tuple[int, ...], ...]
 
-    def _numbers(self, draw: Draw) -> Column:
-        found = np.zeros(draw.words.shape, np.int64)
-        for number, own in enumerate(self.of_split):
-            here = draw.splits == number
-            found[here] = own[np.minimum((unit(draw.words[here]) * len(own)).astype(np.int64), len(own) - 1)]
-        return found
-
-    def value(self, entry: Any) -> Any:
-        return self.names[int(entry)]
+    def value(self, words: Words, split: int) -> Any:
+        own = self.of_split[split]
+        return self.names[own[min(int(unit(words)[0] * len(own)), len(own) - 1)]]
 
     def extremes(self) -> tuple[Any, ...]:
         return self.names[:1]
@@ -165,7 +130,7 @@ class Files(Form):
 class Frustum(Form):
     """{ frustum = { depth = [near, far], margin = px, density = "volume" } }: a point that is seen.
 
-    A column has (across, up, depth), across and up from -1 to 1 within the frame without its margin.
+    Across and up are from -1 to 1 within the frame without its margin.
     """
 
     near: float
@@ -177,19 +142,14 @@ class Frustum(Form):
     def words(self) -> int:
         return 3
 
-    def column(self, draw: Draw) -> Column:
-        place = unit(draw.words)
-        depth = place[:, 2]
+    def value(self, words: Words, split: int) -> Placed:  # noqa: ARG002
+        across, up, depth = unit(words)
         if self.by_volume:
             depth = cube_root(_between(self.near**3, self.far**3, depth))
             depth = np.clip(depth, self.near, self.far)
         else:
             depth = _between(self.near, self.far, depth)
-        return np.stack([2.0 * place[:, 0] - 1.0, 2.0 * place[:, 1] - 1.0, depth], axis=-1)
-
-    def value(self, entry: Any) -> Any:
-        across, up, depth = entry.tolist()
-        return Placed(across, up, depth, self.margin)
+        return Placed(float(2.0 * across - 1.0), float(2.0 * up - 1.0), float(depth), self.margin)
 
     def extremes(self) -> tuple[Any, ...]:
         return Placed(-1.0, -1.0, self.near, self.margin), Placed(1.0, 1.0, self.far, self.margin)
@@ -214,75 +174,22 @@ class Placed:
 class Turned(Form):
     """{ direction = "sphere" } with 3 numbers, { rotation = "uniform" } with 4: uniform on a sphere."""
 
-    def column(self, draw: Draw) -> Column:
-        vectors = normal(draw.words)
-        return vectors / np.sqrt(sum(part * part for part in vectors.T))[:, None]
-
-    def value(self, entry: Any) -> Any:
-        return entry.tolist() if self.size == 3 else {"quaternion": entry.tolist()}
+    def value(self, words: Words, split: int) -> Any:  # noqa: ARG002
+        vector = normal(words)
+        return self._written(vector / np.sqrt(sum(part * part for part in vector)))
 
     def extremes(self) -> tuple[Any, ...]:
         first = np.zeros(self.words)
         first[0] = 1.0
-        return self.value(first), self.value(first[::-1])
+        return self._written(first), self._written(first[::-1])
 
-
-@dataclass(frozen=True)
-class Sobol(Form):
-    """{ sobol = [low, high] }: all such keys are the dimensions of one sequence, shifted by the seed."""
-
-    low: float
-    high: float
-    dimension: int
-    designed = True
-
-    @property
-    def words(self) -> int:
-        return 0
-
-    def column(self, draw: Draw) -> Column:
-        if len(draw.numbers) and draw.numbers.max() >= MAX_SOBOL:
-            raise SceneError(f"sobol: the number of a sample must be below {MAX_SOBOL}; got {draw.numbers.max()}")
-        points = np.empty(len(draw.numbers), np.uint64)
-        blocks = draw.numbers // np.uint64(SOBOL_BLOCK)
-        for block in np.unique(blocks).tolist():
-            here = blocks == block
-            points[here] = _sobol(self.dimension, block)[draw.numbers[here] % np.uint64(SOBOL_BLOCK)]
-        shift = _shift(draw.seed, draw.name) >> np.uint64(64 - SOBOL_BITS)
-        return _between(self.low, self.high, (points ^ shift).astype(np.float64) * 2.0**-SOBOL_BITS)
-
-    def _ends(self) -> tuple[Any, ...]:
-        return self.low, self.high
+    def _written(self, vector: NDArray[np.float64]) -> Any:
+        return vector.tolist() if self.size == 3 else {"quaternion": vector.tolist()}
 
 
 def _between(low: float, high: float, share: NDArray[np.float64]) -> NDArray[np.float64]:
     """From `low`, share 0, to `high`, share 1, and never beyond."""
     return np.clip(low + (high - low) * share, low, high)
-
-
-@lru_cache(maxsize=1024)
-def _shift(seed: int, name: str) -> np.uint64:
-    """Bits by which a dimension of a Sobol sequence is shifted, which keeps how evenly it is spread."""
-    parts = [np.full(1, part, np.uint64) for part in (seed, 2**64 - 1, 0, 2**64 - 2, *name_hash(name))]
-    return np.uint64(philox((parts[0], parts[1]), (parts[2], parts[3], parts[4], parts[5]))[0, 0])
-
-
-@lru_cache(maxsize=256)
-def _sobol(dimension: int, block: int) -> Words:
-    """Coordinates of some points of the sequence, as integers of SOBOL_BITS bits."""
-    sequence = qmc().Sobol(dimension + 1, scramble=False, bits=SOBOL_BITS)
-    if block:
-        sequence.fast_forward(block * SOBOL_BLOCK)
-    return (sequence.random(SOBOL_BLOCK)[:, dimension] * 2.0**SOBOL_BITS).astype(np.uint64)
-
-
-def qmc() -> Any:
-    """The module scipy.stats.qmc. Raises SceneError where it is not installed."""
-    try:
-        return importlib.import_module("scipy.stats.qmc")
-    except ImportError:
-        rule = "needs scipy: pip install 'clsco[data]'; got no such module"
-        raise SceneError(f"sobol: {rule}") from None
 
 
 def shares(weights: Sequence[float]) -> tuple[float, ...]:

@@ -124,14 +124,8 @@ def scene_table(there: DataSet, number: int) -> Mapping[str, Any]:
 def flow_error(scene: Scene, frame: Frame, depth: NDArray[np.float32], flow: NDArray[np.float32]) -> float:
     """By how much the flow of a frame exceeds what it may differ from motion, in px; not above 0 where it is right.
 
-    Parameters
-    ----------
-    scene : Scene
-    frame : Frame
-        With `object_id`.
-    depth : ndarray of float32 (rows, columns), mm
-        Depth of each surface point; the scene's motion takes it to the middle of the next frame's shutter.
-    flow : ndarray of float32 (rows, columns, 2), px
+    frame: with `object_id`; depth (rows, columns) in mm: of each surface point, which the scene's motion takes to the
+    middle of the next frame's shutter; flow (rows, columns, 2) in px.
     """
     assert frame.object_id is not None
     rows, columns = depth.shape

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from clsco.data.distribution import Distribution, load_distribution
-from tests.data.written import SCENE, Load
+from tests.data.distributions import SCENE, Load
 
 
 @pytest.fixture

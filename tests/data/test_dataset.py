@@ -67,7 +67,7 @@ def test_splits_and_arrays(folder: Path) -> None:
 
 
 def test_what_is_no_set(folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(ImageError, match=r"dataset\.json: must be the card of a data set; got No such file"):
+    with pytest.raises(ImageError, match=r"must hold a data set that clsco dataset make made; got no dataset\.json"):
         clsco.data.open(tmp_path)
     with pytest.raises(AttributeError):
         clsco.data.load  # noqa: B018
@@ -219,7 +219,7 @@ def test_a_set_in_a_store_is_read_by_copies_of_its_shards(
     one.close()
     two.close()
     assert not list((open_storage("memory://bucket/one").scratch() / "read").glob("*/*/*"))
-    with pytest.raises(ImageError, match=r"dataset\.json: must be the card of a data set; got No such file"):
+    with pytest.raises(ImageError, match=r"must hold a data set that clsco dataset make made; got no dataset\.json"):
         clsco.data.open("memory://bucket/three")
 
 

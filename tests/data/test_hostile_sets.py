@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import pickle
 import tarfile
 import tracemalloc
-import zipfile
 import zlib
 from collections.abc import Callable
 from dataclasses import replace
@@ -22,7 +20,7 @@ import pytest
 
 import clsco.data
 from clsco.data.containers import CONTAINERS
-from clsco.data.containers.base import decoded, encoded, meta_bytes, npy_bytes, parsed_meta
+from clsco.data.containers.base import decoded, encoded, parsed_meta
 from clsco.errors import ImageError
 from clsco.files.png import png_parts
 from tests.data.samples import make_set, record
@@ -145,31 +143,6 @@ def test_a_tar_whose_headers_lie(tmp_path: Path) -> None:
         CONTAINERS["webdataset"].read(path)
 
 
-def test_links_in_folders_are_not_followed(tmp_path: Path) -> None:
-    secret = tmp_path / "secret"
-    secret.write_bytes(npy_bytes(np.zeros((9, 12), np.float32)))
-    path = tmp_path / "shard"
-    CONTAINERS["folders+raw"].write(path, iter([record(1)]))
-    (path / "000000001/depth.npy").unlink()
-    (path / "000000001/depth.npy").symlink_to(secret)
-    with pytest.raises(ImageError, match="000000001: must be a sample that can be read"):
-        list(CONTAINERS["folders+raw"].read(path))
-    (path / "000000001/depth.npy").unlink()
-    os.mkfifo(path / "000000001/depth.npy")  # would block for ever
-    with pytest.raises(ImageError, match="000000001: must be a sample that can be read; got a device or a pipe"):
-        list(CONTAINERS["folders+raw"].read(path))
-
-
-def test_npz_bombs_and_pickles(tmp_path: Path) -> None:
-    wanted = record(1, (2, 2), ("depth",))
-    for member in (npy_of((2, 2), content=bytes(2**20)), npy_of((2, 2), "|O", pickle.dumps([print] * 4))):
-        with zipfile.ZipFile(tmp_path / "000000001.npz", "w", zipfile.ZIP_DEFLATED) as archive:
-            archive.writestr("meta.json", meta_bytes(wanted))
-            archive.writestr("depth.npy", member)
-        with pytest.raises(ImageError, match=r"000000001\.npz: must be a whole NPZ"):
-            list(CONTAINERS["npz"].read(tmp_path))
-
-
 def external(group: Any, folder: Path) -> None:
     del group["depth"]
     with h5py.File(folder / "other.h5", "w") as other:
@@ -227,11 +200,11 @@ def changed_card(folder: Path, **values: Any) -> None:
     [
         ({"files": {"train": [["../../etc/passwd", 1]]}}, "must lie in its folder"),
         ({"files": {"train": [["/etc/passwd", 1]]}}, "must lie in its folder"),
-        ({"files": {"train": [["train/000000.tar", -1]]}}, "must be the card of a data set"),
-        ({"files": {"train": [["train/000000.tar", 10**30]]}}, "must be the card of a data set"),
-        ({"files": ["train"]}, "must be the card of a data set"),
-        ({"identity": {"format": ["webdataset"]}}, "must be the card of a data set"),
-        ({"identity": {}}, "must be the card of a data set"),
+        ({"files": {"train": [["train/000000.tar", -1]]}}, "must list the files of a data set"),
+        ({"files": {"train": [["train/000000.tar", 10**30]]}}, "must list the files of a data set"),
+        ({"files": ["train"]}, "must list the files of a data set"),
+        ({"identity": {"format": ["webdataset"]}}, "must describe a data set"),
+        ({"identity": {}}, "must describe a data set"),
     ],
 )
 def test_cards_of_strangers(values: dict[str, Any], rule: str, tmp_path: Path) -> None:
@@ -239,16 +212,6 @@ def test_cards_of_strangers(values: dict[str, Any], rule: str, tmp_path: Path) -
     changed_card(tmp_path / "set", **values)
     with pytest.raises(ImageError, match=rule):
         clsco.data.open(tmp_path / "set")
-
-
-def test_shards_that_are_links_out_of_the_folder(tmp_path: Path) -> None:
-    make_set(tmp_path / "set")
-    shard = tmp_path / "set/train/000000.tar"
-    shard.rename(tmp_path / "elsewhere.tar")
-    shard.symlink_to(tmp_path / "elsewhere.tar")
-    opened = clsco.data.open(tmp_path / "set", "train")
-    with pytest.raises(ImageError, match="must lie in the folder of the data set"):
-        opened[0]
 
 
 def test_a_card_that_counts_wrong(tmp_path: Path) -> None:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-import time
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +11,8 @@ import pytest
 
 from clsco.data.manifest import (
     Identity,
-    ManifestPart,
     ManifestParts,
     Merged,
-    line,
     numbers_of,
     parsed_part,
     part_bytes,
@@ -141,22 +137,3 @@ def test_jobs_read_their_own_parts_and_the_last_one_all_of_them_once(tmp_path: P
     assert storage.reads <= shards + latest + 2
     assert storage.lists <= 3
     assert len((tmp_path / "failed.jsonl").read_text().splitlines()) == shards * size
-
-
-@pytest.mark.slow
-def test_a_million_rows_of_a_thousand_parts_are_merged_in_seconds(tmp_path: Path) -> None:
-    storage = open_storage(tmp_path)
-    row: dict[str, Any] = {"number": "NUMBER", "file": "data/000000.tar"}
-    row["parameters"] = {f"camera.key_{k}": 1.2345678901 for k in range(8)}
-    row["arrays"] = dict.fromkeys(("color", "sharp", "depth", "coc"), "0" * 64)
-    text = f"{line(row)}\n".replace('"NUMBER"', "%d")
-    for shard in range(1000):
-        body = "".join(text % number for number in range(1000 * shard, 1000 * shard + 1000)).encode()
-        files = {f"data/{shard:06d}.tar": (1, "0")}
-        head = ManifestPart(shard, "id", 1000 * shard, 1000, 1000, 0, files, hashlib.sha256(body).hexdigest())
-        storage.write(part_key(shard), f"{line(asdict(head))}\n".encode() + body)
-    start = time.perf_counter()
-    merge(storage)
-    assert time.perf_counter() - start < 10.0
-    with open(tmp_path / "manifest.jsonl", "rb") as file:
-        assert sum(1 for _ in file) == 10**6

@@ -13,7 +13,7 @@ import pytest
 import clsco
 from clsco.data.containers import container_named
 from clsco.data.distribution import Sample, load_distribution
-from clsco.data.sets import DataSet, begun, finish, open_set, ranges, status_of
+from clsco.data.sets import DataSet, check_resumable, finish, open_set, ranges, status_of
 from clsco.data.shards import SampleRenderer, SetJob, ShardMaker, prefetch
 from clsco.data.storage import open_storage
 from clsco.data.verify import verify_samples
@@ -125,18 +125,18 @@ def test_a_shard_counts_when_it_is_whole(tmp_path: Path) -> None:
 
 def test_a_set_is_gone_on_with_only_as_it_was_begun(tmp_path: Path) -> None:
     wanted = set_of(job_of(tmp_path, 8))
-    assert not begun(wanted, goes_on=False)
+    assert not check_resumable(wanted, resumes=False)
     wanted.write({"license": "CC0"})
     assert open_set(wanted.storage) == wanted or open_set(wanted.storage).identity == wanted.identity
     with pytest.raises(SceneError, match="must hold no data set, unless that is resumed; got one"):
-        begun(wanted, goes_on=False)
-    assert begun(wanted, goes_on=True)
-    assert begun(replace(wanted, samples=range(20)), goes_on=True)
+        check_resumable(wanted, resumes=False)
+    assert check_resumable(wanted, resumes=True)
+    assert check_resumable(replace(wanted, samples=range(20)), resumes=True)
     with pytest.raises(SceneError, match="count must be at least 8, as in the set; got 4"):
-        begun(replace(wanted, samples=range(4)), goes_on=True)
+        check_resumable(replace(wanted, samples=range(4)), resumes=True)
     other = replace(wanted, identity=replace(wanted.identity, seed=5, device_family="gpu"))
     with pytest.raises(SceneError) as raised:
-        begun(other, goes_on=True)
+        check_resumable(other, resumes=True)
     assert [message.partition(": ")[2] for message in raised.value.messages] == [
         "seed must be 1, as in the set; got 5",
         f"device family must be {wanted.identity.device_family}, as in the set; got gpu",
@@ -147,7 +147,7 @@ def test_other_files_and_damaged_cards_are_refused(tmp_path: Path) -> None:
     (tmp_path / "thesis.pdf").write_bytes(b"")
     wanted = set_of(job_of(tmp_path, 8))
     with pytest.raises(SceneError, match="must be an empty folder, or hold a data set; got other files"):
-        begun(wanted, goes_on=True)
+        check_resumable(wanted, resumes=True)
     with pytest.raises(ImageError, match=r"must hold a data set that clsco dataset make made; got no dataset\.json"):
         open_set(wanted.storage)
     for text in ("", "[]", '{"identity": {}}', json.dumps({"identity": wanted.identity.record(), "samples": [5, 2]})):
@@ -163,7 +163,7 @@ def test_a_set_in_a_store_has_the_bytes_of_one_in_a_folder(tmp_path: Path) -> No
     jobs = [job_of(where, 6) for where in (tmp_path, "memory://bucket/set")]
     for job in jobs:
         there = set_of(job)
-        begun(there, goes_on=False)
+        check_resumable(there, resumes=False)
         there.write({})
         make_here(job)
         finish(there)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import json
 import re
 from abc import ABC, abstractmethod
@@ -11,18 +10,21 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.data.record import Record
+from clsco.data.record import Record, is_wanted
 from clsco.errors import ClscoError, ImageError
 from clsco.files.atomic import refuse
 from clsco.files.bounded import npy_array as npy_array
 from clsco.files.bounded import npy_size as npy_size
 from clsco.files.bounded import strict_json
+from clsco.files.confined import confined
 from clsco.files.decoders import codec, unzstd
+from clsco.files.npy import ZSTD
+from clsco.files.npy import npy_bytes as npy_bytes
 from clsco.files.png import GRAY, RGB, SIGNATURE, png_parts
 
 
@@ -31,11 +33,6 @@ class ShardReader(ABC):
 
     Nothing is open before the first record is read; a closed reader opens again. A reader is used by one thread at a
     time.
-
-    Attributes
-    ----------
-    path : Path
-    keys : tuple of str
     """
 
     def __init__(self, path: Path, keys: Iterable[str]) -> None:
@@ -44,19 +41,9 @@ class ShardReader(ABC):
 
     @abstractmethod
     def record(self, index: int, wanted: Collection[str] | None = None) -> Record:
-        """Read one record.
+        """Read one record. Raises ImageError where the shard is damaged.
 
-        Parameters
-        ----------
-        index : int
-            From 0.
-        wanted : collection of str, optional
-            Names of arrays, whole ones or what they hold; nothing else is read where the format has it apart.
-
-        Raises
-        ------
-        ImageError
-            The shard is damaged.
+        wanted: names of arrays, whole ones or what they hold; nothing else is read where the format has it apart.
         """
 
     def close(self) -> None:  # noqa: B027, some keep nothing open
@@ -76,18 +63,9 @@ class ShardReader(ABC):
 class Container:
     """A format that holds the records of a shard in one file, or in one folder.
 
-    Attributes
-    ----------
-    name : str
-        As users give it.
-    suffix : str
-        End of a shard's name; "" where it is a folder without one.
-    write : callable
-        Takes a new local path and records; the same records give the same bytes. Few records are in memory at a time.
-    read : callable
-        Takes a local path and gives a ShardReader. Raises ImageError where it is no whole shard.
-    needs : (str, str), optional
-        Module that it needs, and the extra of clsco that brings it.
+    suffix: end of a shard's name, "" for a folder without one. write: takes a new local path and records, few of which
+    are in memory at a time; the same records give the same bytes. read: takes a local path, and raises ImageError where
+    it is no whole shard. needs: a module, and the extra of clsco that brings it.
     """
 
     name: str
@@ -155,9 +133,8 @@ def _differing(layout: Layout, own: Layout) -> str:
     return f"{name} {own[name][0]} {own[name][1]}"
 
 
-NEEDS = ("imagecodecs", "formats")  # the one package with both Zstandard and PNG of 16 bits in color
+NEEDS = ZSTD  # the one package with both Zstandard and PNG of 16 bits in color
 EXTENSIONS = ("npy.zst", "npy", "png")
-LEVEL = 3  # 0.29 of the size at 500 MB/s; bytes shuffled first it is 0.26, and is read at half the rate
 LARGEST = 2**31  # bytes of an array
 LARGEST_RECORD = 2**32  # and of all arrays of a record
 LARGEST_META = 2**26
@@ -167,55 +144,22 @@ _DTYPES = {np.dtype(name).name: np.dtype(name) for name in ("?", "u1", "u2", "i4
 
 
 def encoded(path: Path, array: NDArray[Any], raw: bool = False) -> tuple[str, bytes]:
-    """Encode an array.
+    """Extension, one of `EXTENSIONS`, and content of an array; path: for messages.
 
-    Parameters
-    ----------
-    path : Path
-        For messages.
-    array : ndarray
-    raw : bool
-        As NPY, uncompressed.
-
-    Returns
-    -------
-    (str, bytes)
-        Extension, one of `EXTENSIONS`, and content. The same array gives the same bytes.
-
-    Raises
-    ------
-    ImageError
-        The extra `formats` is missing.
+    The same array gives the same bytes. Raises ImageError: the extra `formats` is missing.
     """
     if raw:
         return "npy", npy_bytes(array)
     if is_png(array.dtype.name, array.shape):
         return "png", png_bytes(array)
-    return "npy.zst", codec(path, *NEEDS).zstd_encode(npy_bytes(array), LEVEL)
+    return "npy.zst", npy_bytes(array, zstd=True, where=str(path))
 
 
 def decoded(path: Path, extension: str, content: bytes, about: Mapping[str, Any]) -> NDArray[Any]:
-    """Decode an array; the inverse of `encoded` bit by bit.
+    """Decode an array that can be written to; the inverse of `encoded` bit by bit.
 
-    Parameters
-    ----------
-    path : Path
-        For messages.
-    extension : str
-        One of `EXTENSIONS`.
-    content : bytes
-    about : mapping
-        `dtype` and `shape` that it must have, as `described` gives them; memory for no more is taken.
-
-    Returns
-    -------
-    ndarray
-        That can be written to.
-
-    Raises
-    ------
-    Exception
-        For damage any of the codecs', which readers turn into an ImageError.
+    about: `dtype` and `shape` that it must have, as `described` gives them; memory for no more is allocated. Damage
+    raises any error of a codec, which readers turn into an ImageError.
     """
     dtype, shape = about["dtype"], tuple(about["shape"])
     if extension == "png":
@@ -254,26 +198,10 @@ def _from_png(path: Path, content: bytes, dtype: np.dtype[Any], shape: tuple[int
     return data != 0 if dtype == np.bool_ else data
 
 
-def npy_bytes(array: NDArray[Any]) -> bytes:
-    """An NPY file of an array, for np.load."""
-    file = io.BytesIO()
-    np.lib.format.write_array(file, np.ascontiguousarray(array), allow_pickle=False)
-    return file.getvalue()
-
-
 def meta_bytes(record: Record, flat: bool = False) -> bytes:
-    """JSON of what describes a record, in one line.
+    """JSON of what describes a record, in one line. Raises ImageError where JSON cannot hold it.
 
-    Parameters
-    ----------
-    record : Record
-    flat : bool
-        Nested tables are text, again JSON: `datasets` needs one type for each key, and scenes differ in theirs.
-
-    Raises
-    ------
-    ImageError
-        JSON cannot hold it.
+    flat: nested tables are text, again JSON: `datasets` needs one type for each key, and scenes differ in theirs.
     """
     try:
         nested = {name: _json(value) for name, value in record.meta.items() if isinstance(value, (dict, list, tuple))}
@@ -287,18 +215,8 @@ def _json(value: Any) -> str:
 
 
 def parsed_meta(path: Path, content: bytes | str) -> dict[str, Any]:
-    """Parse the meta.json of a record, whose arrays are such as `described` takes.
-
-    Parameters
-    ----------
-    path : Path
-        For messages.
-    content : bytes or str
-
-    Raises
-    ------
-    ImageError
-    """
+    """Parse the meta.json of a record, whose arrays are such as `described` takes. Raises ImageError, or ValueError
+    for no JSON."""
     if len(content) > LARGEST_META:
         refuse(path, f"meta.json must have at most {LARGEST_META} bytes", len(content))
     meta = strict_json(content)
@@ -324,6 +242,20 @@ def described(path: Path, meta: Mapping[str, Any], name: str) -> dict[str, Any]:
     if not plain or prod(shape) * dtype.itemsize > LARGEST:
         refuse(path, f"shape of {name} must be 1 to 5 sizes of at most {LARGEST} bytes in all", about.get("shape"))
     return {"dtype": dtype, "shape": tuple(shape)}
+
+
+def confined_arrays(
+    function: str, file: BinaryIO, meta: Mapping[str, Any], wanted: Collection[str] | None, **options: Any
+) -> dict[str, NDArray[Any]]:
+    """The wanted arrays of a record, which a function reads in the process with limits: of the types and shapes that
+    `meta` describes, and of no more bytes. Raises ValueError for any others."""
+    known = {name: described(Path(file.name), meta, name) for name in meta["arrays"] if is_wanted(name, wanted)}
+    most = sum(prod(about["shape"]) * about["dtype"].itemsize for about in known.values())
+    _, arrays = confined(function, file, most, names=list(known), **options)
+    for (name, about), array in zip(known.items(), arrays, strict=True):
+        if (array.dtype, array.shape) != (about["dtype"], about["shape"]):
+            raise ValueError(f"{name} of {array.dtype} {array.shape}")
+    return dict(zip(known, arrays, strict=True))
 
 
 def _is_list(about: Mapping[str, Any]) -> bool:

@@ -44,14 +44,7 @@ _FILE = "clsco.data.containers.parquet_file"
 
 
 def write(path: Path, records: Iterable[Record]) -> None:
-    """Write records to a new file.
-
-    Parameters
-    ----------
-    path : Path
-    records : iterable of Record
-        With the same arrays, each of one type and size.
-    """
+    """Write records with the same arrays, each of one type and size, to a new file."""
     parquet, writer = codec(path, "pyarrow.parquet", "data"), None
     try:
         for layout, block in blocks(path, records, "parquet"):

@@ -35,21 +35,7 @@ _RENAMES = re.compile(rb"(^|[ \n])(path|size|linkpath|GNU\.[^=]*)=")
 
 
 def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
-    """Write records to a new tar, without names of users and times.
-
-    Parameters
-    ----------
-    path : Path
-    records : iterable of Record
-    raw : bool
-        Each array as NPY.
-
-    Raises
-    ------
-    ImageError
-        A record cannot be encoded.
-    OSError
-    """
+    """Write records to a new tar, without names of users and times; raw: each array as NPY."""
     with tarfile.open(path, "x", format=tarfile.USTAR_FORMAT) as tar:
         for record in records:
             for name, content in members(path, record, raw, flat=True):

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 import clsco
 import clsco.data
 from clsco.cli.main import main
-from clsco.data import making
+from clsco.data import creation
 from clsco.data.distribution import scripted
 from clsco.errors import SceneError
 from clsco.files.images import save_image
@@ -70,17 +70,6 @@ def test_a_file_its_content_and_its_command_make_one_set(place: Path) -> None:
     assert one.card["recipe"] == DISTRIBUTION
 
 
-def test_a_card_makes_its_set_again(place: Path) -> None:
-    """The joined content of a file with a base, and with overrides, is in the card and gives the same bits."""
-    Path("base.toml").write_text(DISTRIBUTION)
-    Path("set.toml").write_text('base = "base.toml"\n[vary.camera]\nf_number = { choice = [2, 4] }\n')
-    clsco.data.make("set.toml", "one", overrides=["object.0.radius=25"], truth=["depth"], **SMALL)
-    (place / "base.toml").unlink()
-    card = clsco.data.open("one").card
-    clsco.data.make(card["distribution"], "two", truth="depth", **SMALL)
-    assert files(place / "one" / "data") == files(place / "two" / "data")
-
-
 def test_samples_that_are_compared_with_rays(place: Path) -> None:
     content: dict[str, Any] = CONTENT | {"check": {"every": 2}}
     clsco.data.make(content, "CHECKED", count=3, seed=7, folder=place)
@@ -115,7 +104,7 @@ def test_a_function_draws_scenes(place: Path) -> None:
 
 def test_samples_of_a_function_may_fail(place: Path) -> None:
     with pytest.raises(
-        making.FailedSamplesError, match="bad: every sample must be made; got 3 of 4 that failed; "
+        creation.FailedSamplesError, match="bad: every sample must be made; got 3 of 4 that failed; "
     ) as e:
         clsco.data.make(draw_badly, "bad", **SMALL)
     assert e.value.status.failed == 3

@@ -16,7 +16,7 @@ from clsco.data.draws import SplitsLike
 from clsco.data.manifest import Identity, shard_numbers
 from clsco.data.pool import Place, places, run_pool
 from clsco.data.record import parse_stored
-from clsco.data.sets import DataSet, Status, begun, finish, known_license
+from clsco.data.sets import DataSet, Status, check_resumable, finish
 from clsco.data.storage import open_storage
 from clsco.errors import ClscoError, DeviceError, SceneError
 from clsco.frame.truth_files import ATTRIBUTES, OF_THE_IMAGE, array_names
@@ -46,17 +46,8 @@ class FailedSamplesError(ClscoError):
 
 @dataclass(frozen=True)
 class Workers:
-    """Makers of the shards of a set: processes of this machine, or the workers of a cluster.
-
-    Attributes
-    ----------
-    places : sequence of Place
-        Devices and threads of the processes.
-    family, precision : str
-        Family of the devices, and the precision that these have.
-    scheduler : str
-        Address of the cluster's scheduler, "" for none.
-    """
+    """Makers of the shards of a set: processes of this machine, or the workers of a cluster at the address
+    `scheduler`; with the family of the devices, and the precision that these have."""
 
     places: Sequence[Place]
     family: str
@@ -267,19 +258,10 @@ def numbers_wanted(count: int | None, only: range | None) -> range:
 
 
 def workers_of(names: Sequence[str] = (), count: int | None = None) -> Workers:
-    """Processes of this machine.
+    """Processes of this machine: `count`, on devices by parts of their names.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Parts of names of devices; ("all",) for all of the best kind, and none for the best one.
-    count : int, optional
-        Number of processes.
-
-    Raises
-    ------
-    DeviceError
-        There is no such device, or they are of several families.
+    ("all",) are all of the best kind, () is the best one. Raises DeviceError: there is no such device, or they are of
+    several families.
     """
     from clsco.data.shards import device_family
     from clsco.opencl.device import choose, list_devices
@@ -317,8 +299,8 @@ def _make_shards(job: SetJob, who: Workers, given: MakeOptions) -> tuple[Status,
     storage.tidy()
     wanted = DataSet(storage, job.identity, job.samples)
     try:
-        begun(wanted, given["resume"] or part is not None)
-        wanted.write({"license": given["license"] or known_license(storage), **job.distribution.about})
+        card = check_resumable(wanted, given["resume"] or part is not None)
+        wanted.write({"license": given["license"] or card.get("license", ""), **job.distribution.about})
         own = _own(job, part)
         done = wanted.done(own, storage.is_local, [])
         left = [shard for shard in own if shard not in done]
