@@ -259,26 +259,9 @@ def process_is_gone(process: int) -> bool:
     return process_began(process) is None
 
 
-def group_runs(group: int) -> bool:
-    """Test whether a process of a group runs."""
-    for process in _processes():
-        with suppress(OSError):
-            if os.getpgid(process) == group and process_began(process) is not None:
-                return True
-    return False
-
-
 def _stat(process: int) -> list[str]:
     """Fields of a process that Linux tells, from its state on; raises OSError where there is none."""
     return (PROC / str(process) / "stat").read_text("utf-8", "replace").rpartition(")")[2].split()
-
-
-def _processes() -> list[int]:
-    if (PROC / "self").exists():
-        return [int(path.name) for path in PROC.glob("[0-9]*")]
-    import psutil
-
-    return list(psutil.pids())
 
 
 def _began_by_psutil(process: int) -> float | None:

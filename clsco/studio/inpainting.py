@@ -23,7 +23,6 @@ from clsco.files.images import Picture, read_image, write_png
 from clsco.files.png import png_parts
 from clsco.files.transfer import encode
 from clsco.studio.folder import below
-from clsco.studio.jobs import CommandJob, Jobs
 from clsco.studio.presets import REMOVALS
 from clsco.studio.session import Document
 
@@ -198,23 +197,6 @@ class Inpainting:
             self.results[method] = found
         return found
 
-    def begin(self, jobs: Jobs, methods: Sequence[str], folder: str) -> list[CommandJob]:
-        """Write image and mask into a folder, and have methods fill it as jobs. Raises ClscoError."""
-        for method in methods:
-            self._require(method)
-            jobs.require_free(f"{folder}/{method}")
-        self._write(folder, ())
-        return [
-            jobs.add(
-                f"Inpainting: {method}",
-                shlex.split(self.command(method, folder))[1:],
-                f"{folder}/{method}",
-                "filled.png",
-                1,
-            )
-            for method in methods
-        ]
-
     def table(self) -> list[tuple[str, list[str]]]:
         """Figures of the methods that were run, as in figure 5.21: rows with a value for each, "" for none."""
         return [
@@ -223,7 +205,7 @@ class Inpainting:
         ]
 
     def command(self, method: str, folder: str) -> str:
-        """The command line that makes the same of the image and mask that `save` and `begin` write."""
+        """The command line that makes the same of the image and mask that `save` writes."""
         name = self._target(folder).relative_to(self.root).as_posix()
         start = f"./{name}" if name.startswith("-") else name
         image, mask, out = (f"{start}/{end}" for end in ("image.png", "mask.png", f"{method}/filled.png"))

@@ -89,7 +89,7 @@ def _draw(page: Page, name: str, studio: Studio) -> None:
             _middle()
         with say("aside", id="side", aria_label="Inspector and jobs", tabindex=0):
             _inspector()
-            draw_jobs(session, studio.jobs)
+            draw_jobs(studio.jobs)
     with say("dialog", id="keys", aria_label="Keyboard"):
         with say("table"):
             for keys, meaning in KEYS:
@@ -110,7 +110,7 @@ def _header(session: Document, studio: Studio, name: str) -> None:
     button("Save", save, id="save")
     button("Save as", save_as)
     button("Share", share_dialog(session))
-    button("Inpaint", inpainting_dialog(session, studio.jobs, name, studio.device), id="inpaint")
+    button("Inpaint", inpainting_dialog(session, name, studio.device), id="inpaint")
     say("button", "Undo", id="undo", data_do="undo", disabled=True)
     say("button", "Redo", id="redo", data_do="redo", disabled=True)
     if studio.kept_scenes():

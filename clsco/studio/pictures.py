@@ -134,10 +134,20 @@ def picture_of(frame: Frame, scene: Scene, view: str, rung: int, full: tuple[int
         with np.errstate(over="ignore"):  # infinite in 16 bits
             payload = np.ascontiguousarray(data, dtype).tobytes()
     rows, columns = data.shape[:2]
-    small, step = b"", max(1, -(-max(rows, columns) // SMALL))
-    if view == "color" and rung == EXACT:
-        small = _jpeg(encode(np.ascontiguousarray(data[::step, ::step]), 8, scene.image.transfer), QUALITY[DRAGGING])
+    is_kept = view == "color" and rung == EXACT
+    small = _jpeg(encode(_shrunk(data), 8, scene.image.transfer), QUALITY[DRAGGING]) if is_kept else b""
     return ViewPicture(rung, view, (columns, rows), full, encoding, payload, seconds, eye=frame.eye, small=small)
+
+
+def small_png(radiance: NDArray[Any]) -> bytes:
+    """A PNG of 8 bits with at most SMALL pixels on a side."""
+    codes = encode(_shrunk(radiance), 8, "srgb").astype(np.uint8)
+    return b"".join(png_parts(codes))
+
+
+def _shrunk(data: NDArray[Any]) -> NDArray[Any]:
+    step = max(1, -(-max(data.shape[:2]) // SMALL))
+    return np.ascontiguousarray(data[::step, ::step])
 
 
 def _jpeg(codes: NDArray[Any], quality: int) -> bytes:

@@ -199,7 +199,7 @@ def test_a_data_set_is_made_and_survives_a_reload(page: Any, root: Path) -> None
     rest(page)
     page.locator(".job.done").wait_for(timeout=60000)
     assert page.locator(".job code").inner_text() == (
-        "clsco dataset make mine.toml -o sets/scene --count 18 --seed 0 --shard-size 2 --format webdataset "
+        "clsco dataset make mine.toml -o sets/scene --count 18 --shard-size 2 --seed 0 --format webdataset "
         "--device pocl --resume --quiet"
     )
     page.wait_for_function(

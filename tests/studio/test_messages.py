@@ -119,10 +119,8 @@ class Said:
 
 
 @pytest.fixture
-def said(tmp_path: Path) -> Iterator[Said]:
-    made = Said(tmp_path)
-    yield made
-    made.studio.jobs.close()
+def said(tmp_path: Path) -> Said:
+    return Said(tmp_path)
 
 
 def test_malformed_messages(said: Said) -> None:
