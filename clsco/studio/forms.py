@@ -71,8 +71,6 @@ class Field:
         Ends of a slider; beyond them a number is typed.
     components : tuple of str
         Labels of the components of a vector.
-    fewest : int
-        Number of components that must be given.
     is_integer : bool
     only : str
         Values of another key without which this one does nothing, "psf.model=gaussian", or "moves"; "" for none.
@@ -91,7 +89,6 @@ class Field:
     help: str = ""
     slider: tuple[float, float] | None = None
     components: tuple[str, ...] = ()
-    fewest: int = 0
     is_integer: bool = False
     only: str = ""
 
@@ -127,18 +124,13 @@ class Field:
         slider = POINT.get(label, self.slider) if is_point else self.slider
         return replace(
             self, path=f"{self.path}.{part}", label=f"{self.label} {label}", symbol=symbol, kind="number",
-            default=default, components=(), fewest=0, slider=slider, step=_step(slider, self.is_integer),
+            default=default, components=(), slider=slider, step=_step(slider, self.is_integer),
         )  # fmt: skip
 
     @property
     def is_paired(self) -> bool:
         """True if the value is a list of pairs."""
         return self.key == "bounds"
-
-    def value(self, numbers: Sequence[float]) -> Any:
-        """The value of a vector of these components, in their order."""
-        listed = list(numbers)
-        return [listed[k : k + 2] for k in range(0, len(listed), 2)] if self.is_paired else listed
 
 
 @dataclass(frozen=True)
@@ -160,16 +152,7 @@ def flat(value: Any) -> list[Any]:
 def panels(session: Document, index: int = 0) -> tuple[Panel, ...]:
     """Panels with a field for every key that a scene may have.
 
-    Parameters
-    ----------
-    session : Document
-    index : int
-        Index of the object whose keys are shown.
-
-    Returns
-    -------
-    tuple of Panel
-        The five of the thesis first.
+    index: index of the object whose keys are shown. Returns: the five of the thesis first.
     """
     shape = session.shown(f"object.{index}.shape")
     shape = shape if isinstance(shape, str) and shape in SHAPES else session.known(f"object.{index}.shape")
@@ -343,7 +326,6 @@ def _field(
         help=help_text,
         slider=slider,
         components=components,
-        fewest=len(components) if shape.get("minItems") != 1 else 1,
         is_integer=is_integer,
         only=_only(path, help_text),
     )

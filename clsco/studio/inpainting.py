@@ -83,15 +83,8 @@ class Inpainting:
     def open(self, name: str) -> None:
         """Take another image, without a mask.
 
-        Parameters
-        ----------
-        name : str
-            Relative to the root.
-
-        Raises
-        ------
-        ImageError
-            It is not below the root, cannot be read, or has more than 2^24 pixels.
+        name: relative to the root. Raises ImageError: it is not below the root, cannot be read, or has more than 2^24
+        pixels.
         """
         picture = self._read(name)
         image = picture.data
@@ -137,19 +130,8 @@ class Inpainting:
     def add_color(self, column: int, row: int, tolerance: float, erase: bool = False) -> None:
         """Add all pixels that look like one of them to the mask, as the letters of figure 5.16.
 
-        Parameters
-        ----------
-        column, row : int
-            Place of the pixel.
-        tolerance : float
-            Largest difference of a channel, as a share of white.
-        erase : bool
-            Take them off the mask instead.
-
-        Raises
-        ------
-        ImageError
-            There is no such pixel.
+        column, row: place of the pixel; tolerance: largest difference of a channel, as a share of white; erase: take
+        them off the mask instead. Raises ImageError: there is no such pixel.
         """
         if not (0 <= row < self.mask.shape[0] and 0 <= column < self.mask.shape[1]):
             raise ImageError(f"color: must be that of a pixel of the image; got column {column}, row {row}")
@@ -296,15 +278,7 @@ def inpainting_of(session: Document, device: str | None = None) -> Inpainting:
 class FillingProcess:
     """Fills images one after the other; its process is begun with the first, and stays.
 
-    Parameters
-    ----------
-    device : str, optional
-        As for `clsco.inpaint`.
-
-    Attributes
-    ----------
-    share : float
-        Share of the image that is filled, from 0 to 1.
+    device: as for `clsco.inpaint`; share: share of the image that is filled, from 0 to 1.
     """
 
     def __init__(self, device: str | None = None) -> None:

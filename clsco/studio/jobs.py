@@ -73,12 +73,7 @@ class CommandJob:
 class Jobs:
     """The commands of a studio, which end with it.
 
-    Attributes
-    ----------
-    root : Path
-        Folder that all of them work in.
-    listed : list of CommandJob
-        The last one first.
+    root: folder that all of them work in; listed: the last one first.
     """
 
     def __init__(self, root: Path) -> None:

@@ -51,21 +51,8 @@ def tracks(session: Document) -> tuple[Track, ...]:
 def add_keyframe(session: Document, path: str, time: float) -> None:
     """Add a keyframe with the pose, or the lens, that there is at a time, as one step of undo.
 
-    Parameters
-    ----------
-    session : Document
-    path : str
-        Path of a `Track`.
-    time : float
-        s.
+    path: path of a `Track`; time: s. Raises SceneError: there is no such track; the time cannot be, or has a keyframe.
 
-    Raises
-    ------
-    SceneError
-        There is no such track; the time cannot be, or has a keyframe.
-
-    Notes
-    -----
     Where the thing moves by velocities, these become keyframes at t = 0, at this time, and at the end of the sequence,
     and closer ones where it turns about several axes, with the same pose at each.
     """

@@ -52,21 +52,9 @@ class Grip:
     def value(self, camera: Camera, across: float, down: float, is_along: bool) -> float | list[float]:
         """Position of the object after the pointer has moved by a distance.
 
-        Parameters
-        ----------
-        camera : Camera
-        across, down : float
-            Pixels of the frame, to the right and down, since the object was taken hold of.
-        is_along : bool
-            Move along z: ALONG pixels up multiply the depth by e.
+        across, down: pixels of the frame, to the right and down, since the object was taken hold of; is_along: move
+        along z: ALONG pixels up multiply the depth by e. Returns: new value of the key, mm.
 
-        Returns
-        -------
-        float or list of float
-            New value of the key, mm.
-
-        Notes
-        -----
         At constant depth the held point stays under the pointer: x = s0 X / Z (thesis, 2.4). Validated by projections.
         """
         if is_along:
@@ -124,11 +112,7 @@ MOST_PX = 1e6  # of a drag
 class Pointer:
     """The pointer of a tab.
 
-    Parameters
-    ----------
-    session : Document
-    preview : Preview
-        Knows the surface at a pixel.
+    preview: knows the surface at a pixel.
     """
 
     def __init__(self, session: Document, preview: Preview) -> None:

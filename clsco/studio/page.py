@@ -37,7 +37,6 @@ PINS = (
     ("", "Pin …"),
     ("this", "this frame (P)"),
     ("thesis", "as the thesis"),
-    ("reference", "as the reference, in NumPy"),
 )
 COMPARISONS = (
     ("off", "not compared"),
@@ -197,9 +196,6 @@ def _middle() -> None:
         say("span", id="zoom")
         say("button", "Fit", id="fit")
         say("button", "1:1", id="actual")
-    with say("div", id="reference", hidden=True):
-        say("span", id="reference-about", role="status")
-        say("button", "Cancel", id="reference-cancel", data_do="cancel", title="Esc")
     _stack()
     with say("div", id="exposure-row", hidden=True):
         with say("div", id="exposed", role="group", aria_label="Time samples"):

@@ -38,7 +38,7 @@ VIEWS = {
 """Attributes of a frame, by what the studio calls them, in the order of the tabs."""
 
 UNBLURRED = ("depth", "normal", "id")  # views that are the same without blur, which takes the time
-DRAGGING, LOSSY, EXACT, PINNED, STACKED, REFERENCE, OUTLINED = range(7)
+DRAGGING, LOSSY, EXACT, PINNED, STACKED, OUTLINED = range(6)
 MESSAGE, JPEG, PNG, FLOAT16, FLOAT32 = range(5)
 HEADER = struct.Struct("<IBBHHBHHBI")
 FIELDS = ("revision", "rung", "view", "width", "height", "encoding", "columns", "rows", "flags", "number")
@@ -57,8 +57,8 @@ class ViewPicture:
     Attributes
     ----------
     rung : int
-        DRAGGING, LOSSY or EXACT; to compare with these PINNED, an exact picture of another scene, and REFERENCE, one by
-        `clsco.reference`; STACKED: one of a focal stack; OUTLINED: numbers of objects, to outline one of them.
+        DRAGGING, LOSSY or EXACT; to compare with these PINNED, an exact picture of another scene; STACKED: one of a
+        focal stack; OUTLINED: numbers of objects, to outline one of them.
     view : str
         One of VIEWS.
     size, full : (int, int)
@@ -167,22 +167,10 @@ NEAREST = 1e-3  # mm; what is nearer to the lens, or behind it, has no place in 
 def moment_of(scene: Scene, index: int, time: float) -> Scene:
     """The scene whose frame has one time sample.
 
-    Parameters
-    ----------
-    scene : Scene
-    index : int
-        Number of the frame.
-    time : float
-        Seconds since the reference pose, taken to be within the interval of the frame, or while its shutter is open.
+    index: number of the frame; time: seconds since the reference pose, taken to be within the interval of the frame, or
+    while its shutter is open. Returns: its frame of the same number is the sub-frame at this time, and all ground truth
+    is that of this time; the flow leads over one interval.
 
-    Returns
-    -------
-    Scene
-        Its frame of the same number is the sub-frame at this time, and all ground truth is that of this time; the
-        flow leads over one interval.
-
-    Notes
-    -----
     A shutter of twice the time since the frame began, or since its shutter opened sooner, has its only sample then; it
     may exceed the interval, which files may not ask for. Validated by the sub-frames of `clsco.render`.
     """
@@ -203,18 +191,9 @@ def eye_of(frame: Frame) -> Eye:
 def exposure_of(frame: Frame, scene: Scene, samples: int) -> dict[str, Any]:
     """Data of the time line for a frame.
 
-    Parameters
-    ----------
-    frame : Frame
-    scene : Scene
-    samples : int
-        Time samples of the frame, as its plan has them.
-
-    Returns
-    -------
-    dict
-        `times` of its samples and `shutter`, when it opens and closes, in s since the reference pose; `arrows`: column
-        and row of the origin of each object that moves, at both of these, and how many mm it has come nearer.
+    samples: time samples of the frame, as its plan has them. Returns: `times` of its samples and `shutter`, when it
+    opens and closes, in s since the reference pose; `arrows`: column and row of the origin of each object that moves,
+    at both of these, and how many mm it has come nearer.
     """
     if not scene.moves:
         return {"times": [], "shutter": None, "arrows": []}

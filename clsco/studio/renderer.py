@@ -105,10 +105,7 @@ Watch = Callable[[RenderProgress], Coroutine[Any, Any, None]]
 class RendererProcess:
     """Handle of the renderer's process: jobs go in, one at a time, and pictures come out.
 
-    Parameters
-    ----------
-    device : str, optional
-        As for `clsco.render`.
+    device: as for `clsco.render`.
     """
 
     def __init__(self, device: str | None = None) -> None:
@@ -166,11 +163,6 @@ class RendererProcess:
         """Have compiled, in the background, what the scene and those near it need."""
         async for _ in self._ask("warm", scene):
             pass
-
-    async def draw(self, scene: Scene) -> dict[str, Any]:
-        """Ask for `clsco.studio.drawings.drawings` of a scene. Errors are as for `pictures`."""
-        async with aclosing(self._ask("draw", scene)) as answers:
-            return await anext(answers)
 
     async def rehearse(self, job: PictureJob) -> None:
         """Have compiled and timed what previews like a job's need. Errors are as for `pictures`."""
@@ -327,8 +319,6 @@ class _RenderWorker:
                 self._live.warm(content)
             elif what == "rehearse":
                 self._rehearse(content)
-            elif what == "draw":
-                self._send(number, self._drawings(content))
             elif what == "inspect":
                 self._send(number, self._inspect(number, content))
             elif content.rung == DRAGGING:
@@ -411,12 +401,6 @@ class _RenderWorker:
                 if ladder.predicted(work, eighths) <= PATIENCE:
                     for learns in (False, True):
                         self._coarse_picture(job, size, way, eighths, learns)
-
-    def _drawings(self, scene: Scene) -> dict[str, Any]:
-        from clsco.plan.prepare import with_resolution
-        from clsco.studio.drawings import drawings
-
-        return drawings(with_resolution(scene))
 
     def _size_of(self, job: PictureJob) -> tuple[int, int]:
         from clsco.plan.prepare import with_resolution

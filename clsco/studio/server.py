@@ -298,12 +298,8 @@ async def _look(session: Document, preview: Preview, said: dict[str, Any]) -> bo
             preview.hide(is_hidden)
         case {"outline": bool(is_wanted)}:
             preview.outline(is_wanted)
-        case {"drawings": bool(is_wanted)}:
-            preview.draw(is_wanted)
         case {"do": "pin thesis"}:
             preview.pin(as_the_thesis(session))
-        case {"do": "pin reference"}:
-            preview.pin_reference()
         case {"do": "cancel"}:
             preview.stop()
             await preview.tell(stopped=True)

@@ -38,10 +38,7 @@ __all__ = ["ConflictError", "Document"]
 class Document(Editor):
     """A scene that is changed key by key, opened and saved, and shared as a link.
 
-    Parameters
-    ----------
-    root : Path
-        Folder with all files that may be read and written.
+    root: folder with all files that may be read and written.
     """
 
     def __init__(self, root: Path) -> None:
@@ -63,10 +60,8 @@ class Document(Editor):
     def open(self, path: Path) -> None:
         """Go to the scene of a file below the root, as a step of undo.
 
-        Raises
-        ------
-        SceneError
-            As `clsco.load_sweep`; the file or one that it names is not below the root. Then all stays as it is.
+        Raises SceneError: as `clsco.load_sweep`; the file or one that it names is not below the root. Then all stays as
+        it is.
         """
         target = self.inside(path)
         table, digest = read_scene(target)

@@ -9,7 +9,6 @@ import socket
 import stat
 import threading
 import time
-from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -29,11 +28,7 @@ from clsco.studio.server import MAX_HEADER, listening
 from tests.studio.browser import chromium, rest
 from tests.studio.running import Running, studio
 
-
-@pytest.fixture(scope="module")
-def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
-    with studio(tmp_path_factory.mktemp("root")) as opened:
-        yield opened
+DEVICE = ()
 
 
 def opened(running: Running) -> socket.socket:
