@@ -49,47 +49,24 @@ PLACES: Mapping[str, Callable[[float], float]] = {
 
 @dataclass(frozen=True)
 class Field:
-    """A key of a scene as a control.
+    """A key of a scene as a control."""
 
-    Attributes
-    ----------
-    path : str
-        "object.0.radius", as `Document.patch` takes it.
-    label, symbol, unit : str
-        Symbol of the thesis, "" where it has none.
-    kind : {"number", "vector", "choice", "text", "flag", "image"}
-    default : Any
-        The value that the key has if it is not given; None for none.
-    least, most : float or None
-        Ends of the valid range; of a vector, of each component.
-    step : float
-        Step of a slider.
-    choices : tuple of (value, label)
-        Other values that a number or an image may have instead.
-    help : str
-    slider : tuple of two float, or None
-        Ends of a slider; beyond them a number is typed.
-    components : tuple of str
-        Labels of the components of a vector.
-    is_integer : bool
-    only : str
-        Values of another key without which this one does nothing, "psf.model=gaussian", or "moves"; "" for none.
-    """
-
-    path: str
+    path: str  # "object.0.radius", as `Document.patch` takes it
     label: str
-    symbol: str = ""
+    symbol: str = ""  # of the thesis, "" where it has none
     unit: str = ""
-    kind: str = "number"
-    default: Any = None
+    kind: str = "number"  # or "vector", "choice", "text", "flag", "image"
+    default: Any = None  # the value that the key has if it is not given; None for none
+    # least, most: ends of the valid range; of a vector, of each component
     least: float | None = None
     most: float | None = None
-    step: float = 0.0
-    choices: tuple[tuple[Any, str], ...] = ()
+    step: float = 0.0  # step of a slider
+    choices: tuple[tuple[Any, str], ...] = ()  # other values that a number or an image may have instead
     help: str = ""
-    slider: tuple[float, float] | None = None
-    components: tuple[str, ...] = ()
+    slider: tuple[float, float] | None = None  # ends of a slider; beyond them a number is typed
+    components: tuple[str, ...] = ()  # labels of the components of a vector
     is_integer: bool = False
+    # values of another key without which this one does nothing, "psf.model=gaussian", or "moves"; "" for none
     only: str = ""
 
     @property

@@ -26,21 +26,11 @@ _TURN = 90.0  # deg from key to key at most, where velocities that turn about se
 
 @dataclass(frozen=True)
 class Track:
-    """A thing that can have keyframes.
+    """A thing that can have keyframes."""
 
-    Attributes
-    ----------
-    path : str
-        Path of its keyframes: "object.0.motion.keyframe".
-    name : str
-        Its name for users.
-    times : tuple of float or None
-        Times of its keyframes, s; None where a file has several values for one.
-    """
-
-    path: str
-    name: str
-    times: tuple[float | None, ...]
+    path: str  # path of its keyframes: "object.0.motion.keyframe"
+    name: str  # its name for users
+    times: tuple[float | None, ...]  # times of its keyframes, s; None where a file has several values for one
 
 
 def tracks(session: Document) -> tuple[Track, ...]:

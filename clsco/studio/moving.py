@@ -27,27 +27,13 @@ _DIGITS = 4  # of mm that are kept: less than a thousandth of a pixel
 
 @dataclass(frozen=True)
 class Grip:
-    """An object that the pointer holds.
+    """An object that the pointer holds."""
 
-    Attributes
-    ----------
-    path : str
-        Path of the key that says where it is: "object.0.center".
-    start : tuple of float
-        Its value before, mm; of a plane the distance alone.
-    normal : ndarray of float64, (3,)
-        Normal of a plane, with 1 as its last component; else along z.
-    depth : float
-        Depth of the point that is held, mm.
-    axes : ndarray of float64, (3, 3)
-        From the camera's axes at the middle of the shutter to those of the scene.
-    """
-
-    path: str
-    start: tuple[float, ...]
-    normal: NDArray[np.float64]
-    depth: float
-    axes: NDArray[np.float64]
+    path: str  # path of the key that says where it is: "object.0.center"
+    start: tuple[float, ...]  # its value before, mm; of a plane the distance alone
+    normal: NDArray[np.float64]  # normal of a plane, with 1 as its last component; else along z
+    depth: float  # depth of the point that is held, mm
+    axes: NDArray[np.float64]  # from the camera's axes at the middle of the shutter to those of the scene
 
     def value(self, camera: Camera, across: float, down: float, is_along: bool) -> float | list[float]:
         """Position of the object after the pointer has moved by a distance.

@@ -52,43 +52,22 @@ QUALITY = {DRAGGING: 80, LOSSY: 95}
 
 @dataclass(frozen=True)
 class ViewPicture:
-    """Picture of a frame, as it is sent to the page.
+    """Picture of a frame, as it is sent to the page."""
 
-    Attributes
-    ----------
-    rung : int
-        DRAGGING, LOSSY or EXACT; to compare with these PINNED, an exact picture of another scene; STACKED: one of a
-        focal stack; OUTLINED: numbers of objects, to outline one of them.
-    view : str
-        One of VIEWS.
-    size, full : (int, int)
-        Columns and rows of the picture, and of the frame.
-    encoding : int
-        JPEG or PNG, or FLOAT16 or FLOAT32: little endian, channels last.
-    payload : bytes
-    seconds : float
-        Time that it took to render.
-    about : dict, optional
-        Further figures of an exact frame, as JSON can hold them.
-    left_out : tuple of str
-        Parts of the scene that a coarse picture is without, of `ladder.WAYS`.
-    eye : str
-        "left" or "right" of a stereo pair, else "".
-    small : bytes
-        Small JPEG of an exact color image, for lists of scenes.
-    """
-
+    # DRAGGING, LOSSY or EXACT; to compare with these PINNED, an exact picture of another scene; STACKED: one of a focal
+    # stack; OUTLINED: numbers of objects, to outline one of them
     rung: int
-    view: str
+    view: str  # one of VIEWS
+    # size, full: columns and rows of the picture, and of the frame
     size: tuple[int, int]
     full: tuple[int, int]
-    encoding: int
+    encoding: int  # JPEG or PNG, or FLOAT16 or FLOAT32: little endian, channels last
     payload: bytes
-    seconds: float
-    about: dict[str, Any] | None = None
-    left_out: tuple[str, ...] = ()
-    eye: str = ""
-    small: bytes = b""
+    seconds: float  # time that it took to render
+    about: dict[str, Any] | None = None  # further figures of an exact frame, as JSON can hold them
+    left_out: tuple[str, ...] = ()  # parts of the scene that a coarse picture is without, of `ladder.WAYS`
+    eye: str = ""  # "left" or "right" of a stereo pair, else ""
+    small: bytes = b""  # small JPEG of an exact color image, for lists of scenes
 
     def packed(self, revision: int, number: int) -> bytes:
         """The bytes for the browser; number: of the frame, or in a focal stack, NO_NUMBER for one without."""

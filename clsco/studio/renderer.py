@@ -34,29 +34,15 @@ class RendererEndedError(ClscoError):
 
 @dataclass(frozen=True)
 class PictureJob:
-    """A picture that is wanted.
-
-    Attributes
-    ----------
-    scene : Scene
-    index : int
-        Number of the frame.
-    view : str
-        One of `pictures.VIEWS`.
-    rung : int
-        DRAGGING: one picture, as large as the time for it allows. EXACT: the frame, lossy first where that is quicker.
-    eye : {"left", "right"}
-        View of a stereo pair.
-    took : float
-        Time of an exact frame of the kind, s, which a preview takes at most; 0 where nobody knows.
-    """
+    """A picture that is wanted."""
 
     scene: Scene
-    index: int
-    view: str
+    index: int  # number of the frame
+    view: str  # one of `pictures.VIEWS`
+    # DRAGGING: one picture, as large as the time for it allows. EXACT: the frame, lossy first where that is quicker
     rung: int
-    eye: Eye = "left"
-    took: float = 0.0
+    eye: Eye = "left"  # view of a stereo pair
+    took: float = 0.0  # time of an exact frame of the kind, s, which a preview takes at most; 0 where nobody knows
 
 
 @dataclass(frozen=True)
@@ -81,22 +67,13 @@ class Question:
 
 @dataclass(frozen=True)
 class RenderProgress:
-    """Progress of long work.
+    """Progress of long work."""
 
-    Attributes
-    ----------
-    doing : str
-        Work that is waited for: a pass, what is compiled, or another tab.
-    done, total : int
-        Time samples.
-    still : float
-        Time since any of these changed, s.
-    """
-
-    doing: str
+    doing: str  # work that is waited for: a pass, what is compiled, or another tab
+    # done, total: time samples
     done: int
     total: int
-    still: float
+    still: float  # time since any of these changed, s
 
 
 Watch = Callable[[RenderProgress], Coroutine[Any, Any, None]]

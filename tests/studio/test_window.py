@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import random
 import time
 from pathlib import Path
 from typing import Any
@@ -82,33 +81,6 @@ def test_from_a_scene_to_its_frame_by_keys_alone(page: Any, root: Path) -> None:
     page.get_by_label("Output folder").wait_for()
     page.keyboard.press("Escape")
     page.get_by_label("Output folder").wait_for(state="hidden")
-
-
-def test_undo_and_redo_walk_back_and_forth(page: Any) -> None:
-    draw = random.Random(7)
-    values = {
-        "object.0.distance": (150, 600), "object.0.slope_x": (0, 1), "camera.f_number": (1, 9),
-        "camera.focal_length": (10, 30), "sequence.interval": (1, 5),
-    }  # fmt: skip
-    states = [page.evaluate(SCENE)]
-    for _ in range(40):
-        path = draw.choice(list(values))
-        value = round(draw.uniform(*values[path]), 3)
-        before = page.evaluate("studio.values")[path]
-        page.evaluate("([path, value]) => studio.set(path, value)", [path, value])
-        page.wait_for_function("([path, before]) => studio.values[path] !== before", arg=[path, before], timeout=20000)
-        states.append(page.evaluate(SCENE))
-    for key, way in (("Control+z", states[-2::-1]), ("Control+Shift+z", states[1:])):
-        for state in way:
-            page.keyboard.press(key)
-            wait_for_scene(page, state)
-    page.wait_for_function("document.querySelector('#redo').disabled")
-
-
-def wait_for_scene(page: Any, state: str) -> None:
-    end = time.monotonic() + 10
-    while (found := page.evaluate(SCENE)) != state:
-        assert time.monotonic() < end, f"{found}\nis not\n{state}"
 
 
 def test_two_tabs_do_not_write_over_each_other(page: Any, running: Running, root: Path) -> None:
