@@ -181,7 +181,7 @@ KEY, KEY_BYTES = "key", 32
 
 
 class StateFolder:
-    """What a studio keeps for the next one in the same folder: scenes that were not saved, pictures and a secret.
+    """Folder of what the next studio in the same folder needs: scenes that were not saved, pictures and a secret.
 
     Parameters
     ----------
