@@ -125,9 +125,7 @@ def _exposed(root: Path, *ours: Path) -> Path | None:
     return None
 
 
-def open_regular(
-    path: str | os.PathLike[str], most: int | None = None, *, follow: bool = False, folder: int | None = None
-) -> BufferedReader:
+def open_regular(path: str | os.PathLike[str], most: int | None = None, *, follow: bool = False) -> BufferedReader:
     """Open a regular file to be read; nothing else is opened for longer than it takes to see its kind.
 
     Parameters
@@ -137,8 +135,6 @@ def open_regular(
         Bytes that it may have. A file can grow while it is read: `read_regular` holds that, too.
     follow : bool
         The file may be a symbolic link, as what a user names may be one. Links of folders above it are followed always.
-    folder : int, optional
-        Descriptor of the folder that a relative path starts at.
 
     Returns
     -------
@@ -158,7 +154,7 @@ def open_regular(
     """
     flags = _SAFELY & ~getattr(os, "O_NOFOLLOW", 0) if follow else _SAFELY
     try:
-        handle = os.open(path, flags, dir_fd=folder)
+        handle = os.open(path, flags)
     except OSError as error:
         if error.errno == errno.ELOOP and not follow:
             raise OSError(error.errno, "a symbolic link", error.filename) from None
@@ -179,9 +175,9 @@ def open_regular(
         raise
 
 
-def read_regular(path: str | os.PathLike[str], most: int, *, follow: bool = False, folder: int | None = None) -> bytes:
+def read_regular(path: str | os.PathLike[str], most: int, *, follow: bool = False) -> bytes:
     """Read the content of a regular file of at most `most` bytes. Arguments and errors are those of `open_regular`."""
-    with open_regular(path, most, follow=follow, folder=folder) as file:
+    with open_regular(path, most, follow=follow) as file:
         content = file.read(min(most, os.fstat(file.fileno()).st_size) + 1)  # memory for all of `most` takes time
     if len(content) > most:
         raise _too_large(path, len(content), most)
@@ -259,26 +255,9 @@ def process_is_gone(process: int) -> bool:
     return process_began(process) is None
 
 
-def group_runs(group: int) -> bool:
-    """Test whether a process of a group runs."""
-    for process in _processes():
-        with suppress(OSError):
-            if os.getpgid(process) == group and process_began(process) is not None:
-                return True
-    return False
-
-
 def _stat(process: int) -> list[str]:
     """Fields of a process that Linux tells, from its state on; raises OSError where there is none."""
     return (PROC / str(process) / "stat").read_text("utf-8", "replace").rpartition(")")[2].split()
-
-
-def _processes() -> list[int]:
-    if (PROC / "self").exists():
-        return [int(path.name) for path in PROC.glob("[0-9]*")]
-    import psutil
-
-    return list(psutil.pids())
 
 
 def _began_by_psutil(process: int) -> float | None:

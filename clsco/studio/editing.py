@@ -221,10 +221,7 @@ class Editor:
     def reset(self, index: int = 0) -> None:
         """Give an object, its motion, the sequence and the camera the thesis' defaults; the images stay.
 
-        Parameters
-        ----------
-        index : int
-            Index of the object.
+        index: index of the object.
         """
         item = self._state.objects[index]
         objects = self._state.objects.copy()
@@ -301,16 +298,8 @@ class Editor:
     def take(self, state: State, refused: Mapping[str, tuple[Any, str]] | None = None) -> None:
         """Go to another state, as one step of undo.
 
-        Parameters
-        ----------
-        state : State
-        refused : mapping, optional
-            Values that cannot be, with their messages, by paths.
-
-        Raises
-        ------
-        SceneError
-            Its table is not valid; then all stays as it is.
+        refused: values that cannot be, with their messages, by paths. Raises SceneError: its table is not valid; then
+        all stays as it is.
         """
         scene = self._valid(state)
         self.refused = {path: value for path, (value, _) in (refused or {}).items()}

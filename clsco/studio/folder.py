@@ -34,16 +34,8 @@ def below(root: Path, path: str | Path) -> Path:
 def listed(root: Path, endings: tuple[str, ...]) -> list[str]:
     """Names of files with these endings below a folder, relative to it.
 
-    Parameters
-    ----------
-    root : Path
-    endings : tuple of str
-        `SCENES` or `IMAGES`.
-
-    Returns
-    -------
-    list of str
-        At most 500, in the order of the alphabet; no hidden ones, and none that a link leads to outside.
+    endings: `SCENES` or `IMAGES`. Returns: at most 500, in the order of the alphabet; no hidden ones, and none that a
+    link leads to outside.
     """
     return sorted(_found(root.resolve(), endings))
 

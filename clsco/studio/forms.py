@@ -49,50 +49,24 @@ PLACES: Mapping[str, Callable[[float], float]] = {
 
 @dataclass(frozen=True)
 class Field:
-    """A key of a scene as a control.
+    """A key of a scene as a control."""
 
-    Attributes
-    ----------
-    path : str
-        "object.0.radius", as `Document.patch` takes it.
-    label, symbol, unit : str
-        Symbol of the thesis, "" where it has none.
-    kind : {"number", "vector", "choice", "text", "flag", "image"}
-    default : Any
-        The value that the key has if it is not given; None for none.
-    least, most : float or None
-        Ends of the valid range; of a vector, of each component.
-    step : float
-        Step of a slider.
-    choices : tuple of (value, label)
-        Other values that a number or an image may have instead.
-    help : str
-    slider : tuple of two float, or None
-        Ends of a slider; beyond them a number is typed.
-    components : tuple of str
-        Labels of the components of a vector.
-    fewest : int
-        Number of components that must be given.
-    is_integer : bool
-    only : str
-        Values of another key without which this one does nothing, "psf.model=gaussian", or "moves"; "" for none.
-    """
-
-    path: str
+    path: str  # "object.0.radius", as `Document.patch` takes it
     label: str
-    symbol: str = ""
+    symbol: str = ""  # of the thesis, "" where it has none
     unit: str = ""
-    kind: str = "number"
-    default: Any = None
+    kind: str = "number"  # or "vector", "choice", "text", "flag", "image"
+    default: Any = None  # the value that the key has if it is not given; None for none
+    # least, most: ends of the valid range; of a vector, of each component
     least: float | None = None
     most: float | None = None
-    step: float = 0.0
-    choices: tuple[tuple[Any, str], ...] = ()
+    step: float = 0.0  # step of a slider
+    choices: tuple[tuple[Any, str], ...] = ()  # other values that a number or an image may have instead
     help: str = ""
-    slider: tuple[float, float] | None = None
-    components: tuple[str, ...] = ()
-    fewest: int = 0
+    slider: tuple[float, float] | None = None  # ends of a slider; beyond them a number is typed
+    components: tuple[str, ...] = ()  # labels of the components of a vector
     is_integer: bool = False
+    # values of another key without which this one does nothing, "psf.model=gaussian", or "moves"; "" for none
     only: str = ""
 
     @property
@@ -127,18 +101,13 @@ class Field:
         slider = POINT.get(label, self.slider) if is_point else self.slider
         return replace(
             self, path=f"{self.path}.{part}", label=f"{self.label} {label}", symbol=symbol, kind="number",
-            default=default, components=(), fewest=0, slider=slider, step=_step(slider, self.is_integer),
+            default=default, components=(), slider=slider, step=_step(slider, self.is_integer),
         )  # fmt: skip
 
     @property
     def is_paired(self) -> bool:
         """True if the value is a list of pairs."""
         return self.key == "bounds"
-
-    def value(self, numbers: Sequence[float]) -> Any:
-        """The value of a vector of these components, in their order."""
-        listed = list(numbers)
-        return [listed[k : k + 2] for k in range(0, len(listed), 2)] if self.is_paired else listed
 
 
 @dataclass(frozen=True)
@@ -160,16 +129,7 @@ def flat(value: Any) -> list[Any]:
 def panels(session: Document, index: int = 0) -> tuple[Panel, ...]:
     """Panels with a field for every key that a scene may have.
 
-    Parameters
-    ----------
-    session : Document
-    index : int
-        Index of the object whose keys are shown.
-
-    Returns
-    -------
-    tuple of Panel
-        The five of the thesis first.
+    index: index of the object whose keys are shown. Returns: the five of the thesis first.
     """
     shape = session.shown(f"object.{index}.shape")
     shape = shape if isinstance(shape, str) and shape in SHAPES else session.known(f"object.{index}.shape")
@@ -343,7 +303,6 @@ def _field(
         help=help_text,
         slider=slider,
         components=components,
-        fewest=len(components) if shape.get("minItems") != 1 else 1,
         is_integer=is_integer,
         only=_only(path, help_text),
     )

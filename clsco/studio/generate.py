@@ -1,20 +1,17 @@
-"""Jobs of Generate and its kin: scenes are stored beside their frames, with the command lines that make them."""
+"""Generate and its kin: scenes are stored beside their frames, with the command lines that make these."""
 
 from __future__ import annotations
 
 import re
 import tomllib
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
-
-import numpy as np
 
 from clsco.data.containers import CONTAINERS, DEFAULT
 from clsco.errors import ClscoError, SceneError
 from clsco.files.atomic import writable_folder, write_whole
-from clsco.files.png import png_parts
-from clsco.files.transfer import encode
 from clsco.files.video import PRESETS
 from clsco.frame.files import TRUTH_FORMATS
 from clsco.plan.prepare import prepare_sweep
@@ -26,35 +23,16 @@ from clsco.scene.text import key_name
 from clsco.scene.toml import toml_text
 from clsco.studio.folder import listed
 from clsco.studio.jobs import CommandJob, Jobs
-from clsco.studio.pictures import SMALL
+from clsco.studio.pictures import small_png
 from clsco.studio.session import Document
 from clsco.studio.store import moved
 from clsco.studio.tables import Table, sparse, with_value
 
-SCENE_FILE = "scene.toml"
 MOST_LOOKED_AT = 64  # frames of a stack
 LARGEST_SHARD = 256  # samples, as of `clsco dataset make`
 STEPS = 16  # at which the progress of a data set is seen, at least
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """Outputs besides the frames.
-
-    formats: of ground truth, as for `clsco render --format`; preset: of a clip beside the frames, "" for none.
-    """
-
-    formats: str = ""
-    subframes: bool = False
-    preset: str = ""
-    device: str = ""
-
-    def options(self) -> list[str]:
-        """Options of `clsco render` for these outputs."""
-        found = ["--format", self.formats] if self.formats else []
-        found += ["--subframes"] if self.subframes else []
-        found += ["--video", self.preset] if self.preset else []
-        return found + (["--device", self.device] if self.device else [])
+_LARGEST = 2**20  # bytes of a file that may be a distribution
+_SETS = "sets"  # folder of the distributions that are shipped, and of their copies
 
 
 def free_folder(session: Document, kind: str = "frames") -> str:
@@ -65,42 +43,44 @@ def free_folder(session: Document, kind: str = "frames") -> str:
     return next(name for name in names if not (session.root / name).exists())
 
 
-def generate(session: Document, jobs: Jobs, folder: str, wanted: Wanted = Wanted()) -> CommandJob:
-    """Write all frames of the scene as `clsco render` does.
+def render_frames(
+    session: Document, jobs: Jobs, folder: str, options: Sequence[str] = (), table: Table | None = None
+) -> CommandJob:
+    """Write a scene into a folder below the root, and render it there by `clsco render` with these options.
 
-    Parameters
-    ----------
-    session : Document
-    jobs : Jobs
-    folder : str
-        For the frames, and the scene file that they are made of; below the root.
-    wanted : Wanted
-
-    Raises
-    ------
-    ClscoError
-        As `Jobs.add`; values that are not valid wait in their boxes.
+    table: of another scene than that of the session. Raises ClscoError as `Jobs.add`, as `clsco.render`, or where
+    invalid values wait in their boxes.
     """
-    return _render(session, jobs, folder, session.table, "Frames", wanted)
+    if session.refused:
+        raise ClscoError(f"{next(iter(session.faults))}: must be valid before frames are generated")
+    table = session.table if table is None else table
+    name = _name(session, folder)
+    target = session.root / name
+    sweep = parse_sweep(table)
+    scenes = tuple(absolute(scene, session.folder) for scene in sweep.scenes)  # the other folder may not be there yet
+    jobs.require_free(name)
+    prepare_sweep(replace(sweep, scenes=scenes))  # reports what is beyond the limits, before anything is begun
+    target.mkdir(parents=True, exist_ok=True)
+    write_whole(target / "scene.toml", toml_text(sparse(moved(table, session.folder, target))).encode())
+    title = f"Frames: {table.get('title') or 'scene'}"
+    return jobs.add(title, ["render", f"{name}/scene.toml", "-o", name, *options], name)
 
 
-def focal_stack(
-    session: Document, jobs: Jobs, folder: str, nearest: float, farthest: float, steps: int, wanted: Wanted = Wanted()
-) -> CommandJob:  # fmt: skip
-    """Write frames at focus distances at equal steps from `nearest` to `farthest`, mm. As `generate`."""
-    table = _stack_table(session, nearest, farthest, steps)
-    return _render(session, jobs, folder, table, f"Focal stack of {steps}", wanted)
+def stack_table(session: Document, nearest: float, farthest: float, steps: int) -> Table:
+    """Table of a focal stack: focus distances at equal steps from `nearest` to `farthest`, mm."""
+    focus = {"from": nearest, "to": farthest, "steps": steps}
+    return with_value(session.table, ["camera", "focus_distance"], focus)
 
 
 def stack_scenes(session: Document, nearest: float, farthest: float, steps: int) -> tuple[Scene, ...]:
-    """The scenes of a focal stack that is looked at, as `focal_stack` writes it.
+    """The scenes of a focal stack to look at.
 
-    Raises SceneError: the distances cannot be, there are more than MOST_LOOKED_AT, or the scene has several values of
+    Raises SceneError: the distances are invalid, there are more than MOST_LOOKED_AT, or the scene has several values of
     another key.
     """
     if not 2 <= steps <= MOST_LOOKED_AT:
         raise SceneError(f"focal stack: must have 2 to {MOST_LOOKED_AT} steps to be looked at; got {steps}")
-    table = _stack_table(session, nearest, farthest, steps)
+    table = stack_table(session, nearest, farthest, steps)
     others = [key_name(place) for place, _ in swept_keys(table) if place != ("camera", "focus_distance")]
     if others:
         raise SceneError(f"focal stack: {others[0]} must have one value; got several")
@@ -108,41 +88,13 @@ def stack_scenes(session: Document, nearest: float, farthest: float, steps: int)
     return tuple(absolute(scene, session.folder) for scene in scenes)
 
 
-def _stack_table(session: Document, nearest: float, farthest: float, steps: int) -> Table:
-    focus = {"from": nearest, "to": farthest, "steps": steps}
-    return with_value(session.table, ["camera", "focus_distance"], focus)
+def make_data_set(
+    session: Document, jobs: Jobs, distribution: str, folder: str, count: int, options: Sequence[str] = ()
+) -> CommandJob:
+    """Make a data set by `clsco dataset make` with these options.
 
-
-def clip(session: Document, jobs: Jobs, frames: str, file: str, view: str = "color", preset: str = "") -> CommandJob:
-    """Make a clip of frames that are there, by `clsco video`. Raises ClscoError as `Jobs.add`."""
-    source, target = _name(session, frames), Path(_name(session, file))
-    arguments = ["video", source, "-o", str(target), "--view", view] + (["--preset", preset] if preset else [])
-    return jobs.add(f"Clip {target.name}", arguments, str(target.parent), target.name, 1)
-
-
-def data_set(
-    session: Document, jobs: Jobs, distribution: str, folder: str, count: int, seed: int = 0, form: str = DEFAULT,
-    device: str = "",
-) -> CommandJob:  # fmt: skip
-    """Make a data set from a distribution file, by `clsco dataset make`.
-
-    Parameters
-    ----------
-    session : Document
-    jobs : Jobs
-    distribution : str
-        Its name below the root; one of `offers.shipped_distributions` is copied there first.
-    folder : str
-        For the set.
-    count, seed : int
-    form : str
-        As for `clsco dataset make --format`.
-    device : str
-
-    Raises
-    ------
-    ClscoError
-        As `Jobs.add`.
+    distribution: name below the root; one of `shipped_distributions` is copied there first. Raises ClscoError as
+    `Jobs.add`.
     """
     source, name = _name(session, distribution), _name(session, folder)
     jobs.require_free(name)
@@ -152,41 +104,9 @@ def data_set(
     if not (session.root / source).is_file():
         raise ClscoError(f"distribution: must be an existing file; got {distribution!r}")
     shard = min(LARGEST_SHARD, -(-count // STEPS))
-    arguments = [
-        "dataset",
-        "make",
-        source,
-        "-o",
-        name,
-        "--count",
-        str(count),
-        "--seed",
-        str(seed),
-        "--shard-size",
-        str(shard),
-    ]
-    arguments += ["--format", form]
-    arguments += ["--device", device] if device else []
-    return jobs.add(f"Data set of {count}", [*arguments, "--resume", "--quiet"], name, "", count)
-
-
-def _render(session: Document, jobs: Jobs, folder: str, table: Table, what: str, wanted: Wanted) -> CommandJob:
-    """Write a scene into a folder, and begin to render it."""
-    if session.refused:
-        raise ClscoError(f"{next(iter(session.faults))}: must be valid before frames are generated")
-    name = _name(session, folder)
-    target = session.root / name
-    sweep = parse_sweep(table)
-    scenes = tuple(absolute(scene, session.folder) for scene in sweep.scenes)  # the other folder may not be there yet
-    jobs.require_free(name)
-    prepare_sweep(replace(sweep, scenes=scenes))  # says what is beyond the limits, before anything is begun
-    target.mkdir(parents=True, exist_ok=True)
-    write_whole(target / SCENE_FILE, toml_text(sparse(moved(table, session.folder, target))).encode())
-    title = str(table.get("title", "")) or "scene"
-    arguments = ["render", f"{name}/{SCENE_FILE}", "-o", name, *wanted.options()]
-    pattern = "frame_[0-9]*.json" if len(scenes) == 1 else "*/frame_[0-9]*.json"
-    count = sum(scene.sequence.frames for scene in scenes)
-    return jobs.add(f"{what}: {title}", arguments, name, pattern, count)
+    size = ["--count", str(count), "--shard-size", str(shard)]
+    arguments = ["dataset", "make", source, "-o", name, *size, *options, "--resume", "--quiet"]
+    return jobs.add(f"Data set of {count}", arguments, name)
 
 
 def _name(session: Document, path: str) -> str:
@@ -195,24 +115,14 @@ def _name(session: Document, path: str) -> str:
     return f"./{name}" if name.startswith("-") else name
 
 
-_LARGEST = 2**20  # bytes of a file that may be a distribution
-_VIDEO = ("av", "video")
-_SETS = "sets"  # folder of the distributions that are shipped, and of their copies
-
-
 def truth_formats() -> dict[str, str]:
     """Formats of `clsco render --format`, each with the extra that it lacks; "" for none."""
     return {name: _missing(form.needs) for name, form in TRUTH_FORMATS.items()}
 
 
 def clip_presets() -> dict[str, str]:
-    """Presets of `clsco video`, likewise."""
-    return dict.fromkeys(PRESETS, _missing(_VIDEO))
-
-
-def clip_name(preset: str) -> str:
-    """Name of a clip that is made by a preset."""
-    return f"clip{PRESETS[preset].suffix}"
+    """Presets of `clsco render --video`, likewise."""
+    return dict.fromkeys(PRESETS, _missing(("av", "video")))
 
 
 def set_formats() -> dict[str, str]:
@@ -226,10 +136,16 @@ def first_format() -> str:
     return next(name for name in (DEFAULT, *forms) if not forms[name])
 
 
+def _missing(needs: tuple[str, str] | None) -> str:
+    if needs is None or find_spec(needs[0]) is not None:
+        return ""
+    return f"needs {needs[0]}: pip install 'clsco[{needs[1]}]'"
+
+
 def distributions(root: Path) -> list[str]:
     """Distribution files below a folder, and those that are shipped, by the names that their copies would have."""
-    found = [name for name in listed(root, (".toml",)) if _is_distribution(root / name)]
-    return found + [name for name in shipped_distributions() if name not in found]
+    own = [name for name in listed(root, (".toml",)) if _is_distribution(root / name)]
+    return own + [name for name in shipped_distributions() if name not in own]
 
 
 def shipped_distributions() -> dict[str, Path]:
@@ -246,25 +162,10 @@ def _is_distribution(path: Path) -> bool:
     return bool({"vary", "derive", "accept"} & content.keys())
 
 
-def _missing(needs: tuple[str, str] | None) -> str:
-    if needs is None or find_spec(needs[0]) is not None:
-        return ""
-    return f"needs {needs[0]}: pip install 'clsco[{needs[1]}]'"
-
-
 def sample_picture(folder: Path, part: int, parts: int) -> bytes:
-    """A small PNG of the color of a sample.
+    """A small PNG of the color of the first sample of the part-th of equal parts of a data set.
 
-    Parameters
-    ----------
-    folder : Path
-    part, parts : int
-        The first sample of the part-th of equal parts of the set.
-
-    Raises
-    ------
-    ClscoError, OSError, IndexError
-        There is no such sample.
+    Raises ClscoError, OSError, IndexError or StopIteration where there is no such sample.
     """
     from clsco.data import dataset
 
@@ -272,9 +173,6 @@ def sample_picture(folder: Path, part: int, parts: int) -> bytes:
     try:
         record = opened[part * len(opened) // parts]
         name = next(name for name in record.arrays if name.rpartition(".")[2] == "color")  # of the first frame and view
-        radiance = record.radiance(name)
+        return small_png(record.radiance(name))
     finally:
         opened.close()
-    step = max(1, -(-max(radiance.shape[:2]) // SMALL))
-    codes = encode(np.ascontiguousarray(radiance[::step, ::step]), 8, "srgb").astype(np.uint8)
-    return b"".join(png_parts(codes))

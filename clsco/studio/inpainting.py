@@ -23,7 +23,6 @@ from clsco.files.images import Picture, read_image, write_png
 from clsco.files.png import png_parts
 from clsco.files.transfer import encode
 from clsco.studio.folder import below
-from clsco.studio.jobs import CommandJob, Jobs
 from clsco.studio.presets import REMOVALS
 from clsco.studio.session import Document
 
@@ -84,15 +83,8 @@ class Inpainting:
     def open(self, name: str) -> None:
         """Take another image, without a mask.
 
-        Parameters
-        ----------
-        name : str
-            Relative to the root.
-
-        Raises
-        ------
-        ImageError
-            It is not below the root, cannot be read, or has more than 2^24 pixels.
+        name: relative to the root. Raises ImageError: it is not below the root, cannot be read, or has more than 2^24
+        pixels.
         """
         picture = self._read(name)
         image = picture.data
@@ -138,19 +130,8 @@ class Inpainting:
     def add_color(self, column: int, row: int, tolerance: float, erase: bool = False) -> None:
         """Add all pixels that look like one of them to the mask, as the letters of figure 5.16.
 
-        Parameters
-        ----------
-        column, row : int
-            Place of the pixel.
-        tolerance : float
-            Largest difference of a channel, as a share of white.
-        erase : bool
-            Take them off the mask instead.
-
-        Raises
-        ------
-        ImageError
-            There is no such pixel.
+        column, row: place of the pixel; tolerance: largest difference of a channel, as a share of white; erase: take
+        them off the mask instead. Raises ImageError: there is no such pixel.
         """
         if not (0 <= row < self.mask.shape[0] and 0 <= column < self.mask.shape[1]):
             raise ImageError(f"color: must be that of a pixel of the image; got column {column}, row {row}")
@@ -198,23 +179,6 @@ class Inpainting:
             self.results[method] = found
         return found
 
-    def begin(self, jobs: Jobs, methods: Sequence[str], folder: str) -> list[CommandJob]:
-        """Write image and mask into a folder, and have methods fill it as jobs. Raises ClscoError."""
-        for method in methods:
-            self._require(method)
-            jobs.require_free(f"{folder}/{method}")
-        self._write(folder, ())
-        return [
-            jobs.add(
-                f"Inpainting: {method}",
-                shlex.split(self.command(method, folder))[1:],
-                f"{folder}/{method}",
-                "filled.png",
-                1,
-            )
-            for method in methods
-        ]
-
     def table(self) -> list[tuple[str, list[str]]]:
         """Figures of the methods that were run, as in figure 5.21: rows with a value for each, "" for none."""
         return [
@@ -223,7 +187,7 @@ class Inpainting:
         ]
 
     def command(self, method: str, folder: str) -> str:
-        """The command line that makes the same of the image and mask that `save` and `begin` write."""
+        """The command line that makes the same of the image and mask that `save` writes."""
         name = self._target(folder).relative_to(self.root).as_posix()
         start = f"./{name}" if name.startswith("-") else name
         image, mask, out = (f"{start}/{end}" for end in ("image.png", "mask.png", f"{method}/filled.png"))
@@ -314,15 +278,7 @@ def inpainting_of(session: Document, device: str | None = None) -> Inpainting:
 class FillingProcess:
     """Fills images one after the other; its process is begun with the first, and stays.
 
-    Parameters
-    ----------
-    device : str, optional
-        As for `clsco.inpaint`.
-
-    Attributes
-    ----------
-    share : float
-        Share of the image that is filled, from 0 to 1.
+    device: as for `clsco.inpaint`; share: share of the image that is filled, from 0 to 1.
     """
 
     def __init__(self, device: str | None = None) -> None:

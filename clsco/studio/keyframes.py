@@ -26,21 +26,11 @@ _TURN = 90.0  # deg from key to key at most, where velocities that turn about se
 
 @dataclass(frozen=True)
 class Track:
-    """A thing that can have keyframes.
+    """A thing that can have keyframes."""
 
-    Attributes
-    ----------
-    path : str
-        Path of its keyframes: "object.0.motion.keyframe".
-    name : str
-        Its name for users.
-    times : tuple of float or None
-        Times of its keyframes, s; None where a file has several values for one.
-    """
-
-    path: str
-    name: str
-    times: tuple[float | None, ...]
+    path: str  # path of its keyframes: "object.0.motion.keyframe"
+    name: str  # its name for users
+    times: tuple[float | None, ...]  # times of its keyframes, s; None where a file has several values for one
 
 
 def tracks(session: Document) -> tuple[Track, ...]:
@@ -51,21 +41,8 @@ def tracks(session: Document) -> tuple[Track, ...]:
 def add_keyframe(session: Document, path: str, time: float) -> None:
     """Add a keyframe with the pose, or the lens, that there is at a time, as one step of undo.
 
-    Parameters
-    ----------
-    session : Document
-    path : str
-        Path of a `Track`.
-    time : float
-        s.
+    path: path of a `Track`; time: s. Raises SceneError: there is no such track; the time cannot be, or has a keyframe.
 
-    Raises
-    ------
-    SceneError
-        There is no such track; the time cannot be, or has a keyframe.
-
-    Notes
-    -----
     Where the thing moves by velocities, these become keyframes at t = 0, at this time, and at the end of the sequence,
     and closer ones where it turns about several axes, with the same pose at each.
     """

@@ -35,12 +35,7 @@ class Ladder:
     The time has a part that every picture takes, and one for each pixel and time sample: the line through what was
     measured last. Where all of that was of one size, what changed is due to the pixels.
 
-    Attributes
-    ----------
-    fixed : float
-        Time of a picture without pixels, s.
-    ns : float
-        Time per pixel and time sample.
+    fixed: time of a picture without pixels, s; ns: time per pixel and time sample.
     """
 
     def __init__(self) -> None:
@@ -94,10 +89,7 @@ def _pixels(work: float, eighths: int) -> float:
 class Ladders:
     """Previews of a kind of scenes: those of each of WAYS.
 
-    Attributes
-    ----------
-    of : dict of tuple of str to Ladder
-        By what is left out.
+    of: by what is left out.
     """
 
     def __init__(self) -> None:

@@ -14,15 +14,8 @@ from clsco.studio.tables import BY_FOCAL_LENGTH
 def lens_line(scene: Scene) -> dict[str, Any]:
     """Figures of the strip above the picture.
 
-    Parameters
-    ----------
-    scene : Scene
-
-    Returns
-    -------
-    dict
-        As `lens_figures` of an infinite distance, and `pitch` of the pixels, mm; `scale`: distance behind the lens at
-        which the image has its size, mm; `ends`: of the slider of the focus distance, mm.
+    Returns: as `lens_figures` of an infinite distance, and `pitch` of the pixels, mm; `scale`: distance behind the lens
+    at which the image has its size, mm; `ends`: of the slider of the focus distance, mm.
     """
     camera = reference_camera(scene)
     ends = [factor * camera.focal_length for factor in BY_FOCAL_LENGTH["focus_distance"]]

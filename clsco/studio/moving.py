@@ -27,46 +27,20 @@ _DIGITS = 4  # of mm that are kept: less than a thousandth of a pixel
 
 @dataclass(frozen=True)
 class Grip:
-    """An object that the pointer holds.
+    """An object that the pointer holds."""
 
-    Attributes
-    ----------
-    path : str
-        Path of the key that says where it is: "object.0.center".
-    start : tuple of float
-        Its value before, mm; of a plane the distance alone.
-    normal : ndarray of float64, (3,)
-        Normal of a plane, with 1 as its last component; else along z.
-    depth : float
-        Depth of the point that is held, mm.
-    axes : ndarray of float64, (3, 3)
-        From the camera's axes at the middle of the shutter to those of the scene.
-    """
-
-    path: str
-    start: tuple[float, ...]
-    normal: NDArray[np.float64]
-    depth: float
-    axes: NDArray[np.float64]
+    path: str  # path of the key that says where it is: "object.0.center"
+    start: tuple[float, ...]  # its value before, mm; of a plane the distance alone
+    normal: NDArray[np.float64]  # normal of a plane, with 1 as its last component; else along z
+    depth: float  # depth of the point that is held, mm
+    axes: NDArray[np.float64]  # from the camera's axes at the middle of the shutter to those of the scene
 
     def value(self, camera: Camera, across: float, down: float, is_along: bool) -> float | list[float]:
         """Position of the object after the pointer has moved by a distance.
 
-        Parameters
-        ----------
-        camera : Camera
-        across, down : float
-            Pixels of the frame, to the right and down, since the object was taken hold of.
-        is_along : bool
-            Move along z: ALONG pixels up multiply the depth by e.
+        across, down: pixels of the frame, to the right and down, since the object was taken hold of; is_along: move
+        along z: ALONG pixels up multiply the depth by e. Returns: new value of the key, mm.
 
-        Returns
-        -------
-        float or list of float
-            New value of the key, mm.
-
-        Notes
-        -----
         At constant depth the held point stays under the pointer: x = s0 X / Z (thesis, 2.4). Validated by projections.
         """
         if is_along:
@@ -124,11 +98,7 @@ MOST_PX = 1e6  # of a drag
 class Pointer:
     """The pointer of a tab.
 
-    Parameters
-    ----------
-    session : Document
-    preview : Preview
-        Knows the surface at a pixel.
+    preview: knows the surface at a pixel.
     """
 
     def __init__(self, session: Document, preview: Preview) -> None:

@@ -37,7 +37,6 @@ PINS = (
     ("", "Pin …"),
     ("this", "this frame (P)"),
     ("thesis", "as the thesis"),
-    ("reference", "as the reference, in NumPy"),
 )
 COMPARISONS = (
     ("off", "not compared"),
@@ -89,7 +88,7 @@ def _draw(page: Page, name: str, studio: Studio) -> None:
             _middle()
         with say("aside", id="side", aria_label="Inspector and jobs", tabindex=0):
             _inspector()
-            draw_jobs(session, studio.jobs)
+            draw_jobs(studio.jobs)
     with say("dialog", id="keys", aria_label="Keyboard"):
         with say("table"):
             for keys, meaning in KEYS:
@@ -110,7 +109,7 @@ def _header(session: Document, studio: Studio, name: str) -> None:
     button("Save", save, id="save")
     button("Save as", save_as)
     button("Share", share_dialog(session))
-    button("Inpaint", inpainting_dialog(session, studio.jobs, name, studio.device), id="inpaint")
+    button("Inpaint", inpainting_dialog(session, name, studio.device), id="inpaint")
     say("button", "Undo", id="undo", data_do="undo", disabled=True)
     say("button", "Redo", id="redo", data_do="redo", disabled=True)
     if studio.kept_scenes():
@@ -197,9 +196,6 @@ def _middle() -> None:
         say("span", id="zoom")
         say("button", "Fit", id="fit")
         say("button", "1:1", id="actual")
-    with say("div", id="reference", hidden=True):
-        say("span", id="reference-about", role="status")
-        say("button", "Cancel", id="reference-cancel", data_do="cancel", title="Esc")
     _stack()
     with say("div", id="exposure-row", hidden=True):
         with say("div", id="exposed", role="group", aria_label="Time samples"):

@@ -38,7 +38,7 @@ VIEWS = {
 """Attributes of a frame, by what the studio calls them, in the order of the tabs."""
 
 UNBLURRED = ("depth", "normal", "id")  # views that are the same without blur, which takes the time
-DRAGGING, LOSSY, EXACT, PINNED, STACKED, REFERENCE, OUTLINED = range(7)
+DRAGGING, LOSSY, EXACT, PINNED, STACKED, OUTLINED = range(6)
 MESSAGE, JPEG, PNG, FLOAT16, FLOAT32 = range(5)
 HEADER = struct.Struct("<IBBHHBHHBI")
 FIELDS = ("revision", "rung", "view", "width", "height", "encoding", "columns", "rows", "flags", "number")
@@ -52,43 +52,22 @@ QUALITY = {DRAGGING: 80, LOSSY: 95}
 
 @dataclass(frozen=True)
 class ViewPicture:
-    """Picture of a frame, as it is sent to the page.
+    """Picture of a frame, as it is sent to the page."""
 
-    Attributes
-    ----------
-    rung : int
-        DRAGGING, LOSSY or EXACT; to compare with these PINNED, an exact picture of another scene, and REFERENCE, one by
-        `clsco.reference`; STACKED: one of a focal stack; OUTLINED: numbers of objects, to outline one of them.
-    view : str
-        One of VIEWS.
-    size, full : (int, int)
-        Columns and rows of the picture, and of the frame.
-    encoding : int
-        JPEG or PNG, or FLOAT16 or FLOAT32: little endian, channels last.
-    payload : bytes
-    seconds : float
-        Time that it took to render.
-    about : dict, optional
-        Further figures of an exact frame, as JSON can hold them.
-    left_out : tuple of str
-        Parts of the scene that a coarse picture is without, of `ladder.WAYS`.
-    eye : str
-        "left" or "right" of a stereo pair, else "".
-    small : bytes
-        Small JPEG of an exact color image, for lists of scenes.
-    """
-
+    # DRAGGING, LOSSY or EXACT; to compare with these PINNED, an exact picture of another scene; STACKED: one of a focal
+    # stack; OUTLINED: numbers of objects, to outline one of them
     rung: int
-    view: str
+    view: str  # one of VIEWS
+    # size, full: columns and rows of the picture, and of the frame
     size: tuple[int, int]
     full: tuple[int, int]
-    encoding: int
+    encoding: int  # JPEG or PNG, or FLOAT16 or FLOAT32: little endian, channels last
     payload: bytes
-    seconds: float
-    about: dict[str, Any] | None = None
-    left_out: tuple[str, ...] = ()
-    eye: str = ""
-    small: bytes = b""
+    seconds: float  # time that it took to render
+    about: dict[str, Any] | None = None  # further figures of an exact frame, as JSON can hold them
+    left_out: tuple[str, ...] = ()  # parts of the scene that a coarse picture is without, of `ladder.WAYS`
+    eye: str = ""  # "left" or "right" of a stereo pair, else ""
+    small: bytes = b""  # small JPEG of an exact color image, for lists of scenes
 
     def packed(self, revision: int, number: int) -> bytes:
         """The bytes for the browser; number: of the frame, or in a focal stack, NO_NUMBER for one without."""
@@ -134,10 +113,20 @@ def picture_of(frame: Frame, scene: Scene, view: str, rung: int, full: tuple[int
         with np.errstate(over="ignore"):  # infinite in 16 bits
             payload = np.ascontiguousarray(data, dtype).tobytes()
     rows, columns = data.shape[:2]
-    small, step = b"", max(1, -(-max(rows, columns) // SMALL))
-    if view == "color" and rung == EXACT:
-        small = _jpeg(encode(np.ascontiguousarray(data[::step, ::step]), 8, scene.image.transfer), QUALITY[DRAGGING])
+    is_kept = view == "color" and rung == EXACT
+    small = _jpeg(encode(_shrunk(data), 8, scene.image.transfer), QUALITY[DRAGGING]) if is_kept else b""
     return ViewPicture(rung, view, (columns, rows), full, encoding, payload, seconds, eye=frame.eye, small=small)
+
+
+def small_png(radiance: NDArray[Any]) -> bytes:
+    """A PNG of 8 bits with at most SMALL pixels on a side."""
+    codes = encode(_shrunk(radiance), 8, "srgb").astype(np.uint8)
+    return b"".join(png_parts(codes))
+
+
+def _shrunk(data: NDArray[Any]) -> NDArray[Any]:
+    step = max(1, -(-max(data.shape[:2]) // SMALL))
+    return np.ascontiguousarray(data[::step, ::step])
 
 
 def _jpeg(codes: NDArray[Any], quality: int) -> bytes:
@@ -157,22 +146,10 @@ NEAREST = 1e-3  # mm; what is nearer to the lens, or behind it, has no place in 
 def moment_of(scene: Scene, index: int, time: float) -> Scene:
     """The scene whose frame has one time sample.
 
-    Parameters
-    ----------
-    scene : Scene
-    index : int
-        Number of the frame.
-    time : float
-        Seconds since the reference pose, taken to be within the interval of the frame, or while its shutter is open.
+    index: number of the frame; time: seconds since the reference pose, taken to be within the interval of the frame, or
+    while its shutter is open. Returns: its frame of the same number is the sub-frame at this time, and all ground truth
+    is that of this time; the flow leads over one interval.
 
-    Returns
-    -------
-    Scene
-        Its frame of the same number is the sub-frame at this time, and all ground truth is that of this time; the
-        flow leads over one interval.
-
-    Notes
-    -----
     A shutter of twice the time since the frame began, or since its shutter opened sooner, has its only sample then; it
     may exceed the interval, which files may not ask for. Validated by the sub-frames of `clsco.render`.
     """
@@ -193,18 +170,9 @@ def eye_of(frame: Frame) -> Eye:
 def exposure_of(frame: Frame, scene: Scene, samples: int) -> dict[str, Any]:
     """Data of the time line for a frame.
 
-    Parameters
-    ----------
-    frame : Frame
-    scene : Scene
-    samples : int
-        Time samples of the frame, as its plan has them.
-
-    Returns
-    -------
-    dict
-        `times` of its samples and `shutter`, when it opens and closes, in s since the reference pose; `arrows`: column
-        and row of the origin of each object that moves, at both of these, and how many mm it has come nearer.
+    samples: time samples of the frame, as its plan has them. Returns: `times` of its samples and `shutter`, when it
+    opens and closes, in s since the reference pose; `arrows`: column and row of the origin of each object that moves,
+    at both of these, and how many mm it has come nearer.
     """
     if not scene.moves:
         return {"times": [], "shutter": None, "arrows": []}

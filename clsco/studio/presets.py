@@ -32,13 +32,7 @@ _METHOD = ("psf", "image", "motion", "fill")  # sections that say how, and not w
 class ScenePreset:
     """A scene that is shipped with the package.
 
-    Attributes
-    ----------
-    name : str
-        "thesis/fig_3_04_left" or "sphere": its file among the examples.
-    title : str
-        The caption.
-    group : str
+    name: "thesis/fig_3_04_left" or "sphere": its file among the examples; title: the caption.
     """
 
     name: str

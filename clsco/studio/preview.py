@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine, Sequence
+from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
 from contextlib import aclosing
 from dataclasses import asdict
 from typing import Any, Protocol, TypeVar
@@ -17,16 +17,14 @@ from clsco.studio.pictures import (
     NO_NUMBER,
     OUTLINED,
     PINNED,
-    REFERENCE,
     STACKED,
     VIEWS,
     ViewPicture,
     moment_of,
     packed_message,
 )
-from clsco.studio.reference import reference_picture
 from clsco.studio.renderer import PictureJob, Question, RendererEndedError, RenderProgress, Watch
-from clsco.studio.renderers import drawn_parts, kind_of
+from clsco.studio.renderers import kind_of
 
 REST = 0.120  # s without a change
 LATEST = 1e9  # s, of a time sample
@@ -36,7 +34,6 @@ _MOST_CRASHES = 3  # of renderers with the same scene: both, and one that was st
 
 T = TypeVar("T")
 Report = Callable[[dict[str, Any]], Awaitable[None]]
-Refer = Callable[[PictureJob, Callable[[float], Coroutine[Any, Any, None]]], Awaitable[ViewPicture]]
 
 
 class Edited(Protocol):
@@ -54,7 +51,6 @@ class Renders(Protocol):
     def pictures(self, job: PictureJob, watch: Watch | None = None) -> AsyncGenerator[ViewPicture, None]: ...
     async def inspect(self, question: Question, watch: Watch | None = None) -> dict[str, Any]: ...
     async def warm(self, scene: Scene) -> None: ...
-    async def draw(self, scene: Scene) -> dict[str, Any]: ...
     def cancel(self) -> None: ...
 
 
@@ -69,21 +65,11 @@ class Preview:
     There is one slot: a picture that nobody has begun is forgotten as soon as there is a later state. No more than two
     pictures are on their way, so that a slow browser gets fewer of them, and not late ones.
 
-    Parameters
-    ----------
-    session : Session
-    renderer : RendererProcess
-    send : coroutine function of bytes
-        Takes pictures to the browser.
-    refer : coroutine function, optional
-        `clsco.studio.reference.reference_picture`, or what stands for it.
+    send: takes pictures to the browser.
     """
 
-    def __init__(
-        self, session: Edited, renderer: Renders, send: Callable[[bytes], Awaitable[None]],
-        refer: Refer = reference_picture,
-    ) -> None:  # fmt: skip
-        self._session, self._renderer, self._send, self._refer = session, renderer, send, refer
+    def __init__(self, session: Edited, renderer: Renders, send: Callable[[bytes], Awaitable[None]]) -> None:
+        self._session, self._renderer, self._send = session, renderer, send
         self._view, self._index = "color", 0
         self._time: float | None = None  # of the one time sample that is shown
         self._eye: Eye = "left"  # of a stereo pair
@@ -98,12 +84,9 @@ class Preview:
         self._crashes = 0
         self._asked: dict[str, tuple[int, int, Report]] = {}
         self._other: Scene | None = None
-        self._reference: asyncio.Task[None] | None = None
-        self._ready: tuple[int, ViewPicture] | None = None  # by the reference, and of which revision
         self._stack: list[tuple[int, Scene]] = []  # what is missing of it, with its numbers
         self.small: tuple[int, bytes] = (-1, b"")  # picture of the latest exact frame, and of which revision
         self._outlines, self._outlined = False, 0  # are they wanted; of which state they were sent
-        self._draws, self._drawn = False, tuple[Any, ...]()  # are drawings wanted; parts of the scene of the latest
         self._warm: set[Any] = set()  # kinds of scenes whose kernels, and those near, are compiled
 
     def changed(self) -> None:
@@ -137,10 +120,7 @@ class Preview:
             self._work = None
 
     def stop(self) -> None:
-        """Cancel long work: the reference, else the rendering. The picture stays until the next change."""
-        if self._reference is not None and not self._reference.done():
-            self._reference.cancel()
-            return
+        """Cancel long work. The picture stays until the next change."""
         is_done = self._done == (self._state, EXACT)
         if is_done and not self._is_exact_underway:
             return
@@ -195,30 +175,6 @@ class Preview:
         self._other = scene
         self._news.set()
 
-    def pin_reference(self) -> None:
-        """Have the frame made by the reference meanwhile; it is sent once there is nothing else to do."""
-        self.cancel_reference()
-        scene, index = self._at_rest()
-        job = PictureJob(scene, index, self._view, REFERENCE, self._eye)
-        self._reference = asyncio.create_task(self._by_reference(job, self._session.revision))
-
-    def cancel_reference(self) -> None:
-        """End the reference's work, if there is any."""
-        if self._reference is not None:
-            self._reference.cancel()
-
-    async def _by_reference(self, job: PictureJob, revision: int) -> None:
-        async def predicted(seconds: float) -> None:
-            await self.tell(reference={"revision": revision, "seconds": seconds})
-
-        try:
-            await self.tell(reference={"revision": revision})
-            self._ready = revision, await self._refer(job, predicted)
-            self._news.set()
-        except ClscoError as error:
-            await self.tell(error=[str(error)])
-        await self.tell(reference=None)
-
     def stack(self, scenes: Sequence[Scene]) -> None:
         """Send the exact frames of a focal stack, until something changes."""
         self._stack = list(enumerate(scenes))
@@ -229,23 +185,12 @@ class Preview:
         self._outlines, self._outlined = is_wanted, 0
         self._news.set()
 
-    def draw(self, is_wanted: bool) -> None:
-        """Send the drawings of shutter, aperture and lens each time that they change, or no longer."""
-        self._draws = is_wanted
-        self._news.set()
-
     async def tell(self, **content: Any) -> None:
         """Send a message that is no picture."""
         await self._send(packed_message(self._session.revision, content))
 
     async def run(self) -> None:
         """Send pictures until canceled."""
-        try:
-            await self._run()
-        finally:
-            self.cancel_reference()
-
-    async def _run(self) -> None:
         while True:
             await self._room()
             done, rung = self._done
@@ -256,10 +201,6 @@ class Preview:
                     await self._show(EXACT)
             elif self._other is not None:
                 await self._show(PINNED)
-            elif self._ready is not None:
-                (revision, picture), self._ready = self._ready, None
-                self._unseen.append((revision, picture.rung))
-                await self._send(picture.packed(revision, NO_NUMBER))
             elif self._stack:
                 await self._show(STACKED)
             elif self._outlines and self._outlined < self._state:
@@ -268,17 +209,11 @@ class Preview:
             elif (kind := kind_of(self._session.scene)) not in self._warm:
                 self._warm.add(kind)
                 await self._besides(self._renderer.warm(self._session.scene))
-            elif self._draws and (parts := drawn_parts(self._session.scene)) != self._drawn:
-                self._drawn = parts
-                await self._besides(self._tell_drawings())
             elif self._asked:
                 await self._ask(next(iter(self._asked)))
             else:
                 self._news.clear()
                 await self._news.wait()
-
-    async def _tell_drawings(self) -> None:
-        await self.tell(drawings=await self._renderer.draw(self._session.scene))
 
     async def _besides(self, work: Awaitable[None]) -> None:
         """Have work done that nobody waits for: pictures report what is wrong with the scene."""

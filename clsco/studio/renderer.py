@@ -34,29 +34,15 @@ class RendererEndedError(ClscoError):
 
 @dataclass(frozen=True)
 class PictureJob:
-    """A picture that is wanted.
-
-    Attributes
-    ----------
-    scene : Scene
-    index : int
-        Number of the frame.
-    view : str
-        One of `pictures.VIEWS`.
-    rung : int
-        DRAGGING: one picture, as large as the time for it allows. EXACT: the frame, lossy first where that is quicker.
-    eye : {"left", "right"}
-        View of a stereo pair.
-    took : float
-        Time of an exact frame of the kind, s, which a preview takes at most; 0 where nobody knows.
-    """
+    """A picture that is wanted."""
 
     scene: Scene
-    index: int
-    view: str
+    index: int  # number of the frame
+    view: str  # one of `pictures.VIEWS`
+    # DRAGGING: one picture, as large as the time for it allows. EXACT: the frame, lossy first where that is quicker
     rung: int
-    eye: Eye = "left"
-    took: float = 0.0
+    eye: Eye = "left"  # view of a stereo pair
+    took: float = 0.0  # time of an exact frame of the kind, s, which a preview takes at most; 0 where nobody knows
 
 
 @dataclass(frozen=True)
@@ -81,22 +67,13 @@ class Question:
 
 @dataclass(frozen=True)
 class RenderProgress:
-    """Progress of long work.
+    """Progress of long work."""
 
-    Attributes
-    ----------
-    doing : str
-        Work that is waited for: a pass, what is compiled, or another tab.
-    done, total : int
-        Time samples.
-    still : float
-        Time since any of these changed, s.
-    """
-
-    doing: str
+    doing: str  # work that is waited for: a pass, what is compiled, or another tab
+    # done, total: time samples
     done: int
     total: int
-    still: float
+    still: float  # time since any of these changed, s
 
 
 Watch = Callable[[RenderProgress], Coroutine[Any, Any, None]]
@@ -105,10 +82,7 @@ Watch = Callable[[RenderProgress], Coroutine[Any, Any, None]]
 class RendererProcess:
     """Handle of the renderer's process: jobs go in, one at a time, and pictures come out.
 
-    Parameters
-    ----------
-    device : str, optional
-        As for `clsco.render`.
+    device: as for `clsco.render`.
     """
 
     def __init__(self, device: str | None = None) -> None:
@@ -166,11 +140,6 @@ class RendererProcess:
         """Have compiled, in the background, what the scene and those near it need."""
         async for _ in self._ask("warm", scene):
             pass
-
-    async def draw(self, scene: Scene) -> dict[str, Any]:
-        """Ask for `clsco.studio.drawings.drawings` of a scene. Errors are as for `pictures`."""
-        async with aclosing(self._ask("draw", scene)) as answers:
-            return await anext(answers)
 
     async def rehearse(self, job: PictureJob) -> None:
         """Have compiled and timed what previews like a job's need. Errors are as for `pictures`."""
@@ -327,8 +296,6 @@ class _RenderWorker:
                 self._live.warm(content)
             elif what == "rehearse":
                 self._rehearse(content)
-            elif what == "draw":
-                self._send(number, self._drawings(content))
             elif what == "inspect":
                 self._send(number, self._inspect(number, content))
             elif content.rung == DRAGGING:
@@ -411,12 +378,6 @@ class _RenderWorker:
                 if ladder.predicted(work, eighths) <= PATIENCE:
                     for learns in (False, True):
                         self._coarse_picture(job, size, way, eighths, learns)
-
-    def _drawings(self, scene: Scene) -> dict[str, Any]:
-        from clsco.plan.prepare import with_resolution
-        from clsco.studio.drawings import drawings
-
-        return drawings(with_resolution(scene))
 
     def _size_of(self, job: PictureJob) -> tuple[int, int]:
         from clsco.plan.prepare import with_resolution

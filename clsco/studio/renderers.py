@@ -19,10 +19,7 @@ class Renderers:
 
     The one for previews is begun once there is an exact frame, and takes over what it has rehearsed.
 
-    Parameters
-    ----------
-    device : str, optional
-        As for `clsco.render`.
+    device: as for `clsco.render`.
     """
 
     def __init__(self, device: str | None = None) -> None:
@@ -31,15 +28,6 @@ class Renderers:
         self._cold: dict[Any, Scene] = {}  # those to rehearse, by kind
         self._rehearsal: asyncio.Task[None] | None = None
         self._took: dict[Any, float] = {}  # s, of exact frames
-
-    @property
-    def pid(self) -> int | None:
-        """Id of the process that renders exact frames, if there is one."""
-        return self._main.pid
-
-    def start(self) -> None:
-        """Start the process for exact frames, if there is none."""
-        self._main.start()
 
     async def pictures(self, job: PictureJob, watch: Watch | None = None) -> AsyncGenerator[ViewPicture, None]:
         """Pictures of a job, as they come. As for `RendererProcess`."""
@@ -63,10 +51,6 @@ class Renderers:
     async def inspect(self, question: Question, watch: Watch | None = None) -> dict[str, Any]:
         """Ask for the figures of a pixel. As for `RendererProcess`."""
         return await self._main.inspect(question, watch)
-
-    async def draw(self, scene: Scene) -> dict[str, Any]:
-        """Ask for the drawings of a scene. As for `RendererProcess`."""
-        return await self._main.draw(scene)
 
     async def warm(self, scene: Scene) -> None:
         """Have previews of the scene rehearsed in the background, then compiled what it and those near it need."""
@@ -98,8 +82,3 @@ class Renderers:
 def kind_of(scene: Scene) -> Any:
     """Key that scenes with the same kernels share."""
     return tuple(item.shape for item in scene.objects), scene.psf.model, scene.aperture.shape, scene.motion.warp
-
-
-def drawn_parts(scene: Scene) -> tuple[Any, ...]:
-    """Parts of a scene that its drawings depend on."""
-    return scene.sequence.shutter_curve, scene.aperture, scene.psf, scene.lens, scene.camera

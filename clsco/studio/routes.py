@@ -7,15 +7,12 @@ import json
 import re
 from collections.abc import Callable
 
-import numpy as np
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
 
 from clsco.errors import ClscoError, ImageError, SceneError
-from clsco.files.png import png_parts
-from clsco.files.transfer import encode
 from clsco.inputs.textures import load_texture
 from clsco.scene.file import FILE_KEYS
 from clsco.scene.toml import toml_text
@@ -23,8 +20,8 @@ from clsco.studio.folder import keep_image
 from clsco.studio.generate import sample_picture
 from clsco.studio.inpainting import Inpainting, inpainting_of
 from clsco.studio.jobs import Jobs
-from clsco.studio.pictures import SMALL
-from clsco.studio.session import Document
+from clsco.studio.pictures import small_png
+from clsco.studio.session import Document, StateFolder
 
 LARGEST_PICTURE = 2**18  # bytes
 _PICTURE = re.compile(r"(kept|file)_[A-Za-z0-9_-]{1,80}\.jpg")
@@ -37,12 +34,13 @@ class Addresses:
     Parameters
     ----------
     jobs : Jobs
+    state : StateFolder
     session_of : function of str
         The session of a tab; None where there is no such tab.
     """
 
-    def __init__(self, jobs: Jobs, session_of: Callable[[str], Document | None]) -> None:
-        self._jobs, self._session_of = jobs, session_of
+    def __init__(self, jobs: Jobs, state: StateFolder, session_of: Callable[[str], Document | None]) -> None:
+        self._jobs, self._state, self._session_of = jobs, state, session_of
 
     def routes(self) -> list[Route]:
         """Routes of a Starlette application."""
@@ -96,9 +94,9 @@ class Addresses:
         """A file that a job has made, by its name in the job's folder."""
         jobs, name = self._jobs, request.query_params.get("name")
         try:
-            job = int(request.query_params["job"])
-            folder = jobs.root / jobs.job(job).folder
-            (path,) = (path for path in jobs.files(job) if path.relative_to(folder).as_posix() == name)
+            job = jobs.job(int(request.query_params["job"]))
+            folder = jobs.root / job.output
+            (path,) = (path for path in jobs.results(job) if path.relative_to(folder).as_posix() == name)
             if not path.is_file() or not path.resolve().is_relative_to(jobs.root):
                 raise FileNotFoundError
         except (KeyError, ValueError, OSError):
@@ -109,7 +107,7 @@ class Addresses:
         """A small picture of a sample of a data set: the first of one of equal parts of the set."""
         try:
             job, part, parts = (int(request.query_params[name]) for name in ("job", "part", "parts"))
-            folder = self._jobs.root / self._jobs.job(job).folder
+            folder = self._jobs.root / self._jobs.job(job).output
             content = sample_picture(folder, part, parts) if 0 <= part < parts else b""
         except (ClscoError, KeyError, ValueError, IndexError, OSError, StopIteration):
             content = b""
@@ -119,7 +117,7 @@ class Addresses:
         """A small picture of a scene that was shown, by the name that it has in the folder of the state."""
         name = request.query_params.get("name", "")
         try:
-            content = self._jobs.state.read(name, LARGEST_PICTURE) if _PICTURE.fullmatch(name) else b""
+            content = self._state.read(name, LARGEST_PICTURE) if _PICTURE.fullmatch(name) else b""
         except OSError:
             content = b""
         return _picture(content, ".jpg", **{"cache-control": "no-cache"})
@@ -175,7 +173,5 @@ def small_picture(session: Document, path: str) -> tuple[bytes, str]:
         return b"", ""
     texture = load_texture(session.source(name), session.scene.image.transfer)
     radiance = texture.radiance
-    step = max(1, -(-max(radiance.shape[:2]) // SMALL))
-    codes = encode(np.ascontiguousarray(radiance[::step, ::step]), 8, "srgb").astype(np.uint8)
     about = f"{radiance.shape[1]} x {radiance.shape[0]} px, {texture.bits} bits"
-    return b"".join(png_parts(codes)), about
+    return small_png(radiance), about

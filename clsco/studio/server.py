@@ -6,6 +6,7 @@ import asyncio
 import gc
 import json
 import math
+import os
 import secrets
 import socket
 import threading
@@ -28,7 +29,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from clsco.errors import ImageError, SceneError
 from clsco.scene.model import Scene
 from clsco.studio.generate import stack_scenes
-from clsco.studio.guard import MAX_MESSAGE, Guard, door
+from clsco.studio.guard import Guard, close_half_open
 from clsco.studio.jobs import Jobs
 from clsco.studio.keyframes import add_keyframe, remove_keyframe, tracks
 from clsco.studio.lens import lens_line
@@ -37,12 +38,13 @@ from clsco.studio.presets import choose_method
 from clsco.studio.preview import Preview
 from clsco.studio.renderers import Renderers
 from clsco.studio.routes import Addresses
-from clsco.studio.session import Document
+from clsco.studio.session import Document, StateFolder
 from clsco.studio.store import digest_of
 from clsco.studio.tables import is_path
 from clsco.studio.widgets.html import Page
 
-MAX_PATCH = 2**16  # bytes
+MAX_HEADER = 2**18  # bytes: browsers send all cookies that the servers of this machine have left with them
+MAX_PATCH = 2**16  # bytes of a message of a tab
 LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 STATIC = Path(__file__).parent / "static"
 MOST_TABS = 64
@@ -50,7 +52,7 @@ MOST_LEVELS = 12  # of lists and tables in a message; those of a scene have half
 LEAVING = '{"leaving":true}'  # says a page that is loaded again, or left
 GONE = 4404  # the page is of a studio that ended, or was loaded again
 MOST_WATCHED = 2000  # keys with a control
-TICK = 0.5  # s between looks at the jobs
+TICK = 2.0  # s between looks at scenes to keep
 KEPT = "kept_"  # names of scenes begin with it, in the folder of the state
 SHOWN = "file_"  # names of pictures of scene files, by what these contain
 MOST_SHOWN = 200
@@ -92,12 +94,12 @@ class Studio:
     def __init__(self, root: Path, scene: Path | None = None, device: str | None = None) -> None:
         self.root, self.scene, self.device = root.resolve(), scene, device
         self.renderer = Renderers(device)
-        self.jobs = Jobs(self.root)
+        self.jobs, self.state = Jobs(self.root), StateFolder(self.root)
         self.tabs: dict[str, Tab] = {}
         old = self.kept_scenes()[MOST_KEPT:]
-        pictures = sorted(self.jobs.state.path.glob(f"{SHOWN}*.jpg"), key=_changed_at)[:-MOST_SHOWN]
-        self.jobs.state.remove(*(name for path in old for name in (path.name, f"{path.stem}.jpg")))
-        self.jobs.state.remove(*(path.name for path in pictures))
+        pictures = sorted(self.state.path.glob(f"{SHOWN}*.jpg"), key=_changed_at)[:-MOST_SHOWN]
+        self.state.remove(*(name for path in old for name in (path.name, f"{path.stem}.jpg")))
+        self.state.remove(*(path.name for path in pictures))
 
     def new_session(self) -> Document:
         """A session with the scene of the command line."""
@@ -129,13 +131,13 @@ class Studio:
     def kept_scenes(self) -> list[Path]:
         """Scenes that were kept when a studio ended, the latest first."""
         ours = {self._kept(name) for name in self.tabs}
-        found = [path for path in self.jobs.state.path.glob(f"{KEPT}*.json") if path not in ours]
+        found = [path for path in self.state.path.glob(f"{KEPT}*.json") if path not in ours]
         return sorted(found, key=_changed_at, reverse=True)
 
     def picture_of(self, path: Path) -> str:
         """Address of the small picture of a scene file, or of a scene that was kept; "" where there is none."""
-        name = f"{path.stem}.jpg" if path.parent == self.jobs.state.path else _shown_name(path)
-        return f"scene-picture?name={name}" if (self.jobs.state.path / name).is_file() else ""
+        name = f"{path.stem}.jpg" if path.parent == self.state.path else _shown_name(path)
+        return f"scene-picture?name={name}" if (self.state.path / name).is_file() else ""
 
     def keep(self) -> None:
         """Keep all scenes that changed, and pictures of scenes as they were shown."""
@@ -150,20 +152,16 @@ class Studio:
                     continue
                 tab.pictured = revision
                 target = f"{path.stem}.jpg" if is_kept or session.path is None else _shown_name(session.path)
-                self.jobs.state.write(target, small)
+                self.state.write(target, small)
 
     def _kept(self, name: str) -> Path:
-        return self.jobs.state.path / f"{KEPT}{name}.json"
+        return self.state.path / f"{KEPT}{name}.json"
 
     async def watch(self) -> None:
-        """Look at the jobs and keep the scenes, until canceled."""
-        count = 0
+        """Keep the scenes, until canceled."""
         while True:
             await asyncio.sleep(TICK)
-            count += 1
-            self.jobs.poll()
-            if count % 4 == 0:
-                self.keep()
+            self.keep()
 
     async def frames(self, socket: WebSocket) -> None:
         """Talk to a tab: patches up, pictures down."""
@@ -190,9 +188,6 @@ class Studio:
                 while True:
                     text = (await socket.receive()).get("text")
                     if text is None:  # the end, or bytes, which no page sends
-                        break
-                    if len(text) > MAX_PATCH:
-                        await socket.close(1009)
                         break
                     if text == LEAVING:
                         await socket.close()
@@ -303,12 +298,8 @@ async def _look(session: Document, preview: Preview, said: dict[str, Any]) -> bo
             preview.hide(is_hidden)
         case {"outline": bool(is_wanted)}:
             preview.outline(is_wanted)
-        case {"drawings": bool(is_wanted)}:
-            preview.draw(is_wanted)
         case {"do": "pin thesis"}:
             preview.pin(as_the_thesis(session))
-        case {"do": "pin reference"}:
-            preview.pin_reference()
         case {"do": "cancel"}:
             preview.stop()
             await preview.tell(stopped=True)
@@ -393,6 +384,7 @@ def application(studio: Studio, draw: Draw) -> Starlette:
         watching = asyncio.create_task(studio.watch())
         yield
         watching.cancel()
+        await studio.jobs.close()
         studio.keep()
 
     async def page(request: Request) -> HTMLResponse:
@@ -406,18 +398,7 @@ def application(studio: Studio, draw: Draw) -> Starlette:
         return studio.tabs[name].session if name in studio.tabs else None
 
     ours = [Route("/", page), WebSocketRoute("/frames", studio.frames), Mount("/static", StaticFiles(directory=STATIC))]
-    return Starlette(routes=[*ours, *Addresses(studio.jobs, session_of).routes()], lifespan=lifespan)
-
-
-class _Server(uvicorn.Server):
-    """A server that has something done as soon as it serves."""
-
-    begun: Callable[[], object] | None = None
-
-    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        await super().startup(sockets)
-        if self.begun is not None:
-            self.begun()
+    return Starlette(routes=[*ours, *Addresses(studio.jobs, studio.state, session_of).routes()], lifespan=lifespan)
 
 
 def listening(host: str, port: int) -> socket.socket:
@@ -456,31 +437,36 @@ def serve(studio: Studio, host: str, port: int, draw: Draw, show: Callable[[str]
     port = listener.getsockname()[1]
     token = secrets.token_urlsafe(32)
     shown = f"[{host}]" if ":" in host else host
-    state = studio.jobs.state
+    state = studio.state
     hosts = [f"{name}:{port}" for name in (shown, *LOOPBACK)]
-    guarded = Guard(application(studio, draw), hosts, token, state.key())
+    guard = Guard(application(studio, draw), hosts, token, state.key())
+    os.environ["WEBSOCKETS_MAX_LINE_LENGTH"] = str(MAX_HEADER)  # read by what uvicorn imports now
     config = uvicorn.Config(
-        guarded, log_level="warning", access_log=False, server_header=False, proxy_headers=False,
-        ws_max_size=MAX_MESSAGE, ws_per_message_deflate=False, timeout_graceful_shutdown=1, http=door(guarded.cookie),
+        guard, log_level="warning", access_log=False, server_header=False, proxy_headers=False, http="h11",
+        h11_max_incomplete_event_size=MAX_HEADER, ws_max_size=MAX_PATCH, ws_per_message_deflate=False,
+        timeout_graceful_shutdown=1,
     )  # fmt: skip
-    server = _Server(config)
+    server = uvicorn.Server(config)
 
-    def begin() -> None:
-        """Show the address: from here on Ctrl-C is the server's, and is not lost in what Python collects."""
-        show(f"http://{shown}:{port}/?t={token}")
+    async def run() -> None:
+        serving = asyncio.create_task(server.serve([listener]))
+        while not (server.started or serving.done()):
+            await asyncio.sleep(0.01)
+        show(f"http://{shown}:{port}/?t={token}")  # from here on Ctrl-C is the server's
         if opens_browser:
-            state.write(OPENING, _OPENING.format(address=f"http://{shown}:{port}/?c={guarded.new_code()}").encode())
+            state.write(OPENING, _OPENING.format(address=f"http://{shown}:{port}/?c={guard.new_code()}").encode())
             address = (state.path / OPENING).as_uri()
             threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()  # which nobody waits for
+        closing = asyncio.create_task(close_half_open(server.server_state.connections))
+        await serving
+        closing.cancel()
 
-    server.begun = begin
     gc.collect()
     gc.freeze()  # what stays is not looked through for what pages leave
     try:
         with suppress(KeyboardInterrupt):
-            server.run(sockets=[listener])
+            asyncio.run(run())
     finally:
         state.remove(OPENING)
         studio.renderer.close()
-        studio.jobs.close()
         listener.close()

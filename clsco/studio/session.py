@@ -5,16 +5,14 @@ from __future__ import annotations
 import hashlib
 import os
 import secrets
-import sys
-import tempfile
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from clsco.errors import ClscoError, ImageError, SceneError
+from clsco.errors import ImageError, SceneError
 from clsco.files.atomic import write_whole
-from clsco.resources import ExposedFolderError, open_regular, private_folder, read_regular
+from clsco.resources import ExposedFolderError, private_folder, read_regular, temporary_folder
 from clsco.scene.faults import items
 from clsco.scene.file import relocated
 from clsco.scene.texture_keys import is_drawn
@@ -34,21 +32,13 @@ from clsco.studio.store import (
 )
 from clsco.studio.tables import Table
 
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
-
 __all__ = ["ConflictError", "Document"]
 
 
 class Document(Editor):
     """A scene that is changed key by key, opened and saved, and shared as a link.
 
-    Parameters
-    ----------
-    root : Path
-        Folder with all files that may be read and written.
+    root: folder with all files that may be read and written.
     """
 
     def __init__(self, root: Path) -> None:
@@ -70,10 +60,8 @@ class Document(Editor):
     def open(self, path: Path) -> None:
         """Go to the scene of a file below the root, as a step of undo.
 
-        Raises
-        ------
-        SceneError
-            As `clsco.load_sweep`; the file or one that it names is not below the root. Then all stays as it is.
+        Raises SceneError: as `clsco.load_sweep`; the file or one that it names is not below the root. Then all stays as
+        it is.
         """
         target = self.inside(path)
         table, digest = read_scene(target)
@@ -189,12 +177,11 @@ class Document(Editor):
         return target, scene_text(table, target, self.path), table
 
 
-LOCK, KEY = "lock", "key"
-KEY_BYTES = 32
+KEY, KEY_BYTES = "key", 32
 
 
 class StateFolder:
-    """A private folder for one folder of a studio, by the real path of that; one studio has it at a time.
+    """Folder of what the next studio in the same folder needs: scenes that were not saved, pictures and a secret.
 
     Parameters
     ----------
@@ -205,59 +192,22 @@ class StateFolder:
     ----------
     path : Path
         `clsco/studio/DIGEST` in XDG_STATE_HOME; where no folder is the user's alone, a temporary one, which is lost.
-    is_lost : bool
-        It is that.
-
-    Raises
-    ------
-    ClscoError
-        Another studio has the folder.
     """
 
     def __init__(self, root: Path) -> None:
-        if fcntl is None:
-            raise ClscoError(f"studio: needs locks of files and folders, as Linux and macOS have; got {sys.platform}")
-        real = os.path.realpath(root)
-        self._temporary: tempfile.TemporaryDirectory[str] | None = None
-        digest = hashlib.sha256(os.fsencode(real)).hexdigest()[:32]
+        digest = hashlib.sha256(os.fsencode(os.path.realpath(root))).hexdigest()[:32]
         try:
-            self._take(private_folder("clsco", "studio", digest, kind="state"), real)
+            self.path = private_folder("clsco", "studio", digest, kind="state")
         except (ExposedFolderError, OSError, RuntimeError):
-            self._temporary = tempfile.TemporaryDirectory(prefix="clsco-studio-", ignore_cleanup_errors=True)
-            self._take(Path(self._temporary.name), real)
-
-    def _take(self, path: Path, real: str) -> None:
-        """Open a folder and lock it. Raises OSError where that cannot be, ClscoError where another studio has it."""
-        self.path = path
-        self._handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-        self._lock = -1
-        try:
-            flags = os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
-            self._lock = os.open(LOCK, flags, 0o600, dir_fd=self._handle)
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            self._release()
-            if isinstance(error, BlockingIOError):
-                raise ClscoError(f"{real}: another studio is at work in this folder") from None
-            raise
-
-    @property
-    def is_lost(self) -> bool:
-        return self._temporary is not None
+            self.path = temporary_folder("studio")
 
     def read(self, name: str, most: int) -> bytes:
         """Content of a file. Raises OSError where it is not there, no regular one, or larger than `most` bytes."""
-        return read_regular(name, most, folder=self._handle)
-
-    def tail(self, name: str, most: int) -> bytes:
-        """The end of a file, at most so many bytes. Raises OSError where it is not there, or no regular one."""
-        with open_regular(name, folder=self._handle) as file:
-            file.seek(max(os.fstat(file.fileno()).st_size - most, 0))
-            return file.read(most)
+        return read_regular(self.path / name, most)
 
     def write(self, name: str, content: bytes) -> None:
         """Write a file that is whole or absent. Raises ImageError where that cannot be."""
-        write_whole(self.path / name, content)  # in a folder that nobody else can look into
+        write_whole(self.path / name, content)  # in a folder that nobody else can write to
 
     def key(self) -> bytes:
         """A secret that the next studio in the folder has, too, if it can be kept."""
@@ -273,16 +223,4 @@ class StateFolder:
         """Remove files, where they are there."""
         for name in names:
             with suppress(OSError):
-                os.unlink(name, dir_fd=self._handle)
-
-    def close(self) -> None:
-        """Let go of the folder."""
-        self._release()
-        if self._temporary is not None:
-            self._temporary.cleanup()
-
-    def _release(self) -> None:
-        for handle in (self._lock, self._handle):
-            if handle >= 0:
-                os.close(handle)
-        self._lock = self._handle = -1
+                (self.path / name).unlink()

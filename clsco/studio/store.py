@@ -51,14 +51,8 @@ def digest_of(path: Path) -> str:
 def scene_text(table: Mapping[str, Any], path: Path, old: Path | None) -> str:
     """Text of a scene file: keys that are given and differ from the defaults.
 
-    Parameters
-    ----------
-    table : mapping
-    path : Path
-        Ends in .toml or .json.
-    old : Path or None
-        The file that the scene was in, whose comments, order and keys at their defaults stay, as far as the scene has
-        them.
+    path: ends in .toml or .json; old: the file that the scene was in, whose comments, order and keys at their defaults
+    stay, as far as the scene has them.
     """
     if path.suffix.lower() == ".json":
         return json.dumps(_kept(sparse(table), table, _content(old)), indent=2, ensure_ascii=False) + "\n"

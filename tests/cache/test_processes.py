@@ -37,12 +37,10 @@ def test_a_process_has_one_start_until_it_ends(child: subprocess.Popen[bytes]) -
     assert start is not None
     assert resources.process_began(child.pid) == start
     assert not resources.process_is_gone(child.pid)
-    assert resources.group_runs(child.pid)
     child.kill()
     os.waitid(os.P_PID, child.pid, os.WEXITED | os.WNOWAIT)  # nobody has asked yet how it ended
     assert resources.process_began(child.pid) is None
     assert resources.process_is_gone(child.pid)
-    assert not resources.group_runs(child.pid)
     child.wait()
     assert resources.process_began(child.pid) is None
     assert resources.process_is_gone(child.pid)

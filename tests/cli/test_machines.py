@@ -77,7 +77,7 @@ distance = { uniform = [300, 400] }
 
 
 def test_what_windows_lacks_is_not_needed(tmp_path: Path) -> None:
-    """Each module is imported, and a set is made by two processes; the studio says what it needs."""
+    """Each module is imported, a studio finds its state, and a set is made by two processes."""
     (tmp_path / "sitecustomize.py").write_text(OTHER_SYSTEM)
     (tmp_path / "set.toml").write_text(SET)
     words = ["clsco", "dataset", "make", str(tmp_path / "set.toml"), "-o", str(tmp_path / "set"), "--count", "3"]
@@ -87,12 +87,8 @@ def test_what_windows_lacks_is_not_needed(tmp_path: Path) -> None:
     for module in pkgutil.walk_packages(clsco.__path__, "clsco."):
         if not module.name.endswith("__main__"):
             importlib.import_module(module.name)
-    from clsco.errors import ClscoError
     from clsco.studio.session import StateFolder
-    try:
-        StateFolder("studio")
-    except ClscoError as error:
-        print(error)
+    StateFolder("studio")
     from clsco.cli.process import run
     sys.argv = {words}
     run()
@@ -101,7 +97,6 @@ def test_what_windows_lacks_is_not_needed(tmp_path: Path) -> None:
     command = f"import runpy, sys; runpy.run_path({str(tmp_path / 'run.py')!r}, run_name='__main__')"
     process = ran(command, HOME=str(tmp_path), PYTHONPATH=str(tmp_path))
     assert (process.returncode, process.stderr) == (0, "")
-    assert process.stdout.startswith("studio: needs locks of files and folders, as Linux and macOS have; got ")
     assert len(list((tmp_path / "set").rglob("*.tar"))) == 3
 
 

@@ -24,12 +24,8 @@ def test_what_is_read(tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to("a")
     assert read_regular(tmp_path / "a", 5) == b"12345"
     assert read_regular(tmp_path / "link", 5, follow=True) == b"12345"
-    folder = os.open(tmp_path, os.O_RDONLY)
-    try:
-        with open_regular("a", folder=folder) as file:
-            assert file.read(2) == b"12"
-    finally:
-        os.close(folder)
+    with open_regular(tmp_path / "a") as file:
+        assert file.read(2) == b"12"
 
 
 def test_what_stands_in_for_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

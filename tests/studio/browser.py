@@ -13,6 +13,7 @@ import pytest
 
 from tests.studio.running import Running
 
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 DRAG = """async ([path, first, last, steps, rate]) => {
   const slider = document.querySelector(`input[type=range][data-path="${path}"]`);
   const times = [], before = studio.revision, start = performance.now();

@@ -9,7 +9,7 @@ from pathlib import Path
 from clsco.studio import pictures
 
 MODULE = Path(pictures.__file__).parent / "static/protocol.js"
-RUNGS = ("DRAGGING", "LOSSY", "EXACT", "PINNED", "STACKED", "REFERENCE", "OUTLINED")
+RUNGS = ("DRAGGING", "LOSSY", "EXACT", "PINNED", "STACKED", "OUTLINED")
 ENCODINGS = ("MESSAGE", "JPEG", "PNG", "FLOAT16", "FLOAT32")
 READERS = {"B": "getUint8({})", "H": "getUint16({}, true)", "I": "getUint32({}, true)"}
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,29 +12,11 @@ from numpy.typing import NDArray
 
 import clsco
 from clsco.files.transfer import encode
-from tests.studio.browser import DRAG, PIXELS, opened, rest
-from tests.studio.running import Running, studio
+from tests.studio.browser import DRAG, EXAMPLES, PIXELS, rest
+from tests.studio.running import Running
 
 pytestmark = pytest.mark.browser
-EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
-
-
-@pytest.fixture(scope="module")
-def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("root")
-
-
-@pytest.fixture(scope="module")
-def running(root: Path) -> Iterator[Running]:
-    shutil.copy(EXAMPLES / "sphere.toml", root)
-    with studio(root, str(root / "sphere.toml"), "--device", "pocl") as started:
-        yield started
-
-
-@pytest.fixture
-def page(running: Running) -> Iterator[Any]:
-    with opened(running) as shown:
-        yield shown
+SHIPPED, OPENS = ("sphere.toml",), "sphere.toml"
 
 
 def canvas(page: Any) -> NDArray[np.uint8]:

@@ -222,6 +222,21 @@ def test_frames_are_played_from_what_came(moving: Any) -> None:
     rest(moving)  # and is said to be exact
 
 
+def test_time_samples_are_counted_and_esc_ends_them(moving: Any) -> None:
+    progress = "document.querySelector('#progress')"
+    moving.evaluate("studio.set('sequence.samples', 2000)")
+    shown = f"!{progress}.hidden && {progress}.textContent.includes('of 2000 · Esc cancels')"
+    moving.wait_for_function(shown, timeout=40000)
+    moving.get_by_role("tab", name="depth").focus()  # the page is alive
+    moving.keyboard.press("Escape")
+    moving.wait_for_function(f"{progress}.textContent.includes('canceled')")
+    moving.wait_for_timeout(1500)
+    assert moving.locator("#badge").inner_text().startswith("preview")
+    moving.evaluate("studio.set('sequence.samples', 3)")
+    rest(moving)
+    assert moving.locator("#progress").is_hidden()
+
+
 def test_motion_is_shown_as_arrows(moving: Any) -> None:
     drawn = """() => { const over = document.querySelector('#over');
       const { data } = over.getContext('2d').getImageData(0, 0, over.width, over.height);

@@ -9,7 +9,7 @@ import socket
 import stat
 import threading
 import time
-from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
@@ -22,17 +22,13 @@ pytest.importorskip("starlette", reason="needs the extra clsco[studio]")
 import uvicorn
 from uvicorn.server import ServerState
 
-from clsco.studio import guard as door_module
-from clsco.studio.guard import MAX_HEADER, MOST_WAITING, door
-from clsco.studio.server import listening
+from clsco.studio import guard
+from clsco.studio.guard import MOST_WAITING, close_half_open
+from clsco.studio.server import MAX_HEADER, listening
 from tests.studio.browser import chromium, rest
 from tests.studio.running import Running, studio
 
-
-@pytest.fixture(scope="module")
-def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
-    with studio(tmp_path_factory.mktemp("root")) as opened:
-        yield opened
+DEVICE = ()
 
 
 def opened(running: Running) -> socket.socket:
@@ -45,15 +41,17 @@ def handles(running: Running) -> int:
 
 
 def test_connections_without_a_header_do_not_keep_others_out(running: Running) -> None:
-    before = handles(running)
-    held = []
+    before, held = handles(running), list[socket.socket]()
     try:
         for k in range(825):
             held.append(opened(running))
             held[-1].sendall(b"GET / HTTP/1.1\r\nHost: "[: k % 20])
         with running.client() as client:
             assert client.get("/").status_code == 200
-        assert handles(running) <= before + MOST_WAITING + 8
+        end = time.monotonic() + 10.0
+        while handles(running) > before + MOST_WAITING + 8:
+            assert time.monotonic() < end
+            time.sleep(0.1)
     finally:
         for each in held:
             each.close()
@@ -67,34 +65,41 @@ def test_connections_send_at_once() -> None:
 
 
 async def _app(scope: Any, receive: Any, send: Any) -> None:
-    """Says which cookies came, after all of the request."""
     while (await receive()).get("more_body"):
         pass
-    cookies = b"|".join(value for name, value in scope["headers"] if name == b"cookie")
-    about = [(b"content-length", str(len(cookies)).encode())]
-    await send({"type": "http.response.start", "status": 200, "headers": about})
-    await send({"type": "http.response.body", "body": cookies})
+    await send({"type": "http.response.start", "status": 200, "headers": [(b"content-length", b"0")]})
+    await send({"type": "http.response.body"})
 
 
-async def _talk(*parts: bytes, pause: float = 0.0) -> list[bytes]:
-    """Answers to parts that are sent one after the other; it ends when the server ends the connection."""
-    loop, made = asyncio.get_running_loop(), door("ours")
-    config, state = uvicorn.Config(_app, log_level="critical"), ServerState()
-    server = await loop.create_server(lambda: made(config, state, {}), "127.0.0.1", 0)
-    answers: list[bytes] = []
+async def _talk(*parts: bytes) -> bytes:
+    """Answers of uvicorn to parts that are sent one after the other; it ends when the server ends the connection."""
+    config, state = uvicorn.Config(_app, http="h11", log_level="critical"), ServerState()
+    config.load()
+    closing = asyncio.create_task(close_half_open(state.connections))
+    made: Any = config.http_protocol_class
+    server = await asyncio.get_running_loop().create_server(lambda: made(config, state, {}), "127.0.0.1", 0)
     reader, writer = await asyncio.open_connection(*server.sockets[0].getsockname())
+    answers = b""
     try:
         for part in parts:
             writer.write(part)
-            await asyncio.sleep(pause)
-        while chunk := await asyncio.wait_for(reader.read(2**16), 5):
-            answers.append(chunk)
+            await asyncio.sleep(0.02)
+        async with asyncio.timeout(5):
+            while chunk := await reader.read(2**16):
+                answers += chunk
     except ConnectionError:
-        answers.append(b"reset")
+        pass
     finally:
+        closing.cancel()
         writer.close()
         server.close()
     return answers
+
+
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(guard, "HEADER_SECONDS", 0.2)
+    monkeypatch.setattr(guard, "TICK", 0.02)
 
 
 @pytest.mark.parametrize(
@@ -106,32 +111,21 @@ async def _talk(*parts: bytes, pause: float = 0.0) -> list[bytes]:
         (b"GET / HTTP/1.1\r\nHost: x\r\n\r\n", b"GET / HT"),
     ],
 )
-def test_a_header_that_does_not_come_is_not_waited_for(
-    monkeypatch: pytest.MonkeyPatch, parts: tuple[bytes, ...]
-) -> None:
-    monkeypatch.setattr(door_module, "HEADER_SECONDS", 0.3)
+def test_a_header_that_does_not_come_is_not_waited_for(impatient: None, parts: tuple[bytes, ...]) -> None:
     start = time.monotonic()
-    answers = asyncio.run(_talk(*parts, pause=0.02))
-    assert (b"200 OK" in b"".join(answers)) == (len(parts) == 2)
+    assert (b"200 OK" in asyncio.run(_talk(*parts))) == (len(parts) == 2)
     assert time.monotonic() - start < 3.0
 
 
-def test_a_header_without_end_is_refused() -> None:
-    large = b"GET / HTTP/1.1\r\nHost: x\r\nA: " + b"a" * 2 * MAX_HEADER
-    answers = b"".join(asyncio.run(_talk(large)))
-    assert answers.startswith(b"HTTP/1.1 400") or answers == b"reset"  # the rest is not read
+def test_a_body_is_no_header(impatient: None) -> None:
+    head = b"POST / HTTP/1.1\r\nHost: x\r\nConnection: close\r\nContent-Length: 20\r\n\r\n"
+    assert asyncio.run(_talk(head, *[b"a"] * 20)).startswith(b"HTTP/1.1 200")
 
 
-def test_a_body_is_no_header(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(door_module, "HEADER_SECONDS", 0.1)
-    head = f"POST / HTTP/1.1\r\nConnection: close\r\nContent-Length: {2 * MAX_HEADER}\r\n\r\n".encode()
-    assert asyncio.run(_talk(head, *[bytes(MAX_HEADER // 4)] * 8, pause=0.05))[0].startswith(b"HTTP/1.1 200")
-
-
-def test_cookies_of_others_are_dropped() -> None:
-    line = b'GET / HTTP/1.1\r\nCookie: a=1; ours=2; x-ours=3;ours=4; =; ours; b="ours=5"\r\nCookie: ours=6\r\n'
-    answer = b"".join(asyncio.run(_talk(line + b"Connection: close\r\n\r\n")))
-    assert answer.endswith(b"\r\n\r\nours=2; ours=4|ours=6")
+def test_a_header_without_end_is_refused(running: Running) -> None:
+    with opened(running) as connection, suppress(ConnectionError):  # the rest is not read
+        connection.sendall(b"GET / HTTP/1.1\r\nHost: x\r\nA: " + b"a" * 2 * MAX_HEADER)
+        assert connection.recv(2**16).startswith(b"HTTP/1.1 400")
 
 
 @pytest.mark.parametrize("other", ["a=" + "x" * 4000, 'a="' + "\\" * 4000, "a[]=b;c", "\xe4=\xf6", ";;=;", "="])

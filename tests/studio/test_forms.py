@@ -149,8 +149,7 @@ def test_components(session: Document) -> None:
     bounds = field_at(session, "object.0.bounds")
     assert bounds is not None
     assert bounds.component(3).path == "object.0.bounds.1.1"
-    value = bounds.value([-1.0, 1.0, -2.0, 2.0, -3.0, 3.0])
-    assert session.patch(bounds.path, value)
+    assert session.patch(bounds.path, [[-1.0, 1.0], [-2.0, 2.0], [-3.0, 3.0]])
     assert flat(session.known(bounds.path)) == [-1.0, 1.0, -2.0, 2.0, -3.0, 3.0]
 
 

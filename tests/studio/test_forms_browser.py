@@ -11,11 +11,10 @@ import pytest
 
 from clsco.files.images import read_image
 from clsco.studio.session import Document
-from tests.studio.browser import box, open_scene, opened, rest, type_in
+from tests.studio.browser import EXAMPLES, box, opened, rest, type_in
 from tests.studio.running import Running, studio
 
 pytestmark = pytest.mark.browser
-EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 
 @pytest.fixture
@@ -40,20 +39,6 @@ def test_boxes_keep_what_is_typed_when_the_page_changes(page: Any) -> None:
     page.get_by_role("button", name="sphere.toml").wait_for()
     page.keyboard.press("Escape")
     assert box(page, "object.0.distance").input_value() == "320"
-
-
-def test_save_asks_before_it_overwrites(page: Any, root: Path) -> None:
-    open_scene(page, "sphere.toml")
-    type_in(page, "object.0.radius", "28")
-    other = Document(root)
-    other.open(Path("sphere.toml"))
-    other.patch("title", "theirs")
-    other.save()
-    page.locator("#save").click()
-    page.get_by_role("button", name="Overwrite").click()
-    page.wait_for_timeout(700)
-    assert "radius = 28" in (root / "sphere.toml").read_text()
-    assert (root / "sphere.toml").read_text().startswith("# Nearest point at 250 mm")
 
 
 def test_a_link_opens_the_scene(running: Running, root: Path) -> None:
@@ -199,7 +184,7 @@ def test_a_data_set_is_made_and_survives_a_reload(page: Any, root: Path) -> None
     rest(page)
     page.locator(".job.done").wait_for(timeout=60000)
     assert page.locator(".job code").inner_text() == (
-        "clsco dataset make mine.toml -o sets/scene --count 18 --seed 0 --shard-size 2 --format webdataset "
+        "clsco dataset make mine.toml -o sets/scene --count 18 --shard-size 2 --seed 0 --format webdataset "
         "--device pocl --resume --quiet"
     )
     page.wait_for_function(

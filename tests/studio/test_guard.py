@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import socket
 import struct
 import zlib
 from collections.abc import Iterator
@@ -22,15 +21,10 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from clsco.files.png import png_parts
 from clsco.studio.guard import MAX_BODY
 from clsco.studio.pictures import HEADER, MESSAGE
-from tests.studio.running import Running, studio
+from tests.studio.running import Running
 
 SOCKET = "/frames?tab=none"
-
-
-@pytest.fixture(scope="module")
-def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
-    with studio(tmp_path_factory.mktemp("root")) as opened:
-        yield opened
+DEVICE = ()
 
 
 def get(running: Running, path: str = "/", **headers: str) -> httpx.Response:
@@ -63,14 +57,7 @@ def test_the_printed_address_gives_a_cookie_that_scripts_do_not_see(running: Run
     assert get(running).status_code == 200
 
 
-@pytest.mark.parametrize("path", ["/", SOCKET, "/static/studio.js", "/scene?tab=x", "/no/such/page"])
-def test_nothing_without_the_token(running: Running, path: str) -> None:
-    name, _, value = running.cookie["Cookie"].partition("=")
-    for headers in ({}, {"Cookie": f"{name}=wrong"}, {"Cookie": "other=1"}, {"Cookie": f"x{name}={value}"}):
-        answer = httpx.get(running.page + path, headers=headers)
-        assert answer.status_code == 403
-        assert "clsco studio" in answer.text
-    assert httpx.get(running.origin + path, headers=running.cookie).status_code == 403  # the path is a secret, too
+def test_other_first_addresses_are_refused(running: Running) -> None:
     for query in ("t=wrong", "t=", "c=", "c=wrong", f"T={running.address.rpartition('=')[2]}"):
         assert httpx.get(f"{running.origin}/?{query}").status_code == 403
 
@@ -126,30 +113,6 @@ def test_an_upload_is_counted_while_it_comes(running: Running) -> None:
         assert client.post(f"/texture?tab={tab_of(running)}&kind=png", content=body()).status_code == 413
         assert sent < MAX_BODY + 2**25
         assert client.get("/").status_code == 200
-    raw(running, "POST /texture?tab=x&kind=png", f"Content-Length: {10 * 2**30}", status=413)
-
-
-@pytest.mark.parametrize(
-    "path", ["/static/../server.py", "/static/%2e%2e/server.py", "/static/..%2fserver.py", "/static//etc/passwd",
-             "/scene?tab=../../etc/passwd", "/file=/etc/passwd"],
-)  # fmt: skip
-def test_no_path_leaves_its_folder(running: Running, path: str) -> None:
-    assert b"root:" not in raw(running, f"GET {path}", "Connection: close", status=404)
-
-
-def raw(running: Running, line: str, *headers: str, status: int) -> bytes:
-    """Answer to a client that checks nothing of what it sends."""
-    host, port = running.host.split(":")
-    own = (f"Host: {running.host}", f"Cookie: {running.cookie['Cookie']}", f"Origin: {running.origin}")
-    answer = b""
-    with socket.create_connection((host, int(port)), timeout=10) as plain:
-        plain.sendall(
-            "\r\n".join([f"{line.replace(' /', f' {running.place}/')} HTTP/1.1", *own, *headers, "", ""]).encode()
-        )
-        while chunk := plain.recv(65536):
-            answer += chunk
-    assert answer.split()[1] == str(status).encode()
-    return answer
 
 
 def test_every_answer_has_its_headers(running: Running) -> None:
@@ -175,18 +138,6 @@ def tab_of(running: Running) -> str:
     found = re.search(r'data-tab="([\w-]+)"', get(running).text)
     assert found is not None
     return found[1]
-
-
-def test_a_script_in_a_title_is_text(running: Running) -> None:
-    tab = tab_of(running)
-    attack = "</script><script>alert(1)</script><img src=x onerror=alert(1)>"
-    with running.frames(tab) as opened:
-        opened.send(json.dumps({"path": "title", "value": attack}))
-        while message(opened.recv(timeout=10)).get("title") != attack:
-            pass
-    answer = get(running, f"/?s={tab}")
-    assert "<script>alert" not in answer.text
-    assert "<img src=x" not in answer.text
 
 
 def test_patches_out_of_the_root_and_too_long_ones(running: Running) -> None:
@@ -235,7 +186,7 @@ def test_no_request_without_all_of_it_is_answered(running: Running) -> None:
     own = {"Origin": running.origin}
     wrong: list[tuple[str, dict[str, str]]] = [  # what is before the path, and what comes with it
         (running.place, {}), (running.place, {"Cookie": f"{name}={token}"}),
-        (running.place, {"Cookie": f"{name}={value}x"}),
+        (running.place, {"Cookie": f"{name}={value}x"}), (running.place, {"Cookie": f"x{name}={value}"}),
         (running.place, {"Cookie": f'{name}="{value}"'}), (running.place, {"Authorization": f"Bearer {token}"}),
         (running.place.upper(), running.cookie), (running.place[:-1], running.cookie), ("", running.cookie),
         (f"/x{running.place}", running.cookie), (f"/%2e{running.place}", running.cookie),
@@ -248,8 +199,9 @@ def test_no_request_without_all_of_it_is_answered(running: Running) -> None:
                 for method in ("GET", "POST", "HEAD", "PUT", "OPTIONS", "DELETE"):
                     answer = client.request(method, f"{before}{path}" or "/", headers={**own, **headers})
                     assert answer.status_code == 403, (method, before, path, headers)
+                    assert method == "HEAD" or "clsco studio" in answer.text or "own page" in answer.text
                     count += 1
-    assert count == 726
+    assert count == 792
 
 
 OUTSIDE = ("etc/passwd", "../guard.py", "../../../../../../../../etc/passwd")

@@ -14,11 +14,10 @@ import pytest
 from click.testing import CliRunner
 
 import clsco
-from clsco import ClscoError, ImageError, SceneError
+from clsco import ImageError, SceneError
 from clsco.cli.main import main
 from clsco.files.images import read_image, write_png
 from clsco.studio.inpainting import FILLERS, Inpainting
-from clsco.studio.jobs import Jobs
 from clsco.studio.presets import REMOVALS
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -153,26 +152,6 @@ def test_masks_are_written_and_read(inpainting: Inpainting) -> None:
     ):
         with pytest.raises(ImageError, match=rule):
             inpainting.save_mask(name)
-
-
-@pytest.mark.slow
-def test_jobs_fill_what_was_painted(inpainting: Inpainting) -> None:
-    jobs = Jobs(inpainting.root)
-    with pytest.raises(ImageError, match="some pixel must be missing"):
-        inpainting.begin(jobs, FILLERS, "out")
-    inpainting.paint(16, 12, [50, 4, 12, 4, 122])
-    first, second = inpainting.begin(jobs, ["biharmonic", "mean-median"], "out")
-    assert second.line == "clsco inpaint out/image.png out/mask.png -o out/mean-median/filled.png --method mean-median"
-    with pytest.raises(ClscoError, match="writes to it already"):
-        inpainting.begin(jobs, ["texture", "biharmonic"], "out")
-    jobs.cancel(second.number)
-    until = time.monotonic() + 60.0
-    while jobs.job(first.number).is_unfinished and time.monotonic() < until:
-        jobs.poll()
-        time.sleep(0.05)
-    assert [(job.status, job.done) for job in jobs.listed] == [("canceled", 0), ("done", 1)]
-    assert [path.name for path in jobs.files(first.number)] == ["filled.png"]
-    jobs.close()
 
 
 @pytest.mark.parametrize("name", REMOVALS)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,24 +14,11 @@ import clsco
 from clsco.cli.main import main
 from clsco.studio.inspector import figures_of
 from tests.studio.browser import opened, rest
-from tests.studio.running import Running, studio
+from tests.studio.running import Running
 
 pytestmark = pytest.mark.browser
-EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+SHIPPED, OPENS = ("occlusion_three.toml",), "occlusion_three.toml"
 PLACES = ((0.17, 0.42), (0.52, 0.501), (0.8, 0.2))  # not between two pixels
-
-
-@pytest.fixture(scope="module")
-def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("root")
-    shutil.copy(EXAMPLES / "occlusion_three.toml", folder)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def running(root: Path) -> Iterator[Running]:
-    with studio(root, str(root / "occlusion_three.toml"), "--device", "pocl") as started:
-        yield started
 
 
 @pytest.fixture

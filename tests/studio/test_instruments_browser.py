@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +13,10 @@ import clsco
 from clsco.files.images import read_image
 from clsco.studio.lens import lens_line
 from tests.studio.browser import axe_faults, number, rest
-from tests.studio.running import Running, studio
 from tests.studio.test_canvas_browser import STILL, at, codes, shown
 
 pytestmark = pytest.mark.browser
+FILES, OPENS = {"scene.toml": STILL}, "scene.toml"
 COLORED = """([red, green, blue]) => { const over = document.querySelector('#over');
   const { data } = over.getContext('2d').getImageData(0, 0, over.width, over.height), found = [];
   for (let k = 0; k < data.length; k += 4) {
@@ -25,14 +24,6 @@ COLORED = """([red, green, blue]) => { const over = document.querySelector('#ove
   }
   return found.map((at) => [at % over.width, Math.floor(at / over.width)]); }"""
 YELLOW, RED, LIGHT_BLUE = [255, 210, 77], [255, 50, 50], [159, 212, 255]
-
-
-@pytest.fixture(scope="module")
-def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
-    folder: Path = tmp_path_factory.mktemp("instruments")
-    (folder / "scene.toml").write_text(STILL)
-    with studio(folder, str(folder / "scene.toml"), "--device", "pocl") as started:
-        yield started
 
 
 def until_drawn(page: Any, color: list[int], least: int) -> list[list[int]]:

@@ -56,15 +56,8 @@ white_electrons = 800.0
 bits = 10
 seed = 5
 """
+FILES, OPENS = {"scene.toml": SCENE + SENSOR}, "scene.toml"
 KEY = "object.1.motion.keyframe.1.time"
-
-
-@pytest.fixture(scope="module")
-def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
-    root = tmp_path_factory.mktemp("keys")
-    (root / "scene.toml").write_text(SCENE + SENSOR)
-    with studio(root, str(root / "scene.toml"), "--device", "pocl") as started:
-        yield started
 
 
 @pytest.fixture

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -13,19 +11,12 @@ from clsco.optics.lens import SHARP
 from clsco.studio.forms import PLACES
 from clsco.studio.lens import lens_line
 from tests.studio.browser import SMALL, axe_faults, box, number, opened, rest, type_in
-from tests.studio.running import Running, studio
+from tests.studio.running import Running
 
 pytestmark = pytest.mark.browser
+FILES, OPENS = {"scene.toml": SMALL}, "scene.toml"
 FOCUS = '#lens-strip input[data-kind][data-path="camera.focus_distance"]'
 STOP = '#lens-strip input[type=range][data-path="camera.f_number"]'
-
-
-@pytest.fixture(scope="module")
-def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
-    folder: Path = tmp_path_factory.mktemp("lens")
-    (folder / "scene.toml").write_text(SMALL)
-    with studio(folder, str(folder / "scene.toml"), "--device", "pocl") as started:
-        yield started
 
 
 def known(page: Any, path: str) -> Any:

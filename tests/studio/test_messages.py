@@ -108,7 +108,6 @@ class Said:
         self.tab.session.remembered()
         values = {path: self.tab.session.shown(path) for path in self.tab.watched}
         await preview.tell(values=values, faults=self.tab.session.faults)
-        preview.cancel_reference()
 
     async def send(self, data: bytes) -> None:
         self.told.append(json.loads(data[20:]))
@@ -119,10 +118,8 @@ class Said:
 
 
 @pytest.fixture
-def said(tmp_path: Path) -> Iterator[Said]:
-    made = Said(tmp_path)
-    yield made
-    made.studio.jobs.close()
+def said(tmp_path: Path) -> Said:
+    return Said(tmp_path)
 
 
 def test_malformed_messages(said: Said) -> None:

@@ -67,7 +67,6 @@ def test_the_page_is_whole(tmp_path: Path) -> None:
     ids = [given["id"] for _, given in found.found if "id" in given]
     assert len(ids) == len(set(ids)) > 100
     assert not any(name == "style" or name.startswith("on") for _, given in found.found for name in given)
-    studio.jobs.close()
 
 
 def test_what_is_pressed_and_typed() -> None:
@@ -155,7 +154,6 @@ def test_any_value_of_any_element_is_heard(tmp_path: Path) -> None:
 
     asyncio.run(hear())
     assert not [error for error in said.errors if "must not fail" in error]
-    said.studio.jobs.close()
 
 
 def test_panels_are_folded_by_what_each_scene_uses(tmp_path: Path) -> None:
@@ -198,7 +196,6 @@ def test_a_tab_has_one_page_and_those_that_are_forgotten_end(tmp_path: Path, mon
         return found
 
     loaded = asyncio.run(load())
-    studio.jobs.close()
     assert len({page for _, page in loaded}) == 10
     assert len({tab for tab, _ in loaded}) == 5
     assert all(studio.tabs[tab].page.key == page for tab, page in loaded[1::2] if tab in studio.tabs)

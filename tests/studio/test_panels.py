@@ -4,25 +4,22 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import signal
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from click.testing import CliRunner
 
-import clsco
 from clsco.cli.main import main
 from clsco.studio.presets import presets
-from tests.studio.browser import SHAPES, SMALL, box, choose, chromium, number, open_scene, rest, type_in
-from tests.studio.running import Running, studio
+from tests.studio.browser import EXAMPLES, SHAPES, SMALL, box, choose, chromium, number, open_scene, rest, type_in
+from tests.studio.running import Running
 from tests.studio.test_browser import children
 
 pytestmark = pytest.mark.browser
-EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+FILES, SHIPPED = {"small.toml": SMALL}, ("damaged.png",)
 CHECKLIST = {  # labels and values of the five panels
     "object.0.distance": ("Distance a (mm)", "250"),
     "object.0.slope_x": ("Slope along x b (mm per mm)", "0"),
@@ -41,20 +38,6 @@ CHECKLIST = {  # labels and values of the five panels
     "camera.sensor_distance": ("Lens to sensor distance s (mm)", "21.739"),
     "camera.normalization_distance": ("Magnification normalization distance s0 (mm)", "20"),
 }
-
-
-@pytest.fixture(scope="module")
-def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("root")
-    shutil.copy(EXAMPLES / "damaged.png", folder)
-    (folder / "small.toml").write_text(SMALL)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def running(root: Path) -> Iterator[Running]:
-    with studio(root, "--device", "pocl") as started:
-        yield started
 
 
 @pytest.mark.everyday
@@ -176,27 +159,6 @@ def assert_made_by_the_command(folder: Path, scene: Path, other: Path) -> None:
         about = name.replace(".png", ".json")
         ours, theirs = (json.loads((place / about).read_text()) for place in (folder, other))
         assert {key for key in ours | theirs if ours.get(key) != theirs.get(key)} <= {"seconds"}
-
-
-def test_a_click_focuses_on_what_is_there(page: Any) -> None:
-    choose(page, "Spherical")
-    rest(page)
-    stage = page.locator("#stage").bounding_box()
-    x, y = stage["x"] + stage["width"] / 2 + 60, stage["y"] + stage["height"] / 2
-    page.keyboard.press("f")
-    column, row = page.evaluate("([x, y]) => studio.viewport.pixelAt(x, y)", [x, y])
-    page.mouse.click(x, y)
-    page.wait_for_function("document.querySelector('#values').rows.length > 5", timeout=20000)
-    moved = "Math.abs(studio.values['camera.focus_distance'] - 250.0173) > 0.1"
-    page.wait_for_function(moved, timeout=20000)
-    shape = page.evaluate("studio.values['object.0.radius']")
-    center = [page.evaluate(f"studio.values['object.0.center.{index}']") for index in range(3)]
-    sphere = clsco.Sphere(center=tuple(center), radius=shape)
-    (frame,) = clsco.render(clsco.Scene(objects=(sphere,)), truth=("depth",), device="pocl")
-    assert frame.depth is not None
-    assert page.evaluate("studio.values['camera.focus_distance']") == pytest.approx(
-        float(frame.depth[row, column]), rel=1e-6
-    )
 
 
 def test_a_slider_is_worked_by_keys(page: Any) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 
 from clsco import Scene, parse_scene
 from clsco.errors import CanceledError, ClscoError, SceneError
-from clsco.studio.pictures import DRAGGING, EXACT, HEADER, LOSSY, MESSAGE, PINNED, REFERENCE, STACKED, ViewPicture
+from clsco.studio.pictures import DRAGGING, EXACT, HEADER, LOSSY, MESSAGE, PINNED, STACKED, ViewPicture
 from clsco.studio.preview import MEASURE, MOST_UNSEEN, REST, Preview
 from clsco.studio.renderer import PictureJob, Question, RendererEndedError, RenderProgress, Watch
 from tests.studio import fast_forward
@@ -43,7 +43,6 @@ class Renderer:
     questions: list[Question] = field(default_factory=list)
     warmed: list[Scene] = field(default_factory=list)
     ends: list[ClscoError] = field(default_factory=list)  # while it warms up
-    drawn: list[Scene] = field(default_factory=list)
 
     async def pictures(self, job: PictureJob, watch: Watch | None = None) -> AsyncGenerator[ViewPicture, None]:
         self.jobs.append(job)
@@ -69,10 +68,6 @@ class Renderer:
         self.warmed.append(scene)
         if self.ends:
             raise self.ends.pop()
-
-    async def draw(self, scene: Scene) -> dict[str, Any]:
-        self.drawn.append(scene)
-        return {"curve": []}
 
     def cancel(self) -> None:
         self.canceled += 1
@@ -104,19 +99,12 @@ class Browser:
 Play = Callable[[Session, Renderer, Browser, Preview], Coroutine[Any, Any, None]]
 
 
-async def refer(job: PictureJob, predicted: Callable[[float], Coroutine[Any, Any, None]]) -> ViewPicture:
-    """A reference that takes a while, and says so."""
-    await predicted(7.0)
-    await asyncio.sleep(REST)
-    return ViewPicture(REFERENCE, job.view, (64, 48), (64, 48), 2, b"", REST)
-
-
 def played(play: Play, **renderer: Any) -> tuple[Session, Renderer, Browser]:
     """A session that somebody works with."""
 
     async def run() -> tuple[Session, Renderer, Browser]:
         session, renders, browser = Session(), Renderer(**renderer), Browser()
-        browser.preview = preview = Preview(session, renders, browser.send, refer)
+        browser.preview = preview = Preview(session, renders, browser.send)
         running = asyncio.create_task(preview.run())
         await play(session, renders, browser, preview)
         running.cancel()
@@ -135,23 +123,6 @@ def test_a_scene_at_rest_is_shown_once_by_each_rung() -> None:
     assert browser.got == [(0, DRAGGING), (0, LOSSY), (0, EXACT)]
     assert [job.rung for job in renders.jobs] == [DRAGGING, EXACT]
     assert len(renders.warmed) == 1  # afterwards
-
-
-def test_drawings_are_sent_when_they_are_wanted_and_others() -> None:
-    async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
-        await asyncio.sleep(2 * REST)
-        preview.draw(True)
-        await asyncio.sleep(REST)
-        session.scene = session.scene.replace("object.0.radius", 20.0)  # which no drawing depends on
-        preview.changed()
-        await asyncio.sleep(2 * REST)
-        session.scene = session.scene.replace("sequence.shutter_curve", "triangle")
-        preview.changed()
-        await asyncio.sleep(2 * REST)
-
-    _, renders, browser = played(play)
-    assert [each.sequence.shutter_curve for each in renders.drawn] == ["box", "triangle"]
-    assert browser.said.count({"drawings": {"curve": []}}) == 2
 
 
 def test_of_many_changes_the_latest_is_shown_and_none_after_it() -> None:
@@ -319,33 +290,6 @@ def test_a_focal_stack_is_whole_although_its_tab_was_hidden_meanwhile() -> None:
     _, renders, browser = played(play)
     assert renders.canceled == 1
     assert browser.got[3:] == [(0, STACKED)] * 3
-
-
-def test_the_reference_goes_on_beside_changes_and_says_of_which_revision_it_is() -> None:
-    async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
-        await asyncio.sleep(2 * REST)
-        preview.pin_reference()
-        await asyncio.sleep(0.02)
-        session.step()
-        preview.changed()
-        await asyncio.sleep(3 * REST)
-
-    _, _, browser = played(play)
-    assert browser.got[3:] == [(1, DRAGGING), (1, LOSSY), (1, EXACT), (0, REFERENCE)]
-    said = [content["reference"] for content in browser.said]
-    assert said == [{"revision": 0}, {"revision": 0, "seconds": 7.0}, None]
-
-
-def test_a_canceled_reference_is_not_sent() -> None:
-    async def play(session: Session, renders: Renderer, browser: Browser, preview: Preview) -> None:
-        preview.pin_reference()
-        await asyncio.sleep(0.02)
-        preview.stop()
-        await asyncio.sleep(3 * REST)
-
-    _, _, browser = played(play)
-    assert REFERENCE not in [rung for _, rung in browser.got]
-    assert browser.said[-1] == {"reference": {"revision": 0, "seconds": 7.0}}
 
 
 def test_what_takes_long_says_how_far_it_is_and_is_left_when_it_is_canceled() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import io
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from starlette.applications import Starlette
 from clsco.files.images import write_png
 from clsco.studio.jobs import CommandJob, Jobs
 from clsco.studio.routes import Addresses
-from clsco.studio.session import Document
+from clsco.studio.session import Document, StateFolder
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -43,15 +42,14 @@ class Client:
 
 
 @pytest.fixture
-def client(tmp_path: Path) -> Iterator[Client]:
+def client(tmp_path: Path) -> Client:
     shutil.copy(EXAMPLES / "depth_map_image.png", tmp_path / "a.png")
     (tmp_path / "frames").mkdir()
     write_png(tmp_path / "frames" / "frame_0000.png", np.zeros((2, 3), np.uint8))
     session, jobs = Document(tmp_path), Jobs(tmp_path)
-    jobs._put(CommandJob(1, "one", ("render",), "frames", "frame_*.json", 1, "done"))
+    jobs.listed.append(CommandJob(1, "one", ("render",), "frames", "done"))
     session.patch("object.0.texture", "a.png")
-    yield Client(Starlette(routes=Addresses(jobs, {"t": session}.get).routes()))
-    jobs.close()
+    return Client(Starlette(routes=Addresses(jobs, StateFolder(tmp_path), {"t": session}.get).routes()))
 
 
 def test_a_link_by_address(client: Client, tmp_path: Path) -> None:

@@ -6,7 +6,6 @@ import asyncio
 import os
 import stat
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,25 +17,22 @@ pytest.importorskip("starlette", reason="needs the extra studio")
 import httpx
 from starlette.applications import Starlette
 
-from clsco import ClscoError, ImageError, SceneError
+from clsco import SceneError
 from clsco.files.images import write_png
 from clsco.studio.folder import keep_image
 from clsco.studio.generate import distributions
-from clsco.studio.jobs import CommandJob
 from clsco.studio.presets import load_preset
 from clsco.studio.routes import Addresses
 from clsco.studio.server import Studio, Tab
 from clsco.studio.session import Document, StateFolder
 from clsco.studio.store import digest_of
 
-NAMES = ("lock", "jobs.json", "job_1.end", "job_1.end.part", "job_1.log", "kept", "kept_one.json", "key")
+NAMES = ("kept", "kept_one.json", "key")
 
 
 def plant(place: Path, how: str, outside: Path) -> None:
-    """Something in place of each file that a studio has, or had."""
-    place.mkdir(parents=True, exist_ok=True)
+    """Something in place of each file that a studio has."""
     for name in NAMES:
-        (place / name).unlink(missing_ok=True)
         match how:
             case "link":
                 (place / name).symlink_to(outside / name)
@@ -66,47 +62,21 @@ def outside(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("how", ["link", "dangling", "zero", "pipe", "folder"])
 def test_a_planted_state(tmp_path: Path, outside: Path, how: str) -> None:
     root = tmp_path / "root"
-    plant(root / ".clsco-studio", how, outside)
+    root.mkdir()
     before = contents(outside)
+    plant(Studio(root).state.path, how, outside)  # as a backup might have it, or who has the user's rights
     opened = Studio(root)
-    place = opened.jobs.state.path
-    look_at(opened, [])
-    opened.jobs.close()
-    assert contents(outside) == before
-    assert [path.name for path in root.iterdir()] == [".clsco-studio"]
-    plant(place, how, outside)  # as a backup might have it, or who has the user's rights
-    (place / "lock").rmdir() if how == "folder" else (place / "lock").unlink()
-    again = Studio(root)
-    assert again.jobs.state.path == place
-    for name in NAMES[1:]:
-        assert refused(again.jobs.state.read, name)
-        assert refused(again.jobs.state.tail, name)
-    look_at(again, ["kept_one.json"])
-    again.jobs.close()
-    assert contents(outside) == before
-
-
-def refused(read: Callable[[str, int], bytes], name: str) -> bool:
-    try:
-        read(name, 100)
-    except OSError:
-        return True
-    return False
-
-
-def look_at(opened: Studio, kept: list[str]) -> None:
-    """All that has to do with the state."""
-    assert opened.jobs.listed == ()
-    assert [path.name for path in opened.kept_scenes()] == kept
-    for path in opened.kept_scenes():
-        with pytest.raises(SceneError):
-            Document(opened.root).recover(path)
+    for name in NAMES:
+        with pytest.raises(OSError, match=name):
+            opened.state.read(name, 100)
+    (kept,) = opened.kept_scenes()
+    assert kept.name == "kept_one.json"
+    with pytest.raises(SceneError):
+        Document(opened.root).recover(kept)
     opened.keep()
-    with suppress(ImageError):  # a folder cannot be replaced
-        opened.jobs._put(CommandJob(1, "one", ("render",), "out", "*", 1, "running", process=1))
-        opened.jobs.poll()
-        assert opened.jobs.job(1).status == "interrupted"
-        opened.jobs.forget(1)
+    assert len(opened.state.key()) == 32
+    assert contents(outside) == before
+    assert not list(root.iterdir())
 
 
 def test_scenes_that_were_shown_have_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -121,27 +91,25 @@ def test_scenes_that_were_shown_have_pictures(tmp_path: Path, monkeypatch: pytes
     tab.preview = SimpleNamespace(small=(session.revision, b"saved"))  # type: ignore[assignment]
     studio.keep()
     name = studio.picture_of(root / "scene.toml").partition("=")[2]
-    assert studio.jobs.state.read(name, 100) == b"saved"
+    assert studio.state.read(name, 100) == b"saved"
     session.patch("camera.f_number", 5.0)
     studio.keep()  # the picture is of values before these
     assert not session.is_saved
-    assert not list(studio.jobs.state.path.glob("kept_*.jpg"))
+    assert not list(studio.state.path.glob("kept_*.jpg"))
     tab.preview = SimpleNamespace(small=(session.revision, b"kept"))  # type: ignore[assignment]
     studio.keep()
     del studio.tabs["one"]
     (kept,) = studio.kept_scenes()
     assert studio.picture_of(kept) == "scene-picture?name=kept_one.jpg"
-    assert studio.jobs.state.read("kept_one.jpg", 100) == b"kept"
-    app = Starlette(routes=Addresses(studio.jobs, lambda _: None).routes())
+    assert studio.state.read("kept_one.jpg", 100) == b"kept"
+    app = Starlette(routes=Addresses(studio.jobs, studio.state, lambda _: None).routes())
 
     async def answers() -> list[bytes]:
-        names = ("kept_one.jpg", "key", "lock", "kept_one.json", "../kept_one.jpg", "kept_two.jpg")
+        names = ("kept_one.jpg", "key", "kept_one.json", "../kept_one.jpg", "kept_two.jpg")
         async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://studio") as client:
             return [(await client.get("/scene-picture", params={"name": name})).content for name in names]
 
-    assert asyncio.run(answers()) == [b"kept", *[b"no such picture"] * 5]
-    studio.renderer.close()
-    studio.jobs.close()
+    assert asyncio.run(answers()) == [b"kept", *[b"no such picture"] * 4]
 
 
 def test_the_state_is_the_users_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -154,16 +122,10 @@ def test_the_state_is_the_users_alone(tmp_path: Path, monkeypatch: pytest.Monkey
     assert state.path.is_relative_to(tmp_path / "state" / "clsco" / "studio")
     assert stat.S_IMODE(state.path.stat().st_mode) == 0o700
     assert not list(root.iterdir())
-    with pytest.raises(ClscoError, match="another studio is at work in this folder"):
-        StateFolder(tmp_path / "link")  # the same folder
-    state.close()
-    state = StateFolder(tmp_path / "link")
-    assert state.read("a", 10) == b"1"
-    state.close()
-    other = StateFolder(tmp_path)
+    assert StateFolder(tmp_path / "link").read("a", 10) == b"1"  # of the same folder
+    assert StateFolder(root).key() == state.key()
     with pytest.raises(FileNotFoundError):
-        other.read("a", 10)
-    other.close()
+        StateFolder(tmp_path).read("a", 10)
 
 
 @pytest.mark.parametrize("why", ["no home", "a file", "exposed", "link"])
@@ -182,13 +144,10 @@ def test_without_a_private_place_the_state_is_lost(tmp_path: Path, monkeypatch: 
             home.mkdir()
             (home / "clsco").symlink_to(tmp_path)
     state = StateFolder(tmp_path)
-    assert state.is_lost
     assert not state.path.is_relative_to(tmp_path)
     assert stat.S_IMODE(state.path.stat().st_mode) == 0o700
     state.write("a", b"1")
     assert state.read("a", 10) == b"1"
-    state.close()
-    assert not state.path.exists()
 
 
 @pytest.mark.parametrize("name", ["uploads", "images"])

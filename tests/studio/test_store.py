@@ -231,16 +231,6 @@ def test_a_file_that_changed_meanwhile_is_not_overwritten(session: Document) -> 
     assert load_scene(file) == session.scene
 
 
-def test_two_sessions_on_one_file(session: Document) -> None:
-    other = Document(session.root)
-    other.open(Path("ball.toml"))
-    other.patch("title", "theirs")
-    other.save()
-    session.patch("title", "ours")
-    with pytest.raises(ConflictError):
-        session.save()
-
-
 def test_saved_elsewhere_the_images_are_still_found(session: Document) -> None:
     (session.root / "sub").mkdir()
     session.save(Path("sub/copy.toml"))

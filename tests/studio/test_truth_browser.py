@@ -5,8 +5,6 @@ from __future__ import annotations
 import base64
 import json
 import random
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,9 +15,9 @@ import clsco
 from clsco.errors import SceneError
 from clsco.files.transfer import encode
 from tests.studio.browser import SMALL
-from tests.studio.running import Running, studio
 
 pytestmark = pytest.mark.browser
+FILES, OPENS = {"scene.toml": SMALL}, "scene.toml"
 VALUES: dict[str, tuple[Any, ...]] = {
     "camera.focus_distance": (150, 200, 230, 260, 300),
     "camera.f_number": (1.4, 2, 4, 8),
@@ -51,14 +49,6 @@ WALK = """async ([path, value, wait, paths]) => {
     || (wait > 500 && !isExact && !Object.keys(studio.faults).length && performance.now() - start < 20000));
   return [...found.values()];
 }"""
-
-
-@pytest.fixture(scope="module")
-def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
-    folder: Path = tmp_path_factory.mktemp("truth")
-    (folder / "scene.toml").write_text(SMALL)
-    with studio(folder, str(folder / "scene.toml"), "--device", "pocl") as started:
-        yield started
 
 
 @pytest.mark.parametrize(

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import itertools
-import random
-import shutil
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +11,14 @@ import pytest
 from websockets.exceptions import InvalidStatus
 
 from tests.studio.browser import SMALL, axe_faults, number, open_scene, opened, rest, type_in
-from tests.studio.running import Running, studio
+from tests.studio.running import Running
 
 pytestmark = pytest.mark.browser
-EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+FILES = {
+    "small.toml": SMALL,
+    "many.toml": SMALL.replace("[[object]]", "[sequence]\nframes = 3000\n[[object]]"),
+}
+SHIPPED = ("sphere.toml",)
 SCENE = "fetch(`scene?tab=${studio.tab}`).then((answer) => answer.text())"
 FOCUSED = """() => {
   const element = document.activeElement, style = getComputedStyle(element);
@@ -26,21 +27,6 @@ FOCUSED = """() => {
   return { part: part ?? element.tagName, text, style: style.outlineStyle, width };
 }"""
 DIALOGS = ("Open", "Presets", "Save as", "Share", "Inpaint", "Generate", "Keyboard")
-
-
-@pytest.fixture(scope="module")
-def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("root")
-    shutil.copy(EXAMPLES / "sphere.toml", folder)
-    (folder / "small.toml").write_text(SMALL)
-    (folder / "many.toml").write_text(SMALL.replace("[[object]]", "[sequence]\nframes = 3000\n[[object]]"))
-    return folder
-
-
-@pytest.fixture(scope="module")
-def running(root: Path) -> Iterator[Running]:
-    with studio(root, "--device", "pocl") as started:
-        yield started
 
 
 def focused(page: Any) -> dict[str, Any]:
@@ -97,33 +83,6 @@ def test_from_a_scene_to_its_frame_by_keys_alone(page: Any, root: Path) -> None:
     page.get_by_label("Output folder").wait_for(state="hidden")
 
 
-def test_undo_and_redo_walk_back_and_forth(page: Any) -> None:
-    draw = random.Random(7)
-    values = {
-        "object.0.distance": (150, 600), "object.0.slope_x": (0, 1), "camera.f_number": (1, 9),
-        "camera.focal_length": (10, 30), "sequence.interval": (1, 5),
-    }  # fmt: skip
-    states = [page.evaluate(SCENE)]
-    for _ in range(40):
-        path = draw.choice(list(values))
-        value = round(draw.uniform(*values[path]), 3)
-        before = page.evaluate("studio.values")[path]
-        page.evaluate("([path, value]) => studio.set(path, value)", [path, value])
-        page.wait_for_function("([path, before]) => studio.values[path] !== before", arg=[path, before], timeout=20000)
-        states.append(page.evaluate(SCENE))
-    for key, way in (("Control+z", states[-2::-1]), ("Control+Shift+z", states[1:])):
-        for state in way:
-            page.keyboard.press(key)
-            wait_for_scene(page, state)
-    page.wait_for_function("document.querySelector('#redo').disabled")
-
-
-def wait_for_scene(page: Any, state: str) -> None:
-    end = time.monotonic() + 10
-    while (found := page.evaluate(SCENE)) != state:
-        assert time.monotonic() < end, f"{found}\nis not\n{state}"
-
-
 def test_two_tabs_do_not_write_over_each_other(page: Any, running: Running, root: Path) -> None:
     other = page.context.new_page()
     other.goto(running.page + "/")
@@ -149,6 +108,13 @@ def test_two_tabs_do_not_write_over_each_other(page: Any, running: Running, root
     other.wait_for_timeout(500)
     assert "radius = 22" in (root / "other.toml").read_text()
     assert "radius = 21" in (root / "sphere.toml").read_text()
+    type_in(other, "object.0.radius", "24")
+    other.get_by_role("button", name="Save as", exact=True).click()
+    dialog.get_by_label("File in").fill("sphere.toml")
+    dialog.get_by_role("button", name="Save", exact=True).click()
+    dialog.get_by_role("button", name="Overwrite").click()
+    dialog.wait_for(state="hidden")
+    assert "radius = 24" in (root / "sphere.toml").read_text()
     other.get_by_role("button", name="Save as", exact=True).click()  # over a file that is another one
     dialog.get_by_label("File in").fill("small.toml")
     dialog.get_by_role("button", name="Save", exact=True).click()
@@ -158,10 +124,10 @@ def test_two_tabs_do_not_write_over_each_other(page: Any, running: Running, root
     dialog.get_by_label("File in").fill("third.toml")
     dialog.get_by_role("button", name="Save", exact=True).click()
     dialog.wait_for(state="hidden")
-    assert "radius = 22" in (root / "third.toml").read_text()
+    assert "radius = 24" in (root / "third.toml").read_text()
     type_in(page, "object.0.radius", "23")
     rest(page)
-    assert number(other, "object.0.radius") == 22
+    assert number(other, "object.0.radius") == 24
 
 
 def test_a_copy_of_a_tab_is_a_session_of_its_own(page: Any, running: Running) -> None:

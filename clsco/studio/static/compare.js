@@ -1,9 +1,9 @@
-// Comparing what is shown with a pinned frame: of before, as the thesis, or by the reference.
+// Comparing what is shown with a pinned frame: of before or as the thesis.
 
 import { RUNG } from "./protocol.js";
 import { on, one, studio } from "./shared.js";
 
-const WHAT = { [RUNG.EXACT]: "pinned frame", [RUNG.PINNED]: "as the thesis", [RUNG.REFERENCE]: "reference" };
+const WHAT = { [RUNG.EXACT]: "pinned frame", [RUNG.PINNED]: "as the thesis" };
 
 /** @type {{ image: HTMLCanvasElement, what: string, revision: number, view: string } | null} */
 let pinned = null;
@@ -86,26 +86,6 @@ const difference = (canvas, over, factor) => { // shown in place of the pinned f
   return count ? `at most ${largest} of 255, ${count} px` : "none";
 };
 
-// ---- what the reference is at -------------------------------------------------------------------------------------
-let started = 0, clock = 0;
-/** @type {{ revision: number, seconds?: number } | null} */
-let run = null;
-studio.referring = (said) => {
-  if (said !== null && run?.revision !== said.revision) started = performance.now();
-  run = said;
-  one("#reference").hidden = run === null;
-  clearInterval(clock);
-  if (run === null) return;
-  clock = setInterval(tick, 2000); // no more often, as it is read out
-  tick();
-};
-
-const tick = () => {
-  if (run === null) return;
-  const about = run.seconds === undefined ? "" : ` of about ${Math.max(1, Math.round(run.seconds))} s`;
-  one("#reference-about").textContent = `The reference renders revision ${run.revision}: ${Math.round((performance.now() - started) / 1000)} s${about}`;
-};
-
 studio.overlays.push((context, place) => { // the line of the wipe, and what is on both sides of it
   if (mode !== "wipe" || flipped || one("#pinned").hidden) return;
   const [x] = place((one("#wipe").value / 100) * one("#canvas").width - 0.5, 0), { height } = context.canvas;
@@ -124,7 +104,6 @@ studio.overlays.push((context, place) => { // the line of the wipe, and what is 
   }
 });
 
-studio.isReferring = () => run !== null;
 studio.compare = compare;
 studio.compares = (event) => { // a key
   if (event.key === "p" || event.key === "P") pin();
@@ -134,7 +113,6 @@ studio.compares = (event) => { // a key
   compare();
 };
 
-studio.hearing.push((said) => { if ("reference" in said) studio.referring(said.reference); });
 studio.parts.push(() => {
   on("keyup", (event) => { if (event.key === " ") { flipped = false; compare(); } });
   one("#pin").addEventListener("change", ({ target }) => {
@@ -144,5 +122,4 @@ studio.parts.push(() => {
   });
   one("#compare").addEventListener("change", (event) => choose(event.target.value));
   one("#wipe").addEventListener("input", () => { compare(); studio.viewport.changed(); });
-  one("#reference-cancel").addEventListener("click", () => studio.referring(null));
 });

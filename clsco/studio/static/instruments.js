@@ -1,6 +1,5 @@
 // Instruments beside and over the picture: histogram with clipping, focus peaking, scale bar, outline of an object, wipe.
 
-import "./drawings.js";
 import "./handles.js";
 import "./narrow.js";
 import "./tour.js";

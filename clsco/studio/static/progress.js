@@ -40,6 +40,5 @@ studio.hearing.push((said) => {
 
 studio.escape = () => {
   if (document.querySelector("dialog[open]")) return;
-  if (studio.isReferring() || !(one("#progress").hidden || canceled)) studio.send({ do: "cancel" });
-  studio.referring(null);
+  if (!one("#progress").hidden && !canceled) studio.send({ do: "cancel" });
 };

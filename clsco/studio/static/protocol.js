@@ -1,6 +1,6 @@
 // What comes over the socket; made from clsco/studio/pictures.py by python -m tests.studio.protocol.
 
-export const RUNG = { DRAGGING: 0, LOSSY: 1, EXACT: 2, PINNED: 3, STACKED: 4, REFERENCE: 5, OUTLINED: 6 };
+export const RUNG = { DRAGGING: 0, LOSSY: 1, EXACT: 2, PINNED: 3, STACKED: 4, OUTLINED: 5 };
 export const ENCODING = { MESSAGE: 0, JPEG: 1, PNG: 2, FLOAT16: 3, FLOAT32: 4 };
 export const VIEWS = ["color", "sharp", "depth", "blur radius", "flow", "normal", "id", "mask", "missing", "raw", "noise"];
 export const NO_NUMBER = 4294967295; // of a picture of a moment, in place of a frame's

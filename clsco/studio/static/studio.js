@@ -49,7 +49,6 @@ const connect = () => {
     send({ view: studio.view });
     send(studio.wanted());
     studio.opened();
-    studio.wantsDrawings();
   };
   socket.onmessage = (event) => received(event.data);
   socket.onclose = ({ code }) => {

@@ -11,7 +11,7 @@ const STEPS = [ // a part of the page, and words
   ["#stage", "Click an object: it is outlined, its handles move it, the one above along z. The wheel zooms, a double click fits."],
   ["#side", "The inspector: why it is soft at the pixel under the pointer. Its blur radius, how its light spreads, and the lens."],
   ["#panels-scroll", "The panels of the thesis, in its words, then all others. Input image takes a photo of your own; each value has its default behind ↺."],
-  ["#pin", "Pin this frame, that of the thesis or the reference, and wipe or flip between both."],
+  ["#pin", "Pin this frame, or that of the thesis, and wipe or flip between both."],
   ["#inpaint", "Inpaint: paint over what is to go, and have it filled by several methods."],
   ["#generate", "Generate writes frames, a clip, a focal stack or a data set, by a command line that can be copied. Share gives an address of this scene."],
 ];

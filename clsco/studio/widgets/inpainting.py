@@ -10,7 +10,6 @@ from typing import Any
 
 from clsco.studio.folder import IMAGES, listed
 from clsco.studio.inpainting import FILLERS, Inpainting, inpainting_of
-from clsco.studio.jobs import Jobs
 from clsco.studio.presets import REMOVALS
 from clsco.studio.session import Document
 from clsco.studio.widgets.html import Dialog, PagePart, button, check_box, notify, page, say, text_box, tried
@@ -29,8 +28,8 @@ _TICK = 0.4  # s between looks at a method
 class _Dialog:
     """The dialog, what its buttons do, and the parts of it that they make anew."""
 
-    def __init__(self, session: Document, jobs: Jobs, tab: str, device: str | None) -> None:
-        self.session, self.jobs, self.tab = session, jobs, tab
+    def __init__(self, session: Document, tab: str, device: str | None) -> None:
+        self.session, self.tab = session, tab
         self.inpainting = inpainting_of(session, device)
         self.page = page()
         self.typed = {"name": "", "mask": "inpainting/mask.png", "folder": "inpainting"}
@@ -75,10 +74,6 @@ class _Dialog:
 
     def chosen(self) -> list[str]:
         return [method for method, is_on in self.wanted.items() if is_on]
-
-    def begin(self) -> None:
-        self.inpainting.begin(self.jobs, self.chosen(), self.typed["folder"])
-        self.dialog.close()
 
     def fill(self) -> None:
         self.filling = asyncio.create_task(self._fill())
@@ -139,7 +134,6 @@ class _Dialog:
         with say("div", class_="row"):
             text_box("Folder for the results", typed["folder"], lambda name: typed.update(folder=name))
             button("Write the results", self.save)
-            button("Fill as jobs", self.begin, data_after="sent", title="Goes on when the page is closed")
 
     def _draw_progress(self) -> None:
         """Progress of a method, with a button that cancels it."""
@@ -158,9 +152,9 @@ class _Dialog:
         _results(self.inpainting, self.tab, self.typed["folder"])
 
 
-def inpainting_dialog(session: Document, jobs: Jobs, tab: str, device: str | None = None) -> Callable[[], None]:
+def inpainting_dialog(session: Document, tab: str, device: str | None = None) -> Callable[[], None]:
     """The dialog of inpainting, of a tab of this name; returns what opens it."""
-    return _Dialog(session, jobs, tab, device).show
+    return _Dialog(session, tab, device).show
 
 
 def _tools() -> None:

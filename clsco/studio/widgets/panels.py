@@ -21,12 +21,6 @@ from clsco.studio.tables import SHAPE_LABELS, at, words
 from clsco.studio.widgets.html import PagePart, button, check_box, choice, number, page, say
 
 _MOTIONS = {"velocity": "Translation", "angular_velocity": "Rotation"}
-DRAWINGS = {
-    "sequence.shutter_curve": ("curve", 48, "How far the shutter is open, over the time of an exposure"),
-    "aperture.shape": ("pupil", 96, "Opening of the lens, as a point before the focus shows it"),
-    "psf.model": ("spreads", 150, "Light of points over the frame, where |R| is 12 px"),
-}
-"""Drawings below keys: their name, height in px, and words."""
 _TYPE, _PROPERTIES, _MOTION = 1, 2, 3  # of the panels of the thesis
 
 
@@ -159,9 +153,6 @@ def draw_field(session: Document, shown: Field) -> None:
             else:
                 _text(session, shown, value, box)
             _fault(shown)
-    if shown.path in DRAWINGS:
-        name, height, what = DRAWINGS[shown.path]
-        say("canvas", data_drawing=name, width=280, height=height, role="img", aria_label=what, title=what)
 
 
 def _components(session: Document, shown: Field) -> None:
@@ -273,13 +264,7 @@ def _method(session: Document) -> None:
 def object_list(session: Document, index: int, choose: Callable[[int], None]) -> None:
     """Draw the objects, of which one is shown in the panels, with what can be done with them.
 
-    Parameters
-    ----------
-    session : Document
-    index : int
-        Index of the object in the panels.
-    choose : function of int
-        Shows another one.
+    index: index of the object in the panels; choose: shows another one.
     """
     objects = session.table["object"]
     last = len(objects) - 1
