@@ -34,7 +34,7 @@ COLORS = (
 def write(folder: Path, bench: Bench, also: Callable[[Path], None] = lambda _: None) -> None:
     """Write bench.json, bench.csv and the plots, and what `also` writes into the folder it is given: all or none.
 
-    Raises ImageError where the folder cannot be written, ClscoError where all cases were left out.
+    Raises FileError where the folder cannot be written, ClscoError where all cases were left out.
     """
     if not bench.rows:
         raise ClscoError(f"bench: some case must be short enough; got none, {bench.left_out[0]['why']}")

@@ -88,7 +88,7 @@ def run(device: Device, quick: bool, advance: Callable[[], object]) -> Stability
 
 
 def write(folder: Path, stability: Stability) -> None:
-    """Write stability.json, three CSV files and stability.png: all or none. Raises ImageError where that fails."""
+    """Write stability.json, three CSV files and stability.png: all or none. Raises FileError where that fails."""
     content = rounded(_finite(asdict(stability)))
     with together(folder, "stability") as made:
         (made / "stability.json").write_text(json.dumps(content, indent=1) + "\n", "utf-8")

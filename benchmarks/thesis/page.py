@@ -205,7 +205,7 @@ def small_figure(out: Path, figure: Figure) -> Image.Image:
 
 
 def write_page(out: Path, name: str, figures: Collection[Figure], values: Values) -> None:
-    """Write the pictures of figures, and then both pages, which are called `name`. Raises ImageError."""
+    """Write the pictures of figures, and then both pages, which are called `name`. Raises FileError."""
     if figures:
         with together(writable_folder(out / PICTURES), "figures") as made:
             for figure in figures:

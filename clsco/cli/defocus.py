@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from clsco.errors import ImageError, SceneError
+from clsco.errors import FileError, SceneError
 from clsco.files.atomic import refuse, same_place, writable_folder
 from clsco.files.color import SRGB, Color
 from clsco.files.images import WRITERS, check_alike, writer_for
@@ -56,7 +56,7 @@ def scenes_from_files(
 
 
 def check_pair(scene: Scene) -> None:
-    """Read an image and its depth map. Raises ImageError where one cannot be read, or where they differ in size."""
+    """Read an image and its depth map. Raises FileError where one cannot be read, or where they differ in size."""
     for item in scene.objects:
         if isinstance(item, DepthMap):
             rows, columns = shared_files().depth(item.inputs()["depth"]).shape
@@ -66,7 +66,7 @@ def check_pair(scene: Scene) -> None:
 
 
 def is_image_file(out: Path) -> bool:
-    """True if OUT names an image file and no folder; raises ImageError for an image that cannot be written."""
+    """True if OUT names an image file and no folder; raises FileError for an image that cannot be written."""
     suffix = out.suffix.lower()
     if out.is_dir():
         return False
@@ -78,7 +78,7 @@ def is_image_file(out: Path) -> bool:
 def prepare_image(scenes: Sequence[Scene], out: Path) -> None:
     """Make the folder of an image file, and prove that the file can be written.
 
-    scenes: those to be rendered. Raises SceneError where they have more than one image, ImageError where OUT is what
+    scenes: those to be rendered. Raises SceneError where they have more than one image, FileError where OUT is what
     the image is made of, an extra of clsco is missing, or the folder cannot be written.
     """
     count = sum(scene.sequence.frames * (1 if scene.stereo is None else 2) for scene in scenes)
@@ -87,7 +87,7 @@ def prepare_image(scenes: Sequence[Scene], out: Path) -> None:
     named = [Path(name) for _, item in scenes[0].inputs for name in item.files().values()]
     for path in named:
         if same_place(out, path):
-            raise ImageError(f"{out}: must not be the image or the depth that it is made of; got {path}")
+            raise FileError(f"{out}: must not be the image or the depth that it is made of; got {path}")
     writer_for(out)
     writable_folder(out.parent)
 
@@ -109,7 +109,7 @@ def write_color(out: Path, frame: Frame, bits: int, transfer: str, color: Color 
 
     Raises
     ------
-    ImageError
+    FileError
         The file cannot be written.
     """
     writer = writer_for(out)

@@ -84,7 +84,7 @@ def _fitted(picture: Picture, side: int) -> Picture:
 
 
 def write_contact_sheet(path: Path, frames: Mapping[str, Sequence[Frame]]) -> None:
-    """Write the sheet of all EXAMPLES as a PNG: frames, or stereo pairs, by name. Raises ImageError where it cannot be
+    """Write the sheet of all EXAMPLES as a PNG: frames, or stereo pairs, by name. Raises FileError where it cannot be
     written."""
     shown = {EXAMPLES[name]: each[0] for name, each in frames.items()}
     write_png(path, demo_sheet(shown, [frames[name] for name in DETAILS]))

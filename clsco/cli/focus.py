@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from clsco.errors import ImageError, SceneError
+from clsco.errors import ClscoError, SceneError
 
 if TYPE_CHECKING:
     from clsco.inputs.focus import Focus
@@ -71,6 +71,6 @@ def _focused(path: Path, sweep: Sweep, focus: Focus) -> Sweep | SceneError:
         return SceneError(f"{path}: focus: goes without several values of the focus; got {len(distances)}")
     try:
         scenes = tuple(focused(with_resolution(scene), shared_files(), focus) for scene in sweep.scenes)
-    except (ImageError, SceneError) as error:
+    except ClscoError as error:
         return SceneError([f"{path}: {message}" for message in getattr(error, "messages", [error])])
     return replace(sweep, scenes=scenes)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.cli.output import echo
-from clsco.errors import ImageError, SceneError
+from clsco.errors import ArgumentError, FileError, SceneError
 from clsco.files.atomic import refuse, same_place, writable_folder
 from clsco.files.images import (
     WRITERS,
@@ -33,11 +33,11 @@ def read_pair(
 
     Missing is where the mask is white: 255, 65535, or 1.0 in floats; where it is 0 all is known. threshold: what is
     missing from there on, in the mask's values; then any others may occur as well. What missing pixels of a float image
-    hold may also be no number. Raises ImageError where the files cannot be read or differ in size, where the mask has
+    hold may also be no number. Raises FileError where the files cannot be read or differ in size, where the mask has
     colors or other values, where it leaves nothing known, and for a threshold that is no number.
     """
     if threshold is not None and not math.isfinite(threshold):
-        raise ImageError(f"--threshold: must be a finite number; got {threshold}")
+        raise ArgumentError(f"--threshold: must be a finite number; got {threshold}")
     check_alike(str(image), str(mask), image_size(mask))
     if note := upright_note(str(image), str(mask)):
         echo(note, err=True)
@@ -68,14 +68,14 @@ def _missing(mask: Path, threshold: float | None) -> NDArray[np.bool_]:
 def prepare_out(out: Path, image: Path, mask: Path, is_float: bool | None = None) -> ImageWriter:
     """Writer for OUT, after a proof that it can hold the image and that its folder can be written.
 
-    is_float: whether the image has floats and no codes, once that is known. Raises ImageError.
+    is_float: whether the image has floats and no codes, once that is known. Raises FileError.
     """
     suffix = out.suffix.lower()
     if suffix not in WRITERS or out.is_dir():
         refuse(out, f"must be a file that ends in one of {' '.join(WRITERS)}", repr(out.suffix))
     for path in (image, mask):
         if same_place(out, path):
-            raise ImageError(f"{out}: must not be the image or the mask that it is made of; got {path}")
+            raise FileError(f"{out}: must not be the image or the mask that it is made of; got {path}")
     writer = writer_for(out)
     if is_float and not writer.floats:
         fitting = _listed(name for name, other in WRITERS.items() if other.floats)

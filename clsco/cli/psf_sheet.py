@@ -63,5 +63,5 @@ def _cell(weights: NDArray[np.float32]) -> Image.Image:
 
 
 def write_sheet(path: Path, stack: PsfStack) -> None:
-    """Write `sheet` as a PNG. Raises ImageError where it cannot be written."""
+    """Write `sheet` as a PNG. Raises FileError where it cannot be written."""
     write_png(path, sheet(stack))

@@ -12,7 +12,7 @@ import click
 
 from clsco.cli.options import PATH, PRESET, quiet_option
 from clsco.cli.output import echo
-from clsco.errors import ImageError
+from clsco.errors import ArgumentError
 
 if TYPE_CHECKING:
     from clsco.engine.batch import Job
@@ -24,7 +24,7 @@ def _rate(text: str) -> Fraction:
 
     try:
         return parse_rate(text, "rate")
-    except ImageError as error:
+    except ArgumentError as error:
         raise click.BadParameter(str(error).removeprefix("rate: ")) from None
 
 
@@ -105,7 +105,7 @@ def _report(where: Path, facts: Sequence[str]) -> None:
 
 
 def require_clips(planned: Sequence[PreparedFile], preset: str) -> None:
-    """Raise ImageError, before anything is rendered, where PyAV is missing or a scene can have no clip of a preset."""
+    """Fail before anything is rendered where PyAV is missing or a scene can have no clip of a preset."""
     from clsco.files.video import rate_of, require_size, require_video
 
     for path, _, prepared in planned:

@@ -20,7 +20,7 @@ from clsco.data.draws import shuffled
 from clsco.data.record import ABOUT, PICTURES, Record, is_wanted
 from clsco.data.sets import CARD, split_files
 from clsco.data.storage import Storage, checked_key, open_storage, remove_path
-from clsco.errors import ImageError, SceneError
+from clsco.errors import ClscoError, MissingDependencyError, SceneError
 from clsco.files.atomic import refuse
 from clsco.files.bounded import strict_json
 from clsco.frame.contact_sheet import contact_sheet, in_rows
@@ -145,7 +145,7 @@ class Dataset(Sequence[Record]):
     @overload
     def __getitem__(self, index: slice) -> Dataset: ...
     def __getitem__(self, index: int | slice) -> Record | Dataset:
-        """One record; a view of several. Raises IndexError beyond the end, ImageError where a shard is damaged."""
+        """One record; a view of several. Raises IndexError beyond the end, FileError where a shard is damaged."""
         if isinstance(index, slice):
             return self._view(span=self._span[index])
         return self._record(self._span[index])
@@ -225,7 +225,7 @@ class Dataset(Sequence[Record]):
 
         Raises
         ------
-        ImageError
+        FileError
             There is no PyTorch.
 
         Examples
@@ -235,7 +235,7 @@ class Dataset(Sequence[Record]):
         torch.Size([3, 9, 12])
         """
         if find_spec("torch") is None:
-            raise ImageError("to_torch: needs PyTorch: pip install torch; got no such module")
+            raise MissingDependencyError("to_torch: needs PyTorch: pip install torch; got no such module")
         return self.map(tensors_of)
 
     def __repr__(self) -> str:
@@ -295,7 +295,7 @@ def open(data: str | os.PathLike[str], split: str | None = None, arrays: Iterabl
     ------
     SceneError
         There is no such split or array.
-    ImageError
+    FileError
         There is no data set, its card is damaged, or the extra that its format needs is missing.
 
     Notes
@@ -329,7 +329,7 @@ def _shard(file: tuple[str, int]) -> tuple[str, str]:
 
 
 def _read_card(storage: Storage) -> dict[str, Any]:
-    """The card with the `files` of each split, which are checked. Raises ImageError."""
+    """The card with the `files` of each split, which are checked. Raises FileError."""
     path = f"{storage.where}/{CARD}"
     try:
         data = storage.read(CARD)
@@ -346,7 +346,7 @@ def _read_card(storage: Storage) -> dict[str, Any]:
         }
         if not isinstance(form, str):
             raise TypeError(f"a format of {form!r}")
-    except ImageError:
+    except ClscoError:
         raise
     except OSError as error:
         refuse(path, "must be the card of a data set", error, error)

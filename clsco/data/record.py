@@ -145,7 +145,7 @@ class Record(Mapping[str, NDArray[Any]]):
         ------
         KeyError
             The record has no such array.
-        ImageError
+        FileError
             The extension is another one, the extra that the format needs is missing, or the file cannot be written.
         """
         if Path(path).suffix.lower() == ".npz":
@@ -240,7 +240,7 @@ def make_record(
 
     Raises
     ------
-    ImageError
+    FileError
         A value does not fit: radiance that is not finite; floats beyond float16.
 
     Notes

@@ -24,7 +24,7 @@ from clsco.data.manifest import (
     shard_numbers,
 )
 from clsco.data.storage import Storage
-from clsco.errors import ImageError, SceneError
+from clsco.errors import FileError, SceneError
 from clsco.files.bounded import strict_json
 
 MOST_SHARDS = 10**6
@@ -80,10 +80,10 @@ class DataSet:
 
 
 def open_set(storage: Storage) -> DataSet:
-    """The set in a storage. Raises ImageError where there is none, or its card is damaged."""
+    """The set in a storage. Raises FileError where there is none, or its card is damaged."""
     data = storage.read(CARD)
     if data is None:
-        raise ImageError(f"{storage.where}: must hold a data set that clsco dataset make made; got no {CARD}")
+        raise FileError(f"{storage.where}: must hold a data set that clsco dataset make made; got no {CARD}")
     try:
         card = strict_json(data)
         if not all(isinstance(card.get(name, ""), str) for name in ("license", "recipe")):
@@ -96,7 +96,7 @@ def open_set(storage: Storage) -> DataSet:
         if not samples or samples.start < 0 or len(shard_numbers(samples, identity.shard_size)) > MOST_SHARDS:
             raise ValueError(f"samples are {samples}")
     except (ValueError, TypeError, KeyError, AttributeError, ArithmeticError, RecursionError) as error:
-        raise ImageError(f"{storage.where}/{CARD}: must describe a data set; got {error!r}") from None
+        raise FileError(f"{storage.where}/{CARD}: must describe a data set; got {error!r}") from None
     return DataSet(storage, identity, samples, card)
 
 
@@ -268,7 +268,7 @@ _HUB_FORMATS = ("webdataset", "parquet")
 def split_files(storage: Storage) -> dict[str, list[tuple[str, int]]]:
     """Files of each split with the number of samples in them, by the parts of the manifest.
 
-    Returns: split to files, in the order of the shards; "" of a set without splits. Raises ImageError: a part is
+    Returns: split to files, in the order of the shards; "" of a set without splits. Raises FileError: a part is
     damaged.
     """
     found: dict[str, list[tuple[str, int]]] = {}
@@ -293,7 +293,7 @@ def write_card(storage: Storage, identity: Identity, listed: Mapping[str, list[t
 
     Raises
     ------
-    ImageError
+    FileError
         The set cannot be read or written.
     """
     card = json.loads(storage.read(CARD) or b"{}")

@@ -14,7 +14,7 @@ from functools import wraps
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-from clsco.errors import ImageError
+from clsco.errors import ClscoError, FileError, MissingDependencyError
 from clsco.files.atomic import file_sha256, refuse
 from clsco.resources import open_regular, read_regular, remove_left, work_name
 
@@ -24,7 +24,7 @@ Call = TypeVar("Call", bound=Callable[..., Any])
 
 
 class Storage(Protocol):
-    """A place for objects by their keys, which are relative paths with "/". All raise ImageError where it fails.
+    """A place for objects by their keys, which are relative paths with "/". All raise FileError where it fails.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ def remove_path(path: Path) -> None:
 
 
 def open_storage(where: str | os.PathLike[str]) -> Storage:
-    """The storage of a data set: a folder, or an address such as s3://bucket/set. Raises ImageError for neither."""
+    """The storage of a data set: a folder, or an address such as s3://bucket/set. Raises FileError for neither."""
     text = os.fspath(where)
     if "://" not in text:
         return _Folder(Path(text))
@@ -90,10 +90,10 @@ def open_storage(where: str | os.PathLike[str]) -> Storage:
 
 
 def checked_key(key: str) -> str:
-    """A key that stays in its storage; raises ImageError for any other, as a file of a stranger may name one."""
+    """A key that stays in its storage; raises FileError for any other, as a file of a stranger may name one."""
     parts = key.split("/")
     if not key.isprintable() or "\\" in key or any(part in ("", ".", "..") for part in parts):
-        raise ImageError(f"{key!a}: a file of a data set must lie in its folder; got another place")
+        raise FileError(f"{key!a}: a file of a data set must lie in its folder; got another place")
     return key
 
 
@@ -104,7 +104,7 @@ def _failing(function: Call) -> Call:
     def call(self: Any, *args: Any) -> Any:
         try:
             return function(self, *args)
-        except ImageError:
+        except ClscoError:
             raise
         except OSError as error:
             place = Path(self.where) / str(args[0]) if args else Path(self.where)
@@ -113,7 +113,7 @@ def _failing(function: Call) -> Call:
             if self.is_local:
                 raise
             got = " ".join(str(error).split()) or type(error).__name__  # of the store's own client
-            raise ImageError(f"{self.where}: the store must answer; got {got}") from OSError(got)
+            raise FileError(f"{self.where}: the store must answer; got {got}") from OSError(got)
 
     return call  # type: ignore[return-value]
 
@@ -139,7 +139,7 @@ class _Folder:
         self.where = str(self.root)
 
     def _path(self, key: str) -> Path:
-        """Path of a key. Raises ImageError where a link leads out of the set, as in a folder of a stranger one may."""
+        """Path of a key. Raises FileError where a link leads out of the set, as in a folder of a stranger one may."""
         path = self.root / checked_key(key)
         if not path.parent.resolve().is_relative_to(self.root.resolve()):
             refuse(path, "must lie in the folder of the data set", "a link that leaves it")
@@ -229,12 +229,12 @@ class _Remote:
             core = importlib.import_module("fsspec.core")
         except ImportError:
             rule = "an address needs fsspec: pip install 'clsco[distributed]'"
-            raise ImageError(f"{url}: {rule}; got no such module") from None
+            raise MissingDependencyError(f"{url}: {rule}; got no such module") from None
         self.where = url
         try:
             self.system, self.root = core.url_to_fs(url, use_listings_cache=False)
         except (ImportError, ValueError, OSError) as error:
-            raise ImageError(f"{url}: must be an address that fsspec opens; got {error}") from error
+            raise FileError(f"{url}: must be an address that fsspec opens; got {error}") from error
 
     def _path(self, key: str) -> str:
         return f"{self.root.rstrip('/')}/{checked_key(key)}"

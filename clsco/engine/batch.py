@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from clsco.engine.sequence import render_prepared
-from clsco.errors import ImageError, SceneError
+from clsco.errors import FileError, SceneError
 from clsco.files.atomic import same_place, writable_folder
 from clsco.frame.files import (
     TRUTH_FORMATS,
@@ -97,7 +97,7 @@ def prepare(
 
     digests: of its files, as `provenance.file_digests` gives them, where they are known. A frame is whole where its
     JSON file, written last, names the scene's hash, this version, the same tolerance, all files
-    wanted with what they hold, and each file's SHA-256. Raises ImageError where a texture or depth cannot be read or
+    wanted with what they hold, and each file's SHA-256. Raises FileError where a texture or depth cannot be read or
     the folder written.
     """
     scene, request = prepared.scene, prepared.request
@@ -107,7 +107,7 @@ def prepare(
     for _, item in scene.inputs:
         for what, path in ((key, Path(name)) for key, name in item.files().items()):
             if path.stem.startswith("frame_") and same_place(path.parent, folder):
-                raise ImageError(f"{path}: a {what} must not lie where frames are written; got {folder}")
+                raise FileError(f"{path}: a {what} must not lie where frames are written; got {folder}")
 
     image = ["color"] if prepared.plan.color else []
     held = {FILE_NAMES[name] for name in (*image, *prepared.plan.truth, *(["alpha"] if prepared.plan.alpha else []))}
@@ -217,7 +217,7 @@ def _run_together(session: Session, jobs: Sequence[Job], check: bool) -> Iterato
         job, views = jobs[number], (frame,) if left is None else (left, frame)
         if _written(job.folder, frame.index) != job.before[frame.index]:
             where = frame_json(job.folder, frame.index)
-            raise ImageError(f"{where}: frames must have one writer at a time; got one that another process wrote")
+            raise FileError(f"{where}: frames must have one writer at a time; got one that another process wrote")
         scene = job.prepared.scene
         about = job.folder, views, frame.metadata["bits"], scene.image.transfer, job.files, job.record
         write_frame(*about, scene=scene, color=job.prepared.color)

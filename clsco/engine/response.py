@@ -95,7 +95,7 @@ def response(
 
     Raises
     ------
-    SceneError, ImageError, DeviceError, KernelError
+    SceneError, FileError, DeviceError, KernelError
         As `render_frame`; there is no such source, or without `item` nothing is seen there.
 
     Notes

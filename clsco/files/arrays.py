@@ -8,15 +8,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.errors import import_extra
 from clsco.files.atomic import refuse
 from clsco.files.bounded import member_array, npy_header, open_archive, open_member
-from clsco.files.decoders import check_limits, codec, exr_parts, opened
+from clsco.files.decoders import check_limits, exr_parts, opened
 
 
 def read_npz(path: Path, names: Sequence[str]) -> dict[str, NDArray[np.floating]]:
     """Read arrays of floats (rows, columns[, 2 or 3]) from an NPZ.
 
-    Raises ImageError where one is not there, is no such array, or has over 2^27 pixels.
+    Raises FileError where one is not there, is no such array, or has over 2^27 pixels.
     """
     with opened(path, {".npz": "NPZ"}) as (file, _), open_archive(file) as archive:
         found = {}
@@ -37,10 +38,10 @@ def read_npz(path: Path, names: Sequence[str]) -> dict[str, NDArray[np.floating]
 def read_exr(path: Path, names: Sequence[str], view: str = "") -> list[NDArray[np.floating]]:
     """Read channels (rows, columns) of floats from an EXR, of one with several views those of `view`.
 
-    Raises ImageError where one is not there or holds no floats, and for over 2^27 pixels or 2^29 values in all.
+    Raises FileError where one is not there or holds no floats, and for over 2^27 pixels or 2^29 values in all.
     """
     with opened(path, {".exr": "EXR"}) as (file, _):
-        parts, exr = exr_parts(file), codec(path, "OpenEXR", "exr")
+        parts, exr = exr_parts(file), import_extra(path, "OpenEXR", "exr")
         pages = exr.File(str(path), separate_channels=True).parts
         if len(pages) != len(parts):  # a part that cannot be decoded is left out by the library
             raise ValueError(f"{len(pages)} readable parts of {len(parts)}")

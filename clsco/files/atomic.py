@@ -11,14 +11,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO, NoReturn
 
-from clsco.errors import ImageError
+from clsco.errors import FileError, MissingDependencyError
 from clsco.resources import open_regular, work_name
 
 _BLOCK = 2**18  # bytes that are read at once
 
 
 def refuse(path: Path | str, rule: str, got: object, cause: Exception | None = None) -> NoReturn:
-    """Raise ImageError with the one line `path: rule; got value`.
+    """Raise FileError with the one line `path: rule; got value`.
 
     Parameters
     ----------
@@ -31,13 +31,13 @@ def refuse(path: Path | str, rule: str, got: object, cause: Exception | None = N
 
     Raises
     ------
-    ImageError
+    FileError
     """
     where = str(path)
     if isinstance(got, OSError):
         got = got.strerror or got
     value = " ".join(str(got).split()) or type(got).__name__
-    raise ImageError(f"{where if where.isprintable() else ascii(where)}: {rule}; got {value}") from cause
+    raise FileError(f"{where if where.isprintable() else ascii(where)}: {rule}; got {value}") from cause
 
 
 @contextlib.contextmanager
@@ -55,7 +55,7 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
 
     Raises
     ------
-    ImageError
+    FileError
         The folder, the disk or a codec fails.
     """
     temporary = _temporary(path)
@@ -73,7 +73,7 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file that is whole or absent. Raises ImageError as `whole_file`."""
+    """Write a file that is whole or absent. Raises FileError as `whole_file`."""
     with whole_file(path) as file:
         file.write(content)
 
@@ -96,7 +96,7 @@ def together(folder: Path, name: str) -> Iterator[Path]:
 
     Raises
     ------
-    ImageError
+    FileError
         The folder cannot be written. Errors from inside name the files as if they were in `folder` already.
     """
     made = _temporary(folder / name)
@@ -105,8 +105,8 @@ def together(folder: Path, name: str) -> Iterator[Path]:
         yield made
         for path in sorted(made.iterdir()):
             path.replace(folder / path.name)
-    except ImageError as error:
-        raise ImageError(str(error).replace(str(made), str(folder))) from error
+    except (FileError, MissingDependencyError) as error:
+        raise type(error)(str(error).replace(str(made), str(folder))) from error
     except (OSError, ValueError) as error:
         refuse(folder / name, "the files must be writable", error, error)
     finally:
@@ -114,7 +114,7 @@ def together(folder: Path, name: str) -> Iterator[Path]:
 
 
 def remove(path: Path) -> None:
-    """Remove a file if it is there. Raises ImageError where that is not allowed."""
+    """Remove a file if it is there. Raises FileError where that is not allowed."""
     try:
         path.unlink(missing_ok=True)
     except (OSError, ValueError) as error:
@@ -122,7 +122,7 @@ def remove(path: Path) -> None:
 
 
 def writable_folder(path: str | os.PathLike[str]) -> Path:
-    """Make a folder and its parents, and prove that files can be made in it. Raises ImageError where not."""
+    """Make a folder and its parents, and prove that files can be made in it. Raises FileError where not."""
     path = Path(path)
     try:
         path.mkdir(parents=True, exist_ok=True)

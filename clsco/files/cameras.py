@@ -76,7 +76,7 @@ def read_cam(path: str | os.PathLike[str]) -> tuple[Array, Array]:
 
     Raises
     ------
-    ImageError
+    FileError
         The file is not one whole .cam file.
     """
     with opened(path, {".cam": "CAM"}) as (file, _):

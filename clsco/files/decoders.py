@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 import math
 import os
 import re
 import struct
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.errors import ImageError
+from clsco.errors import ClscoError, import_extra, require_extra
 from clsco.files.atomic import refuse
 from clsco.files.bounded import image_shape, npy_header
 from clsco.files.confined import confined
@@ -75,7 +73,7 @@ def opened(path: str | os.PathLike[str], formats: Mapping[str, str] = IMAGE_FORM
 
     Raises
     ------
-    ImageError
+    FileError
         In place of any error of the file or of a codec.
     """
     path = Path(path)
@@ -91,7 +89,7 @@ def opened(path: str | os.PathLike[str], formats: Mapping[str, str] = IMAGE_FORM
                 refuse(path, f"the content must be {kind}, as the extension says", got)
             file.seek(0)
             yield file, kind
-    except ImageError:
+    except ClscoError:
         raise
     except OSError as error:
         refuse(
@@ -120,26 +118,10 @@ def path_of(file: BinaryIO) -> Path:
     return Path(file.name)
 
 
-def codec(path: Path, module: str, extra: str) -> Any:
-    """Import the decoder of a file. Raises ImageError that names the extra of clsco that brings it."""
-    if module == "av":  # whose wheel has GnuTLS, which would read settings that anybody may put in a shared folder
-        os.environ.setdefault("GNUTLS_SYSTEM_PRIORITY_FILE", os.devnull)
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        refuse(path, f"needs {module}: pip install 'clsco[{extra}]'", error, error)
-
-
-def require(path: Path, module: str, extra: str) -> None:
-    """Raise ImageError that names the extra of clsco that brings a module, where it is not there."""
-    if find_spec(module) is None:
-        refuse(path, f"needs {module}: pip install 'clsco[{extra}]'", "no such module")
-
-
 def unzstd(path: Path, content: bytes, most: int) -> memoryview:
     """Decompress a frame of Zstandard of at most `most` bytes. Raises an error of imagecodecs where it has more."""
     unpacked = np.empty(most, np.uint8)  # whose pages nobody has before they are written
-    return memoryview(codec(path, "imagecodecs", "formats").zstd_decode(content, out=unpacked.data))
+    return memoryview(import_extra(path, "imagecodecs", "formats").zstd_decode(content, out=unpacked.data))
 
 
 def checked_size(file: BinaryIO, kind: str) -> tuple[int, int]:
@@ -167,7 +149,7 @@ def tags(file: BinaryIO, kind: str) -> Tags:
 
 
 def check_limits(path: Path, columns: int, rows: int) -> None:
-    """Raise ImageError for an image of over 2^27 pixels or 65536 a side, or without any."""
+    """Raise FileError for an image of over 2^27 pixels or 65536 a side, or without any."""
     if not (1 <= columns <= MAX_SIDE and 1 <= rows <= MAX_SIDE and columns * rows <= MAX_PIXELS):
         rule = f"columns and rows must be from 1 to {MAX_SIDE}, and at most {MAX_PIXELS} pixels"
         refuse(path, rule, f"{columns} x {rows}")
@@ -191,7 +173,7 @@ def decoded(file: BinaryIO, kind: str, layer: str | None = None) -> NDArray[Any]
     Raises
     ------
     Exception
-        Any of the codecs', which `opened` turns into an ImageError.
+        Any of the codecs', which `opened` turns into an FileError.
     """
     columns, rows = _stored_size(file, kind)
     orientation = tags(file, kind).orientation
@@ -215,7 +197,7 @@ def _without_alpha(file: BinaryIO, data: NDArray[Any]) -> NDArray[Any]:
 def _decode_png(file: BinaryIO) -> NDArray[Any]:
     png, depth, color, transparency = checked_png(file)
     if depth == 16 and color != GRAY:  # Pillow drops the lower 8 bits without a word
-        data = codec(path_of(file), "imagecodecs", "formats").png_decode(png)
+        data = import_extra(path_of(file), "imagecodecs", "formats").png_decode(png)
     else:
         data = _by_imageio(png, ".png")
     if data.dtype == bool:
@@ -273,7 +255,7 @@ def _decode_jpeg(file: BinaryIO) -> NDArray[Any]:
 
 def _tiff_header(file: BinaryIO) -> tuple[dict[str, Any], bytes]:
     """Read the tags of a TIFF's page, and its color profile."""
-    require(path_of(file), "tifffile", "formats")
+    require_extra(path_of(file), "tifffile", "formats")
     found, (profile,) = confined("clsco.files.tiff:header", file, MOST_TAG)
     if found["pages"] != 1:
         refuse(path_of(file), "must be a single image", f"{found['pages']} pages")
@@ -305,8 +287,8 @@ def _decode_tiff(file: BinaryIO) -> NDArray[Any]:
 
 
 def exr_parts(file: BinaryIO) -> Sequence[Any]:
-    """Headers of the parts of an EXR, which are decoded together. Raises ImageError where they are too large."""
-    parts: Sequence[Any] = codec(path_of(file), "OpenEXR", "exr").File(str(file.name), header_only=True).parts
+    """Headers of the parts of an EXR, which are decoded together. Raises FileError where they are too large."""
+    parts: Sequence[Any] = import_extra(path_of(file), "OpenEXR", "exr").File(str(file.name), header_only=True).parts
     values, layers = 0, list[str]()
     width, height = _window(parts[0].header["displayWindow"])  # which parts have in common
     check_limits(path_of(file), width, height)
@@ -363,7 +345,7 @@ def exr_planes(file: BinaryIO, choose: Callable[[list[str]], list[str]], outside
         [(str(part.header.get("name", "")), [c.name for c in part.header["channels"]]) for part in parts]
     )
     wanted = choose([name for names in named for name in names.values()])
-    pages = codec(path, "OpenEXR", "exr").File(str(path), separate_channels=True).parts
+    pages = import_extra(path, "OpenEXR", "exr").File(str(path), separate_channels=True).parts
     if len(pages) != len(parts):  # a part that cannot be decoded is left out by the library
         raise ValueError(f"{len(pages)} readable parts of {len(parts)}")
     found = {}

@@ -37,7 +37,7 @@ def dpt_bytes(depth: NDArray[np.floating], where: str = "depth") -> bytes:
 
     Raises
     ------
-    ImageError
+    FileError
         A depth is 0, negative or no number.
 
     Notes
@@ -50,7 +50,7 @@ def dpt_bytes(depth: NDArray[np.floating], where: str = "depth") -> bytes:
 
 
 def read_dpt(path: str | os.PathLike[str]) -> NDArray[np.float32]:
-    """Read a .dpt file: depth (rows, columns) in mm. Raises ImageError for a damaged file or one of another kind."""
+    """Read a .dpt file: depth (rows, columns) in mm. Raises FileError for a damaged file or one of another kind."""
     with opened(path, {".dpt": "DPT"}) as (file, _):
         return (read_floats(file, 1).astype(np.float64) * MM_PER_M).astype(np.float32)
 
@@ -79,7 +79,7 @@ def kitti_depth_codes(depth: NDArray[np.floating], where: str = "depth") -> NDAr
 
     Raises
     ------
-    ImageError
+    FileError
         A depth rounds to 0 or to more than 255.996 m, is negative or no number.
 
     Notes
@@ -111,7 +111,7 @@ def kitti_disparity_codes(
 
     Raises
     ------
-    ImageError
+    FileError
         A valid disparity rounds to 0 or less, or to more than 255.996 px.
 
     Notes
@@ -137,7 +137,7 @@ def pfm_bytes(array: NDArray[np.floating], where: str = "array") -> bytes:
 
     Raises
     ------
-    ImageError
+    FileError
         Any other shape.
 
     Notes
@@ -155,7 +155,7 @@ def pfm_bytes(array: NDArray[np.floating], where: str = "array") -> bytes:
 def read_pfm(path: str | os.PathLike[str]) -> NDArray[np.float32]:
     """Read a PFM file of any floats: (rows, columns) or (rows, columns, 3), the top row first.
 
-    Raises ImageError for a file that is damaged, of another kind, or of over 2^27 pixels. The scale is not applied.
+    Raises FileError for a file that is damaged, of another kind, or of over 2^27 pixels. The scale is not applied.
     """
     with opened(path, {".pfm": "PFM"}) as (file, kind):
         return np.ascontiguousarray(decoded(file, kind), np.float32)

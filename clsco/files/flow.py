@@ -40,7 +40,7 @@ def flo_bytes(flow: NDArray[np.floating], valid: NDArray[np.bool_] | None = None
 
     Raises
     ------
-    ImageError
+    FileError
         A component of a valid vector has a size of 1e9 or more, which readers take for unknown.
 
     Notes
@@ -68,7 +68,7 @@ def read_flo(path: str | os.PathLike[str]) -> tuple[NDArray[np.float32], NDArray
 
     Raises
     ------
-    ImageError
+    FileError
         For everything that is not one whole such file, or of over 2^27 pixels.
     """
     with opened(path, {".flo": "FLO"}) as (file, _):
@@ -97,7 +97,7 @@ def kitti_flow_codes(
 
     Raises
     ------
-    ImageError
+    FileError
         A valid vector rounds to less than -512 px or more than 511.984375 px.
 
     Notes

@@ -13,9 +13,10 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.errors import import_extra
 from clsco.files.atomic import refuse, whole_file
 from clsco.files.color import SRGB, Color
-from clsco.files.decoders import IMAGE_FORMATS, checked_size, codec, decoded, opened, path_of, tags
+from clsco.files.decoders import IMAGE_FORMATS, checked_size, decoded, opened, path_of, tags
 from clsco.files.png import png_parts
 from clsco.files.ranges import first_of
 from clsco.files.transfer import encode
@@ -70,7 +71,7 @@ def read_image(
 
     Raises
     ------
-    ImageError
+    FileError
         In one line, for everything that is not exactly one such image: no readable file, wrong extension, damaged, over
         2^27 pixels or 65536 a side (refused from the header), transparent, CMYK, several pages, values that are
         not finite. Also where TIFF and 16-bit color PNG lack the extra `formats`, and EXR the extra `exr`.
@@ -92,7 +93,7 @@ def read_image(
 def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
     """Size of an image from its header alone.
 
-    Returns: as `read_image` would give them. Raises ImageError for what the header shows.
+    Returns: as `read_image` would give them. Raises FileError for what the header shows.
     """
     with opened(path) as (file, kind):
         return checked_size(file, kind)
@@ -101,7 +102,7 @@ def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
 def check_sizes(
     image: str, wanted: tuple[int, int], other: str, size: tuple[int, int], hint: str = "one of them lies on its side"
 ) -> None:  # fmt: skip
-    """Raise ImageError where a mask or a depth map has not the size of its image.
+    """Raise FileError where a mask or a depth map has not the size of its image.
 
     Parameters
     ----------
@@ -119,7 +120,7 @@ def check_sizes(
 
 
 def check_alike(image: str, other: str, size: tuple[int, int], formats: Mapping[str, str] = IMAGE_FORMATS) -> None:
-    """Raise ImageError where the file of a mask or a depth map has not the size of its image, or that cannot be read.
+    """Raise FileError where the file of a mask or a depth map has not the size of its image, or that cannot be read.
 
     Parameters
     ----------
@@ -195,7 +196,7 @@ def write_png(
 
     Raises
     ------
-    ImageError
+    FileError
         The file cannot be written.
     """
     with whole_file(Path(path)) as file:
@@ -214,10 +215,10 @@ def write_tiff(path: str | os.PathLike[str], data: NDArray[Any], color: Color = 
 
     Raises
     ------
-    ImageError
+    FileError
         The extra `formats` is missing, or the file cannot be written.
     """
-    tifffile = codec(Path(path), "tifffile", "formats")
+    tifffile = import_extra(path, "tifffile", "formats")
     options: dict[str, Any] = {"photometric": "rgb" if data.ndim == 3 else "minisblack", "compression": "zlib"}
     if profile := color.profile(data.dtype.kind == "f") if data.ndim == 3 else color.icc:
         options["iccprofile"] = profile
@@ -237,7 +238,7 @@ def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]], 
 
     Raises
     ------
-    ImageError
+    FileError
         The file cannot be written.
 
     Notes
@@ -273,10 +274,10 @@ def write_exr(
 
     Raises
     ------
-    ImageError
+    FileError
         The extra `exr` is missing, or the file cannot be written.
     """
-    exr = codec(Path(path), "OpenEXR", "exr")
+    exr = import_extra(path, "OpenEXR", "exr")
     header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
     pixels = [{name: np.ascontiguousarray(plane, _exr_type(plane)) for name, plane in view.items()} for view in views]
     headers = [{**header, **about} for about in attributes or [{}] * len(views)]
@@ -314,7 +315,7 @@ class _ErrorKeeper:
 
 
 def write_json(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None:
-    """Write a JSON file. Raises ImageError where a number is not finite, or the file cannot be written."""
+    """Write a JSON file. Raises FileError where a number is not finite, or the file cannot be written."""
     with whole_file(Path(path)) as file:
         file.write(json.dumps(content, indent=2, allow_nan=False).encode() + b"\n")
 
@@ -322,7 +323,7 @@ def write_json(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None
 def write_exr_image(path: str | os.PathLike[str], image: NDArray[np.floating], color: Color = SRGB) -> None:
     """Write an image (rows, columns[, 3]) as the channels R G B; gray fills all three, which every reader shows.
 
-    Raises ImageError: as `write_exr`.
+    Raises FileError: as `write_exr`.
     """
     planes = {name: image if image.ndim == 2 else image[..., n] for n, name in enumerate("RGB")}
     write_exr(path, planes, attributes=[color.exr_attributes()])
@@ -377,10 +378,10 @@ WRITERS = {
 
 
 def writer_for(path: Path) -> ImageWriter:
-    """Writer for a path's extension; raises ImageError where the extra that it needs is missing."""
+    """Writer for a path's extension; raises FileError where the extra that it needs is missing."""
     writer = WRITERS[path.suffix.lower()]
     if writer.needs is not None:
-        codec(path, *writer.needs)
+        import_extra(path, *writer.needs)
     return writer
 
 
@@ -402,7 +403,7 @@ def save_image(
 
     Raises
     ------
-    ImageError
+    FileError
         The extension is another one, the extra that the format needs is missing, or the file cannot be written.
     """
     to, ending = Path(path), Path(path).suffix.lower()

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import io
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.files.decoders import codec
+from clsco.errors import import_extra
 
 ZSTD = ("imagecodecs", "formats")  # module, and the extra of clsco that brings it
 LEVEL = 3
@@ -35,7 +34,7 @@ def npy_bytes(array: NDArray[Any], zstd: bool = False, where: str = "array") -> 
 
     Raises
     ------
-    ImageError
+    MissingDependencyError
         The extra `formats` is missing.
 
     Notes
@@ -49,5 +48,5 @@ def npy_bytes(array: NDArray[Any], zstd: bool = False, where: str = "array") -> 
     np.lib.format.write_array(stream, np.ascontiguousarray(array), allow_pickle=False)
     if not zstd:
         return stream.getvalue()
-    compressed: bytes = codec(Path(where), *ZSTD).zstd_encode(stream.getbuffer(), level=LEVEL)
+    compressed: bytes = import_extra(where, *ZSTD).zstd_encode(stream.getbuffer(), level=LEVEL)
     return compressed

@@ -7,7 +7,7 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.errors import ImageError
+from clsco.errors import FileError
 
 
 def first_of(values: NDArray[Any], wrong: NDArray[np.bool_]) -> str:
@@ -25,11 +25,11 @@ def first_of(values: NDArray[Any], wrong: NDArray[np.bool_]) -> str:
 
 
 def refuse_values(where: str, rule: str, values: NDArray[Any], wrong: NDArray[np.bool_]) -> None:
-    """Raise ImageError `where: rule; got value at row, column (how many in all)` where any value is wrong."""
+    """Raise FileError `where: rule; got value at row, column (how many in all)` where any value is wrong."""
     if wrong.any():
-        raise ImageError(f"{where}: {rule}; got {first_of(values, wrong)}")
+        raise FileError(f"{where}: {rule}; got {first_of(values, wrong)}")
 
 
 def refuse_shape(where: str, rule: str, values: NDArray[Any]) -> NoReturn:
-    """Raise ImageError `where: shape must be ...; got shape`."""
-    raise ImageError(f"{where}: shape must be {rule}; got {values.shape}")
+    """Raise FileError `where: shape must be ...; got shape`."""
+    raise FileError(f"{where}: shape must be {rule}; got {values.shape}")

@@ -20,7 +20,7 @@ TAG = struct.pack("<f", 202021.25)
 def read_floats(file: BinaryIO, channels: int) -> NDArray[np.float32]:
     """Read an opened .flo or .dpt file: (rows, columns, channels), for one channel (rows, columns).
 
-    Raises ImageError for sizes beyond the limits, ValueError for more or fewer bytes than the header says.
+    Raises FileError for sizes beyond the limits, ValueError for more or fewer bytes than the header says.
     """
     columns, rows = struct.unpack("<4xii", file.read(12))
     check_limits(path_of(file), columns, rows)

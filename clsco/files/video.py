@@ -15,9 +15,9 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.errors import ImageError
+from clsco.errors import ArgumentError, FileError, import_extra
 from clsco.files.atomic import refuse, whole_file
-from clsco.files.decoders import check_limits, codec
+from clsco.files.decoders import check_limits
 from clsco.files.transfer import encode
 from clsco.files.yuv import yuv_planes
 from clsco.resources import remove_left
@@ -98,7 +98,7 @@ PRESETS = {
 def preset_for(path: Path, name: str | None = None) -> str:
     """Name of the preset of a file: the given one, or the first one of the file's extension.
 
-    Raises ImageError for an unknown preset, and for an extension that is not the preset's.
+    Raises ArgumentError for an unknown preset, FileError for an extension that is not the preset's.
     """
     suffix = path.suffix.lower()
     if name is None:
@@ -107,19 +107,25 @@ def preset_for(path: Path, name: str | None = None) -> str:
             refuse(path, f"the extension must be one of {' '.join(suffixes)}", repr(path.suffix))
         return next(known for known, preset in PRESETS.items() if preset.suffix == suffix)
     if name not in PRESETS:
-        raise ImageError(f"preset: must be one of {', '.join(PRESETS)}; got {name}")
+        raise ArgumentError(f"preset: must be one of {', '.join(PRESETS)}; got {name}")
     if suffix != PRESETS[name].suffix:
         refuse(path, f"the extension must be {PRESETS[name].suffix} for {name}", repr(path.suffix))
     return name
 
 
 def require_video(path: Path) -> None:
-    """Raise ImageError where PyAV is not installed."""
-    codec(path, "av", "video")
+    """Raise MissingDependencyError where PyAV is not installed."""
+    _av(path)
+
+
+def _av(path: Path) -> Any:
+    """Import PyAV, whose wheel has GnuTLS, which would read settings that anybody may put in a shared folder."""
+    os.environ.setdefault("GNUTLS_SYSTEM_PRIORITY_FILE", os.devnull)
+    return import_extra(path, "av", "video")
 
 
 def require_size(path: Path, name: str, columns: int, rows: int) -> None:
-    """Raise ImageError for frames that a preset does not take."""
+    """Raise FileError for frames that a preset does not take."""
     check_limits(path, columns, rows)
     preset = PRESETS[name]
     if min(columns, rows) < preset.least:
@@ -131,7 +137,7 @@ def require_size(path: Path, name: str, columns: int, rows: int) -> None:
 def parse_rate(value: Fraction | int | str, where: str = "rate") -> Fraction:
     """Frames per second, exactly, from a Fraction, a whole number or text like 24, 23.976 or 24000/1001.
 
-    Raises ImageError for anything else, and for rates that are not above 0, or that containers do not hold.
+    Raises ArgumentError for anything else, and for rates that are not above 0, or that containers do not hold.
     """
     text = value.strip() if isinstance(value, str) else ""
     if text and len(text) <= 32 and re.fullmatch(r"\d+(\.\d+)?|\d+/0*[1-9]\d*", text, re.ASCII):
@@ -140,16 +146,16 @@ def parse_rate(value: Fraction | int | str, where: str = "rate") -> Fraction:
         rate = Fraction(value)
     else:
         rule = "must be exact: a Fraction, a whole number, or text like 24 or 30000/1001"
-        raise ImageError(f"{where}: {rule}; got {value!r}")
+        raise ArgumentError(f"{where}: {rule}; got {value!r}")
     if not (0 < rate <= MOST and rate.numerator <= MOST and rate.denominator <= MOST):
-        raise ImageError(f"{where}: must be above 0, of numbers up to {MOST}; got {value}")
+        raise ArgumentError(f"{where}: must be above 0, of numbers up to {MOST}; got {value}")
     return rate
 
 
 def rate_of(interval: float, where: str, speed: Fraction = Fraction(1)) -> Fraction:
     """Frames per second of frames that are `interval` seconds apart, played `speed` times as fast.
 
-    An interval of 1001 / 30000 s, as a float, gives 30000/1001. Raises ImageError below 1 and above 240 per second,
+    An interval of 1001 / 30000 s, as a float, gives 30000/1001. Raises ArgumentError below 1 and above 240 per second,
     where a rate has to be given.
     """
     rate = Fraction(0)
@@ -159,7 +165,7 @@ def rate_of(interval: float, where: str, speed: Fraction = Fraction(1)) -> Fract
     if not SLOWEST <= rate <= FASTEST:
         rule = f"must give {SLOWEST} to {FASTEST} frames per second; otherwise a rate must be given"
         faster = "" if speed == 1 else f" at {float(speed):g} times its speed"
-        raise ImageError(f"{where}: sequence.interval {rule}; got {interval:g} s{faster}")
+        raise ArgumentError(f"{where}: sequence.interval {rule}; got {interval:g} s{faster}")
     return parse_rate(rate, where)
 
 
@@ -198,8 +204,10 @@ def write_clip(
 
     Raises
     ------
-    ImageError
-        PyAV is missing, no frames, frames that differ or are not finite, an encoder or the disk fails. Errors that
+    MissingDependencyError
+        PyAV is missing.
+    FileError
+        No frames, frames that differ or are not finite, an encoder or the disk fails. Errors that
         `frames` raises pass as they are, and then nothing is left either.
 
     Notes
@@ -226,7 +234,7 @@ def write_clip(
             stream = _Stream(target)
             try:
                 clip.encode(stream, _alike(where, first, source))
-            except ImageError:
+            except FileError:
                 if stream.error is not None:
                     raise stream.error from None
                 raise
@@ -238,7 +246,7 @@ def write_clip(
 
 def _rounded_rate(path: Path, rate: Fraction) -> tuple[str, ...]:
     """Note on the rate that FFmpeg reads where it is another one: Matroska has it in ns."""
-    with codec(path, "av", "video").open(str(path.absolute())) as container:
+    with _av(path).open(str(path.absolute())) as container:
         seen = container.streams.video[0].average_rate
     return () if seen == rate else (f"FFmpeg reads a rate of {seen} from it, near {rate}; mp4 keeps it",)
 
@@ -259,7 +267,7 @@ class _Stream:
 
 
 class _FromFramesError(Exception):
-    """An error that the frames raised, to pass where errors of files become ImageError."""
+    """An error that the frames raised, to pass where errors of files become FileError."""
 
     def __init__(self, error: Exception) -> None:
         super().__init__(str(error))
@@ -332,8 +340,8 @@ class _Clip:
         }
 
     def encode(self, target: str | _Stream, frames: Iterator[NDArray[Any]]) -> None:
-        """Write all frames. Raises ImageError, and OSError where the disk fails."""
-        av, preset = codec(self.where, "av", "video"), self.preset
+        """Write all frames. Raises FileError, and OSError where the disk fails."""
+        av, preset = _av(self.where), self.preset
         os.environ.setdefault("SVT_LOG", "1")  # errors alone: SVT-AV1 writes two dozen lines to stderr
         files = {"fflags": "+bitexact"} | ({"movflags": "+faststart"} if preset.container in ("mp4", "mov") else {})
         try:

@@ -31,7 +31,7 @@ def developed(raw: NDArray[np.uint16], sensor_model: SensorModel) -> NDArray[np.
 
     Raises
     ------
-    ImageError
+    MissingDependencyError
         colour-demosaicing is missing, for `demosaic = "menon"`.
     """
     electrons = (raw.astype(np.float64) - sensor_model.sensor.black_level) / sensor_model.gain
@@ -53,7 +53,7 @@ def of_sites(values: Collection[float], sensor_model: SensorModel, size: tuple[i
 
 
 def check_development(sensor_model: SensorModel, rows: int, columns: int) -> None:
-    """Raise ImageError where colour-demosaicing is missing and needed, SceneError for frames that are too small."""
+    """Fail where colour-demosaicing is needed and missing, or frames are too small to be demosaiced."""
     if sensor_model.sensor.demosaic != "none" and sensor_model.channels > 1:
         if min(rows, columns) < LEAST_SIDE:
             size = f"{columns} x {rows}"

@@ -7,14 +7,13 @@ import os
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.errors import ImageError
+from clsco.errors import require_extra
 from clsco.files.atomic import refuse, remove, sha256, together, writable_folder, write_whole
 from clsco.files.cameras import cam_bytes, colmap_texts
 from clsco.files.color import SRGB, Color
@@ -181,12 +180,12 @@ def needed_truth(files: Iterable[TruthFile]) -> tuple[str, ...]:
 
 
 def require_truth_formats(files: Sequence[TruthFile]) -> None:
-    """Raise ImageError where the extra that a format in `TRUTH_FORMATS` or its option needs is not installed."""
+    """Raise MissingDependencyError where the extra that a format in `TRUTH_FORMATS` or its option needs is not
+    installed."""
     for file in files:
         for needs in (TRUTH_FORMATS[file.format].needs, ZSTD if file.zstd else None):
-            if needs is not None and find_spec(needs[0]) is None:
-                got = "got no such module"
-                raise ImageError(f"format: {file} needs {needs[0]}: pip install 'clsco[{needs[1]}]'; {got}")
+            if needs is not None:
+                require_extra(f"format {file}", *needs)
 
 
 def _stem(index: int, eye: str) -> str:
@@ -284,7 +283,7 @@ def write_frame(
 
     Raises
     ------
-    ImageError
+    FileError
         A file cannot be written, or values do not fit its format.
 
     Notes
@@ -328,7 +327,7 @@ def write_scene_files(folder: str | os.PathLike[str], scene: Scene, truth: Seque
 
     Raises
     ------
-    ImageError
+    FileError
         A file cannot be written.
     """
     for file in truth:

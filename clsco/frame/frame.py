@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.errors import ImageError, SceneError
+from clsco.errors import ArgumentError, SceneError
 from clsco.frame.channels import exr_channels
 from clsco.frame.shown import codes_to_show, html_to_show, png_to_show
 
@@ -179,7 +179,7 @@ class Frame:
     def _image(self) -> NDArray[np.float32]:
         image: NDArray[np.float32] | None = self.color
         if image is None:
-            raise ImageError(f"frame {self.index}: must have color for an image; got one rendered with color=False")
+            raise ArgumentError(f"frame {self.index}: must have color for an image; got one rendered with color=False")
         return image
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -194,9 +194,12 @@ class Frame:
 
         Raises
         ------
-        ImageError
-            The extension is another one, the extra that the format needs is missing, the file cannot be written, or the
-            frame has no color for an image.
+        FileError
+            The extension is another one, or the file cannot be written.
+        ArgumentError
+            The frame has no color for an image.
+        MissingDependencyError
+            The extra that the format needs is missing.
 
         Examples
         --------

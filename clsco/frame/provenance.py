@@ -64,7 +64,7 @@ def _unit(parts: Iterable[Any]) -> str:
 def file_digests(scenes: Iterable[Scene]) -> dict[str, str]:
     """SHA-256 of all texture and depth files of scenes.
 
-    Returns: path to digest in hexadecimal. Raises ImageError: a file cannot be read.
+    Returns: path to digest in hexadecimal. Raises FileError: a file cannot be read.
     """
     paths = [path for scene in scenes for _, item in scene.inputs for path in item.files().values()]
     return {path: _digest(path) for path in dict.fromkeys(paths)}
@@ -95,7 +95,7 @@ def scene_sha256(scene: Scene, digests: Mapping[str, str] | None = None) -> str:
 
     Raises
     ------
-    ImageError
+    FileError
         A file cannot be read.
     """
     known = file_digests([scene]) if digests is None else digests
@@ -124,7 +124,7 @@ def record(scene: Scene, digests: Mapping[str, str] | None = None) -> dict[str, 
 
     Raises
     ------
-    ImageError
+    FileError
         A file cannot be read.
     """
     camera = scene.camera

@@ -58,7 +58,7 @@ class TruthFile:
         return f"{self.format}{options}" + (f":{','.join(self.names)}" if self.names else "")
 
     def arrays(self, frame: Frame) -> dict[str, NDArray[Any]]:
-        """The arrays of a frame in it, as they are called in files. Raises ImageError for floats beyond float16."""
+        """The arrays of a frame in it, as they are called in files. Raises FileError for floats beyond float16."""
         known = frame.arrays()
         found = {name: array for name, array in known.items() if name in (self.names or known)}
         halves = found if ALL in self.float16 else self.float16
@@ -67,7 +67,7 @@ class TruthFile:
 
 
 def in_float16(where: str, array: NDArray[Any]) -> NDArray[Any]:
-    """An array of floats in 16 bits; all others, and times, as they are. Raises ImageError for what is beyond them."""
+    """An array of floats in 16 bits; all others, and times, as they are. Raises FileError for what is beyond them."""
     if array.dtype.kind != "f" or array.ndim < 2:  # times keep their digits
         return array
     with np.errstate(over="ignore"):  # what becomes infinite is refused next

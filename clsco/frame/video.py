@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco import __version__
-from clsco.errors import ImageError
+from clsco.errors import ArgumentError, FileError
 from clsco.files.transfer import TRANSFERS, encode
 from clsco.files.video import PRESETS, TRANSFER_TAGS, parse_rate, preset_for, rate_of, write_clip
 from clsco.frame.frame import GREEN, Frame
@@ -61,9 +61,13 @@ def write_video(
 
     Raises
     ------
-    ImageError
-        The extra `video` is missing; a preset, rate or frame cannot be; frames differ in size or type, or are not
-        finite; the encoder or the disk fails. An error that `frames` raises passes as it is. Nothing is left then.
+    MissingDependencyError
+        The extra `video` is missing.
+    ArgumentError
+        There is no such preset, rate or transfer, or frames are of two views.
+    FileError
+        Frames differ in size or type, or are not finite; the encoder or the disk fails. Nothing is left then. An
+        error that `frames` raises passes as it is.
 
     Notes
     -----
@@ -82,9 +86,9 @@ def write_video(
     ()
     """
     if transfer not in TRANSFERS:
-        raise ImageError(f"transfer: must be one of {', '.join(TRANSFERS)}; got {transfer}")
+        raise ArgumentError(f"transfer: must be one of {', '.join(TRANSFERS)}; got {transfer}")
     if transfer_tag is not None and transfer_tag not in TRANSFER_TAGS:
-        raise ImageError(f"transfer_tag: must be one of {', '.join(TRANSFER_TAGS)}; got {transfer_tag}")
+        raise ArgumentError(f"transfer_tag: must be one of {', '.join(TRANSFER_TAGS)}; got {transfer_tag}")
     name = preset_for(Path(path), preset)
     about = comment or f"clsco {__version__}"
     return write_clip(Path(path), _colors(frames), parse_rate(rate), name, transfer, transfer_tag, about)
@@ -97,7 +101,7 @@ def _colors(frames: Iterable[Frame | NDArray[Any]]) -> Iterator[NDArray[Any]]:
             yield frame
             continue
         if eye not in (None, frame.eye):
-            raise ImageError(f"frames: must be of one view; got {frame.eye} at {number}, after {eye}")
+            raise ArgumentError(f"frames: must be of one view; got {frame.eye} at {number}, after {eye}")
         eye = frame.eye
         yield frame.color
 
@@ -118,7 +122,7 @@ class Playing:
     speed: Fraction = Fraction(1)
 
     def rate(self, interval: float, where: str) -> Fraction:
-        """Frames per second. Raises ImageError as `rate_of`."""
+        """Frames per second. Raises ArgumentError as `rate_of`."""
         return rate_of(interval, where, self.speed) if self.fps is None else self.fps
 
     def about(self, interval: float, where: str) -> str:
@@ -183,7 +187,7 @@ def write_folder_clip(
 
     Raises
     ------
-    ImageError
+    FileError
         As `write_clip`, and where files are missing or damaged.
     """
     where = str(frames.folder)
@@ -233,7 +237,7 @@ def _pictures(frames: WrittenFrames, shown: ShownFrames) -> Iterator[NDArray[Any
 def _beside(left: NDArray[Any], right: NDArray[Any], transfer: str) -> NDArray[Any]:
     """Two images next to each other, the left one in the codes of the right one where that has codes."""
     if left.shape[:2] != right.shape[:2]:
-        raise ImageError(f"compare: sharp and color must have one size; got {left.shape[:2]} and {right.shape[:2]}")
+        raise FileError(f"compare: sharp and color must have one size; got {left.shape[:2]} and {right.shape[:2]}")
     if right.dtype.kind != "f":
         left = encode(left, 8 * right.dtype.itemsize, transfer)
     if left.ndim != right.ndim:

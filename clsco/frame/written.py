@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.errors import ImageError, SceneError
+from clsco.errors import FileError, SceneError
 from clsco.files.arrays import read_exr, read_npz
 from clsco.files.atomic import refuse
 from clsco.files.images import read_image
@@ -60,14 +60,14 @@ class WrittenFrames:
     scenes: frozenset[str]
 
     def images(self, eye: str = "") -> Iterator[NDArray[Any]]:
-        """Codes of the PNG of each frame, (rows, columns[, 3]). Raises ImageError as `read_image`."""
+        """Codes of the PNG of each frame, (rows, columns[, 3]). Raises FileError as `read_image`."""
         for number in self.numbers:
             yield read_image(self._file(number, "png", eye)).data
 
     def arrays(self, name: str, eye: str = "", only: str = "") -> Iterator[NDArray[np.floating]]:
         """An array of each frame, from its NPZ or else its EXR; `only`: from this kind of file.
 
-        Raises ImageError where a frame has neither, or it does not hold the array with its channels.
+        Raises FileError where a frame has neither, or it does not hold the array with its channels.
         """
         for number in self.numbers:
             npz, exr = self._file(number, "npz", eye), self._file(number, "exr", "")
@@ -90,7 +90,7 @@ class WrittenFrames:
         """True where the first frame has an array."""
         try:
             next(self.arrays(name, eye))
-        except ImageError:
+        except FileError:
             return False
         return True
 
@@ -99,15 +99,15 @@ class WrittenFrames:
 
 
 def _exr_planes(path: Path, name: str, eye: str) -> list[NDArray[Any]]:
-    """Channels of an array; of blur radii those of three colors where there are these. Raises ImageError."""
+    """Channels of an array; of blur radii those of three colors where there are these. Raises FileError."""
     try:
         return read_exr(path, _CHANNELS[name].split(), eye)
-    except ImageError as error:
+    except FileError as error:
         if name != "coc":
             raise
         try:
             return read_exr(path, ["coc.R", "coc.G", "coc.B"], eye)
-        except ImageError:
+        except FileError:
             raise error from None
 
 

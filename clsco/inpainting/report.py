@@ -73,7 +73,7 @@ def write_report(
     image, filled: (rows, columns[, K]) before and after; missing: (rows, columns). Always there is
     before_mask_after.png; of the method mean-median also 1_filled.png, 2_smoothed.png and 3_blended.png, the image
     after these stages, mse.png (figure 5.3) and gradients.png (figure 5.6), as far as the stages were not turned off.
-    Raises ClscoError without matplotlib, ImageError where the folder cannot be written.
+    Raises ClscoError without matplotlib, FileError where the folder cannot be written.
     """
     require_matplotlib("report", "report")
     display, stages = Display(image, missing), report.stages

@@ -31,7 +31,7 @@ def read_depth(path: str | os.PathLike[str], layer: str | None = None) -> NDArra
     TIFF and 16-bit color PNG need the extra `formats`, EXR needs `exr`.
     Returns (rows, columns), integers as stored or float64, row 0 on top, any value: zero, negative, NaN and infinite
     ones too.
-    Raises ImageError, in one line, for all that is not exactly one such map: no readable file, wrong
+    Raises FileError, in one line, for all that is not exactly one such map: no readable file, wrong
     extension, damaged, over 2^27 pixels or 65536 a side (refused from the header), channels that differ.
     Validated against files written by imagecodecs, Pillow, OpenCV, tifffile, OpenEXR and NumPy, and by hand.
     """

@@ -37,7 +37,7 @@ def dump_scene(scene: Scene, path: str | os.PathLike[str] | None = None) -> str:
     ------
     SceneError
         The scene has arrays in memory and there is no path, or that does not end in .toml.
-    ImageError
+    FileError
         A file cannot be written; then none is.
 
     Notes

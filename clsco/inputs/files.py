@@ -80,7 +80,7 @@ class InputFiles:
 
         Raises
         ------
-        ImageError
+        FileError
             As `clsco.inputs.textures.load_texture`.
         """
         found = load_scene_textures(scene, self.texture, lambda image: self.about(image).color)[1]
@@ -98,13 +98,13 @@ class InputFiles:
 
         Raises
         ------
-        ImageError
+        FileError
             As `clsco.inputs.depth_maps.load_scene_depths`.
         """
         return load_scene_depths(scene, self.map)
 
     def point_spread(self, scene: Scene) -> PointSpread:
-        """`clsco.inputs.pupils.scene_point_spread`. Raises ImageError as it does."""
+        """`clsco.inputs.pupils.scene_point_spread`. Raises FileError as it does."""
         return scene_point_spread(scene, self.picture)
 
     def texture(

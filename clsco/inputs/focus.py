@@ -95,7 +95,7 @@ def focused(scene: Scene, files: InputFiles, focus: Focus) -> Scene:
     SceneError
         The point is outside of the picture, nothing is there, it is within the focal length, or a depth map has blur
         radii, whose depths follow from the focus.
-    ImageError
+    FileError
         A depth map cannot be read.
 
     Notes

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.errors import ImageError, SceneError
+from clsco.errors import FileError, MissingDependencyError, SceneError
 from clsco.files.color import SRGB, Color
 from clsco.frame.provenance import views
 from clsco.inputs.channels import in_color
@@ -191,7 +191,7 @@ def prepare_files(
 
 
 def with_resolution(scene: Scene) -> Scene:
-    """The scene with its resolution: its own, or that of the first texture. Raises ImageError as `texture_size`."""
+    """The scene with its resolution: its own, or that of the first texture. Raises FileError as `texture_size`."""
     camera = scene.camera
     if camera.resolution is None:
         camera = camera.model_copy(update={"resolution": texture_size(scene.objects[0].inputs()["texture"])})
@@ -241,7 +241,7 @@ def _channels(scene: Scene, files: InputFiles) -> int:
     messages = [f"{where}: {fault}" for fault, where in faults.items()]
     try:
         files.point_spread(scene)
-    except ImageError as error:
+    except (FileError, MissingDependencyError) as error:
         messages.append(str(error))
     if messages:
         raise SceneError(messages)
@@ -264,5 +264,5 @@ def _collected(faults: dict[str, str], where: str) -> Iterator[None]:
     """Keep the place of a fault of a file by its message: once, whichever objects, or faces of a box, have the file."""
     try:
         yield
-    except ImageError as error:
+    except (FileError, MissingDependencyError) as error:
         faults.setdefault(str(error), where)

@@ -70,7 +70,7 @@ def presets() -> tuple[ScenePreset, ...]:
 def load_preset(session: Document, name: str) -> None:
     """Go to the scene of a preset, as a step of undo; its images are copied below the root.
 
-    Raises SceneError; ImageError: the root cannot be written; KeyError: there is no such preset.
+    Raises SceneError; FileError: the root cannot be written; KeyError: there is no such preset.
     """
     preset = {each.name: each for each in presets()}[name]
     table, start = read_mapping(str(preset.path), ()), preset.path.parent

@@ -13,7 +13,7 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
 
-from clsco.errors import ClscoError, ImageError, SceneError
+from clsco.errors import ClscoError, FileError, SceneError
 from clsco.files.png import png_parts
 from clsco.files.transfer import encode
 from clsco.inputs.textures import load_texture
@@ -145,7 +145,7 @@ class Addresses:
                     inpainting.add_color(column, row, tolerance, erase=rest.get("erase") is True)
                 case _:
                     return _refused("mask: must be runs or a color")
-        except (ImageError, ValueError, RecursionError) as error:
+        except (FileError, ValueError, RecursionError) as error:
             return _refused(str(error))
         return _mask(inpainting)
 

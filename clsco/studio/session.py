@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from clsco.errors import ClscoError, ImageError, SceneError
+from clsco.errors import ClscoError, FileError, SceneError
 from clsco.files.atomic import write_whole
 from clsco.resources import ExposedFolderError, open_regular, private_folder, read_regular
 from clsco.scene.faults import items
@@ -97,7 +97,7 @@ class Document(Editor):
             The file was changed meanwhile, or is another one.
         SceneError
             It is not below the root, or its name has another end.
-        ImageError
+        FileError
             It cannot be written.
         """
         target, text, table = self._written(path)
@@ -157,7 +157,7 @@ class Document(Editor):
         self.take(replace(state, table=relocated(table, lambda _, name: str(start / name))))
 
     def keep(self, path: Path) -> None:
-        """Write the scene so that `recover` finds it, if it changed since. Raises ImageError."""
+        """Write the scene so that `recover` finds it, if it changed since. Raises FileError."""
         if self._kept != self.revision:
             keep(self.table, self.folder, path)
             self._kept = self.revision
@@ -256,7 +256,7 @@ class StateFolder:
             return file.read(most)
 
     def write(self, name: str, content: bytes) -> None:
-        """Write a file that is whole or absent. Raises ImageError where that cannot be."""
+        """Write a file that is whole or absent. Raises FileError where that cannot be."""
         write_whole(self.path / name, content)  # in a folder that nobody else can look into
 
     def key(self) -> bytes:
@@ -265,7 +265,7 @@ class StateFolder:
             if len(known := self.read(KEY, KEY_BYTES)) == KEY_BYTES:
                 return known
         made = secrets.token_bytes(KEY_BYTES)
-        with suppress(ImageError):
+        with suppress(FileError):
             self.write(KEY, made)
         return made
 

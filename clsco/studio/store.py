@@ -305,7 +305,7 @@ def _unpacked(text: str) -> Table:
 
 
 def keep(table: Table, start: Path, path: Path) -> None:
-    """Write a scene so that it can be recovered, whole or not at all. Raises ImageError."""
+    """Write a scene so that it can be recovered, whole or not at all. Raises FileError."""
     content = {"folder": str(start), "scene": table}
     write_whole(path, json.dumps(content, ensure_ascii=False).encode())
 

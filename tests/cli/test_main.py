@@ -21,7 +21,7 @@ import clsco
 from clsco.cli import demo
 from clsco.cli.main import main
 from clsco.engine import batch
-from clsco.errors import ImageError
+from clsco.errors import FileError
 from clsco.files.images import read_image
 from clsco.frame.files import read_complete
 from clsco.frame.frame import FILE_NAMES, MOTION_NAMES, TRUTH_NAMES, Frame
@@ -207,7 +207,7 @@ def test_a_depth_map_lies_outside_the_frames(tmp_path: Path) -> None:
         }
     )
     np.savez(tmp_path / "frame_0000.npz", depth=np.full((3, 4), 280.0))
-    with pytest.raises(ImageError, match="a depth must not lie where frames are written"):
+    with pytest.raises(FileError, match="a depth must not lie where frames are written"):
         batch.prepare(prepare(scene), tmp_path, [0], (), False)
 
 

@@ -17,7 +17,7 @@ from click.testing import CliRunner, Result
 import clsco
 from clsco.cli import video
 from clsco.cli.main import main
-from clsco.errors import ImageError
+from clsco.errors import FileError
 from clsco.files.images import read_image
 from clsco.files.transfer import encode
 from clsco.files.video import PRESETS
@@ -291,7 +291,7 @@ def test_frames_and_arrays_become_a_file(scene: Path, ball: Path, tmp_path: Path
     ]
     for change, message in wrong:
         given: dict[str, Any] = {"frames": rendered, "rate": 25} | change
-        with pytest.raises(ImageError) as caught:
+        with pytest.raises(FileError) as caught:
             clsco.write_video(tmp_path / "d.mkv", **given)
         assert str(caught.value).startswith(message)
     assert not (tmp_path / "d.mkv").exists()

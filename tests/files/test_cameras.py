@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from clsco.errors import ImageError
+from clsco.errors import FileError
 from clsco.files.atomic import write_whole
 from clsco.files.cameras import Pinhole, cam_bytes, colmap_texts, read_cam
 from tests.files.readers import sintel_cam
@@ -40,7 +40,7 @@ def test_sintels_sdk_reads_the_camera(tmp_path: Path) -> None:
 ])  # fmt: skip
 def test_damaged_cam_is_refused(tmp_path: Path, content: bytes, got: str) -> None:
     (tmp_path / "a.cam").write_bytes(content)
-    with pytest.raises(ImageError, match=got):
+    with pytest.raises(FileError, match=got):
         read_cam(tmp_path / "a.cam")
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clsco.errors import ImageError
+from clsco.errors import FileError
 from clsco.files.atomic import write_whole
 from clsco.files.depth_codes import (
     dpt_bytes,
@@ -75,7 +75,7 @@ def test_kitti_holds_what_rounds_to_a_code_but_0(value: float, code: int | None)
             assert (codes[2, 1], codes[0, 0]) == (code, 2560)
             continue
         rule = KITTI.format(unit) if unit == "px" or value > 0 else "must be greater than 0, and .inf where nothing is"
-        with pytest.raises(ImageError, match=rf"^a.png: {rule}; got .* at row 2, column 1 \(2 in all\)$"):
+        with pytest.raises(FileError, match=rf"^a.png: {rule}; got .* at row 2, column 1 \(2 in all\)$"):
             encode(values, where="a.png")
     unseen = np.ones((3, 4), bool)
     unseen[2, 1] = False
@@ -87,9 +87,7 @@ def test_kitti_holds_what_rounds_to_a_code_but_0(value: float, code: int | None)
 def test_depth_must_be_positive(encode: Callable[[NDArray[Any]], object], value: float) -> None:
     depth = DEPTH.copy()
     depth[1, 6] = value
-    with pytest.raises(
-        ImageError, match=r"depth: must be greater than 0, and \+inf .*; got .* at row 1, column 6 \(1 "
-    ):
+    with pytest.raises(FileError, match=r"depth: must be greater than 0, and \+inf .*; got .* at row 1, column 6 \(1 "):
         encode(depth)
 
 
@@ -122,10 +120,10 @@ def test_pfm_is_read_by_opencv_and_torchvision(tmp_path: Path, channels: int) ->
 
 def test_other_shapes_are_refused() -> None:
     for encode in (dpt_bytes, kitti_depth_codes, kitti_disparity_codes):
-        with pytest.raises(ImageError, match=r"shape must be \(rows, columns\); got \(4, 5, 1\)"):
+        with pytest.raises(FileError, match=r"shape must be \(rows, columns\); got \(4, 5, 1\)"):
             encode(np.ones((4, 5, 1)))
     for shape in ((4,), (4, 5, 4), (2, 4, 5, 3)):
-        with pytest.raises(ImageError, match=r"shape must be \(rows, columns\[, 2 or 3\]\); got \(\d"):
+        with pytest.raises(FileError, match=r"shape must be \(rows, columns\[, 2 or 3\]\); got \(\d"):
             pfm_bytes(np.ones(shape))
 
 
@@ -137,6 +135,6 @@ def test_other_shapes_are_refused() -> None:
 def test_damaged_dpt_is_refused(tmp_path: Path, content: bytes, got: str) -> None:
     path = tmp_path / "a.dpt"
     path.write_bytes(content)
-    with pytest.raises(ImageError) as caught:
+    with pytest.raises(FileError) as caught:
         read_dpt(path)
     assert str(caught.value).startswith(f"{path}: {got}")

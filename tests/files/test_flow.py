@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from clsco.errors import ImageError
+from clsco.errors import FileError
 from clsco.files.atomic import write_whole
 from clsco.files.flow import flo_bytes, kitti_flow_codes, read_flo
 from clsco.files.images import write_png
@@ -63,7 +63,7 @@ def test_what_kitti_cannot_hold_is_refused_with_its_place(value: float, channel:
     flow = FLOW.copy()
     flow[4, 5, channel] = flow[9, 0, channel] = value
     vector = ", ".join(f"{part:.6g}" for part in flow[4, 5])
-    with pytest.raises(ImageError) as caught:
+    with pytest.raises(FileError) as caught:
         kitti_flow_codes(flow, where="a.png")
     rule = "must lie within -512 to 511.984375 px, which KITTI's 16 bits hold in steps of 1/64 px"
     assert str(caught.value) == f"a.png: {rule}; got {vector} at row 4, column 5 (2 in all)"
@@ -91,7 +91,7 @@ def test_random_flow_is_refused_or_comes_back() -> None:
         beyond = (np.rint(flow * 64) < -32768) | (np.rint(flow * 64) > 32767)
         try:
             codes = kitti_flow_codes(flow)
-        except ImageError:
+        except FileError:
             refused += 1
             assert beyond.any()
             continue
@@ -104,11 +104,11 @@ def test_flo_refuses_what_readers_take_for_unknown() -> None:
     flow = FLOW.astype(np.float64)
     flow[3, 2] = -1e9, 5.0
     with pytest.raises(
-        ImageError, match=r"flow: sizes must be below 1e9 px, .*; got -1e\+09, 5 at row 3, column 2 \(1 "
+        FileError, match=r"flow: sizes must be below 1e9 px, .*; got -1e\+09, 5 at row 3, column 2 \(1 "
     ):
         flo_bytes(flow)
     flow[3, 2] = -9.99e8, 1e300
-    with pytest.raises(ImageError, match=r"; got -9.99e\+08, 1e\+300 at row 3"):
+    with pytest.raises(FileError, match=r"; got -9.99e\+08, 1e\+300 at row 3"):
         flo_bytes(flow)
     assert flo_bytes(np.where(np.abs(flow) > 1e9, 0, flow))
 
@@ -116,7 +116,7 @@ def test_flo_refuses_what_readers_take_for_unknown() -> None:
 def test_other_shapes_are_refused() -> None:
     for encode in (flo_bytes, kitti_flow_codes):
         for shape in ((4, 5), (4, 5, 3)):
-            with pytest.raises(ImageError, match=r"flow: shape must be \(rows, columns, 2\); got \(4, 5"):
+            with pytest.raises(FileError, match=r"flow: shape must be \(rows, columns, 2\); got \(4, 5"):
                 encode(np.zeros(shape))
 
 
@@ -132,6 +132,6 @@ def test_other_shapes_are_refused() -> None:
 def test_damaged_flo_is_refused(tmp_path: Path, content: bytes, got: str) -> None:
     path = tmp_path / "a.flo"
     path.write_bytes(content)
-    with pytest.raises(ImageError) as caught:
+    with pytest.raises(FileError) as caught:
         read_flo(path)
     assert str(caught.value).startswith(f"{path}: {got}")

@@ -9,7 +9,7 @@ import imagecodecs
 import numpy as np
 import pytest
 
-from clsco.errors import ImageError
+from clsco.errors import MissingDependencyError
 from clsco.files.npy import npy_bytes
 
 RNG = np.random.default_rng(13)
@@ -35,5 +35,7 @@ def test_zstd_states_its_size_and_is_smaller() -> None:
 def test_zstd_needs_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "imagecodecs", None)
     assert npy_bytes(np.zeros(3))
-    with pytest.raises(ImageError, match=r"a.npy.zst: needs imagecodecs: pip install 'clsco\[formats\]'; got "):
+    with pytest.raises(
+        MissingDependencyError, match=r"a.npy.zst: needs imagecodecs: pip install 'clsco\[formats\]'; got "
+    ):
         npy_bytes(np.zeros(3), True, "a.npy.zst")

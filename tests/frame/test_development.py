@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from clsco.errors import ImageError, SceneError
+from clsco.errors import MissingDependencyError, SceneError
 from clsco.frame.demosaicing import demosaic
 from clsco.frame.development import check_development, developed, sensor_truth
 from clsco.optics.sensor import SensorModel, sensor_model
@@ -75,10 +75,10 @@ def test_gray_ramps_are_found_again(method: str) -> None:
 def test_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     known = model_of(3, mosaic="rggb", demosaic="menon")
     monkeypatch.setitem(sys.modules, "colour_demosaicing", None)
-    message = r"sensor.demosaic: menon needs colour-demosaicing: pip install 'clsco\[sensor\]'; got "
-    with pytest.raises(ImageError, match=message):
+    message = r"sensor.demosaic: needs colour_demosaicing: pip install 'clsco\[sensor\]'; got "
+    with pytest.raises(MissingDependencyError, match=message):
         developed(RAW, known)
-    with pytest.raises(ImageError, match=message):
+    with pytest.raises(MissingDependencyError, match=message):
         check_development(known, 2, 2)
     gray = model_of(1, mosaic="rggb", demosaic="menon")
     check_development(gray, 1, 1)

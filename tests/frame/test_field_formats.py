@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 import clsco
 from clsco.cli.main import main
-from clsco.errors import ImageError
+from clsco.errors import FileError, MissingDependencyError
 from clsco.files.cameras import read_cam
 from clsco.files.depth_codes import read_dpt, read_pfm
 from clsco.files.flow import read_flo
@@ -189,7 +189,7 @@ def test_what_does_not_fit_is_refused_and_nothing_is_left(
     array[3, 2] = value
     mask = MASK.copy()
     mask[3, 2] = True
-    with pytest.raises(ImageError, match=message) as caught:
+    with pytest.raises(FileError, match=message) as caught:
         write_frame(tmp_path, (replace(FRAME, mask=mask, **{name: array}),), 8, "srgb", wanted, scene=SCENE)
     assert ".part" not in str(caught.value)
     assert {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()} == before  # the older frame, whole
@@ -203,25 +203,27 @@ def test_a_failed_model_of_colmap_leaves_nothing(tmp_path: Path, monkeypatch: py
 
     def last_fails(path: Path, content: bytes) -> None:
         if path.name == "points3D.txt":
-            raise ImageError(f"{path}: the file must be writable; got No space left on device")
+            raise FileError(f"{path}: the file must be writable; got No space left on device")
         path.write_bytes(content)
 
     monkeypatch.setattr(framefiles, "write_whole", last_fails)
-    with pytest.raises(ImageError, match=re.escape(f"{tmp_path}/sparse/0/points3D.txt: the file must be writable")):
+    with pytest.raises(FileError, match=re.escape(f"{tmp_path}/sparse/0/points3D.txt: the file must be writable")):
         framefiles.write_scene_files(tmp_path, SCENE, truth_files("colmap"))
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
 
 def test_a_camera_needs_its_scene(tmp_path: Path) -> None:
-    with pytest.raises(ImageError, match=r"frame_0004\.cam: needs the scene of the frame; got none"):
+    with pytest.raises(FileError, match=r"frame_0004\.cam: needs the scene of the frame; got none"):
         write_frame(tmp_path, (FRAME,), 8, "srgb", truth_files("cam"))
     assert list(tmp_path.iterdir()) == []
 
 
 def test_the_extra_that_zstd_needs_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("clsco.frame.files.find_spec", lambda name: None)
+    monkeypatch.setattr("clsco.errors.find_spec", lambda name: None)
     require_truth_formats(truth_files("npy,pfm,flo,kitti_flow,cam"))
-    with pytest.raises(ImageError, match=r"format: npy\+zstd needs imagecodecs: pip install 'clsco\[formats\]'"):
+    with pytest.raises(
+        MissingDependencyError, match=r"format npy\+zstd: needs imagecodecs: pip install 'clsco\[formats\]'"
+    ):
         require_truth_formats(truth_files("npy+zstd"))
 
 

@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 from clsco.cli.main import main
-from clsco.errors import ImageError, SceneError
+from clsco.errors import FileError, SceneError
 from clsco.frame.files import files_of, holds_truth, needed_truth, truth_files, write_frame
 from clsco.frame.frame import ALL_TRUTH, Frame
 from clsco.frame.truth_files import TruthFile
@@ -149,7 +149,7 @@ def test_what_float16_cannot_hold_is_refused(tmp_path: Path, size: float, fits: 
             write_frame(tmp_path, (Frame(4, FRAME.color, depth=depth),), 8, "srgb", truth_files(text))
             continue
         message = "frame 4: depth: sizes must be at most 65504 in float16; got .* at row 3, column 2 "
-        with pytest.raises(ImageError, match=message):
+        with pytest.raises(FileError, match=message):
             write_frame(tmp_path, (Frame(4, FRAME.color, depth=depth),), 8, "srgb", truth_files(text))
         assert list(tmp_path.iterdir()) == []
 

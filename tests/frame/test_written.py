@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from clsco.errors import ImageError, SceneError
+from clsco.errors import FileError, SceneError
 from clsco.files.arrays import read_exr, read_npz
 from clsco.files.images import write_exr, write_npz
 from clsco.frame.files import truth_files, write_frame
@@ -59,11 +59,11 @@ def test_arrays_come_from_exr_too(tmp_path: Path) -> None:
         for name in ("color", "sharp", "depth", "flow"):
             (one,), (other,) = found.arrays(name, eye), found.arrays(name, eye, "exr")
             np.testing.assert_array_equal(one, other, strict=True)
-    with pytest.raises(ImageError, match=r"frame_0000.exr: must hold the channel coc; got none of this name"):
+    with pytest.raises(FileError, match=r"frame_0000.exr: must hold the channel coc; got none of this name"):
         list(found.arrays("coc", "left", "exr"))
     (tmp_path / "frame_0000.exr").unlink()
     (tmp_path / "frame_0000_left.npz").unlink()
-    with pytest.raises(ImageError, match=r"must hold frame_0000_left.npz or frame_0000.exr, with"):
+    with pytest.raises(FileError, match=r"must hold frame_0000_left.npz or frame_0000.exr, with"):
         list(found.arrays("depth", "left"))
 
 
@@ -89,7 +89,7 @@ def test_a_folder_without_frames_is_refused(tmp_path: Path) -> None:
     assert faults(tmp_path) == [f"{tmp_path}: must hold frames from clsco render, frame_0000.json and so on; got none"]
     for place in (tmp_path / "none", tmp_path / "file"):
         (tmp_path / "file").touch()
-        with pytest.raises(ImageError, match="must be a folder of frames; got N"):
+        with pytest.raises(FileError, match="must be a folder of frames; got N"):
             written_frames(place)
 
 
@@ -153,17 +153,17 @@ def test_npz_of_a_stranger(tmp_path: Path) -> None:
     ]
     for array, message in wrong:
         write_npz(path, {"depth": array})
-        with pytest.raises(ImageError, match=message):
+        with pytest.raises(FileError, match=message):
             read_npz(path, ["depth"])
-    with pytest.raises(ImageError, match="must hold the array coc; got none of this name"):
+    with pytest.raises(FileError, match="must hold the array coc; got none of this name"):
         read_npz(path, ["coc"])
     with zipfile.ZipFile(path, "w") as archive, archive.open("depth.npy", "w") as member:
         header = {"descr": "<f4", "fortran_order": False, "shape": (60000, 60000)}
         np.lib.format.write_array_header_1_0(member, header)
-    with pytest.raises(ImageError, match=r"at most 134217728 pixels; got 60000 x 60000"):
+    with pytest.raises(FileError, match=r"at most 134217728 pixels; got 60000 x 60000"):
         read_npz(path, ["depth"])
     path.write_bytes(b"PK\x03\x04 no archive")
-    with pytest.raises(ImageError, match="must be a whole NPZ"):
+    with pytest.raises(FileError, match="must be a whole NPZ"):
         read_npz(path, ["depth"])
 
 
@@ -171,8 +171,8 @@ def test_exr_of_a_stranger(tmp_path: Path) -> None:
     path = tmp_path / "a.exr"
     write_exr(path, {"Z": np.zeros((2, 3), "f4")})
     assert read_exr(path, ["Z"])[0].shape == (2, 3)
-    with pytest.raises(ImageError, match=r"must hold one view left; got 0 of 1 parts"):
+    with pytest.raises(FileError, match=r"must hold one view left; got 0 of 1 parts"):
         read_exr(path, ["Z"], "left")
     path.write_bytes(path.read_bytes()[:300])
-    with pytest.raises(ImageError, match="must be a whole EXR"):
+    with pytest.raises(FileError, match="must be a whole EXR"):
         read_exr(path, ["Z"])

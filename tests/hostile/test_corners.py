@@ -17,7 +17,7 @@ from click.testing import CliRunner, Result
 
 from clsco.cli.main import main
 from clsco.engine.batch import prepare
-from clsco.errors import ImageError, SceneError
+from clsco.errors import FileError, SceneError
 from clsco.files import decoders
 from clsco.files.atomic import same_place
 from clsco.files.images import read_image
@@ -123,7 +123,7 @@ def test_an_image_with_too_many_channels(tmp_path: Path, monkeypatch: pytest.Mon
     assert read_image(path).data.shape == (9, 12, 3)
     monkeypatch.setattr(decoders, "LARGEST_EXR", 400)
     for read in (read_image, read_depth):
-        with pytest.raises(ImageError, match=r"must hold at most 400 values; got 4 channels of 12 x 9"):
+        with pytest.raises(FileError, match=r"must hold at most 400 values; got 4 channels of 12 x 9"):
             read(path)
 
 

@@ -19,7 +19,7 @@ import tifffile
 from numpy.typing import NDArray
 from PIL import Image
 
-from clsco.errors import ImageError
+from clsco.errors import FileError
 from clsco.files.depth_codes import dpt_bytes
 from clsco.files.images import check_sizes
 from clsco.inputs.depth_files import read_depth
@@ -59,7 +59,7 @@ def save_pfm(path: Path, data: Array, scale: str = "-1") -> None:
 
 def refusal(path: Path) -> str:
     """The message, a single line, after the path, with which a file is not read."""
-    with pytest.raises(ImageError) as caught:
+    with pytest.raises(FileError) as caught:
         read_depth(path)
     message = str(caught.value)
     assert message.startswith(f"{path}: ")
@@ -331,13 +331,13 @@ def test_every_flipped_byte_is_found_or_changes_no_number(tmp_path: Path) -> Non
         path.write_bytes(NPZ[:at] + bytes([NPZ[at] ^ 0x55]) + NPZ[at + 1 :])
         try:
             np.testing.assert_array_equal(read_depth(path), SMALL)
-        except ImageError:
+        except FileError:
             continue
 
 
 def test_sizes_must_be_the_same() -> None:
     check_sizes("a.png", (640, 480), "b.exr", (640, 480))
-    with pytest.raises(ImageError) as caught:
+    with pytest.raises(FileError) as caught:
         check_sizes("a.png", (640, 480), "b.exr", (480, 640))
     assert (
         str(caught.value)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clsco.errors import ImageError
+from clsco.errors import FileError
 from clsco.files.images import write_png
 from clsco.files.transfer import decode, encode
 from clsco.inputs.resampling import resample
@@ -270,11 +270,11 @@ def test_a_scene_gets_its_textures_and_its_size(tmp_path: Path) -> None:
 @pytest.mark.parametrize("load", [texture_size, lambda name: load_texture(name, "srgb")])
 def test_names_what_textures_there_are(load: Any, tmp_path: Path) -> None:
     names = "bricks, checkerboard, slanted_edge, siemens_star, a color #rrggbb"
-    with pytest.raises(ImageError, match=rf"texture: must be one of {names}, or an image file; got 'tiles'"):
+    with pytest.raises(FileError, match=rf"texture: must be one of {names}, or an image file; got 'tiles'"):
         load("tiles")
-    with pytest.raises(ImageError, match=r"image file \(did you mean bricks\?\); got 'Brick'"):
+    with pytest.raises(FileError, match=r"image file \(did you mean bricks\?\); got 'Brick'"):
         load(tmp_path / "Brick")
-    with pytest.raises(ImageError, match=r"none.png: must be a file that can be read; got No such file"):
+    with pytest.raises(FileError, match=r"none.png: must be a file that can be read; got No such file"):
         load(tmp_path / "none.png")
 
 

@@ -15,6 +15,7 @@ from clsco.cli.check import compare
 from clsco.data.verify import flow_error
 from clsco.files.flow import read_flo
 from clsco.frame.files import truth_files, write_frame
+from clsco.frame.frame import ALL_TRUTH
 from clsco.frame.views import VIEWS
 from clsco.opencl.device import choose
 from clsco.optics.exposure import line_times
@@ -87,7 +88,7 @@ def test_a_line_has_the_truth_of_its_time(scan: str) -> None:
 def test_strips_have_the_truth_of_the_frame() -> None:
     wanted = scene(sections={"camera": CAMERA | {"resolution": [56, 200]}})
     (whole,) = clsco.render(wanted)
-    memory = device_bytes(prepare(wanted, Request(clsco.frame.frame.ALL_TRUTH), choose()).plan) - 1
+    memory = device_bytes(prepare(wanted, Request(ALL_TRUTH), choose()).plan) - 1
     (tight,) = clsco.render(wanted, memory=memory)
     assert tight.metadata["strips"] > 1
     for name, array in whole.arrays().items():

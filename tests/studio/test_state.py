@@ -18,7 +18,7 @@ pytest.importorskip("starlette", reason="needs the extra studio")
 import httpx
 from starlette.applications import Starlette
 
-from clsco import ClscoError, ImageError, SceneError
+from clsco import ClscoError, FileError, SceneError
 from clsco.files.images import write_png
 from clsco.studio.folder import keep_image
 from clsco.studio.generate import distributions
@@ -102,7 +102,7 @@ def look_at(opened: Studio, kept: list[str]) -> None:
         with pytest.raises(SceneError):
             Document(opened.root).recover(path)
     opened.keep()
-    with suppress(ImageError):  # a folder cannot be replaced
+    with suppress(FileError):  # a folder cannot be replaced
         opened.jobs._put(CommandJob(1, "one", ("render",), "out", "*", 1, "running", process=1))
         opened.jobs.poll()
         assert opened.jobs.job(1).status == "interrupted"

@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.data.record import Record
-from clsco.errors import ClscoError, ImageError
+from clsco.errors import ClscoError, FileError, import_extra
 from clsco.files.atomic import refuse
 from clsco.files.bounded import npy_array as npy_array
 from clsco.files.bounded import npy_size as npy_size
 from clsco.files.bounded import strict_json
-from clsco.files.decoders import codec, unzstd
+from clsco.files.decoders import unzstd
 from clsco.files.png import GRAY, RGB, SIGNATURE, png_parts
 
 
@@ -55,7 +55,7 @@ class ShardReader(ABC):
 
         Raises
         ------
-        ImageError
+        FileError
             The shard is damaged.
         """
 
@@ -85,7 +85,7 @@ class Container:
     write : callable
         Takes a new local path and records; the same records give the same bytes. Few records are in memory at a time.
     read : callable
-        Takes a local path and gives a ShardReader. Raises ImageError where it is no whole shard.
+        Takes a local path and gives a ShardReader. Raises FileError where it is no whole shard.
     needs : (str, str), optional
         Module that it needs, and the extra of clsco that brings it.
     """
@@ -99,7 +99,7 @@ class Container:
 
 @contextlib.contextmanager
 def whole(path: Path, kind: str) -> Iterator[None]:
-    """Turn any error of a codec into an ImageError: each has its own exceptions for damage, and none lists them."""
+    """Turn any error of a codec into an FileError: each has its own exceptions for damage, and none lists them."""
     try:
         yield
     except ClscoError:
@@ -128,7 +128,7 @@ def record_bytes(layout: Layout) -> int:
 def blocks(path: Path, records: Iterable[Record], kind: str) -> Iterator[tuple[Layout, list[Record]]]:
     """The layout of all records, and up to `block_size` of them at a time.
 
-    Raises ImageError: two records differ in their layout, or there is none.
+    Raises FileError: two records differ in their layout, or there is none.
     """
     layout: Layout | None = None
     block: list[Record] = []
@@ -184,14 +184,14 @@ def encoded(path: Path, array: NDArray[Any], raw: bool = False) -> tuple[str, by
 
     Raises
     ------
-    ImageError
+    FileError
         The extra `formats` is missing.
     """
     if raw:
         return "npy", npy_bytes(array)
     if is_png(array.dtype.name, array.shape):
         return "png", png_bytes(array)
-    return "npy.zst", codec(path, *NEEDS).zstd_encode(npy_bytes(array), LEVEL)
+    return "npy.zst", import_extra(path, *NEEDS).zstd_encode(npy_bytes(array), LEVEL)
 
 
 def decoded(path: Path, extension: str, content: bytes, about: Mapping[str, Any]) -> NDArray[Any]:
@@ -215,7 +215,7 @@ def decoded(path: Path, extension: str, content: bytes, about: Mapping[str, Any]
     Raises
     ------
     Exception
-        For damage any of the codecs', which readers turn into an ImageError.
+        For damage any of the codecs', which readers turn into an FileError.
     """
     dtype, shape = about["dtype"], tuple(about["shape"])
     if extension == "png":
@@ -248,7 +248,7 @@ def _from_png(path: Path, content: bytes, dtype: np.dtype[Any], shape: tuple[int
     wanted = (shape[1], shape[0], 16 if dtype == np.uint16 else 8, RGB if len(shape) == 3 else GRAY)
     if (columns, rows, bits, color) != wanted or not is_png(dtype.name, shape):
         raise ValueError(f"a PNG of {columns} x {rows}, {bits} bits, color type {color} for {dtype} {shape}")
-    data = codec(path, *NEEDS).png_decode(content)
+    data = import_extra(path, *NEEDS).png_decode(content)
     if data.shape != shape:
         raise ValueError(f"pixels of shape {data.shape} for {shape}")
     return data != 0 if dtype == np.bool_ else data
@@ -272,14 +272,14 @@ def meta_bytes(record: Record, flat: bool = False) -> bytes:
 
     Raises
     ------
-    ImageError
+    FileError
         JSON cannot hold it.
     """
     try:
         nested = {name: _json(value) for name, value in record.meta.items() if isinstance(value, (dict, list, tuple))}
         return _json({**record.meta, **(nested if flat else {})}).encode()
     except (TypeError, ValueError) as error:
-        raise ImageError(f"sample {record.key}: must be values that JSON holds; got {error}") from error
+        raise FileError(f"sample {record.key}: must be values that JSON holds; got {error}") from error
 
 
 def _json(value: Any) -> str:
@@ -297,7 +297,7 @@ def parsed_meta(path: Path, content: bytes | str) -> dict[str, Any]:
 
     Raises
     ------
-    ImageError
+    FileError
     """
     if len(content) > LARGEST_META:
         refuse(path, f"meta.json must have at most {LARGEST_META} bytes", len(content))
@@ -313,7 +313,7 @@ def parsed_meta(path: Path, content: bytes | str) -> dict[str, Any]:
 
 
 def described(path: Path, meta: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """`dtype` and `shape` of an array of a record. Raises ImageError for none, or for what no record has."""
+    """`dtype` and `shape` of an array of a record. Raises FileError for none, or for what no record has."""
     about = meta["arrays"].get(name)
     if not isinstance(about, dict) or not _NAME.fullmatch(name):
         refuse(path, "arrays must have plain names and be described in meta.json", repr(name))

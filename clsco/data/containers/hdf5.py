@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from clsco.data.containers.base import LARGEST_META, ShardReader, described, meta_bytes, parsed_meta, whole
 from clsco.data.containers.base import NEEDS as DEFLATE
 from clsco.data.record import Record, is_wanted
+from clsco.errors import import_extra
 from clsco.files.atomic import refuse
-from clsco.files.decoders import codec
 from clsco.resources import open_regular
 
 NEEDS = ("h5py", "data")
@@ -34,7 +34,7 @@ def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
     raw : bool
         Nothing is compressed; else bytes are shuffled and deflated (gzip 4), which every build of HDF5 reads.
     """
-    h5py = codec(path, *NEEDS)
+    h5py = import_extra(path, *NEEDS)
     options = {} if raw else {"shuffle": True, "compression": "gzip", "compression_opts": 4}
     with h5py.File(path, "x", track_order=False) as file:
         for record in records:
@@ -54,7 +54,7 @@ class Hdf5Reader(ShardReader):
 
     def __init__(self, path: Path) -> None:
         self._file: Any = None
-        self._h5py = codec(path, *NEEDS)
+        self._h5py = import_extra(path, *NEEDS)
         with whole(path, "HDF5 file"), self._opened(path) as file:
             keys = sorted(file)
         super().__init__(path, keys)
@@ -102,7 +102,7 @@ class Hdf5Reader(ShardReader):
             raise ValueError(f"{stored} bytes in the chunk of {found.name}")
         passed_over, content = found.id.read_direct_chunk((0,) * len(found.shape))
         if filters and not passed_over & 2:
-            content = codec(self.path, *DEFLATE).deflate_decode(content, out=np.empty(size, np.uint8).data)
+            content = import_extra(self.path, *DEFLATE).deflate_decode(content, out=np.empty(size, np.uint8).data)
         if len(content) != size:
             raise ValueError(f"{len(content)} bytes of {size} in {found.name}")
         plain = np.frombuffer(content, np.uint8)

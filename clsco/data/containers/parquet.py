@@ -30,9 +30,9 @@ from clsco.data.containers.base import (
     whole,
 )
 from clsco.data.record import Record, is_wanted
+from clsco.errors import import_extra, require_extra
 from clsco.files.atomic import refuse
 from clsco.files.confined import confined
-from clsco.files.decoders import codec, require
 from clsco.resources import open_regular
 
 NEEDS = ("pyarrow", "data")
@@ -52,7 +52,7 @@ def write(path: Path, records: Iterable[Record]) -> None:
     records : iterable of Record
         With the same arrays, each of one type and size.
     """
-    parquet, writer = codec(path, "pyarrow.parquet", "data"), None
+    parquet, writer = import_extra(path, "pyarrow.parquet", "data"), None
     try:
         for layout, block in blocks(path, records, "parquet"):
             schema = _schema(path, layout)
@@ -70,7 +70,7 @@ def write(path: Path, records: Iterable[Record]) -> None:
 
 def _schema(path: Path, layout: Layout) -> Any:
     """Columns, and what `datasets` makes of them."""
-    pyarrow = codec(path, *NEEDS)
+    pyarrow = import_extra(path, *NEEDS)
     fields: list[Any] = [("key", pyarrow.string())]
     features: dict[str, Any] = {"key": {"dtype": "string", "_type": "Value"}}
     for name, (dtype, shape) in layout.items():
@@ -91,7 +91,7 @@ def _schema(path: Path, layout: Layout) -> Any:
 
 
 def _table(path: Path, schema: Any, layout: Layout, block: list[Record]) -> Any:
-    pyarrow = codec(path, *NEEDS)
+    pyarrow = import_extra(path, *NEEDS)
     columns: list[Any] = [pyarrow.array([record.key for record in block])]
     for name, (dtype, shape) in layout.items():
         arrays = [record.arrays[name] for record in block]
@@ -131,7 +131,7 @@ class ParquetReader(ShardReader):
     def __init__(self, path: Path) -> None:
         self._kept: tuple[int, dict[str, _Column]] | None = None
         self._places: list[tuple[int, int]] = []
-        require(path, *NEEDS)
+        require_extra(path, *NEEDS)
         with whole(path, "Parquet file"), open_regular(path) as file:
             about, _ = confined(f"{_FILE}:layout", file, MOST_KEYS)
             for number, (size, rows) in enumerate(about["groups"]):

@@ -46,7 +46,7 @@ def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
 
     Raises
     ------
-    ImageError
+    FileError
         A record cannot be encoded.
     OSError
     """

@@ -29,7 +29,8 @@ from clsco.data.containers.base import (
     whole,
 )
 from clsco.data.record import Record, is_wanted
-from clsco.files.decoders import codec, require, unzstd
+from clsco.errors import import_extra, require_extra
+from clsco.files.decoders import unzstd
 from clsco.resources import open_regular, read_at, read_regular
 
 NEEDS = ("zarr", "data")
@@ -60,7 +61,7 @@ def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
     raw : bool
         Nothing is compressed; else by Zstandard 3.
     """
-    zarr = codec(path, *NEEDS)
+    zarr = import_extra(path, *NEEDS)
     compressors = None if raw else zarr.codecs.ZstdCodec(level=3)
     texts: list[bytes] = []
     keys: list[str] = []
@@ -187,7 +188,7 @@ class ZarrReader(ShardReader):
     """Records of a Zarr group as `write` makes it. The package zarr would unpack whatever a chunk holds."""
 
     def __init__(self, path: Path) -> None:
-        require(path, *CHECKSUM)
+        require_extra(path, *CHECKSUM)
         self._columns: dict[str, _ArrayColumn] = {}
         with whole(path, "Zarr group"):
             if json.loads(read_regular(path / "zarr.json", LARGEST_JSON))["node_type"] != "group":
