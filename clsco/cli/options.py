@@ -251,8 +251,8 @@ _FORMAT = click.option(
     "--format", "formats", metavar="FORMAT,...", type=Names(attribute("clsco.frame.files:TRUTH_FORMATS"), many=True),
     default="",
     help="Files of the ground truth: npz (default) or exr, which hold all of it; npy or pfm, a file per array; of the "
-    "field flo, kitti_flow, kitti_disparity, kitti_depth, dpt; the camera as cam or colmap; codes of a sensor as png "
-    "or tiff. npz+compressed, npy+zstd: smaller files. Without --truth all that they hold.",
+    "field flo, kitti_flow, kitti_disparity, kitti_depth; the cameras as colmap; codes of a sensor as png or tiff. "
+    "npz+compressed: smaller files. Without --truth all that they hold.",
 )  # fmt: skip
 types_option = click.option(
     "--types", metavar="NAME=TYPE,...", type=Names(_types, many=True), default="",

@@ -50,6 +50,13 @@ def image_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
     return shape
 
 
+def npy_bytes(array: NDArray[Any]) -> bytes:
+    """An NPY file of numbers or bools of any shape; the same for the same array."""
+    stream = io.BytesIO()
+    np.lib.format.write_array(stream, np.ascontiguousarray(array), allow_pickle=False)
+    return stream.getvalue()
+
+
 def npy_size(dtype: np.dtype[Any], shape: tuple[int, ...]) -> int:
     """Bytes that an NPY file of such an array has at most."""
     return math.prod(shape) * dtype.itemsize + HEADER

@@ -52,7 +52,7 @@ _FIRST_BYTES = {
     "PFM": (b"PF", b"Pf"),
     "NPY": (b"\x93NUMPY",),
     "NPZ": (b"PK\x03\x04",),
-    **dict.fromkeys(("FLO", "DPT", "CAM"), (b"PIEH",)),
+    "DPT": (b"PIEH",),
 }
 
 

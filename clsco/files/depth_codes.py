@@ -1,58 +1,17 @@
-"""Depth and disparity in the files of Sintel (.dpt), KITTI (PNG of 16 bits) and Middlebury (PFM).
+"""Depth and disparity in the files of KITTI (PNG of 16 bits) and Middlebury (PFM).
 
-Depth is in mm here, as everywhere in clsco, and in m in files of Sintel and KITTI.
+Depth is in mm here, as everywhere in clsco, and in m in files of KITTI.
 """
 
 from __future__ import annotations
 
-import os
-import struct
-
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.files.decoders import decoded, opened
 from clsco.files.ranges import refuse_shape, refuse_values
-from clsco.files.tagged import TAG, read_floats
 
 MM_PER_M = 1000.0
 KITTI_STEPS = 256  # per m of depth, and per px of disparity
-
-
-def _refuse_depths(where: str, depth: NDArray[np.floating]) -> None:
-    if depth.ndim != 2:
-        refuse_shape(where, "(rows, columns)", depth)
-    refuse_values(where, "must be greater than 0, and +inf where nothing is", depth, ~(depth > 0))
-
-
-def dpt_bytes(depth: NDArray[np.floating], where: str = "depth") -> bytes:
-    """A .dpt file of Sintel: depth in m as float32.
-
-    Parameters
-    ----------
-    depth : ndarray of float, (rows, columns)
-        Planar Z in mm; +inf, where nothing is, stays +inf.
-    where : str
-        Place or name that messages begin with.
-
-    Raises
-    ------
-    FileError
-        A depth is 0, negative or no number.
-
-    Notes
-    -----
-    Meters are millimeters but for a rounding of 2^-24. Validated by the steps of the reader in Sintel's SDK.
-    """
-    _refuse_depths(where, depth)
-    rows, columns = depth.shape
-    return struct.pack("<4sii", TAG, columns, rows) + (depth.astype(np.float64) / MM_PER_M).astype("<f4").tobytes()
-
-
-def read_dpt(path: str | os.PathLike[str]) -> NDArray[np.float32]:
-    """Read a .dpt file: depth (rows, columns) in mm. Raises FileError for a damaged file or one of another kind."""
-    with opened(path, {".dpt": "DPT"}) as (file, _):
-        return (read_floats(file, 1).astype(np.float64) * MM_PER_M).astype(np.float32)
 
 
 def _kitti_codes(values: NDArray[np.float64], valid: NDArray[np.bool_], where: str, unit: str) -> NDArray[np.uint16]:
@@ -86,7 +45,9 @@ def kitti_depth_codes(depth: NDArray[np.floating], where: str = "depth") -> NDAr
     -----
     Validated by OpenCV.
     """
-    _refuse_depths(where, depth)
+    if depth.ndim != 2:
+        refuse_shape(where, "(rows, columns)", depth)
+    refuse_values(where, "must be greater than 0, and +inf where nothing is", depth, ~(depth > 0))
     return _kitti_codes(depth.astype(np.float64) / MM_PER_M, np.isfinite(depth), where, "m")
 
 
@@ -150,12 +111,3 @@ def pfm_bytes(array: NDArray[np.floating], where: str = "array") -> bytes:
         refuse_shape(where, "(rows, columns[, 2 or 3])", array)
     head = f"{'PF' if array.ndim == 3 else 'Pf'}\n{array.shape[1]} {array.shape[0]}\n-1.0\n"
     return head.encode() + array[::-1].astype("<f4").tobytes()
-
-
-def read_pfm(path: str | os.PathLike[str]) -> NDArray[np.float32]:
-    """Read a PFM file of any floats: (rows, columns) or (rows, columns, 3), the top row first.
-
-    Raises FileError for a file that is damaged, of another kind, or of over 2^27 pixels. The scale is not applied.
-    """
-    with opened(path, {".pfm": "PFM"}) as (file, kind):
-        return np.ascontiguousarray(decoded(file, kind), np.float32)

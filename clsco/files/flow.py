@@ -1,17 +1,15 @@
-"""Optical flow in the files of Middlebury (.flo) and KITTI (PNG of 16 bits): arrays to bytes, and back."""
+"""Optical flow in the files of Middlebury (.flo) and KITTI (PNG of 16 bits): arrays to bytes."""
 
 from __future__ import annotations
 
-import os
 import struct
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.files.decoders import opened
 from clsco.files.ranges import refuse_shape, refuse_values
-from clsco.files.tagged import TAG, read_floats
 
+TAG = struct.pack("<f", 202021.25)
 LARGEST_FLO = 1e9  # px, at which Middlebury's readers take a vector for unknown
 UNKNOWN_FLO = 1e10  # what Middlebury's writers put there
 KITTI_STEPS = 64  # per px
@@ -54,26 +52,6 @@ def flo_bytes(flow: NDArray[np.floating], valid: NDArray[np.bool_] | None = None
     stored = np.full(flow.shape, UNKNOWN_FLO, "<f4")
     stored[known] = flow[known]
     return struct.pack("<4sii", TAG, columns, rows) + stored.tobytes()
-
-
-def read_flo(path: str | os.PathLike[str]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Read a .flo file.
-
-    Returns
-    -------
-    flow : ndarray of float32, (rows, columns, 2)
-        px, right and down; as stored.
-    valid : ndarray of bool, (rows, columns)
-        Both components are numbers below 1e9.
-
-    Raises
-    ------
-    FileError
-        For everything that is not one whole such file, or of over 2^27 pixels.
-    """
-    with opened(path, {".flo": "FLO"}) as (file, _):
-        flow = read_floats(file, 2)
-    return flow, np.asarray((np.abs(flow) < LARGEST_FLO).all(axis=-1))
 
 
 def kitti_flow_codes(

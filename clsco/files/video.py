@@ -10,14 +10,15 @@ from fractions import Fraction
 from itertools import chain
 from numbers import Rational
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.errors import ArgumentError, FileError, import_extra
+from clsco.errors import ArgumentError, import_extra
 from clsco.files.atomic import refuse, whole_file
 from clsco.files.decoders import check_limits
+from clsco.files.ranges import first_of
 from clsco.files.transfer import encode
 from clsco.files.yuv import yuv_planes
 from clsco.resources import remove_left
@@ -25,8 +26,7 @@ from clsco.resources import remove_left
 SLOWEST, FASTEST = 1, 240  # frames per second that an interval may give
 MOST = 2**20  # of the parts of a rate, and frames per second: far below what the fields of containers hold
 STANDARD_RATES = 1001 * 120  # denominators up to this one: intervals of 1001 / 120000 s come back as they are
-TRANSFER_TAGS = {"srgb": 13, "linear": 8, "bt709": 1}
-"""Codes of ITU-T H.273 by name."""
+_TRANSFER_TAGS = {"srgb": 13, "linear": 8}  # codes of ITU-T H.273
 _BT709_PRIMARIES, _RGB_MATRIX, _BT709_MATRIX, _LIMITED, _FULL = 1, 0, 1, 1, 2
 
 
@@ -170,20 +170,18 @@ def rate_of(interval: float, where: str, speed: Fraction = Fraction(1)) -> Fract
 
 
 def write_clip(
-    target: Path | BinaryIO,
+    target: Path,
     frames: Iterable[NDArray[Any]],
     rate: Fraction,
     preset: str,
     transfer: str = "srgb",
-    transfer_tag: str | None = None,
     comment: str = "",
 ) -> tuple[str, ...]:
-    """Write frames as a video file that is whole or absent, or into a stream.
+    """Write frames as a video file that is whole or absent.
 
     Parameters
     ----------
-    target : Path or BinaryIO
-        A stream holds what was written before an error.
+    target : Path
     frames : iterable of ndarray, (rows, columns) or (rows, columns, 3)
         Codes (uint8, uint16) or linear radiance (floats, 1 = white), which is clipped; of one shape and type.
     rate : Fraction
@@ -192,8 +190,6 @@ def write_clip(
         One of `PRESETS`.
     transfer : {"srgb", "linear"}
         Transfer curve of the codes, and for floats.
-    transfer_tag : {"srgb", "linear", "bt709"}, optional
-        Transfer curve that the file states, by default `transfer`.
     comment : str
         For the file's metadata, where the container has any.
 
@@ -215,33 +211,20 @@ def write_clip(
     The same frames give the same bytes with the same PyAV. Validated: pixels, rates and tags as read back through PyAV
     for each preset, and the bits of lossless ones (tests/files/test_video.py).
     """
-    where = target if isinstance(target, Path) else Path("-")
-    require_video(where)
-    if transfer_tag not in (None, transfer) and (transfer, transfer_tag) != ("srgb", "bt709"):
-        refuse(where, f"the tag of the transfer must be {transfer}, or bt709 for srgb", transfer_tag)
-    source = _showable(where, frames)
+    require_video(target)
+    source = _showable(target, frames)
     first = next(source, None)
     if first is None:
-        refuse(where, "a clip must hold a frame", "none")
-    require_size(where, preset, first.shape[1], first.shape[0])
-    clip = _Clip(where, PRESETS[preset], rate, transfer, transfer_tag or transfer, comment, first)
+        refuse(target, "a clip must hold a frame", "none")
+    require_size(target, preset, first.shape[1], first.shape[0])
+    clip = _Clip(target, PRESETS[preset], rate, transfer, comment, first)
     try:
-        if isinstance(target, Path):
-            remove_left(target.parent)
-            with whole_file(target) as file:  # by its name, as the index of an mp4 moves to its beginning
-                clip.encode(str(Path(file.name).absolute()), _alike(where, first, source))
-        else:
-            stream = _Stream(target)
-            try:
-                clip.encode(stream, _alike(where, first, source))
-            except FileError:
-                if stream.error is not None:
-                    raise stream.error from None
-                raise
+        remove_left(target.parent)
+        with whole_file(target) as file:  # by its name, as the index of an mp4 moves to its beginning
+            clip.encode(str(Path(file.name).absolute()), _alike(target, first, source))
     except _FromFramesError as error:
         raise error.error from None
-    rounded = _rounded_rate(target, rate) if isinstance(target, Path) else ()
-    return (*clip.changes(preset), *rounded)
+    return (*clip.changes(preset), *_rounded_rate(target, rate))
 
 
 def _rounded_rate(path: Path, rate: Fraction) -> tuple[str, ...]:
@@ -249,21 +232,6 @@ def _rounded_rate(path: Path, rate: Fraction) -> tuple[str, ...]:
     with _av(path).open(str(path.absolute())) as container:
         seen = container.streams.video[0].average_rate
     return () if seen == rate else (f"FFmpeg reads a rate of {seen} from it, near {rate}; mp4 keeps it",)
-
-
-class _Stream:
-    """A stream that keeps the error of a write, for which PyAV has one of its own: a pipe may be closed."""
-
-    def __init__(self, stream: BinaryIO) -> None:
-        self.stream = stream
-        self.error: OSError | None = None
-
-    def write(self, part: bytes) -> int:
-        try:
-            return self.stream.write(part)
-        except OSError as error:
-            self.error = error
-            raise
 
 
 class _FromFramesError(Exception):
@@ -283,9 +251,7 @@ def _showable(where: Path, frames: Iterable[NDArray[Any]]) -> Iterator[NDArray[A
         if frame.dtype.kind != "f" and frame.dtype not in (np.uint8, np.uint16):
             refuse(where, f"{name}: values must be uint8 or uint16 codes, or floats", frame.dtype)
         if frame.dtype.kind == "f" and not (finite := np.isfinite(frame)).all():
-            place = tuple(int(index) for index in np.unravel_index(int(finite.argmin()), frame.shape))
-            got = f"{frame[place]} at row {place[0]}, column {place[1]} ({int((~finite).sum())} in all)"
-            refuse(where, f"{name}: values must be finite", got)
+            refuse(where, f"{name}: values must be finite", first_of(frame, ~finite))
         yield frame
 
 
@@ -313,7 +279,6 @@ class _Clip:
     preset: VideoPreset
     rate: Fraction
     transfer: str
-    transfer_tag: str
     comment: str
     first: NDArray[Any]
 
@@ -334,12 +299,12 @@ class _Clip:
         is_rgb = not self.preset.is_yuv and self.pixels == self.preset.pixels  # gray is a luma without color
         return {
             "color_primaries": _BT709_PRIMARIES,
-            "color_trc": TRANSFER_TAGS[self.transfer_tag],
+            "color_trc": _TRANSFER_TAGS[self.transfer],
             "colorspace": _RGB_MATRIX if is_rgb else _BT709_MATRIX,
             "color_range": _LIMITED if self.preset.is_yuv else _FULL,
         }
 
-    def encode(self, target: str | _Stream, frames: Iterator[NDArray[Any]]) -> None:
+    def encode(self, target: str, frames: Iterator[NDArray[Any]]) -> None:
         """Write all frames. Raises FileError, and OSError where the disk fails."""
         av, preset = _av(self.where), self.preset
         os.environ.setdefault("SVT_LOG", "1")  # errors alone: SVT-AV1 writes two dozen lines to stderr

@@ -14,18 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import require_extra
-from clsco.files.atomic import refuse, remove, sha256, together, writable_folder, write_whole
-from clsco.files.cameras import cam_bytes, colmap_texts
+from clsco.files.atomic import remove, sha256, together, writable_folder, write_whole
+from clsco.files.bounded import npy_bytes
+from clsco.files.cameras import colmap_texts
 from clsco.files.color import SRGB, Color
-from clsco.files.depth_codes import dpt_bytes, kitti_depth_codes, kitti_disparity_codes, pfm_bytes
+from clsco.files.depth_codes import kitti_depth_codes, kitti_disparity_codes, pfm_bytes
 from clsco.files.flow import flo_bytes, kitti_flow_codes
 from clsco.files.images import write_exr, write_json, write_npz, write_png, write_tiff
-from clsco.files.npy import ZSTD, npy_bytes
 from clsco.files.transfer import encode
-from clsco.frame.cameras import all_pinholes, exr_attributes, eye_of, gets_behind, pinhole
+from clsco.frame.cameras import all_pinholes, exr_attributes, eye_of, gets_behind
 from clsco.frame.channels import exr_channels
 from clsco.frame.frame import ALL_TRUTH, FILE_NAMES, IMAGE_NAMES, Frame
-from clsco.frame.truth_files import ATTRIBUTES, Shot, TruthFile, TruthFormat, parse_truth, wanted_files
+from clsco.frame.truth_files import ATTRIBUTES, Shot, TruthFile, TruthFormat, wanted_files
 from clsco.optics.motion import Eye
 from clsco.resources import read_regular
 from clsco.scene.model import Scene
@@ -64,7 +64,7 @@ def _per_pixel(shot: Shot, frame: Frame, arrays: dict[str, NDArray[Any]]) -> dic
 
 
 def _write_npy(path: Path, shot: Shot, wanted: TruthFile) -> None:
-    write_whole(path, npy_bytes(_single(shot, wanted), wanted.zstd, str(path)))
+    write_whole(path, npy_bytes(_single(shot, wanted)))
 
 
 def _write_pfm(path: Path, shot: Shot, wanted: TruthFile) -> None:
@@ -100,28 +100,14 @@ def _write_kitti_depth(path: Path, shot: Shot, wanted: TruthFile) -> None:
     write_png(path, kitti_depth_codes(_single(shot, wanted), str(path)))
 
 
-def _write_dpt(path: Path, shot: Shot, wanted: TruthFile) -> None:
-    write_whole(path, dpt_bytes(_single(shot, wanted), str(path)))
-
-
-def _write_cam(path: Path, shot: Shot, _wanted: TruthFile) -> None:
-    (frame,) = shot.views
-    write_whole(path, cam_bytes(pinhole(_scene_of(path, shot), frame.index, eye_of(frame))))
-
-
 def _write_colmap(folder: Path, shot: Shot, _wanted: TruthFile) -> None:
-    scene = _scene_of(folder, shot)
+    scene = shot.scene
+    assert scene is not None
     shown: dict[Eye, str] = {"left": "left" if scene.stereo else "", "right": "right"}
     texts = colmap_texts((f"{_stem(index, shown[eye])}.png", camera) for index, eye, camera in all_pinholes(scene))
     with together(writable_folder(folder), "model") as made:
         for name, content in texts.items():
             write_whole(made / name, content)
-
-
-def _scene_of(path: Path, shot: Shot) -> Scene:
-    if shot.scene is None:
-        refuse(path, "needs the scene of the frame", "none")
-    return shot.scene
 
 
 def _known(shot: Shot, wanted: TruthFile) -> NDArray[np.bool_]:
@@ -139,7 +125,7 @@ LARGEST_JSON = 2**22  # bytes; 64 objects with all of their keys take a fiftieth
 TRUTH_FORMATS = {
     "npz": TruthFormat("{stem}.npz", _write_npz, options=("float16", "compressed")),
     "exr": TruthFormat("{stem}.exr", _write_exr, "frame", options=("float16",), needs=("OpenEXR", "exr")),
-    "npy": TruthFormat("{stem}_{array}.npy", _write_npy, "array", options=("float16", "zstd")),
+    "npy": TruthFormat("{stem}_{array}.npy", _write_npy, "array", options=("float16",)),
     "pfm": TruthFormat(
         "{stem}_{array}.pfm", _write_pfm, "array",
         ("color", "sharp", "depth", "coc", "normal", *_FLOWS, "uv", "disparity", "throughput", "alpha"),
@@ -153,15 +139,8 @@ TRUTH_FORMATS = {
     "kitti_depth": TruthFormat("{stem}_kitti_{array}.png", _write_kitti_depth, "array", ("depth",)),
     "png": TruthFormat("{stem}_{array}.png", _write_codes, "array", ("raw",)),
     "tiff": TruthFormat("{stem}_{array}.tif", _write_code_tiff, "array", ("raw",), needs=("tifffile", "formats")),
-    "dpt": TruthFormat("{stem}_{array}.dpt", _write_dpt, "array", ("depth",)),
-    "cam": TruthFormat("{stem}.cam", _write_cam, arrays=()),
     "colmap": TruthFormat("sparse/0", _write_colmap, "scene", ()),
 }  # fmt: skip
-
-
-def truth_files(text: str) -> tuple[TruthFile, ...]:
-    """Files of ground truth as they are recorded, none for "". Raises SceneError as `parse_truth`."""
-    return parse_truth(text, TRUTH_FORMATS) if text else ()
 
 
 def files_of(truth: str, formats: str = "", types: str = "") -> tuple[TruthFile, ...]:
@@ -180,12 +159,10 @@ def needed_truth(files: Iterable[TruthFile]) -> tuple[str, ...]:
 
 
 def require_truth_formats(files: Sequence[TruthFile]) -> None:
-    """Raise MissingDependencyError where the extra that a format in `TRUTH_FORMATS` or its option needs is not
-    installed."""
+    """Raise MissingDependencyError where the extra that a format in `TRUTH_FORMATS` needs is not installed."""
     for file in files:
-        for needs in (TRUTH_FORMATS[file.format].needs, ZSTD if file.zstd else None):
-            if needs is not None:
-                require_extra(f"format {file}", *needs)
+        if needs := TRUTH_FORMATS[file.format].needs:
+            require_extra(f"format {file}", *needs)
 
 
 def _stem(index: int, eye: str) -> str:
@@ -206,16 +183,15 @@ def _truth_names(
     held: arrays that the frame has, as they are called in files.
     """
     known = TRUTH_FORMATS[file.format]
-    ending = ".zst" if file.zstd else ""
     if known.per == "frame":
-        yield known.name.format(stem=_stem(index, "")) + ending, tuple(eyes), file
+        yield known.name.format(stem=_stem(index, "")), tuple(eyes), file
     for eye in eyes:
         stem = _stem(index, eye if len(eyes) > 1 else "")
         if known.per == "view":
-            yield known.name.format(stem=stem) + ending, (eye,), file
+            yield known.name.format(stem=stem), (eye,), file
         for array in (file.names or known.arrays) if known.per == "array" else ():
             if array in held:
-                yield known.name.format(stem=stem, array=array) + ending, (eye,), replace(file, names=(array,))
+                yield known.name.format(stem=stem, array=array), (eye,), replace(file, names=(array,))
 
 
 def frame_files(
@@ -270,7 +246,7 @@ def write_frame(
     about : mapping, optional
         Content of the JSON file besides the frame's own metadata.
     scene : Scene, optional
-        Scene that the frame shows, with its resolution: gives an EXR the attributes of its camera, and cam needs it.
+        Scene that the frame shows, with its resolution: gives an EXR the attributes of its camera.
     color : Color, optional
         Color space of the PNG, whose curve takes the place of "srgb"; by default sRGB. Of another one the JSON file has
         the name, and an EXR the chromaticities, as far as they are known.

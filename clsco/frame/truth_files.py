@@ -1,13 +1,13 @@
 """Files of ground truth: arrays by name, the formats that hold them, and the types of their numbers.
 
-The JSON file of a frame records a file as FORMAT+OPTION:ARRAY,..., such as "npz", "npz:depth,coc", "npz+float16" or
-"npy+depth=float16+zstd:depth,mask".
+The JSON file of a frame records a file as FORMAT+OPTION:ARRAY,..., such as "npz", "npz:depth,coc", "npz+compressed" or
+"npy+depth=float16:depth,mask".
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,7 +20,6 @@ from clsco.files.ranges import refuse_values
 from clsco.frame.frame import ALL_TRUTH, FILE_NAMES, Frame
 from clsco.scene.model import Scene
 
-OPTIONS = ("compressed", "zstd")
 ALL = "all"
 FLOATS = ("float32", "float16")  # types of an array of floats
 ATTRIBUTES = {in_file: name for name, in_file in FILE_NAMES.items()}
@@ -42,19 +41,16 @@ class TruthFile:
         Arrays whose floats have 16 bits: 11 significant ones, and sizes up to 65504; ("all",) for all of them.
     compressed : bool
         Floats are compressed as well.
-    zstd : bool
-        Whole files are compressed by Zstandard, and have the ending .zst.
     """
 
     format: str
     names: tuple[str, ...] = ()
     float16: tuple[str, ...] = ()
     compressed: bool = False
-    zstd: bool = False
 
     def __str__(self) -> str:
         options = "".join("+float16" if name == ALL else f"+{name}=float16" for name in self.float16)
-        options += "".join(f"+{name}" for name in OPTIONS if getattr(self, name))
+        options += "+compressed" if self.compressed else ""
         return f"{self.format}{options}" + (f":{','.join(self.names)}" if self.names else "")
 
     def arrays(self, frame: Frame) -> dict[str, NDArray[Any]]:
@@ -113,7 +109,7 @@ class TruthFormat:
     besides : tuple of str
         Attributes of a frame that it needs to know where its arrays hold.
     options : tuple of str
-        Some of `OPTIONS`, and "float16" where its floats may have 16 bits.
+        "compressed" where its floats may be compressed, and "float16" where they may have 16 bits.
     needs : (str, str), optional
         Module that it needs, and the extra of clsco that brings it.
     """
@@ -206,7 +202,10 @@ def wanted_files(truth: str, formats: str, types: str, known: Mapping[str, Truth
     found = [_in_format(part, names, halves, known) for part in (formats or "npz").split(",")]
     if lost := [name for name in names if all(name not in file.names for file in found)]:
         raise SceneError(f"format: must be one that holds {lost[0]}; got {formats or 'npz'}")
-    return _once(found, formats)
+    files = tuple(dict.fromkeys(found))
+    if len({file.format for file in files}) < len(files):
+        raise SceneError(f"format: must name each format once; got {formats}")
+    return files
 
 
 def _in_format(text: str, names: Sequence[str], halves: Sequence[str], known: Mapping[str, TruthFormat]) -> TruthFile:
@@ -216,63 +215,13 @@ def _in_format(text: str, names: Sequence[str], halves: Sequence[str], known: Ma
         raise SceneError(f"format: must be some of {','.join(known)}; got {text}")
     if "float16" in options:
         raise SceneError(f"format: must be {form}, with types all=float16; got {text}")
-    file, held = _parsed(text, known), known[form].arrays
-    chosen = tuple(name for name in names if name in held)
+    if unknown := [option for option in options if option != "compressed" or option not in known[form].options]:
+        rule = f"{form} or {form}+compressed" if "compressed" in known[form].options else f"{form} without options"
+        raise SceneError(f"format: must be {rule}; got {form}+{unknown[0]}")
+    held = known[form].arrays
+    chosen = tuple(name for name in ATTRIBUTES if name in names and name in held)
     if names and held and not chosen:
         raise SceneError(f"format: {form} must hold some of {','.join(names)}; got {','.join(held)}")
     shared = tuple(name for name in halves if name in (chosen or held) and "float16" in known[form].options)
-    return replace(file, names=chosen, float16=(ALL,) if shared and len(shared) == len(chosen or held) else shared)
-
-
-def parse_truth(text: str, formats: Mapping[str, TruthFormat]) -> tuple[TruthFile, ...]:
-    """Files of ground truth as they are recorded: formats, each with options and names of arrays.
-
-    Parameters
-    ----------
-    text : str
-        Such as "npz,flo", "npz:depth,coc,exr" or "npz+float16+compressed:depth".
-    formats : mapping of str to TruthFormat
-        Known formats.
-
-    Raises
-    ------
-    SceneError
-        Anything else, or a format twice.
-    """
-    found: list[list[str]] = []
-    for part in text.split(","):
-        if part.partition(":")[0].partition("+")[0] in formats:
-            found.append([part])
-        elif found and ":" in found[-1][0]:
-            found[-1].append(part)
-        else:
-            raise SceneError(f"must be some of {','.join(formats)}; got {text}")
-    return _once([_parsed(",".join(parts), formats) for parts in found], text)
-
-
-def _once(files: Iterable[TruthFile], text: str) -> tuple[TruthFile, ...]:
-    """Files without repetitions. Raises SceneError where two of one format are left."""
-    found = tuple(dict.fromkeys(files))
-    if len({file.format for file in found}) < len(found):
-        raise SceneError(f"format: must name each format once; got {text}")
-    return found
-
-
-def _parsed(text: str, formats: Mapping[str, TruthFormat]) -> TruthFile:
-    head, colon, listed = text.partition(":")
-    form, *options = head.split("+")
-    known = formats[form]
-    names = [FILE_NAMES.get(name, name) for name in listed.split(",")] if colon else []
-    for name in names:
-        if not known.arrays:
-            raise SceneError(f"format: must be {form} without names, as it holds no arrays; got {text}")
-        if name not in known.arrays:
-            some = ", ".join(known.arrays)
-            raise SceneError(f"format: must name arrays after {form}:, some of {some}; got {name or text}")
-    if unknown := [option for option in options if option not in known.options]:
-        named = [option for option in known.options if option in OPTIONS]
-        rule = f"{form} or {form}+{'+'.join(named)}" if named else f"{form} without options"
-        raise SceneError(f"format: must be {rule}; got {form}+{unknown[0]}")
-    ordered = tuple(name for name in ATTRIBUTES if name in names)
-    halves = (ALL,) if "float16" in options else ()
-    return TruthFile(form, ordered, halves, **{option: option in options for option in OPTIONS})
+    float16 = (ALL,) if shared and len(shared) == len(chosen or held) else shared
+    return TruthFile(form, chosen, float16, "compressed" in options)

@@ -64,14 +64,14 @@ class WrittenFrames:
         for number in self.numbers:
             yield read_image(self._file(number, "png", eye)).data
 
-    def arrays(self, name: str, eye: str = "", only: str = "") -> Iterator[NDArray[np.floating]]:
-        """An array of each frame, from its NPZ or else its EXR; `only`: from this kind of file.
+    def arrays(self, name: str, eye: str = "") -> Iterator[NDArray[np.floating]]:
+        """An array of each frame, from its NPZ or else its EXR.
 
         Raises FileError where a frame has neither, or it does not hold the array with its channels.
         """
         for number in self.numbers:
             npz, exr = self._file(number, "npz", eye), self._file(number, "exr", "")
-            if only != "exr" and npz.exists():
+            if npz.exists():
                 array = read_npz(npz, [name])[name]
                 where = npz
             elif exr.exists():
@@ -79,9 +79,7 @@ class WrittenFrames:
                 array = np.stack(planes, axis=-1) if len(planes) > 1 else planes[0]
                 where = exr
             else:
-                files = exr.name if only == "exr" else f"{npz.name} or {exr.name}"
-                rule = f"must hold {files}, with {name}"
-                refuse(self.folder, rule, "neither" if not only else "none")
+                refuse(self.folder, f"must hold {npz.name} or {exr.name}, with {name}", "neither")
             if array.shape[2:] not in _COMPONENTS.get(name, ((),)):
                 refuse(where, f"{name} must have its channels", f"shape {array.shape}")
             yield array.astype(np.float32, copy=False)

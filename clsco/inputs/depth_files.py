@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import struct
 from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -14,7 +15,6 @@ from clsco.files.atomic import refuse
 from clsco.files.bounded import image_shape, member_array, npy_header, open_archive, open_member
 from clsco.files.decoders import IMAGE_FORMATS, check_limits, decoded, exr_planes, opened
 from clsco.files.layers import depth_channels, listed
-from clsco.files.tagged import read_floats
 
 MOST_ARRAYS = 256  # in an NPZ
 
@@ -43,7 +43,7 @@ def read_depth(path: str | os.PathLike[str], layer: str | None = None) -> NDArra
         elif kind == "NPZ":
             data = _decode_npz(file)
         elif kind == "DPT":
-            data = read_floats(file, 1)
+            data = _decode_dpt(file)
         else:
             data = decoded(file, kind)
         return _single_channel(file, data)
@@ -109,3 +109,14 @@ def _decode_npz(file: BinaryIO) -> NDArray[Any]:
             refuse(path, rule, f"{dtype} of shape {header.shape}")
         check_limits(path, shape[1], shape[0])
         return member_array(archive, found[flat[0]], header).reshape(shape)
+
+
+def _decode_dpt(file: BinaryIO) -> NDArray[Any]:
+    """Depth in a file of Sintel: a tag, which is a float, columns, rows, and floats after them, all little endian."""
+    columns, rows = struct.unpack("<4xii", file.read(12))
+    check_limits(Path(file.name), columns, rows)
+    size, there = 4 * columns * rows, os.fstat(file.fileno()).st_size - 12
+    if there != size:
+        got = "more" if there > size else f"{there} bytes"
+        raise ValueError(f"{got} after a header of {columns} x {rows} pixels, which have {size} bytes")
+    return np.frombuffer(file.read(size), "<f4").reshape(rows, columns)

@@ -23,10 +23,10 @@ from clsco.files.atomic import writable_folder
 from clsco.files.images import read_image, write_exr, write_json, write_npz, write_png
 from clsco.files.transfer import encode
 from clsco.frame.channels import exr_channels
-from clsco.frame.files import frame_files, read_complete, truth_files, write_frame
+from clsco.frame.files import files_of, frame_files, read_complete, write_frame
 from clsco.frame.frame import FILE_NAMES, TRUTH_NAMES, Frame
 
-NPZ, BOTH = truth_files("npz"), truth_files("npz,exr")
+NPZ, BOTH = files_of("", "npz"), files_of("", "npz,exr")
 GRAY = np.arange(256, dtype=np.uint8).reshape(8, 32)
 COLOR = np.random.default_rng(7).integers(0, 65536, (300, 300, 3), "u2")
 LIGHT = np.random.default_rng(7).random((300, 300), "f4")
@@ -305,7 +305,7 @@ if naive:
     def in_place(folder, name):
         yield folder
     images.whole_file, framefiles.together, framefiles.sha256 = images_open, in_place, lambda path: path.name
-light, npz = np.random.default_rng(1).random((64, 64, 3), "f4"), framefiles.truth_files("npz")
+light, npz = np.random.default_rng(1).random((64, 64, 3), "f4"), framefiles.files_of("", "npz")
 framefiles.write_frame(folder, (Frame(0, light),), 16, "srgb")  # makes the tables, once for all children
 random.seed(2)
 damaged = complete = 0

@@ -16,7 +16,7 @@ import pytest
 from clsco.errors import FileError, SceneError
 from clsco.files.arrays import read_exr, read_npz
 from clsco.files.images import write_exr, write_npz
-from clsco.frame.files import truth_files, write_frame
+from clsco.frame.files import files_of, write_frame
 from clsco.frame.frame import Frame
 from clsco.frame.written import written_frames
 
@@ -35,7 +35,7 @@ def frames(folder: Path, numbers: Sequence[int], truth: str = "", stereo: bool =
         )
         views = [replace(one, eye="left"), replace(one, eye="right", color=1 - one.color)] if stereo else [one]
         about = {"scene": {**scene, "stereo": {}} if stereo else scene, "scene_sha256": "abc"}
-        write_frame(folder, views, 8, "linear", truth_files(truth), about)
+        write_frame(folder, views, 8, "linear", files_of("", truth), about)
 
 
 def test_frames_are_found_with_what_a_clip_needs(tmp_path: Path) -> None:
@@ -57,12 +57,16 @@ def test_arrays_come_from_exr_too(tmp_path: Path) -> None:
     assert found.eyes == ("left", "right")
     for eye in found.eyes:
         for name in ("color", "sharp", "depth", "flow"):
-            (one,), (other,) = found.arrays(name, eye), found.arrays(name, eye, "exr")
+            (one,) = found.arrays(name, eye)
+            npz = tmp_path / f"frame_0000_{eye}.npz"
+            away = npz.rename(tmp_path / "away.npz")
+            (other,) = found.arrays(name, eye)
             np.testing.assert_array_equal(one, other, strict=True)
-    with pytest.raises(FileError, match=r"frame_0000.exr: must hold the channel coc; got none of this name"):
-        list(found.arrays("coc", "left", "exr"))
-    (tmp_path / "frame_0000.exr").unlink()
+            away.rename(npz)
     (tmp_path / "frame_0000_left.npz").unlink()
+    with pytest.raises(FileError, match=r"frame_0000.exr: must hold the channel coc; got none of this name"):
+        list(found.arrays("coc", "left"))
+    (tmp_path / "frame_0000.exr").unlink()
     with pytest.raises(FileError, match=r"must hold frame_0000_left.npz or frame_0000.exr, with"):
         list(found.arrays("depth", "left"))
 

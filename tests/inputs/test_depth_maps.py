@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from clsco.errors import FileError
-from clsco.files.depth_codes import dpt_bytes
 from clsco.files.images import check_sizes
 from clsco.inputs.depth_files import read_depth
 from clsco.inputs.depth_maps import inverse_depth
 from clsco.scene.model import Camera, DepthMap
+from tests.files.readers import dpt_bytes
 
 Array = NDArray[Any]
 CAMERA = Camera()  # kappa = 10,000 px mm, in focus at 250.017 mm, 39.997 px at infinity
@@ -199,10 +199,9 @@ def save_parts(path: Path, *parts: dict[str, Array], **last: Any) -> None:
     OpenEXR.File(pages).write(str(path))
 
 
-def test_reads_what_sintel_and_clsco_write(tmp_path: Path) -> None:
-    """A .dpt is in m; clsco writes its mm so."""
+def test_reads_what_sintel_writes(tmp_path: Path) -> None:
     depth = np.array([[200.0, 350.0, np.inf], [500.0, 1e5, 20.0]], np.float32)
-    (tmp_path / "depth.dpt").write_bytes(dpt_bytes(depth))
+    (tmp_path / "depth.dpt").write_bytes(dpt_bytes(depth.astype(np.float64) / 1000))
     found = read_depth(tmp_path / "depth.dpt")
     np.testing.assert_array_equal(found, (depth.astype(np.float64) / 1000).astype(np.float32))
     w = inverse_depth(found, DepthMap(depth="z.dpt", unit="m"), CAMERA).inverse_depth
