@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 import clsco
-from clsco.cli.demo import photograph
 from clsco.frame.contact_sheet import contact_sheet, in_rows
+from clsco.frame.shown import codes_to_show
 from clsco.frame.views import Picture
 
 SIDE, CELL = 240, 64  # px
@@ -84,7 +84,7 @@ def picture() -> Picture:
     tiles = []
     for label, item in objects().items():
         scene = clsco.parse_scene({"camera": CAMERA, "light": LIGHT, "object": [item, behind]})
-        tiles.append((photograph(clsco.render_frame(scene, truth=()).color), label))
+        tiles.append((codes_to_show(clsco.render_frame(scene, truth=()).color), label))
     return contact_sheet(in_rows(tiles), text=14)
 
 

@@ -23,6 +23,7 @@ from clsco.files.images import (
     upright_note,
     writer_for,
 )
+from clsco.files.ranges import first_of
 from clsco.inpainting.rules import MeanMedian
 
 
@@ -59,9 +60,8 @@ def _missing(mask: Path, threshold: float | None) -> NDArray[np.bool_]:
     white = 1 if picture.is_float else np.iinfo(values.dtype).max
     other = (values != 0) & (values != white)
     if other.any():
-        row, column = np.unravel_index(int(other.argmax()), other.shape)
-        got = f"{values[row, column]} at row {row}, column {column} ({int(other.sum())} others in all)"
-        refuse(mask, f"values must be 0 (known) or {white} (missing), or give --threshold", got)
+        rule = f"values must be 0 (known) or {white} (missing), or give --threshold"
+        refuse(mask, rule, first_of(values, other))
     return values == white
 
 

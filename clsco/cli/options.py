@@ -173,34 +173,6 @@ def parse_memory(text: str) -> int:
         raise click.BadParameter(str(error).removeprefix("memory: ")) from None
 
 
-def one_value(name: str, kind: type[Any], *options: Callable[[Command], Command]) -> Callable[[Command], Command]:
-    """Give a command one argument for a group of options.
-
-    Parameters
-    ----------
-    name : str
-        Argument of the command.
-    kind : type
-        Dataclass with a field for each option, of the option's name.
-    *options : decorators
-        Options of click, in the order of the help text.
-    """
-    names = [field.name for field in fields(kind)]
-
-    def decorate(command: Command) -> Command:
-        @wraps(command)
-        def call(**values: Any) -> Any:
-            value = kind(**{field: values.pop(field) for field in names})
-            return command(**values, **{name: value})
-
-        found: Any = call
-        for option in reversed(options):
-            found = option(found)
-        return found
-
-    return decorate
-
-
 @dataclass(frozen=True)
 class Computation:
     """Place and method of computing frames: options of `render` and `defocus`."""
@@ -309,6 +281,13 @@ def quiet_option(command: Command) -> Command:
     return quiet(form(command))
 
 
-computation_options = one_value(
-    "computation", Computation, device_option, precision_option, memory_option, tolerance_option
-)
+def computation_options(command: Command) -> Command:
+    """Give a command the argument `computation`, a Computation of its options."""
+    names = [field.name for field in fields(Computation)]
+
+    @wraps(command)
+    def call(**values: Any) -> Any:
+        return command(computation=Computation(**{name: values.pop(name) for name in names}), **values)
+
+    decorated: Any = call
+    return device_option(precision_option(memory_option(tolerance_option(decorated))))

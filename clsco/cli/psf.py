@@ -77,9 +77,10 @@ def psf(
 
         write_npz(out, stack.arrays())
     else:
-        from clsco.cli.psf_sheet import write_sheet
+        from clsco.cli.psf_sheet import sheet
+        from clsco.files.images import write_png
 
-        write_sheet(out, stack)
+        write_png(out, sheet(stack))
     echo(f"{click.format_filename(out)}: {_about(stack)}")
 
 

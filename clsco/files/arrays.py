@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.errors import import_extra
 from clsco.files.atomic import refuse
 from clsco.files.bounded import member_array, npy_header, open_archive, open_member
-from clsco.files.decoders import check_limits, exr_parts, opened
+from clsco.files.decoders import check_limits, exr_planes, opened
 
 
 def read_npz(path: Path, names: Sequence[str]) -> dict[str, NDArray[np.floating]]:
@@ -40,20 +39,18 @@ def read_exr(path: Path, names: Sequence[str], view: str = "") -> list[NDArray[n
 
     Raises FileError where one is not there or holds no floats, and for over 2^27 pixels or 2^29 values in all.
     """
+    own = [f"{view}.{name}" if view else name for name in names]
+
+    def choose(there: list[str]) -> list[str]:
+        if lost := [name for name, full in zip(names, own, strict=True) if full not in there]:
+            refuse(
+                path, f"must hold the channel {lost[0]}", f"none of this name{f' in the view {view}' if view else ''}"
+            )
+        return own
+
     with opened(path, {".exr": "EXR"}) as (file, _):
-        parts, exr = exr_parts(file), import_extra(path, "OpenEXR", "exr")
-        pages = exr.File(str(path), separate_channels=True).parts
-        if len(pages) != len(parts):  # a part that cannot be decoded is left out by the library
-            raise ValueError(f"{len(pages)} readable parts of {len(parts)}")
-        chosen = [page for page in pages if not view or page.header.get("view") == view]
-        if len(chosen) != 1:
-            refuse(path, f"must hold one view {view}".rstrip(), f"{len(chosen)} of {len(pages)} parts")
-        channels = {name: channel.pixels for name, channel in chosen[0].channels.items()}
-        for name in names:
-            if name not in channels:
-                refuse(path, f"must hold the channel {name}", "none of this name")
-            if channels[name].dtype.kind != "f":
-                refuse(path, f"channel {name} must hold floats", channels[name].dtype)
-        if len({channels[name].shape for name in names}) > 1:
-            refuse(path, f"channels {' '.join(names)} must have one size", [channels[name].shape for name in names])
-        return [channels[name] for name in names]
+        planes = list(exr_planes(file, choose, np.nan).values())
+    for name, plane in zip(names, planes, strict=True):
+        if plane.dtype.kind != "f":
+            refuse(path, f"channel {name} must hold floats", plane.dtype)
+    return planes

@@ -15,6 +15,7 @@ from clsco.files.atomic import refuse
 from clsco.files.bounded import image_shape, member_array, npy_header, open_archive, open_member
 from clsco.files.decoders import IMAGE_FORMATS, check_limits, decoded, exr_planes, opened
 from clsco.files.layers import depth_channels, listed
+from clsco.files.ranges import first_of
 
 MOST_ARRAYS = 256  # in an NPZ
 
@@ -58,9 +59,7 @@ def _single_channel(file: BinaryIO, data: NDArray[Any]) -> NDArray[Any]:
         first = data[..., :1]
         differ = ((data != first) & ~(np.isnan(data) & np.isnan(first))).any(axis=2)
         if differ.any():
-            row, column = (int(index) for index in np.unravel_index(int(differ.argmax()), differ.shape))
-            got = f"{data[row, column].tolist()} at row {row}, column {column} ({int(differ.sum())} in all)"
-            refuse(path, "must hold one depth per pixel: red, green and blue must be equal", got)
+            refuse(path, "must hold one depth per pixel: red, green and blue must be equal", first_of(data, differ))
         data = data[..., 0]
     if data.ndim != 2:
         refuse(path, "shape must be (rows, columns)", data.shape)
