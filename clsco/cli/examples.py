@@ -32,8 +32,8 @@ def examples(names: tuple[str, ...], out: Path | None) -> None:
         if unknown := [name for name in names if name not in files]:
             raise SceneError(f"examples: must be some of {', '.join(known)}; got {shown(unknown[0])}")
         if out is None:
-            wanted = {name: files[name] for name in names} if names else known
-            rows = [(name, _title(path)) for name, path in wanted.items()]
+            listed = {name: files[name] for name in names} if names else known
+            rows = [(name, _title(path)) for name, path in listed.items()]
             print_tables(table("Examples", ("name", "title"), rows))
             echo("clsco examples NAME... -o DIR: copies of the files")
             return

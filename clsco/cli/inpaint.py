@@ -87,11 +87,11 @@ def prepare_out(out: Path, image: Path, mask: Path, is_float: bool | None = None
     return writer
 
 
-def mean_median_options(method: str, given: Mapping[str, Any]) -> MeanMedian | None:
+def mean_median_options(method: str, options: Mapping[str, Any]) -> MeanMedian | None:
     """Constants of mean-median where any is given, None else. Raises SceneError with the name of the option."""
     from clsco.inpainting.methods import THESIS
 
-    constants = {name: value for name, value in given.items() if value is not None}
+    constants = {name: value for name, value in options.items() if value is not None}
     if not constants:
         return None
     option = f"--{next(iter(constants)).replace('_', '-')}"

@@ -200,10 +200,10 @@ def devices(device: str | None, tested: bool, warms: bool) -> None:
     from clsco.opencl.device import list_devices
     from clsco.opencl.self_test import self_test
 
-    found, choice = list_devices(device, "--device")
-    checks = {item: self_test(item) for item in found} if tested else {}
-    if found:
-        print_tables(*device_tables(found, choice.device, checks))
+    all_devices, choice = list_devices(device, "--device")
+    checks = {item: self_test(item) for item in all_devices} if tested else {}
+    if all_devices:
+        print_tables(*device_tables(all_devices, choice.device, checks))
     if choice.device is None:
         raise DeviceError(choice.reason)
     echo(f"used: {choice.device} ({choice.reason})")
@@ -367,18 +367,18 @@ def defocus(
         render_to_folders(loaded, out, files, computation, quiet)
         return
     planned = prepare_files(loaded, request)
-    found = [each for _, _, prepared in planned for each in prepared]
-    prepare_image([each.scene for each in found], out)
+    scenes = [each for _, _, prepared in planned for each in prepared]
+    prepare_image([each.scene for each in scenes], out)
     report_inputs(planned)
-    report_loss(out, found[0].color)
+    report_loss(out, scenes[0].color)
     require_device(computation.device)
     from clsco.cli.progress import progress
     from clsco.engine.sequence import render_prepared
     from clsco.opencl.session import session_for
 
     with progress(1, quiet) as advance:
-        for _, frame in render_prepared(session_for(computation.device), found):
-            write_color(out, frame, frame.metadata["bits"], found[0].scene.image.transfer, found[0].color)
+        for _, frame in render_prepared(session_for(computation.device), scenes):
+            write_color(out, frame, frame.metadata["bits"], scenes[0].scene.image.transfer, scenes[0].color)
             advance()
 
 

@@ -112,12 +112,12 @@ def attribute(place: str) -> Callable[[], Iterable[str]]:
     "clsco.scene.shapes:DepthMap.unit", the values that it can have."""
     module, _, path = place.partition(":")
 
-    def found() -> Iterable[str]:
+    def names() -> Iterable[str]:
         name, _, field = path.partition(".")
         value = getattr(import_module(module), name)
         return get_args(value.model_fields[field].annotation) if field else value
 
-    return found
+    return names
 
 
 def _arrays() -> tuple[str, ...]:
@@ -240,8 +240,8 @@ def truth_options(command: Command) -> Command:
     def call(truth: str, formats: str, types: str, **values: Any) -> Any:
         return command(files=_files(truth, formats, types), **values)
 
-    found: Any = call
-    return _TRUTH(_FORMAT(types_option(found)))
+    decorated: Any = call
+    return _TRUTH(_FORMAT(types_option(decorated)))
 
 
 no_color_option = click.option(

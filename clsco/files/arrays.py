@@ -19,7 +19,7 @@ def read_npz(path: Path, names: Sequence[str]) -> dict[str, NDArray[np.floating]
     Raises FileError where one is not there, is no such array, or has over 2^27 pixels.
     """
     with opened(path, {".npz": "NPZ"}) as (file, _), open_archive(file) as archive:
-        found = {}
+        arrays = {}
         for name in names:
             if f"{name}.npy" not in archive.NameToInfo:
                 refuse(path, f"must hold the array {name}", "none of this name")
@@ -30,8 +30,8 @@ def read_npz(path: Path, names: Sequence[str]) -> dict[str, NDArray[np.floating]
                 rule = f"array {name} must hold floats of shape (rows, columns[, 2 or 3])"
                 refuse(path, rule, f"{dtype} of shape {shape}")
             check_limits(path, shape[1], shape[0])
-            found[name] = member_array(archive, f"{name}.npy", header)
-        return found
+            arrays[name] = member_array(archive, f"{name}.npy", header)
+        return arrays
 
 
 def read_exr(path: Path, names: Sequence[str], view: str = "") -> list[NDArray[np.floating]]:

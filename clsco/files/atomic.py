@@ -99,18 +99,18 @@ def together(folder: Path, name: str) -> Iterator[Path]:
     FileError
         The folder cannot be written. Errors from inside name the files as if they were in `folder` already.
     """
-    made = _temporary(folder / name)
+    temporary = _temporary(folder / name)
     try:
-        made.mkdir()
-        yield made
-        for path in sorted(made.iterdir()):
+        temporary.mkdir()
+        yield temporary
+        for path in sorted(temporary.iterdir()):
             path.replace(folder / path.name)
     except (FileError, MissingDependencyError) as error:
-        raise type(error)(str(error).replace(str(made), str(folder))) from error
+        raise type(error)(str(error).replace(str(temporary), str(folder))) from error
     except (OSError, ValueError) as error:
         refuse(folder / name, "the files must be writable", error, error)
     finally:
-        shutil.rmtree(made, ignore_errors=True)
+        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def remove(path: Path) -> None:

@@ -67,13 +67,13 @@ def npy_array(content: bytes | bytearray | memoryview, dtype: np.dtype[Any], sha
 
     It is in the memory of what can be written to.
     """
-    found = npy_header(io.BytesIO(content[:HEADER]))
-    if found.dtype.hasobject or (found.dtype.newbyteorder("="), found.shape) != (dtype, shape):
-        raise ValueError(f"{found.dtype} of shape {found.shape} for {dtype} {shape}")
-    if len(content) != found.start + math.prod(shape) * dtype.itemsize:
-        raise ValueError(f"{len(content)} bytes of {found.dtype} of shape {found.shape}")
-    plain = np.frombuffer(content, found.dtype, math.prod(shape), found.start)
-    array = plain.reshape(shape, order="F" if found.fortran else "C")
+    header = npy_header(io.BytesIO(content[:HEADER]))
+    if header.dtype.hasobject or (header.dtype.newbyteorder("="), header.shape) != (dtype, shape):
+        raise ValueError(f"{header.dtype} of shape {header.shape} for {dtype} {shape}")
+    if len(content) != header.start + math.prod(shape) * dtype.itemsize:
+        raise ValueError(f"{len(content)} bytes of {header.dtype} of shape {header.shape}")
+    plain = np.frombuffer(content, header.dtype, math.prod(shape), header.start)
+    array = plain.reshape(shape, order="F" if header.fortran else "C")
     return np.array(array, dtype, order="C", copy=None if plain.flags.writeable else True)
 
 
@@ -126,13 +126,13 @@ MOST_DEEP = 64
 def strict_json(content: bytes | str) -> Any:
     """Parse JSON. Raises ValueError for other texts, for NaN and infinity, and beyond `MOST_DEEP` levels."""
     try:
-        found = json.loads(content, parse_constant=_refuse_number)
+        value = json.loads(content, parse_constant=_refuse_number)
     except RecursionError:
         raise ValueError("nested too deeply") from None
     text = content if isinstance(content, bytes) else content.encode(errors="replace")
-    if text.count(b"[") + text.count(b"{") > MOST_DEEP and _is_deep(found):  # most have fewer, which is soon counted
+    if text.count(b"[") + text.count(b"{") > MOST_DEEP and _is_deep(value):  # most have fewer, which is soon counted
         raise ValueError("nested too deeply")
-    return found
+    return value
 
 
 def _refuse_number(text: str) -> NoReturn:

@@ -84,8 +84,8 @@ def opened(path: str | os.PathLike[str], formats: Mapping[str, str] = IMAGE_FORM
                 refuse(path, f"the extension must be one of {' '.join(formats)}", repr(path.suffix))
             head = file.read(8)
             if not head.startswith(_FIRST_BYTES[kind]):
-                found = next((name for name, first in _FIRST_BYTES.items() if head.startswith(first)), None)
-                got = found or (f"the first bytes {head!r}" if head else "an empty file")
+                content = next((name for name, first in _FIRST_BYTES.items() if head.startswith(first)), None)
+                got = content or (f"the first bytes {head!r}" if head else "an empty file")
                 refuse(path, f"the content must be {kind}, as the extension says", got)
             file.seek(0)
             yield file, kind
@@ -143,9 +143,9 @@ def _stored_size(file: BinaryIO, kind: str) -> tuple[int, int]:
 def tags(file: BinaryIO, kind: str) -> Tags:
     """Read the header of an opened file; goes back to its first byte."""
     file.seek(0)
-    found = _TAGS.get(kind, lambda _: Tags())(file)
+    file_tags = _TAGS.get(kind, lambda _: Tags())(file)
     file.seek(0)
-    return found
+    return file_tags
 
 
 def check_limits(path: Path, columns: int, rows: int) -> None:
@@ -236,11 +236,11 @@ def _jpeg_size(file: BinaryIO) -> tuple[int, int]:
 
 def _scans(content: bytes) -> int:
     """Scans of a JPEG, up to its end: a few bytes each may have a decoder go over all pixels."""
-    found, at, mark = 0, 2, re.compile(rb"\xff+([\x01-\xcf\xd8-\xfe])")  # but for those within the pixels of a scan
+    scans, at, mark = 0, 2, re.compile(rb"\xff+([\x01-\xcf\xd8-\xfe])")  # but for those within the pixels of a scan
     while (match := mark.search(content, at)) is not None and match[1] != b"\xd9":
-        found += match[1] == b"\xda"
+        scans += match[1] == b"\xda"
         at = match.end() + int.from_bytes(content[match.end() : match.end() + 2], "big")
-    return found
+    return scans
 
 
 def _decode_jpeg(file: BinaryIO) -> NDArray[Any]:
@@ -256,32 +256,32 @@ def _decode_jpeg(file: BinaryIO) -> NDArray[Any]:
 def _tiff_header(file: BinaryIO) -> tuple[dict[str, Any], bytes]:
     """Read the tags of a TIFF's page, and its color profile."""
     require_extra(path_of(file), "tifffile", "formats")
-    found, (profile,) = confined("clsco.files.tiff:header", file, MOST_TAG)
-    if found["pages"] != 1:
-        refuse(path_of(file), "must be a single image", f"{found['pages']} pages")
-    return found, profile.tobytes()
+    header, (profile,) = confined("clsco.files.tiff:header", file, MOST_TAG)
+    if header["pages"] != 1:
+        refuse(path_of(file), "must be a single image", f"{header['pages']} pages")
+    return header, profile.tobytes()
 
 
 def _tiff_size(file: BinaryIO) -> tuple[int, int]:
-    found, _ = _tiff_header(file)
-    return found["columns"], found["rows"]
+    header, _ = _tiff_header(file)
+    return header["columns"], header["rows"]
 
 
 def _tiff_tags(file: BinaryIO) -> Tags:
-    found, profile = _tiff_header(file)
-    return Tags(found["orientation"], profile)
+    header, profile = _tiff_header(file)
+    return Tags(header["orientation"], profile)
 
 
 def _decode_tiff(file: BinaryIO) -> NDArray[Any]:
-    found, _ = _tiff_header(file)
-    samples, extra, bits = found["samples"], found["extra"], found["bits"]
-    kind = (found["photometric"], samples - extra)
-    if kind not in (("MINISBLACK", 1), ("RGB", 3)) or extra > 1 or found["planes"] != 1:
+    header, _ = _tiff_header(file)
+    samples, extra, bits = header["samples"], header["extra"], header["bits"]
+    kind = (header["photometric"], samples - extra)
+    if kind not in (("MINISBLACK", 1), ("RGB", 3)) or extra > 1 or header["planes"] != 1:
         got = f"{kind[0]} with {samples} samples per pixel"
         refuse(path_of(file), "a TIFF must be gray (0 is black) or RGB, with at most an alpha channel", got)
     if bits not in (8, 16, 32, 64):
         refuse(path_of(file), "a TIFF must have 8 or 16 bits, or floats", f"{bits} bits")
-    most = found["columns"] * found["rows"] * samples * bits // 8
+    most = header["columns"] * header["rows"] * samples * bits // 8
     data = confined("clsco.files.tiff:pixels", file, most)[1][0]
     return _without_alpha(file, data) if extra else data
 
@@ -344,19 +344,19 @@ def exr_planes(file: BinaryIO, choose: Callable[[list[str]], list[str]], outside
     named = full_names(
         [(str(part.header.get("name", "")), [c.name for c in part.header["channels"]]) for part in parts]
     )
-    wanted = choose([name for names in named for name in names.values()])
+    chosen = choose([name for names in named for name in names.values()])
     pages = import_extra(path, "OpenEXR", "exr").File(str(path), separate_channels=True).parts
     if len(pages) != len(parts):  # a part that cannot be decoded is left out by the library
         raise ValueError(f"{len(pages)} readable parts of {len(parts)}")
-    found = {}
+    planes = {}
     for part, names, page in zip(parts, named, pages, strict=True):
         for own, name in names.items():
-            if name in wanted:
+            if name in chosen:
                 plane = page.channels[own].pixels
                 if plane.shape != _window(part.header["dataWindow"])[::-1]:
                     raise ValueError(f"channel {listed([name])} of shape {plane.shape}")
-                found[name] = _in_display(part.header, plane, outside)
-    return {name: found[name] for name in wanted}
+                planes[name] = _in_display(part.header, plane, outside)
+    return {name: planes[name] for name in chosen}
 
 
 def _in_display(header: Mapping[str, Any], plane: NDArray[Any], outside: float) -> NDArray[Any]:

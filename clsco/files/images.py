@@ -100,7 +100,7 @@ def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
 
 
 def check_sizes(
-    image: str, wanted: tuple[int, int], other: str, size: tuple[int, int], hint: str = "one of them lies on its side"
+    image: str, right: tuple[int, int], other: str, size: tuple[int, int], hint: str = "one of them lies on its side"
 ) -> None:  # fmt: skip
     """Raise FileError where a mask or a depth map has not the size of its image.
 
@@ -108,14 +108,14 @@ def check_sizes(
     ----------
     image, other : str
         Their names.
-    wanted, size : (int, int)
+    right, size : (int, int)
         Columns and rows.
     hint : str
         Hint where rows and columns are exchanged.
     """
-    if size != wanted:
-        sizes = [f"{columns} x {rows}" for columns, rows in (wanted, size)]
-        got = f"{sizes[1]} ({hint})" if size == wanted[::-1] else sizes[1]
+    if size != right:
+        sizes = [f"{columns} x {rows}" for columns, rows in (right, size)]
+        got = f"{sizes[1]} ({hint})" if size == right[::-1] else sizes[1]
         refuse(Path(other), f"the size must be that of {image}, {sizes[0]} pixels", got)
 
 
@@ -150,11 +150,11 @@ def _turned_alone(image: str, other: str, formats: Mapping[str, str]) -> tuple[i
     """The only orientation that two files have, which of them has it, and which not; 1 and "" where none or both do."""
     if image == other:
         return 1, "", ""
-    found = {image: _orientation(image, IMAGE_FORMATS), other: _orientation(other, formats)}
-    turned = [path for path, orientation in found.items() if orientation != 1]
+    orientations = {image: _orientation(image, IMAGE_FORMATS), other: _orientation(other, formats)}
+    turned = [path for path, orientation in orientations.items() if orientation != 1]
     if len(turned) != 1:
         return 1, "", ""
-    return found[turned[0]], turned[0], other if turned[0] == image else image
+    return orientations[turned[0]], turned[0], other if turned[0] == image else image
 
 
 def _orientation(path: str, formats: Mapping[str, str]) -> int:

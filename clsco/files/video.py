@@ -244,8 +244,8 @@ class _FromFramesError(Exception):
 
 def _showable(where: Path, frames: Iterable[NDArray[Any]]) -> Iterator[NDArray[Any]]:
     """Frames of numbers that can be shown."""
-    for number, given in enumerate(frames):
-        frame, name = np.asarray(given), f"frame {number}"
+    for number, image in enumerate(frames):
+        frame, name = np.asarray(image), f"frame {number}"
         if frame.ndim not in (2, 3) or frame.shape[2:] not in ((), (3,)) or 0 in frame.shape:
             refuse(where, f"{name}: shape must be (rows, columns) or (rows, columns, 3)", frame.shape)
         if frame.dtype.kind != "f" and frame.dtype not in (np.uint8, np.uint16):
@@ -359,16 +359,16 @@ class _Clip:
     def changes(self, name: str) -> tuple[str, ...]:
         """Changes against the frames that readers see."""
         rows, columns = self.first.shape[:2]
-        found = []
+        notes = []
         if self.first.dtype == np.uint16 and self.preset.bits < 16:
-            found.append(f"codes of 16 bits rounded to {self.preset.bits}; ffv1-16 keeps them")
+            notes.append(f"codes of 16 bits rounded to {self.preset.bits}; ffv1-16 keeps them")
         if self.size != (columns, rows):
             whole = ", ".join(known for known, preset in PRESETS.items() if preset.blocks == (1, 1))
             stored = f"{self.size[0]} x {self.size[1]} px, with the last row or column again"
-            found.append(
+            notes.append(
                 f"{columns} x {rows} px stored as {stored}, as {name} needs even sizes; these keep odd ones: {whole}"
             )
-        return tuple(found)
+        return tuple(notes)
 
 
 def _with_bits(codes: NDArray[Any], bits: int) -> NDArray[Any]:

@@ -80,18 +80,20 @@ def sensor_truth(
         Light of the exposure, for `electrons` and `noise_sigma`.
     sensor_model : SensorModel
     """
-    found: dict[str, NDArray[Any]] = {}
+    arrays: dict[str, NDArray[Any]] = {}
     if "raw" in names:
-        found["raw"] = raw
+        arrays["raw"] = raw
     if light is not None:
         channels = np.atleast_3d(light).astype(np.float64)
-        taken = np.minimum(of_sites((0, 1, 2), sensor_model, raw.shape[:2]), sensor_model.channels - 1)
-        own = np.maximum(np.take_along_axis(channels, taken, axis=2), 0.0)
+        channel = np.minimum(of_sites((0, 1, 2), sensor_model, raw.shape[:2]), sensor_model.channels - 1)
+        own = np.maximum(np.take_along_axis(channels, channel, axis=2), 0.0)
         photo = own * of_sites(sensor_model.scale, sensor_model, raw.shape[:2])
         if "electrons" in names:
-            found["electrons"] = (photo + sensor_model.dark).astype(np.float32)
+            arrays["electrons"] = (photo + sensor_model.dark).astype(np.float32)
         if "noise_sigma" in names:
-            found["noise_sigma"] = np.sqrt(noise_variance(sensor_model, photo)).astype(np.float32)
+            arrays["noise_sigma"] = np.sqrt(noise_variance(sensor_model, photo)).astype(np.float32)
     if "saturated" in names:
-        found["saturated"] = saturated
-    return {name: array if array.shape[2] > 1 else np.ascontiguousarray(array[..., 0]) for name, array in found.items()}
+        arrays["saturated"] = saturated
+    return {
+        name: array if array.shape[2] > 1 else np.ascontiguousarray(array[..., 0]) for name, array in arrays.items()
+    }

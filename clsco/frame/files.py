@@ -31,20 +31,20 @@ from clsco.resources import read_regular
 from clsco.scene.model import Scene
 
 
-def _single(shot: Shot, wanted: TruthFile) -> NDArray[Any]:
+def _single(shot: Shot, file: TruthFile) -> NDArray[Any]:
     """The array of a file that holds one."""
     (frame,) = shot.views
-    (array,) = wanted.arrays(frame).values()
+    (array,) = file.arrays(frame).values()
     return array
 
 
-def _write_npz(path: Path, shot: Shot, wanted: TruthFile) -> None:
+def _write_npz(path: Path, shot: Shot, file: TruthFile) -> None:
     (frame,) = shot.views
-    write_npz(path, wanted.arrays(frame), wanted.compressed)
+    write_npz(path, file.arrays(frame), file.compressed)
 
 
-def _write_exr(path: Path, shot: Shot, wanted: TruthFile) -> None:
-    channels = [exr_channels(_per_pixel(shot, frame, wanted.arrays(frame))) for frame in shot.views]
+def _write_exr(path: Path, shot: Shot, file: TruthFile) -> None:
+    channels = [exr_channels(_per_pixel(shot, frame, file.arrays(frame))) for frame in shot.views]
     names = [frame.eye for frame in shot.views] if len(shot.views) > 1 else ()
     known = [] if shot.scene is None else [exr_attributes(shot.scene, view.index, eye_of(view)) for view in shot.views]
     if not shot.color.is_plain:  # an EXR without chromaticities where only a profile has its primaries
@@ -63,41 +63,41 @@ def _per_pixel(shot: Shot, frame: Frame, arrays: dict[str, NDArray[Any]]) -> dic
     return arrays | {"row_time": np.broadcast_to(lines, frame.color.shape[:2])}
 
 
-def _write_npy(path: Path, shot: Shot, wanted: TruthFile) -> None:
-    write_whole(path, npy_bytes(_single(shot, wanted)))
+def _write_npy(path: Path, shot: Shot, file: TruthFile) -> None:
+    write_whole(path, npy_bytes(_single(shot, file)))
 
 
-def _write_pfm(path: Path, shot: Shot, wanted: TruthFile) -> None:
-    array = _single(shot, wanted)
-    if wanted.names[0] in (*_FLOWS, "disparity"):  # which are 0 where nothing is
+def _write_pfm(path: Path, shot: Shot, file: TruthFile) -> None:
+    array = _single(shot, file)
+    if file.names[0] in (*_FLOWS, "disparity"):  # which are 0 where nothing is
         vectors = array.reshape(*array.shape[:2], -1)
-        known = _known(shot, wanted)[..., None] & np.isfinite(vectors).all(axis=-1, keepdims=True)
+        known = _known(shot, file)[..., None] & np.isfinite(vectors).all(axis=-1, keepdims=True)
         array = np.where(known, vectors, np.float32(np.inf)).reshape(array.shape)
     write_whole(path, pfm_bytes(array, str(path)))
 
 
-def _write_codes(path: Path, shot: Shot, wanted: TruthFile) -> None:
-    write_png(path, _single(shot, wanted))
+def _write_codes(path: Path, shot: Shot, file: TruthFile) -> None:
+    write_png(path, _single(shot, file))
 
 
-def _write_code_tiff(path: Path, shot: Shot, wanted: TruthFile) -> None:
-    write_tiff(path, _single(shot, wanted))
+def _write_code_tiff(path: Path, shot: Shot, file: TruthFile) -> None:
+    write_tiff(path, _single(shot, file))
 
 
-def _write_flo(path: Path, shot: Shot, wanted: TruthFile) -> None:
-    write_whole(path, flo_bytes(_single(shot, wanted), _known(shot, wanted), str(path)))
+def _write_flo(path: Path, shot: Shot, file: TruthFile) -> None:
+    write_whole(path, flo_bytes(_single(shot, file), _known(shot, file), str(path)))
 
 
-def _write_kitti_flow(path: Path, shot: Shot, wanted: TruthFile) -> None:
-    write_png(path, kitti_flow_codes(_single(shot, wanted), _known(shot, wanted), str(path)))
+def _write_kitti_flow(path: Path, shot: Shot, file: TruthFile) -> None:
+    write_png(path, kitti_flow_codes(_single(shot, file), _known(shot, file), str(path)))
 
 
-def _write_kitti_disparity(path: Path, shot: Shot, wanted: TruthFile) -> None:
-    write_png(path, kitti_disparity_codes(_single(shot, wanted), _known(shot, wanted), str(path)))
+def _write_kitti_disparity(path: Path, shot: Shot, file: TruthFile) -> None:
+    write_png(path, kitti_disparity_codes(_single(shot, file), _known(shot, file), str(path)))
 
 
-def _write_kitti_depth(path: Path, shot: Shot, wanted: TruthFile) -> None:
-    write_png(path, kitti_depth_codes(_single(shot, wanted), str(path)))
+def _write_kitti_depth(path: Path, shot: Shot, file: TruthFile) -> None:
+    write_png(path, kitti_depth_codes(_single(shot, file), str(path)))
 
 
 def _write_colmap(folder: Path, shot: Shot, _wanted: TruthFile) -> None:
@@ -105,14 +105,14 @@ def _write_colmap(folder: Path, shot: Shot, _wanted: TruthFile) -> None:
     assert scene is not None
     shown: dict[Eye, str] = {"left": "left" if scene.stereo else "", "right": "right"}
     texts = colmap_texts((f"{_stem(index, shown[eye])}.png", camera) for index, eye, camera in all_pinholes(scene))
-    with together(writable_folder(folder), "model") as made:
+    with together(writable_folder(folder), "model") as temporary:
         for name, content in texts.items():
-            write_whole(made / name, content)
+            write_whole(temporary / name, content)
 
 
-def _known(shot: Shot, wanted: TruthFile) -> NDArray[np.bool_]:
+def _known(shot: Shot, file: TruthFile) -> NDArray[np.bool_]:
     """Mark known pixels of a flow or a disparity: on surfaces, and of flow on those that do not get behind the lens."""
-    (frame,), (name,) = shot.views, wanted.names
+    (frame,), (name,) = shot.views, file.names
     assert frame.mask is not None  # is among what the format needs besides
     if name not in _FLOWS or shot.scene is None or not shot.scene.moves:
         return frame.mask
@@ -270,17 +270,17 @@ def write_frame(
     by_eye = {frame.eye: frame for frame in views}
     held = {in_file for name, in_file in FILE_NAMES.items() if all(getattr(view, name) is not None for view in views)}
     described, curve = frame_json(folder, index), color.transfer(transfer)
-    with together(Path(folder), _stem(index, "")) as made:
+    with together(Path(folder), _stem(index, "")) as temporary:
         for eye, frame in by_eye.items():
             images = [frame.color, *(() if frame.subframes is None else frame.subframes)] if "color" in held else []
             stem = _stem(index, eye if stereo else "")
             for name, image in zip(_pictures(stem, len(images) - 1), images, strict=bool(images)):
-                write_png(made / name, encode(image, min(bits, 16), curve), color)
+                write_png(temporary / name, encode(image, min(bits, 16), curve), color)
         for file in truth:
-            for name, eyes, wanted in _truth_names(index, list(by_eye), file, held):
+            for name, eyes, part in _truth_names(index, list(by_eye), file, held):
                 shot = Shot(tuple(by_eye[eye] for eye in eyes), scene, color)
-                TRUTH_FORMATS[file.format].write(made / name, shot, wanted)
-        digests = {path.name: sha256(path) for path in sorted(made.iterdir())}
+                TRUTH_FORMATS[file.format].write(temporary / name, shot, part)
+        digests = {path.name: sha256(path) for path in sorted(temporary.iterdir())}
         remove(described)  # an older frame is not whole any more
     recorded = {"views": {frame.eye: dict(frame.metadata) for frame in views}} if stereo else dict(views[0].metadata)
     partial = [str(file) for file in truth if str(file) != file.format]

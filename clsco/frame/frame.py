@@ -156,8 +156,8 @@ class Frame:
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """The image and all truth that was requested, by their names in files, such as "color" and "coc"."""
-        found = {in_file: getattr(self, name) for name, in_file in FILE_NAMES.items()}
-        return {name: array for name, array in found.items() if array is not None}
+        by_name = {in_file: getattr(self, name) for name, in_file in FILE_NAMES.items()}
+        return {name: array for name, array in by_name.items() if array is not None}
 
     def image(self) -> NDArray[np.uint8]:
         """The image as 8-bit codes of sRGB, for `matplotlib.pyplot.imshow`, Pillow and OpenCV.

@@ -33,7 +33,7 @@ def units(scene: Scene) -> dict[str, str]:
     sections = [(name, getattr(scene, name)) for name in type(scene).model_fields if name not in ("groups", "objects")]
     sections += [(f"group[{index}]", group) for index, group in enumerate(scene.groups)]
     sections += [(f"object[{index}]", item) for index, item in enumerate(scene.objects)]
-    found: dict[str, str] = {}
+    units_of_keys: dict[str, str] = {}
     while sections:
         place, model = sections.pop(0)
         for name, field in getattr(type(model), "model_fields", {}).items():
@@ -43,8 +43,8 @@ def units(scene: Scene) -> dict[str, str]:
             sections += [(key, value), *((f"{key}[{k}]", each) for k, each in listed)]
             is_table = hasattr(type(value), "model_fields")  # whose own keys have units
             if (unit := _unit((field.annotation, *field.metadata))) and not is_table:
-                found[key] = unit
-    return found
+                units_of_keys[key] = unit
+    return units_of_keys
 
 
 def _record_units(scene: Scene) -> dict[str, str]:
@@ -132,7 +132,7 @@ def record(scene: Scene, digests: Mapping[str, str] | None = None) -> dict[str, 
     digests_of = [(item, _digests(item, known)) for _, item in scene.inputs]
 
     def of(what: str) -> dict[str, str]:
-        return {str(item.inputs()[what]): found[what] for item, found in digests_of if what in found}
+        return {str(item.inputs()[what]): hashes[what] for item, hashes in digests_of if what in hashes}
 
     content = dump(scene)
     for place, item in scene.inputs:

@@ -56,10 +56,10 @@ class TruthFile:
     def arrays(self, frame: Frame) -> dict[str, NDArray[Any]]:
         """The arrays of a frame in it, as they are called in files. Raises FileError for floats beyond float16."""
         known = frame.arrays()
-        found = {name: array for name, array in known.items() if name in (self.names or known)}
-        halves = found if ALL in self.float16 else self.float16
+        held = {name: array for name, array in known.items() if name in (self.names or known)}
+        halves = held if ALL in self.float16 else self.float16
         where = f"frame {frame.index}"
-        return {name: in_float16(f"{where}: {name}", each) if name in halves else each for name, each in found.items()}
+        return {name: in_float16(f"{where}: {name}", each) if name in halves else each for name, each in held.items()}
 
 
 def in_float16(where: str, array: NDArray[Any]) -> NDArray[Any]:
@@ -149,7 +149,7 @@ def parse_types(text: str, known: Mapping[str, Sequence[str]]) -> dict[str, str]
     SceneError
         Anything else; one message for each.
     """
-    found: dict[str, str] = {}
+    types: dict[str, str] = {}
     faults = []
     every = {dtype for dtypes in known.values() for dtype in dtypes}
     for part in text.split(",") if text else ():
@@ -159,14 +159,14 @@ def parse_types(text: str, known: Mapping[str, Sequence[str]]) -> dict[str, str]
             faults.append(f"types: must name arrays, some of {', '.join(known)}; got {part}")
         elif dtype not in dtypes:
             faults.append(f"types: {name} must be one of {', '.join(dtypes)}; got {part}")
-        elif name in found:
+        elif name in types:
             faults.append(f"types: must name each array once; got {name} twice")
         else:
-            found[name] = dtype
+            types[name] = dtype
     if faults:
         raise SceneError(faults)
-    others = found.pop(ALL, "")
-    return {name: others for name, dtypes in known.items() if others in dtypes} | found
+    others = types.pop(ALL, "")
+    return {name: others for name, dtypes in known.items() if others in dtypes} | types
 
 
 def wanted_files(truth: str, formats: str, types: str, known: Mapping[str, TruthFormat]) -> tuple[TruthFile, ...]:
@@ -199,10 +199,10 @@ def wanted_files(truth: str, formats: str, types: str, known: Mapping[str, Truth
     names = () if truth in (ALL, "") else array_names(truth)
     stored = parse_types(types, dict.fromkeys(ATTRIBUTES, FLOATS))
     halves = tuple(name for name, dtype in stored.items() if dtype == "float16")
-    found = [_in_format(part, names, halves, known) for part in (formats or "npz").split(",")]
-    if lost := [name for name in names if all(name not in file.names for file in found)]:
+    files_in_formats = [_in_format(part, names, halves, known) for part in (formats or "npz").split(",")]
+    if lost := [name for name in names if all(name not in file.names for file in files_in_formats)]:
         raise SceneError(f"format: must be one that holds {lost[0]}; got {formats or 'npz'}")
-    files = tuple(dict.fromkeys(found))
+    files = tuple(dict.fromkeys(files_in_formats))
     if len({file.format for file in files}) < len(files):
         raise SceneError(f"format: must name each format once; got {formats}")
     return files

@@ -123,12 +123,12 @@ class Playing:
     def about(self, interval: float, where: str) -> str:
         """Describe the rate, and how it differs from the scene's."""
         rate = self.rate(interval, where)
-        said = f"{rate} frames per second"
+        text = f"{rate} frames per second"
         if self.fps is None and self.speed == 1:
             hint = "; clsco video --fps 24 plays it faster" if interval == 1 else ""
-            return f"{said}, as sequence.interval = {interval:g} s{hint}"
+            return f"{text}, as sequence.interval = {interval:g} s{hint}"
         times = float(rate) * interval
-        return f"{said}, {times:.6g} times the speed of the scene (sequence.interval = {interval:g} s)"
+        return f"{text}, {times:.6g} times the speed of the scene (sequence.interval = {interval:g} s)"
 
 
 def write_folder_clip(

@@ -135,7 +135,7 @@ def written_frames(folder: Path, only: range | None = None) -> WrittenFrames:
         for one, other in pairwise(numbers)
         if other != one + 1
     ]
-    found: dict[int, tuple[float, str, bool, int]] = {}
+    facts: dict[int, tuple[float, str, bool, int]] = {}
     scenes = set()
     for number in numbers:
         path = frame_json(folder, number)
@@ -143,10 +143,10 @@ def written_frames(folder: Path, only: range | None = None) -> WrittenFrames:
         if content is None:
             continue
         scenes.add(str(content.get("scene_sha256")))
-        found[number] = known = _known(content, path, faults)
-        first = found[min(found)]
+        facts[number] = known = _known(content, path, faults)
+        first = facts[min(facts)]
         if known[:3] != first[:3]:
-            rule = f"must have the interval, transfer and views of frame {min(found)}, {_said(first)}"
+            rule = f"must have the interval, transfer and views of frame {min(facts)}, {_said(first)}"
             faults.append(f"{path}: {rule}; got {_said(known)}")
         stem = path.with_suffix("").name
         for name in (f"{stem}_left.png", f"{stem}_right.png") if known[2] else (f"{stem}.png",):
@@ -155,7 +155,7 @@ def written_frames(folder: Path, only: range | None = None) -> WrittenFrames:
     if faults:
         more = [f"{folder}: and {len(faults) - MOST_FAULTS} more faults"] if len(faults) > MOST_FAULTS else []
         raise SceneError(faults[:MOST_FAULTS] + more)
-    interval, transfer, is_stereo, count = found[numbers[0]]
+    interval, transfer, is_stereo, count = facts[numbers[0]]
     eyes = ("left", "right") if is_stereo else ("",)
     whole = range(numbers[0], numbers[-1] + 1)
     return WrittenFrames(folder, whole, eyes, interval, transfer, count, frozenset(scenes))
@@ -163,8 +163,8 @@ def written_frames(folder: Path, only: range | None = None) -> WrittenFrames:
 
 def _numbers(folder: Path) -> Iterator[int]:
     """Numbers of the frames whose JSON file or PNG is there."""
-    found = (re.fullmatch(r"frame_([0-9]{4,9})(_left|_right)?\.(?:json|png)", path.name) for path in folder.iterdir())
-    numbers = {match[1] for match in found if match}
+    matches = (re.fullmatch(r"frame_([0-9]{4,9})(_left|_right)?\.(?:json|png)", path.name) for path in folder.iterdir())
+    numbers = {match[1] for match in matches if match}
     return (int(text) for text in numbers if text == f"{int(text):04d}")
 
 
@@ -188,24 +188,30 @@ def _known(content: Mapping[str, Any], path: Path, faults: list[str]) -> tuple[f
 
     def value(table: str, key: str, default: Any, is_right: Any) -> Any:
         inner = scene.get(table, {})
-        given = inner.get(key, default) if isinstance(inner, dict) else None
-        if is_right(given):
-            return given
-        faults.append(f"{path}: scene.{table}.{key}: must be one of a scene; got {str(given)[:40]}")
+        value_of_key = inner.get(key, default) if isinstance(inner, dict) else None
+        if is_right(value_of_key):
+            return value_of_key
+        faults.append(f"{path}: scene.{table}.{key}: must be one of a scene; got {str(value_of_key)[:40]}")
         return default
 
-    def is_count(given: Any) -> bool:
-        return isinstance(given, int) and 0 < given <= 1_000_000
+    def is_count(value_of_key: Any) -> bool:
+        return isinstance(value_of_key, int) and 0 < value_of_key <= 1_000_000
 
-    def is_time(given: Any) -> bool:
-        return isinstance(given, (int, float)) and not isinstance(given, bool) and 0 < given < math.inf
+    def is_time(value_of_key: Any) -> bool:
+        return (
+            isinstance(value_of_key, (int, float))
+            and not isinstance(value_of_key, bool)
+            and 0 < value_of_key < math.inf
+        )
 
-    given = content.get("scene")
-    if not isinstance(given, dict):
-        faults.append(f"{path}: scene: must be a table, as clsco render writes it; got {type(given).__name__}")
-    scene = given if isinstance(given, dict) else {}
+    value_of_key = content.get("scene")
+    if not isinstance(value_of_key, dict):
+        faults.append(f"{path}: scene: must be a table, as clsco render writes it; got {type(value_of_key).__name__}")
+    scene = value_of_key if isinstance(value_of_key, dict) else {}
     interval = float(min(value("sequence", "interval", 1.0, is_time), 1e300))
-    transfer = value("image", "transfer", "srgb", lambda given: isinstance(given, str) and given in TRANSFERS)
+    transfer = value(
+        "image", "transfer", "srgb", lambda value_of_key: isinstance(value_of_key, str) and value_of_key in TRANSFERS
+    )
     return interval, transfer, scene.get("stereo") is not None, value("sequence", "frames", 1, is_count)
 
 

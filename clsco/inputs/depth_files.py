@@ -70,11 +70,11 @@ def _decode_exr(file: BinaryIO, layer: str | None) -> NDArray[Any]:
     path = Path(file.name)
 
     def choose(names: list[str]) -> list[str]:
-        wanted = depth_channels(names, layer)
-        if not wanted:
+        channels = depth_channels(names, layer)
+        if not channels:
             rule = "an EXR must hold one depth: a channel Z, V, R or Y, or Z or V of a layer"
             refuse(path, f"{rule} {listed([layer])}" if layer else rule, listed(names))
-        return wanted
+        return channels
 
     first, *others = exr_planes(file, choose, np.nan).items()
     name, data = first
@@ -88,13 +88,13 @@ def _decode_npz(file: BinaryIO) -> NDArray[Any]:
     path = Path(file.name)
     with open_archive(file) as archive:
         names = (name for name in archive.namelist() if name.endswith(".npy"))
-        found = {name.removesuffix(".npy"): name for name in islice(names, MOST_ARRAYS + 1)}
+        entries = {name.removesuffix(".npy"): name for name in islice(names, MOST_ARRAYS + 1)}
         if "depth.npy" in archive.NameToInfo:
-            found = {"depth": "depth.npy"}
-        elif len(found) > MOST_ARRAYS:
+            entries = {"depth": "depth.npy"}
+        elif len(entries) > MOST_ARRAYS:
             refuse(path, f"an NPZ must hold an array depth, or at most {MOST_ARRAYS} arrays", "more")
         headers = {}
-        for name, entry in found.items():
+        for name, entry in entries.items():
             with open_member(archive, entry) as member:
                 headers[name] = npy_header(member)
         flat = [name for name, header in headers.items() if len(image_shape(header.shape)) == 2 or name == "depth"]
@@ -107,7 +107,7 @@ def _decode_npz(file: BinaryIO) -> NDArray[Any]:
             rule = f"array {listed(flat)} must hold numbers of shape (rows, columns)"
             refuse(path, rule, f"{dtype} of shape {header.shape}")
         check_limits(path, shape[1], shape[0])
-        return member_array(archive, found[flat[0]], header).reshape(shape)
+        return member_array(archive, entries[flat[0]], header).reshape(shape)
 
 
 def _decode_dpt(file: BinaryIO) -> NDArray[Any]:

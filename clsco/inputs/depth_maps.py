@@ -242,11 +242,11 @@ def _without_soft_edges(
     if values.invalid:
         radius[w == 0] = np.nan
         depth = None if depth is None else np.where(w > 0, depth, np.nan)
-    pixels, found = assign_soft_edges(radius, depth, image)
+    pixels, radii = assign_soft_edges(radius, depth, image)
     if not len(pixels):
         return values
     w = w.copy()
-    w.flat[pixels] = np.maximum(found / per_px, FARTHEST)
+    w.flat[pixels] = np.maximum(radii / per_px, FARTHEST)
     return replace(values, inverse_depth=w, soft=len(pixels))
 
 

@@ -68,14 +68,14 @@ def dump_scene(scene: Scene, path: str | os.PathLike[str] | None = None) -> str:
     if target.suffix.lower() != ".toml":
         raise SceneError(f"{target}: a scene is written to a file that ends in .toml; got {target.suffix!r}")
     data: dict[str, Any] = given(absolute(scene, Path.cwd()))
-    with together(target.parent, target.name) as made:
+    with together(target.parent, target.name) as temporary:
         for place, item in scene.inputs:
             for key, array in item.arrays().items():
                 name = "_".join(map(str, (target.stem, *place, key))) + ".npy"
-                with whole_file(made / name) as file:
+                with whole_file(temporary / name) as file:
                     np.lib.format.write_array(file, array.array, allow_pickle=False)
                 table_at(data, place)[key] = name
         text = toml_text(data)
-        with whole_file(made / target.name) as file:
+        with whole_file(temporary / target.name) as file:
             file.write(text.encode())
     return text

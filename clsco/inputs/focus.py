@@ -117,10 +117,10 @@ def focused(scene: Scene, files: InputFiles, focus: Focus) -> Scene:
             raise SceneError(f"focus: must be on a surface; got nothing at {x},{y}")
     else:
         step = 1 + int(np.sqrt(rows * columns / MOST_POINTS))
-        found, _ = seen(scene, maps, np.arange(0, rows, step), np.arange(0, columns, step))
-        if not (found > 0).any():
+        depths, _ = seen(scene, maps, np.arange(0, rows, step), np.arange(0, columns, step))
+        if not (depths > 0).any():
             raise SceneError("focus: must be on a surface; got nothing in the picture")
-        w = float(np.quantile(found[found > 0], 1.0 - focus.on, method="nearest"))
+        w = float(np.quantile(depths[depths > 0], 1.0 - focus.on, method="nearest"))
     if w * MAX_LENGTH_MM < 1.0:
         return scene.replace("camera.sensor_distance", scene.camera.focal_length)
     return scene.replace("camera.focus_distance", 1.0 / w)

@@ -69,12 +69,12 @@ def dimmed(textures: Sequence[Texture], factor: float) -> tuple[Texture, ...]:
     """Textures with their radiance times a factor."""
     if factor == 1.0:
         return tuple(textures)
-    found = {}
+    scaled = {}
     for texture in textures:
         first, *others = (image * np.float32(factor) for image in texture.images)
         content = None if texture.content is None else (texture.content, factor)
-        found[texture] = replace(texture, radiance=first, others=tuple(others), content=content)
-    return tuple(found[texture] for texture in textures)
+        scaled[texture] = replace(texture, radiance=first, others=tuple(others), content=content)
+    return tuple(scaled[texture] for texture in textures)
 
 
 def _pupil(picture: Picture, transfer: str, aperture: Aperture) -> Image:

@@ -157,15 +157,15 @@ def is_gray(name: str) -> bool:
 
 def with_coverage(texture: Texture, channels: int, covers: bool) -> Texture:
     """A texture of so many channels, and one more: 1 where it covers surfaces behind it, else 0."""
-    found = []
+    images = []
     for image in texture.images:
         wider = empty_image((*image.shape[:2], channels + 1))
         wider[..., :channels] = image[..., None] if image.ndim == 2 else image
         wider[..., channels] = covers
         wider.flags.writeable = False
-        found.append(wider)
+        images.append(wider)
     content = None if texture.content is None else ("covering", texture.content, channels, covers)
-    return replace(texture, radiance=found[0], others=tuple(found[1:]), content=content)
+    return replace(texture, radiance=images[0], others=tuple(images[1:]), content=content)
 
 
 def _by_rows(
@@ -279,7 +279,7 @@ def stretched(scenes: Iterable[Scene]) -> list[str]:
     FileError
         As `texture_size`.
     """
-    size_of, found = cache(texture_size), dict[str, None]()
+    size_of, notes = cache(texture_size), dict[str, None]()
     for scene in scenes:
         width, height = scene.camera.frame_size
         projected = [(item.inputs()["texture"], k) for k, item in enumerate(scene.objects) if item.mapped is None]
@@ -288,8 +288,8 @@ def stretched(scenes: Iterable[Scene]) -> list[str]:
             columns, rows = size_of(source)
             if abs(width * rows - height * columns) >= max(columns, rows):  # in proportion, a side is a pixel off
                 size = f"{columns} x {rows} to the frame's {width} x {height} px"
-                found[f"object[{number}].texture: is stretched from {size}"] = None
-    return list(found)
+                notes[f"object[{number}].texture: is stretched from {size}"] = None
+    return list(notes)
 
 
 def own_size(source: TextureSource) -> tuple[int, int] | None:
@@ -300,16 +300,18 @@ def own_size(source: TextureSource) -> tuple[int, int] | None:
 def mapped_size(sources: tuple[TextureSource, ...]) -> tuple[int, int]:
     """Columns and rows of a texture on a surface, of one side of a cube map. Raises FileError as `load_texture`."""
     known = {(1, 1) if own_size(source) else texture_size(source) for source in sources}
-    found = known - {(1, 1)} or known
-    if len(found) > 1:
-        told = ", ".join(f"{columns} x {rows}" for columns, rows in sorted(found))
-        raise FileError(f"texture: the six sides of a cube map must have one size; got {told} px")
-    return found.pop()
+    sizes = known - {(1, 1)} or known
+    if len(sizes) > 1:
+        listed = ", ".join(f"{columns} x {rows}" for columns, rows in sorted(sizes))
+        raise FileError(f"texture: the six sides of a cube map must have one size; got {listed} px")
+    return sizes.pop()
 
 
 def cube_map(sides: Sequence[Texture]) -> Texture:
     """One texture of the six sides of a cube map; colors are made as large as the others. Raises FileError."""
-    shape = max((side.radiance.shape[:2] for side in sides), key=lambda found: found[0] * found[1])
+    shape = max(
+        (side.radiance.shape[:2] for side in sides), key=lambda shape_of_side: shape_of_side[0] * shape_of_side[1]
+    )
     channels = max(side.radiance.ndim for side in sides)
     images = []
     for side in sides:

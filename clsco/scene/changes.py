@@ -148,10 +148,10 @@ def dump(scene: Any) -> dict[str, Any]:
 
 def table_at(data: dict[str, Any], place: Sequence[str | int]) -> dict[str, Any]:
     """Table of a scene's mapping at a place of `Scene.inputs`."""
-    found: Any = data
+    table: Any = data
     for part in place:
-        found = found[part]
-    return cast("dict[str, Any]", found)
+        table = table[part]
+    return cast("dict[str, Any]", table)
 
 
 def given(value: Any) -> Any:
@@ -169,10 +169,10 @@ def given(value: Any) -> Any:
     """
     if isinstance(value, BaseModel):
         fields = type(value).model_fields
-        kept = value.model_fields_set - {name for name, field in fields.items() if field.exclude}
-        names = [name for name in fields if name in kept or name == "shape"]
-        found = {fields[name].serialization_alias or name: getattr(value, name) for name in names}
-        return {key: given(entry) for key, entry in found.items() if entry is not None}
+        names_set = value.model_fields_set - {name for name, field in fields.items() if field.exclude}
+        names = [name for name in fields if name in names_set or name == "shape"]
+        values = {fields[name].serialization_alias or name: getattr(value, name) for name in names}
+        return {key: given(entry) for key, entry in values.items() if entry is not None}
     if isinstance(value, Mapping):
         return {key: given(entry) for key, entry in value.items()}
     return [given(entry) for entry in value] if isinstance(value, list | tuple) else value

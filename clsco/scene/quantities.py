@@ -55,7 +55,7 @@ def fault(rule: str, got: str | None = None) -> PydanticCustomError:
     return PydanticCustomError("rule", "{rule}", context)
 
 
-def at_keys(found: list[tuple[tuple[str | int, ...], PydanticCustomError, Any]]) -> ValidationError:
+def at_keys(faults: list[tuple[tuple[str | int, ...], PydanticCustomError, Any]]) -> ValidationError:
     """Combine several faults into one error, each reported at its own key.
 
     Parameters
@@ -67,7 +67,7 @@ def at_keys(found: list[tuple[tuple[str | int, ...], PydanticCustomError, Any]])
     -------
     ValidationError
     """
-    details = [InitErrorDetails(type=fault, loc=loc, input=value) for loc, fault, value in found]
+    details = [InitErrorDetails(type=fault, loc=loc, input=value) for loc, fault, value in faults]
     return ValidationError.from_exception_data("scene", details)
 
 

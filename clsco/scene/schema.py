@@ -60,15 +60,15 @@ def scene_schema() -> dict[str, Any]:
 
 def _models(root: type[BaseModel]) -> set[type[BaseModel]]:
     """The models of a model's fields, at any depth."""
-    found: set[type[BaseModel]] = set()
+    models: set[type[BaseModel]] = set()
     waiting: list[Any] = [field.annotation for field in root.model_fields.values()]
     while waiting:
         part = waiting.pop()
         waiting += get_args(part)
-        if isinstance(part, type) and issubclass(part, BaseModel) and part not in found:
-            found.add(part)
+        if isinstance(part, type) and issubclass(part, BaseModel) and part not in models:
+            models.add(part)
             waiting += [field.annotation for field in part.model_fields.values()]
-    return found
+    return models
 
 
 def _describe(definition: dict[str, Any], model: type[BaseModel]) -> None:

@@ -136,9 +136,8 @@ def test_three_equal_channels_are_one_depth(tmp_path: Path, kind: str) -> None:
     np.testing.assert_array_equal(read_depth(path), gray.astype(np.float64))
     data[4, 5] = (1, 1, 2)
     savers[suffix](path, data)
-    got = [1.0, 1.0, 2.0] if dtype[0] == "f" else [1, 1, 2]
     rule = "must hold one depth per pixel: red, green and blue must be equal"
-    assert refusal(path) == f"{rule}; got {got} at row 4, column 5 (1 in all)"
+    assert refusal(path) == f"{rule}; got 1, 1, 2 at row 4, column 5 (1 in all)"
 
 
 Z, OTHER, THIRD = (numbers("f4") + np.float32(n) for n in (0, 1, 2))
