@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 import clsco
-from clsco.frame.contact_sheet import contact_sheet, in_rows
-from clsco.frame.shown import codes_to_show
+from clsco.frame.contact_sheet import contact_sheet, split_into_rows
+from clsco.frame.notebook import codes_to_show
 from clsco.frame.views import Picture
 
 SIDE, CELL = 240, 64  # px
@@ -85,7 +85,7 @@ def picture() -> Picture:
     for label, item in objects().items():
         scene = clsco.parse_scene({"camera": CAMERA, "light": LIGHT, "object": [item, behind]})
         tiles.append((codes_to_show(clsco.render_frame(scene, truth=()).color), label))
-    return contact_sheet(in_rows(tiles), text=14)
+    return contact_sheet(split_into_rows(tiles), text=14)
 
 
 def main() -> None:

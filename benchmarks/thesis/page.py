@@ -23,7 +23,7 @@ from benchmarks.thesis.figures import (
 from clsco.cli.progress import progress
 from clsco.engine import batch
 from clsco.engine.batch import Job
-from clsco.files.atomic import together, whole_file, writable_folder
+from clsco.files.atomic import atomic_folder, atomic_write, make_writable_folder
 from clsco.files.images import read_image, write_png
 from clsco.frame.frame import Frame
 from clsco.plan.prepare import prepare
@@ -207,11 +207,11 @@ def small_figure(out: Path, figure: Figure) -> Image.Image:
 def write_page(out: Path, name: str, figures: Collection[Figure], values: Values) -> None:
     """Write the pictures of figures, and then both pages, which are called `name`. Raises FileError."""
     if figures:
-        with together(writable_folder(out / PICTURES), "figures") as made:
+        with atomic_folder(make_writable_folder(out / PICTURES), "figures") as made:
             for figure in figures:
-                with whole_file(made / Path(_small(figure)).name) as file:
+                with atomic_write(made / Path(_small(figure)).name) as file:
                     small_figure(out, figure).save(file, "WEBP", quality=QUALITY)
-    with together(out, name) as made:
+    with atomic_folder(out, name) as made:
         for ending, text in ((".md", page(figures, values)), (".html", html_page(figures, values))):
-            with whole_file(made / f"{name}{ending}") as file:
+            with atomic_write(made / f"{name}{ending}") as file:
                 file.write(text.encode())

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from clsco.errors import FileError, SceneError
-from clsco.files.atomic import refuse, same_place, writable_folder
+from clsco.files.atomic import is_same_place, make_writable_folder, raise_file_error
 from clsco.files.color import SRGB, Color
-from clsco.files.images import WRITERS, check_alike, writer_for
+from clsco.files.images import WRITERS, check_same_size, writer_for
 from clsco.files.transfer import encode
 from clsco.frame.frame import Frame
 from clsco.inputs.depth_files import DEPTH_FORMATS
@@ -62,7 +62,7 @@ def check_pair(scene: Scene) -> None:
             rows, columns = shared_files().depth(item.inputs()["depth"]).shape
             files = item.files()
             if "texture" in files:
-                check_alike(files["texture"], files["depth"], (columns, rows), DEPTH_FORMATS)
+                check_same_size(files["texture"], files["depth"], (columns, rows), DEPTH_FORMATS)
 
 
 def is_image_file(out: Path) -> bool:
@@ -71,7 +71,7 @@ def is_image_file(out: Path) -> bool:
     if out.is_dir():
         return False
     if suffix not in WRITERS and suffix in _OTHER_IMAGES:
-        refuse(out, f"must be a folder, or end in one of {' '.join(WRITERS)}", repr(out.suffix))
+        raise_file_error(out, f"must be a folder, or end in one of {' '.join(WRITERS)}", repr(out.suffix))
     return suffix in WRITERS
 
 
@@ -86,10 +86,10 @@ def prepare_image(scenes: Sequence[Scene], out: Path) -> None:
         raise SceneError(f"{out}: a file takes one image, a folder takes more; got {count}")
     named = [Path(name) for _, item in scenes[0].inputs for name in item.files().values()]
     for path in named:
-        if same_place(out, path):
+        if is_same_place(out, path):
             raise FileError(f"{out}: must not be the image or the depth that it is made of; got {path}")
     writer_for(out)
-    writable_folder(out.parent)
+    make_writable_folder(out.parent)
 
 
 def write_color(out: Path, frame: Frame, bits: int, transfer: str, color: Color = SRGB) -> None:

@@ -9,9 +9,9 @@ import numpy as np
 from PIL import Image, ImageOps
 
 from clsco.files.images import write_png
-from clsco.frame.contact_sheet import PAPER, contact_sheet, in_rows
+from clsco.frame.contact_sheet import PAPER, contact_sheet, split_into_rows
 from clsco.frame.frame import GREEN, Frame
-from clsco.frame.shown import codes_to_show
+from clsco.frame.notebook import codes_to_show
 from clsco.frame.views import Picture, flow_colors, viridis
 from clsco.scene.examples import EXAMPLES
 
@@ -66,7 +66,7 @@ def demo_sheet(shown: Mapping[str, Frame], detailed: Sequence[Sequence[Frame]]) 
     photographs = [(_fitted(codes_to_show(frame.color), WIDE), label) for label, frame in shown.items()]
     details = [[(_fitted(picture, NARROW), label) for label, picture in views(frames).items()] for frames in detailed]
     title = "The truth that comes with a frame, at the middle of the shutter"
-    parts = (contact_sheet(in_rows(photographs), text=14), contact_sheet(details, title, text=14))
+    parts = (contact_sheet(split_into_rows(photographs), text=14), contact_sheet(details, title, text=14))
     width = max(part.shape[1] for part in parts)
     filled = [ImageOps.pad(Image.fromarray(part), (width, len(part)), color=PAPER, centering=(0, 0)) for part in parts]
     return np.concatenate([np.asarray(part) for part in filled])

@@ -75,11 +75,11 @@ def _texts(value: Any) -> Iterator[str]:
 
 def _copy(source: Path, target: Path) -> None:
     """Copy a file; one that is there must be the same."""
-    from clsco.files.atomic import refuse, whole_file
+    from clsco.files.atomic import atomic_write, raise_file_error
 
     data = source.read_bytes()
     if target.exists() and target.read_bytes() != data:
-        refuse(target, "must not be there, or be the same file", "another one")
+        raise_file_error(target, "must not be there, or be the same file", "another one")
     target.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(target) as file:
+    with atomic_write(target) as file:
         file.write(data)

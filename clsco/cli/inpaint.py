@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from clsco.cli.output import echo
 from clsco.errors import ArgumentError, FileError, SceneError
-from clsco.files.atomic import refuse, same_place, writable_folder
+from clsco.files.atomic import is_same_place, make_writable_folder, raise_file_error
 from clsco.files.images import (
     WRITERS,
     ImageWriter,
     Picture,
-    check_alike,
+    check_same_size,
     image_size,
     read_image,
     upright_note,
@@ -39,12 +39,12 @@ def read_pair(
     """
     if threshold is not None and not math.isfinite(threshold):
         raise ArgumentError(f"--threshold: must be a finite number; got {threshold}")
-    check_alike(str(image), str(mask), image_size(mask))
+    check_same_size(str(image), str(mask), image_size(mask))
     if note := upright_note(str(image), str(mask)):
         echo(note, err=True)
     missing = _missing(mask, threshold)
     if missing.all():
-        refuse(mask, "some pixel must be known, and be 0", "only missing ones")
+        raise_file_error(mask, "some pixel must be known, and be 0", "only missing ones")
     return read_image(image, missing, layer), missing
 
 
@@ -53,7 +53,7 @@ def _missing(mask: Path, threshold: float | None) -> NDArray[np.bool_]:
     values = picture.data
     if values.ndim == 3:
         if (values != values[..., :1]).any():
-            refuse(mask, "a mask must be gray", "colors")
+            raise_file_error(mask, "a mask must be gray", "colors")
         values = values[..., 0]
     if threshold is not None:
         return values >= threshold
@@ -61,7 +61,7 @@ def _missing(mask: Path, threshold: float | None) -> NDArray[np.bool_]:
     other = (values != 0) & (values != white)
     if other.any():
         rule = f"values must be 0 (known) or {white} (missing), or give --threshold"
-        refuse(mask, rule, first_of(values, other))
+        raise_file_error(mask, rule, first_of(values, other))
     return values == white
 
 
@@ -72,18 +72,22 @@ def prepare_out(out: Path, image: Path, mask: Path, is_float: bool | None = None
     """
     suffix = out.suffix.lower()
     if suffix not in WRITERS or out.is_dir():
-        refuse(out, f"must be a file that ends in one of {' '.join(WRITERS)}", repr(out.suffix))
+        raise_file_error(out, f"must be a file that ends in one of {' '.join(WRITERS)}", repr(out.suffix))
     for path in (image, mask):
-        if same_place(out, path):
+        if is_same_place(out, path):
             raise FileError(f"{out}: must not be the image or the mask that it is made of; got {path}")
     writer = writer_for(out)
     if is_float and not writer.floats:
         fitting = _listed(name for name, other in WRITERS.items() if other.floats)
-        refuse(out, f"{writer.label} holds codes; for floats it must end in {fitting}", f"the floats of {image}")
+        raise_file_error(
+            out, f"{writer.label} holds codes; for floats it must end in {fitting}", f"the floats of {image}"
+        )
     if is_float is False and not writer.code_bits:
         fitting = _listed(name for name, other in WRITERS.items() if other.code_bits)
-        refuse(out, f"{writer.label} holds floats; for codes it must end in {fitting}", f"the codes of {image}")
-    writable_folder(out.parent)
+        raise_file_error(
+            out, f"{writer.label} holds floats; for codes it must end in {fitting}", f"the codes of {image}"
+        )
+    make_writable_folder(out.parent)
     return writer
 
 

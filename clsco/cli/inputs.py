@@ -65,11 +65,11 @@ def report_scenes(path: Path, labels: Sequence[str], prepared: Sequence[Prepared
     """Say on stderr which images of the scenes of a file are stretched, once per size of the frame, and what of them is
     not in sight or black, each line of the first scene that it is of; close: also of a focus so close that sizes are
     not those of textbooks."""
-    from clsco.inputs.textures import stretched
+    from clsco.inputs.textures import find_stretched
     from clsco.plan.notes import close_focus_note, sight_notes
     from clsco.plan.predict import without_lens
 
-    for line in stretched(each.scene for each in prepared):
+    for line in find_stretched(each.scene for each in prepared):
         echo(f"{click.format_filename(path)}: {line}", err=True)
     known, reported = set["Scene"](), set[str]()
     for label, each in zip(labels, prepared, strict=True):

@@ -207,8 +207,8 @@ class _Path(click.Path):
 
 
 PATH = _Path(path_type=Path)
-one_scene = click.argument("scene", type=PATH)
-scenes_wanted = click.argument("scenes", metavar="SCENE...", nargs=-1, required=True, type=PATH)
+scene_argument = click.argument("scene", type=PATH)
+scenes_argument = click.argument("scenes", metavar="SCENE...", nargs=-1, required=True, type=PATH)
 set_option = click.option(
     "--set", "overrides", metavar="KEY=VALUE", multiple=True,
     help="Set a key of the scene, such as camera.f_number=4 or object.0.radius=30; may be given again.",

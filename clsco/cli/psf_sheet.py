@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from clsco.frame.contact_sheet import contact_sheet, in_rows
+from clsco.frame.contact_sheet import contact_sheet, split_into_rows
 from clsco.reference.spreads import PsfStack
 
 CELL, MOST_ACROSS = 144, 14
@@ -29,7 +29,7 @@ def sheet(stack: PsfStack) -> NDArray[np.uint8]:
             distance = f"{stack.depth[depth]:.5g} mm" if np.isfinite(stack.depth[depth]) else "infinite"
             label = f"Z {distance}, R {radius:+.3g}{f', {stack.channels[channel]}' if channels > 1 else ''}{where}"
             tiles.append((_cell(weights), f"{label}\nw {weights.max():.2g}"))
-        rows += in_rows(tiles, MOST_ACROSS)
+        rows += split_into_rows(tiles, MOST_ACROSS)
     return contact_sheet(rows, f"{stack.name}; {side} x {side} px; each as bright as its largest weight, w", lines=2)
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clsco.cli.focus import focus_at_option, focus_depth_option, focused_files, parsed_focus
+from clsco.cli.focus import focus_at_option, focus_depth_option, focus_files, parse_focus
 from clsco.cli.inputs import report_inputs
 from clsco.cli.options import (
     PATH,
@@ -20,7 +20,7 @@ from clsco.cli.options import (
     parse_span,
     quiet_option,
     require_device,
-    scenes_wanted,
+    scenes_argument,
     set_option,
     truth_options,
 )
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@scenes_wanted
+@scenes_argument
 @click.option("-o", "out", metavar="DIR", required=True, type=PATH, help="Folder for the frames.")
 @truth_options
 @no_color_option
@@ -83,8 +83,8 @@ def render(
     if no_color and (subframes or preset):
         raise click.UsageError("--no-color: makes no image, so must be without --subframes and --video")
     require_uncolored(files, no_color)
-    focus = parsed_focus(focus_at, focus_depth)
-    loaded = focused_files(load_sweeps(scenes, overrides), focus)
+    focus = parse_focus(focus_at, focus_depth)
+    loaded = focus_files(load_sweeps(scenes, overrides), focus)
     if check:
         from clsco.truth import require_rays
 

@@ -64,12 +64,12 @@ def video(
         raise click.UsageError("--speed: must be without --fps, which says how fast the clip is")
     from clsco.cli.progress import progress
     from clsco.files.video import preset_for, require_video
+    from clsco.frame.frame_folder import read_frame_folder
     from clsco.frame.video import Playing, clip_path, write_folder_clip
-    from clsco.frame.written import written_frames
 
     name = preset_for(out, preset)
     require_video(out)
-    frames, playing = written_frames(folder), Playing(fps, speed or Fraction(1))
+    frames, playing = read_frame_folder(folder), Playing(fps, speed or Fraction(1))
     with progress(len(frames.numbers) * len(frames.eyes), quiet) as advance:
         for eye in frames.eyes:
             target = clip_path(out, eye)
@@ -102,18 +102,18 @@ def _clips(job: Job, preset: str) -> list[tuple[str, Path]]:
 
 def remove_clips(jobs: Sequence[Job], preset: str) -> None:
     """Remove clips of frames that will be others."""
-    from clsco.files.atomic import remove
+    from clsco.files.atomic import remove_file
 
     for job in jobs:
         for _, path in _clips(job, preset) if job.frames else ():
-            remove(path)
+            remove_file(path)
 
 
 def write_clips(jobs: Sequence[Job], preset: str) -> None:
     """Write a clip beside the frames of each job, where all of its scene's are there; otherwise say so."""
     from clsco.frame.files import frame_json
+    from clsco.frame.frame_folder import read_frame_folder
     from clsco.frame.video import Playing, write_folder_clip
-    from clsco.frame.written import written_frames
 
     for job in jobs:
         numbers = range(job.prepared.scene.sequence.frames)
@@ -124,7 +124,7 @@ def write_clips(jobs: Sequence[Job], preset: str) -> None:
                 [f"no clip, as {len(missing)} of {len(numbers)} frames are missing, frame {missing[0]} first"],
             )
             continue
-        frames = written_frames(job.folder, numbers)
+        frames = read_frame_folder(job.folder, numbers)
         if frames.scenes != {job.record["scene_sha256"]}:
             _report(job.folder, ["no clip, as some of the frames are of another scene"])
             continue

@@ -18,7 +18,7 @@ from clsco.data.sets import CARD, DataSet, Status, begun, finish, open_set, stat
 from clsco.data.storage import Storage, open_storage, remove_path
 from clsco.errors import FileError, SceneError
 from clsco.files.atomic import file_digests
-from clsco.files.bounded import strict_json
+from clsco.files.strict_json import strict_json
 
 
 def remake(

@@ -21,10 +21,10 @@ from clsco.data.record import ABOUT, PICTURES, Record, is_wanted
 from clsco.data.sets import CARD, split_files
 from clsco.data.storage import Storage, checked_key, open_storage, remove_path
 from clsco.errors import ClscoError, MissingDependencyError, SceneError
-from clsco.files.atomic import refuse
-from clsco.files.bounded import strict_json
-from clsco.frame.contact_sheet import contact_sheet, in_rows
-from clsco.frame.shown import html_to_show
+from clsco.files.atomic import raise_file_error
+from clsco.files.strict_json import strict_json
+from clsco.frame.contact_sheet import contact_sheet, split_into_rows
+from clsco.frame.notebook import html_to_show
 from clsco.frame.views import Picture
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ class _Shards:
         path = self._stored.local(file)
         reader = container_named(self.form).read(path)
         if len(reader) != count:
-            refuse(path, f"must hold {count} samples, as {CARD} says", len(reader))
+            raise_file_error(path, f"must hold {count} samples, as {CARD} says", len(reader))
         return reader
 
     def close(self) -> None:
@@ -349,9 +349,9 @@ def _read_card(storage: Storage) -> dict[str, Any]:
     except ClscoError:
         raise
     except OSError as error:
-        refuse(path, "must be the card of a data set", error, error)
+        raise_file_error(path, "must be the card of a data set", error, error)
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        refuse(path, "must be the card of a data set", repr(error), error)
+        raise_file_error(path, "must be the card of a data set", repr(error), error)
     container_named(form)
     return {**card, "files": files}
 
@@ -384,4 +384,4 @@ def record_sheet(records: Iterable[Record]) -> Picture:
         padded = [np.pad(each, ((0, height - len(each)), (0, 0), (0, 0))) for each in pictures]
         label = " ".join(filter(None, (record.key, str(record.meta.get("split") or ""))))
         tiles.append((np.concatenate(padded, axis=1), label))
-    return contact_sheet(in_rows(tiles))
+    return contact_sheet(split_into_rows(tiles))

@@ -15,7 +15,7 @@ from typing import Any
 
 from clsco.data.storage import Storage, checked_key
 from clsco.errors import FileError
-from clsco.files.bounded import strict_json
+from clsco.files.strict_json import strict_json
 
 PARTS, MERGED, FAILED, LOG = "manifest", "manifest.jsonl", "failed.jsonl", "log"
 CONFLICT = "conflict"  # folder of shards that were made otherwise before

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from clsco import __version__
 from clsco.files.color import exr_color
 from clsco.files.images import save_image, write_npz
-from clsco.files.ranges import refuse_values
+from clsco.files.ranges import check_values
 from clsco.files.transfer import decode, encode
 from clsco.frame.frame import FILE_NAMES, Frame
-from clsco.frame.shown import codes_to_show, html_to_show
-from clsco.frame.truth_files import FLOATS, in_float16, parse_types
+from clsco.frame.notebook import codes_to_show, html_to_show
+from clsco.frame.truth_files import FLOATS, parse_types, to_float16
 
 if TYPE_CHECKING:
     from clsco.data.distribution import Sample
@@ -293,12 +293,12 @@ def _stored(
     if dtype in CODES:
         bits = CODES[dtype]
         half = 0.5 / (2**bits - 1)  # what rounds to white or black is not clipped
-        refuse_values(where, "radiance must be a finite number", array, ~np.isfinite(array))
+        check_values(where, "radiance must be a finite number", array, ~np.isfinite(array))
         # Below black: where the cubic between texels, and what sharpens it, goes below them at an edge.
         beyond = np.count_nonzero((array > 1 + half) | (array < -half))
         more = {"transfer": transfer, "clipped": float(beyond / array.size)}
         array = encode(array, bits, transfer)
     elif dtype == "float16":
-        array = in_float16(where, array)
+        array = to_float16(where, array)
     about = {"dtype": array.dtype.name, "shape": list(array.shape), "unit": unit, "convention": convention}
     return np.ascontiguousarray(array), about | more

@@ -25,7 +25,7 @@ from clsco.data.manifest import (
 )
 from clsco.data.storage import Storage
 from clsco.errors import FileError, SceneError
-from clsco.files.bounded import strict_json
+from clsco.files.strict_json import strict_json
 
 MOST_SHARDS = 10**6
 LATEST = 64  # shards from whose times the rate is taken

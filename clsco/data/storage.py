@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from clsco.errors import ClscoError, FileError, MissingDependencyError
-from clsco.files.atomic import file_sha256, refuse
+from clsco.files.atomic import file_sha256, raise_file_error
 from clsco.resources import open_regular, read_regular, remove_left, work_name
 
 BLOCK = 2**20
@@ -108,7 +108,7 @@ def _failing(function: Call) -> Call:
             raise
         except OSError as error:
             place = Path(self.where) / str(args[0]) if args else Path(self.where)
-            refuse(place, "the data set must be writable and readable", error, error)
+            raise_file_error(place, "the data set must be writable and readable", error, error)
         except Exception as error:
             if self.is_local:
                 raise
@@ -142,7 +142,7 @@ class _Folder:
         """Path of a key. Raises FileError where a link leads out of the set, as in a folder of a stranger one may."""
         path = self.root / checked_key(key)
         if not path.parent.resolve().is_relative_to(self.root.resolve()):
-            refuse(path, "must lie in the folder of the data set", "a link that leaves it")
+            raise_file_error(path, "must lie in the folder of the data set", "a link that leaves it")
         return path
 
     @_failing
@@ -186,7 +186,7 @@ class _Folder:
     def local(self, key: str) -> Path:
         path = self._path(key)
         if not path.resolve().is_relative_to(self.root.resolve()):
-            refuse(path, "must lie in the folder of the data set", "a link that leaves it")
+            raise_file_error(path, "must lie in the folder of the data set", "a link that leaves it")
         return path
 
     @_failing

@@ -11,7 +11,7 @@ from typing import Any
 
 from clsco.engine.sequence import render_prepared
 from clsco.errors import FileError, SceneError
-from clsco.files.atomic import same_place, writable_folder
+from clsco.files.atomic import is_same_place, make_writable_folder
 from clsco.frame.files import (
     TRUTH_FORMATS,
     frame_files,
@@ -69,7 +69,7 @@ def folders(scenes: Sequence[Path], out: Path) -> list[Path]:
 
 def _require_inside(folder: Path, out: Path, where: Path) -> None:
     """Raise SceneError where a folder of frames would not lie in `out`, by its name or as a symbolic link."""
-    if not same_place(Path(os.path.realpath(folder)).parent, out):
+    if not is_same_place(Path(os.path.realpath(folder)).parent, out):
         raise SceneError(f"{where}: frames must stay inside {out}; got {folder}")
 
 
@@ -102,11 +102,11 @@ def prepare(
     """
     scene, request = prepared.scene, prepared.request
     about = record(scene, digests)
-    writable_folder(folder)
+    make_writable_folder(folder)
     remove_left(folder)
     for _, item in scene.inputs:
         for what, path in ((key, Path(name)) for key, name in item.files().items()):
-            if path.stem.startswith("frame_") and same_place(path.parent, folder):
+            if path.stem.startswith("frame_") and is_same_place(path.parent, folder):
                 raise FileError(f"{path}: a {what} must not lie where frames are written; got {folder}")
 
     image = ["color"] if prepared.plan.color else []
@@ -143,7 +143,7 @@ def prepare_all(
     _require_arrays(planned, files)
     places = list(zip(planned, folders([path for path, *_ in planned], out), strict=True))
     for (path, labels, _), folder in places:
-        if path.stem.startswith("frame_") and same_place(path.parent, folder):
+        if path.stem.startswith("frame_") and is_same_place(path.parent, folder):
             raise SceneError(f"{path}: a scene file must not lie where frames are written; got {folder}")
         for label in filter(None, labels):
             _require_inside(folder / label, folder, path)

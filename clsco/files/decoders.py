@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import ClscoError, import_extra, require_extra
-from clsco.files.atomic import refuse
-from clsco.files.bounded import image_shape, npy_header
-from clsco.files.confined import confined
-from clsco.files.layers import full_names, image_channels, listed
-from clsco.files.png import GRAY, GRAY_ALPHA, PALETTE, RGB_ALPHA, SIGNATURE, checked_png, png_size
-from clsco.files.tags import Tags, jpeg_segments, jpeg_tags, png_tags, upright
+from clsco.files.archives import image_shape, npy_header
+from clsco.files.atomic import raise_file_error
+from clsco.files.decoder_process import run_decoder
+from clsco.files.layers import full_names, image_channels, list_names
+from clsco.files.png import GRAY, GRAY_ALPHA, PALETTE, RGB_ALPHA, SIGNATURE, check_png, png_size
+from clsco.files.tags import Tags, jpeg_segments, jpeg_tags, png_tags, turn_upright
 from clsco.resources import DEVICE, open_regular
 
 MAX_PIXELS = 2**27
@@ -57,7 +57,9 @@ _FIRST_BYTES = {
 
 
 @contextlib.contextmanager
-def opened(path: str | os.PathLike[str], formats: Mapping[str, str] = IMAGE_FORMATS) -> Iterator[tuple[BinaryIO, str]]:
+def open_format(
+    path: str | os.PathLike[str], formats: Mapping[str, str] = IMAGE_FORMATS
+) -> Iterator[tuple[BinaryIO, str]]:
     """Open a file as the format that its extension and first bytes name.
 
     Parameters
@@ -81,36 +83,36 @@ def opened(path: str | os.PathLike[str], formats: Mapping[str, str] = IMAGE_FORM
     try:
         with _opened(path) as file:
             if not kind:
-                refuse(path, f"the extension must be one of {' '.join(formats)}", repr(path.suffix))
+                raise_file_error(path, f"the extension must be one of {' '.join(formats)}", repr(path.suffix))
             head = file.read(8)
             if not head.startswith(_FIRST_BYTES[kind]):
                 content = next((name for name, first in _FIRST_BYTES.items() if head.startswith(first)), None)
                 got = content or (f"the first bytes {head!r}" if head else "an empty file")
-                refuse(path, f"the content must be {kind}, as the extension says", got)
+                raise_file_error(path, f"the content must be {kind}, as the extension says", got)
             file.seek(0)
             yield file, kind
     except ClscoError:
         raise
     except OSError as error:
-        refuse(
+        raise_file_error(
             path,
             "must be a file that can be read" if error.errno else f"must be a whole {kind}",
             error,
             error,
         )
     except Exception as error:  # damage: each codec has its own exceptions for it, and none lists them
-        refuse(path, f"must be a whole {kind}", error, error)
+        raise_file_error(path, f"must be a whole {kind}", error, error)
 
 
 def _opened(path: Path) -> BinaryIO:
     try:
         return open_regular(path, follow=True)
     except IsADirectoryError:
-        refuse(path, "must be an image file", "a folder")
+        raise_file_error(path, "must be an image file", "a folder")
     except OSError as error:
         if error.strerror != DEVICE:
             raise
-        refuse(path, "must be an image file", DEVICE)
+        raise_file_error(path, "must be an image file", DEVICE)
 
 
 def path_of(file: BinaryIO) -> Path:
@@ -124,10 +126,10 @@ def unzstd(path: Path, content: bytes, most: int) -> memoryview:
     return memoryview(import_extra(path, "imagecodecs", "formats").zstd_decode(content, out=unpacked.data))
 
 
-def checked_size(file: BinaryIO, kind: str) -> tuple[int, int]:
+def read_size(file: BinaryIO, kind: str) -> tuple[int, int]:
     """(columns, rows) of an opened file's header, upright; goes back to its first byte. Raises as `image_size`."""
     columns, rows = _stored_size(file, kind)
-    return (rows, columns) if tags(file, kind).is_laid_down else (columns, rows)
+    return (rows, columns) if read_tags(file, kind).is_laid_down else (columns, rows)
 
 
 def _stored_size(file: BinaryIO, kind: str) -> tuple[int, int]:
@@ -136,11 +138,11 @@ def _stored_size(file: BinaryIO, kind: str) -> tuple[int, int]:
     check_limits(path_of(file), columns, rows)
     size, most = os.fstat(file.fileno()).st_size, PIXEL_BYTES * columns * rows + OTHER_BYTES
     if size > most and kind != "EXR":  # which may hold many layers
-        refuse(path_of(file), f"a file of {columns} x {rows} pixels must have at most {most} bytes", size)
+        raise_file_error(path_of(file), f"a file of {columns} x {rows} pixels must have at most {most} bytes", size)
     return columns, rows
 
 
-def tags(file: BinaryIO, kind: str) -> Tags:
+def read_tags(file: BinaryIO, kind: str) -> Tags:
     """Read the header of an opened file; goes back to its first byte."""
     file.seek(0)
     file_tags = _TAGS.get(kind, lambda _: Tags())(file)
@@ -152,10 +154,10 @@ def check_limits(path: Path, columns: int, rows: int) -> None:
     """Raise FileError for an image of over 2^27 pixels or 65536 a side, or without any."""
     if not (1 <= columns <= MAX_SIDE and 1 <= rows <= MAX_SIDE and columns * rows <= MAX_PIXELS):
         rule = f"columns and rows must be from 1 to {MAX_SIDE}, and at most {MAX_PIXELS} pixels"
-        refuse(path, rule, f"{columns} x {rows}")
+        raise_file_error(path, rule, f"{columns} x {rows}")
 
 
-def decoded(file: BinaryIO, kind: str, layer: str | None = None) -> NDArray[Any]:
+def decode_file(file: BinaryIO, kind: str, layer: str | None = None) -> NDArray[Any]:
     """Decode an opened file whose header is within the limits, and turn it upright.
 
     Parameters
@@ -173,16 +175,16 @@ def decoded(file: BinaryIO, kind: str, layer: str | None = None) -> NDArray[Any]
     Raises
     ------
     Exception
-        Any of the codecs', which `opened` turns into an FileError.
+        Any of the codecs', which `open_format` turns into a FileError.
     """
     columns, rows = _stored_size(file, kind)
-    orientation = tags(file, kind).orientation
+    orientation = read_tags(file, kind).orientation
     if layer is not None and kind != "EXR":
-        refuse(path_of(file), f"only an EXR has layers, such as {listed([layer])}", kind)
+        raise_file_error(path_of(file), f"only an EXR has layers, such as {list_names([layer])}", kind)
     data: NDArray[Any] = _CODECS[kind][1](file) if layer is None else _decode_exr(file, layer)
     if data.shape[:2] != (rows, columns):
         raise ValueError(f"{data.shape[1]} x {data.shape[0]} pixels under a header of {columns} x {rows}")
-    return upright(data, orientation)
+    return turn_upright(data, orientation)
 
 
 def _without_alpha(file: BinaryIO, data: NDArray[Any]) -> NDArray[Any]:
@@ -190,12 +192,12 @@ def _without_alpha(file: BinaryIO, data: NDArray[Any]) -> NDArray[Any]:
     alpha = data[..., -1]
     seen_through = alpha != (1 if alpha.dtype.kind == "f" else np.iinfo(alpha.dtype).max)
     if seen_through.any():
-        refuse(path_of(file), "alpha must be opaque everywhere", f"{int(seen_through.sum())} other pixels")
+        raise_file_error(path_of(file), "alpha must be opaque everywhere", f"{int(seen_through.sum())} other pixels")
     return data[..., 0] if data.shape[2] == 2 else data[..., :-1]
 
 
 def _decode_png(file: BinaryIO) -> NDArray[Any]:
-    png, depth, color, transparency = checked_png(file)
+    png, depth, color, transparency = check_png(file)
     if depth == 16 and color != GRAY:  # Pillow drops the lower 8 bits without a word
         data = import_extra(path_of(file), "imagecodecs", "formats").png_decode(png)
     else:
@@ -203,7 +205,7 @@ def _decode_png(file: BinaryIO) -> NDArray[Any]:
     if data.dtype == bool:
         data = data.astype(np.uint8) * np.uint8(255)
     if transparency is not None and (count := _keyed(png, data, depth, color, transparency)):
-        refuse(path_of(file), "pixels must be opaque", f"{count} of a transparent color (chunk tRNS)")
+        raise_file_error(path_of(file), "pixels must be opaque", f"{count} of a transparent color (chunk tRNS)")
     return _without_alpha(file, data) if color in (GRAY_ALPHA, RGB_ALPHA) else data
 
 
@@ -246,19 +248,19 @@ def _scans(content: bytes) -> int:
 def _decode_jpeg(file: BinaryIO) -> NDArray[Any]:
     content = file.read()
     if (scans := _scans(content)) > MOST_SCANS:
-        refuse(path_of(file), f"a JPEG must have at most {MOST_SCANS} scans", scans)
+        raise_file_error(path_of(file), f"a JPEG must have at most {MOST_SCANS} scans", scans)
     data: NDArray[Any] = _by_imageio(content, ".jpg")
     if data.ndim == 3 and data.shape[2] == 4:
-        refuse(path_of(file), "a JPEG must be gray or RGB", "CMYK")
+        raise_file_error(path_of(file), "a JPEG must be gray or RGB", "CMYK")
     return data
 
 
 def _tiff_header(file: BinaryIO) -> tuple[dict[str, Any], bytes]:
     """Read the tags of a TIFF's page, and its color profile."""
     require_extra(path_of(file), "tifffile", "formats")
-    header, (profile,) = confined("clsco.files.tiff:header", file, MOST_TAG)
+    header, (profile,) = run_decoder("clsco.files.tiff:header", file, MOST_TAG)
     if header["pages"] != 1:
-        refuse(path_of(file), "must be a single image", f"{header['pages']} pages")
+        raise_file_error(path_of(file), "must be a single image", f"{header['pages']} pages")
     return header, profile.tobytes()
 
 
@@ -278,11 +280,11 @@ def _decode_tiff(file: BinaryIO) -> NDArray[Any]:
     kind = (header["photometric"], samples - extra)
     if kind not in (("MINISBLACK", 1), ("RGB", 3)) or extra > 1 or header["planes"] != 1:
         got = f"{kind[0]} with {samples} samples per pixel"
-        refuse(path_of(file), "a TIFF must be gray (0 is black) or RGB, with at most an alpha channel", got)
+        raise_file_error(path_of(file), "a TIFF must be gray (0 is black) or RGB, with at most an alpha channel", got)
     if bits not in (8, 16, 32, 64):
-        refuse(path_of(file), "a TIFF must have 8 or 16 bits, or floats", f"{bits} bits")
+        raise_file_error(path_of(file), "a TIFF must have 8 or 16 bits, or floats", f"{bits} bits")
     most = header["columns"] * header["rows"] * samples * bits // 8
-    data = confined("clsco.files.tiff:pixels", file, most)[1][0]
+    data = run_decoder("clsco.files.tiff:pixels", file, most)[1][0]
     return _without_alpha(file, data) if extra else data
 
 
@@ -297,13 +299,13 @@ def exr_parts(file: BinaryIO) -> Sequence[Any]:
         check_limits(path_of(file), columns, rows)
         if columns * rows > MOST_WINDOW * max(width * height, 1):
             rule = f"a data window must have at most {MOST_WINDOW} times the pixels of the display window"
-            refuse(path_of(file), rule, f"{columns} x {rows} of {width} x {height}")
+            raise_file_error(path_of(file), rule, f"{columns} x {rows} of {width} x {height}")
         if "deep" in str(part.header.get("type", "")).lower():
-            refuse(path_of(file), "an EXR must not be deep", part.header["type"])
+            raise_file_error(path_of(file), "an EXR must not be deep", part.header["type"])
         values += len(part.header["channels"]) * columns * rows
         layers.append(f"{len(part.header['channels'])} channels of {columns} x {rows}")
     if values > LARGEST_EXR:
-        refuse(path_of(file), f"an EXR must hold at most {LARGEST_EXR} values", " and ".join(layers[:3]))
+        raise_file_error(path_of(file), f"an EXR must hold at most {LARGEST_EXR} values", " and ".join(layers[:3]))
     if (size := os.fstat(file.fileno()).st_size) * DENSEST_EXR < values:
         raise ValueError(f"{size} bytes of {' and '.join(layers[:3])}")
     return parts
@@ -354,7 +356,7 @@ def exr_planes(file: BinaryIO, choose: Callable[[list[str]], list[str]], outside
             if name in chosen:
                 plane = page.channels[own].pixels
                 if plane.shape != _window(part.header["dataWindow"])[::-1]:
-                    raise ValueError(f"channel {listed([name])} of shape {plane.shape}")
+                    raise ValueError(f"channel {list_names([name])} of shape {plane.shape}")
                 planes[name] = _in_display(part.header, plane, outside)
     return {name: planes[name] for name in chosen}
 
@@ -381,12 +383,12 @@ def _decode_exr(file: BinaryIO, layer: str | None = None) -> NDArray[Any]:
             return image_channels(names, layer)
         except LookupError as error:
             rule, got = error.args
-            refuse(path_of(file), rule, got)
+            raise_file_error(path_of(file), rule, got)
 
     planes = exr_planes(file, choose, 0.0)
     for name, plane in planes.items():
         if plane.dtype.kind != "f":
-            refuse(path_of(file), "EXR pixels must be floats", f"{plane.dtype} in {listed([name])}")
+            raise_file_error(path_of(file), "EXR pixels must be floats", f"{plane.dtype} in {list_names([name])}")
     data = np.stack(list(planes.values()), axis=-1)
     if len(planes) in (2, 4):
         return _without_alpha(file, data)
@@ -427,7 +429,7 @@ def _npy_size(file: BinaryIO) -> tuple[int, int]:
     flat = image_shape(shape)
     if len(flat) not in (2, 3) or (len(flat) == 3 and flat[2] != 3) or dtype.kind not in "biuf":
         rule = "an NPY must hold numbers of shape (rows, columns) or (rows, columns, 3)"
-        refuse(path_of(file), rule, f"{dtype} of shape {shape}")
+        raise_file_error(path_of(file), rule, f"{dtype} of shape {shape}")
     check_limits(path_of(file), flat[1], flat[0])
     needed, size = start + math.prod(shape) * dtype.itemsize, os.fstat(file.fileno()).st_size
     if size < needed:  # before memory for it is taken

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.files.ranges import refuse_shape, refuse_values
+from clsco.files.ranges import check_values, raise_shape_error
 
 MM_PER_M = 1000.0
 KITTI_STEPS = 256  # per m of depth, and per px of disparity
@@ -17,7 +17,7 @@ KITTI_STEPS = 256  # per m of depth, and per px of disparity
 def _kitti_codes(values: NDArray[np.float64], valid: NDArray[np.bool_], where: str, unit: str) -> NDArray[np.uint16]:
     codes = np.rint(np.where(valid, values, 0.0) * KITTI_STEPS)
     rule = f"must round to 1/256 to 65535/256 {unit}, which KITTI's 16 bits hold besides 0 for unknown"
-    refuse_values(where, rule, values, valid & ((codes < 1) | (codes > 65535)))
+    check_values(where, rule, values, valid & ((codes < 1) | (codes > 65535)))
     return codes.astype(np.uint16)
 
 
@@ -46,8 +46,8 @@ def kitti_depth_codes(depth: NDArray[np.floating], where: str = "depth") -> NDAr
     Validated by OpenCV.
     """
     if depth.ndim != 2:
-        refuse_shape(where, "(rows, columns)", depth)
-    refuse_values(where, "must be greater than 0, and +inf where nothing is", depth, ~(depth > 0))
+        raise_shape_error(where, "(rows, columns)", depth)
+    check_values(where, "must be greater than 0, and +inf where nothing is", depth, ~(depth > 0))
     return _kitti_codes(depth.astype(np.float64) / MM_PER_M, np.isfinite(depth), where, "m")
 
 
@@ -80,7 +80,7 @@ def kitti_disparity_codes(
     Validated by OpenCV and by the steps of torchvision's reader.
     """
     if disparity.ndim != 2:
-        refuse_shape(where, "(rows, columns)", disparity)
+        raise_shape_error(where, "(rows, columns)", disparity)
     known = np.isfinite(disparity) if valid is None else np.isfinite(disparity) & valid
     return _kitti_codes(disparity.astype(np.float64), known, where, "px")
 
@@ -108,6 +108,6 @@ def pfm_bytes(array: NDArray[np.floating], where: str = "array") -> bytes:
     if array.ndim == 3 and array.shape[2] == 2:
         array = np.dstack([array, np.zeros_like(array[..., 0])])
     if array.ndim != 2 and (array.ndim != 3 or array.shape[2] != 3):
-        refuse_shape(where, "(rows, columns[, 2 or 3])", array)
+        raise_shape_error(where, "(rows, columns[, 2 or 3])", array)
     head = f"{'PF' if array.ndim == 3 else 'Pf'}\n{array.shape[1]} {array.shape[0]}\n-1.0\n"
     return head.encode() + array[::-1].astype("<f4").tobytes()

@@ -7,7 +7,7 @@ import struct
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.files.ranges import refuse_shape, refuse_values
+from clsco.files.ranges import check_values, raise_shape_error
 
 TAG = struct.pack("<f", 202021.25)
 LARGEST_FLO = 1e9  # px, at which Middlebury's readers take a vector for unknown
@@ -19,7 +19,7 @@ KITTI_ZERO = 32768  # code of 0 px
 def _checked(where: str, flow: NDArray[np.floating], valid: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
     """Check a flow and mark its known vectors: valid, by default all, and finite."""
     if flow.ndim != 3 or flow.shape[2] != 2:
-        refuse_shape(where, "(rows, columns, 2)", flow)
+        raise_shape_error(where, "(rows, columns, 2)", flow)
     finite = np.isfinite(flow).all(axis=-1)
     return finite if valid is None else finite & valid
 
@@ -47,7 +47,7 @@ def flo_bytes(flow: NDArray[np.floating], valid: NDArray[np.bool_] | None = None
     """
     known = _checked(where, flow, valid)
     beyond = known & (np.abs(flow) >= LARGEST_FLO).any(axis=-1)
-    refuse_values(where, "sizes must be below 1e9 px, as readers of .flo take others for unknown", flow, beyond)
+    check_values(where, "sizes must be below 1e9 px, as readers of .flo take others for unknown", flow, beyond)
     rows, columns = flow.shape[:2]
     stored = np.full(flow.shape, UNKNOWN_FLO, "<f4")
     stored[known] = flow[known]
@@ -86,5 +86,5 @@ def kitti_flow_codes(
     codes = np.rint(np.where(known[..., None], flow, 0.0).astype(np.float64) * KITTI_STEPS) + KITTI_ZERO
     beyond = np.asarray(((codes < 0) | (codes > 65535)).any(axis=-1))
     rule = "must lie within -512 to 511.984375 px, which KITTI's 16 bits hold in steps of 1/64 px"
-    refuse_values(where, rule, flow, beyond)
+    check_values(where, rule, flow, beyond)
     return np.where(known[..., None], np.dstack([codes, np.ones(known.shape)]), 0.0).astype(np.uint16)

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import import_extra
-from clsco.files.atomic import refuse, whole_file
+from clsco.files.atomic import atomic_write, raise_file_error
 from clsco.files.color import SRGB, Color
-from clsco.files.decoders import IMAGE_FORMATS, checked_size, decoded, opened, path_of, tags
+from clsco.files.decoders import IMAGE_FORMATS, decode_file, open_format, path_of, read_size, read_tags
 from clsco.files.png import png_parts
 from clsco.files.ranges import first_of
 from clsco.files.transfer import encode
@@ -84,10 +84,10 @@ def read_image(
     display window: pixels outside of the data window are 0. The color space is given and not applied; neither is the
     scale of a PFM. Validated against files written by Pillow, tifffile, imagecodecs and OpenEXR, and by hand.
     """
-    with opened(path) as (file, kind):
-        data = np.ascontiguousarray(_as_stored(file, decoded(file, kind, layer), hidden))
+    with open_format(path) as (file, kind):
+        data = np.ascontiguousarray(_as_stored(file, decode_file(file, kind, layer), hidden))
         below = np.count_nonzero((data if hidden is None else data[~hidden]) < 0) if data.dtype.kind == "f" else 0
-        return Picture(data, tags(file, kind).color(1 if data.ndim == 2 else 3), int(below))
+        return Picture(data, read_tags(file, kind).color(1 if data.ndim == 2 else 3), int(below))
 
 
 def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
@@ -95,8 +95,8 @@ def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
 
     Returns: as `read_image` would give them. Raises FileError for what the header shows.
     """
-    with opened(path) as (file, kind):
-        return checked_size(file, kind)
+    with open_format(path) as (file, kind):
+        return read_size(file, kind)
 
 
 def check_sizes(
@@ -116,10 +116,10 @@ def check_sizes(
     if size != right:
         sizes = [f"{columns} x {rows}" for columns, rows in (right, size)]
         got = f"{sizes[1]} ({hint})" if size == right[::-1] else sizes[1]
-        refuse(Path(other), f"the size must be that of {image}, {sizes[0]} pixels", got)
+        raise_file_error(Path(other), f"the size must be that of {image}, {sizes[0]} pixels", got)
 
 
-def check_alike(image: str, other: str, size: tuple[int, int], formats: Mapping[str, str] = IMAGE_FORMATS) -> None:
+def check_same_size(image: str, other: str, size: tuple[int, int], formats: Mapping[str, str] = IMAGE_FORMATS) -> None:
     """Raise FileError where the file of a mask or a depth map has not the size of its image, or that cannot be read.
 
     Parameters
@@ -129,7 +129,7 @@ def check_alike(image: str, other: str, size: tuple[int, int], formats: Mapping[
     size : (int, int)
         Columns and rows of the other file, upright.
     formats : mapping
-        Formats of the other file, as for `clsco.files.decoders.opened`.
+        Formats of the other file, as for `clsco.files.decoders.open_format`.
     """
     _, turned, untagged = _turned_alone(image, other, formats)
     hint = f"{turned} is turned upright by its orientation tag, and {untagged} has none: turn it likewise"
@@ -138,7 +138,7 @@ def check_alike(image: str, other: str, size: tuple[int, int], formats: Mapping[
 
 def upright_note(image: str, other: str, formats: Mapping[str, str] = IMAGE_FORMATS) -> str:
     """One line where an image or its mask or depth map has an orientation, and sizes do not show that the other file,
-    which has none, is upright; else "". Parameters and errors as for `check_alike`."""
+    which has none, is upright; else "". Parameters and errors as for `check_same_size`."""
     orientation, turned, untagged = _turned_alone(image, other, formats)
     columns, rows = image_size(image)
     if not turned or (orientation >= 5 and columns != rows):
@@ -158,27 +158,27 @@ def _turned_alone(image: str, other: str, formats: Mapping[str, str]) -> tuple[i
 
 
 def _orientation(path: str, formats: Mapping[str, str]) -> int:
-    with opened(path, formats) as (file, kind):
-        return tags(file, kind).orientation
+    with open_format(path, formats) as (file, kind):
+        return read_tags(file, kind).orientation
 
 
 def _as_stored(file: BinaryIO, data: NDArray[Any], hidden: NDArray[np.bool_] | None) -> NDArray[Any]:
     """Refuse anything but a gray or RGB image of 8, 16 or 32 bits, and values that are not finite."""
     if data.ndim not in (2, 3) or (data.ndim == 3 and data.shape[2] != 3):
-        refuse(path_of(file), "shape must be (rows, columns) or (rows, columns, 3)", data.shape)
+        raise_file_error(path_of(file), "shape must be (rows, columns) or (rows, columns, 3)", data.shape)
     if data.dtype == np.bool_:  # a mask of NumPy
         return data.astype(np.uint8) * np.uint8(255)
     if data.dtype.str[1:] in ("u1", "u2"):
         return data.astype(data.dtype.newbyteorder("="), copy=False)
     if data.dtype.str[1:] not in ("f2", "f4", "f8"):
-        refuse(path_of(file), "values must be uint8, uint16, float16, float32 or float64", data.dtype)
+        raise_file_error(path_of(file), "values must be uint8, uint16, float16, float32 or float64", data.dtype)
     with np.errstate(over="ignore"):  # overflow becomes infinite, which is refused next
         data = data.astype(np.float32, copy=False)
     wrong = ~np.isfinite(data)
     if hidden is not None:
         wrong[hidden] = False
     if wrong.any():
-        refuse(path_of(file), "values must be finite", first_of(data, wrong))
+        raise_file_error(path_of(file), "values must be finite", first_of(data, wrong))
     return data
 
 
@@ -199,7 +199,7 @@ def write_png(
     FileError
         The file cannot be written.
     """
-    with whole_file(Path(path)) as file:
+    with atomic_write(Path(path)) as file:
         file.writelines(png_parts(data, color.png_chunks(data.ndim == 3)))
 
 
@@ -222,7 +222,7 @@ def write_tiff(path: str | os.PathLike[str], data: NDArray[Any], color: Color = 
     options: dict[str, Any] = {"photometric": "rgb" if data.ndim == 3 else "minisblack", "compression": "zlib"}
     if profile := color.profile(data.dtype.kind == "f") if data.ndim == 3 else color.icc:
         options["iccprofile"] = profile
-    with whole_file(Path(path)) as file:
+    with atomic_write(Path(path)) as file:
         tifffile.imwrite(file, data, metadata=None, **options)
 
 
@@ -246,7 +246,7 @@ def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]], 
     Masks and object numbers are compressed, floats by default are stored: 15 MB of truth (512 x 512, color) become
     13.6 MB in 16 ms; compressing all of it leaves 7.1 MB after 210 to 450 ms. The same arrays give the same bytes.
     """
-    with whole_file(Path(path)) as file, zipfile.ZipFile(file, "w") as archive:
+    with atomic_write(Path(path)) as file, zipfile.ZipFile(file, "w") as archive:
         for name, array in arrays.items():
             entry = zipfile.ZipInfo(f"{name}.npy")  # its fixed date keeps the time of writing out of the file
             stored = array.dtype.kind == "f" and not compressed
@@ -287,7 +287,7 @@ def write_exr(
     else:
         (planes,), (about,) = pixels, headers
         content = exr.File(about, planes)
-    with whole_file(Path(path)) as file:
+    with atomic_write(Path(path)) as file:
         keeper = _ErrorKeeper(file)
         content.write(keeper)
         if keeper.error is not None:
@@ -316,7 +316,7 @@ class _ErrorKeeper:
 
 def write_json(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None:
     """Write a JSON file. Raises FileError where a number is not finite, or the file cannot be written."""
-    with whole_file(Path(path)) as file:
+    with atomic_write(Path(path)) as file:
         file.write(json.dumps(content, indent=2, allow_nan=False).encode() + b"\n")
 
 
@@ -409,6 +409,6 @@ def save_image(
     to, ending = Path(path), Path(path).suffix.lower()
     if ending not in WRITERS:
         known = ", ".join((*WRITERS, ".npz"))
-        refuse(to, f"the extension must be one of {known}", ending or "none")
+        raise_file_error(to, f"the extension must be one of {known}", ending or "none")
     writer = writer_for(to)
     writer.save(to, image if writer.floats else encode(image, min(bits, 16), "srgb"), color)

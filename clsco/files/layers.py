@@ -35,7 +35,7 @@ def full_names(parts: Sequence[tuple[str, Iterable[str]]]) -> list[dict[str, str
     ]
 
 
-def listed(names: Iterable[str]) -> str:
+def list_names(names: Iterable[str]) -> str:
     """Names for a message: printable, and not too many."""
     ordered = sorted(names)
     shown = [name if name.isprintable() else ascii(name) for name in ordered[:SHOWN]]
@@ -67,9 +67,11 @@ def image_channels(names: Sequence[str], layer: str | None = None) -> list[str]:
         images = [name for name in images if name.rpartition(".")[2].lower() in MAIN_LAYERS] or images
     if not images:
         rule = "an EXR must hold the channels R G B or Y"
-        raise LookupError(rule if layer is None else f"{rule} in a layer {listed([layer])}", listed(names) or "none")
+        raise LookupError(
+            rule if layer is None else f"{rule} in a layer {list_names([layer])}", list_names(names) or "none"
+        )
     if len(images) > 1:
-        raise LookupError("an EXR must hold one image, or its layer must be named", f"layers {listed(images)}")
+        raise LookupError("an EXR must hold one image, or its layer must be named", f"layers {list_names(images)}")
     (image,) = images
     own, prefix = layers[image], f"{image}." if image else ""
     return [prefix + name for name in (*("RGB" if "R" in own else "Y"), *("A" if "A" in own else ""))]

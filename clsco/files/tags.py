@@ -59,7 +59,7 @@ class Tags:
         return icc_color(self.icc, channels) if self.icc and b"cICP" not in chunks else chunk_color(chunks)
 
 
-def upright(data: NDArray[Any], orientation: int) -> NDArray[Any]:
+def turn_upright(data: NDArray[Any], orientation: int) -> NDArray[Any]:
     """Stored pixels (rows, columns[, channels]) as they are seen: row 0 on top, column 0 on the left."""
     if orientation in (2, 3, 7):
         data = data[:, ::-1]

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import ArgumentError, import_extra
-from clsco.files.atomic import refuse, whole_file
+from clsco.files.atomic import atomic_write, raise_file_error
 from clsco.files.decoders import check_limits
 from clsco.files.ranges import first_of
 from clsco.files.transfer import encode
@@ -104,12 +104,12 @@ def preset_for(path: Path, name: str | None = None) -> str:
     if name is None:
         suffixes = dict.fromkeys(preset.suffix for preset in PRESETS.values())
         if suffix not in suffixes:
-            refuse(path, f"the extension must be one of {' '.join(suffixes)}", repr(path.suffix))
+            raise_file_error(path, f"the extension must be one of {' '.join(suffixes)}", repr(path.suffix))
         return next(known for known, preset in PRESETS.items() if preset.suffix == suffix)
     if name not in PRESETS:
         raise ArgumentError(f"preset: must be one of {', '.join(PRESETS)}; got {name}")
     if suffix != PRESETS[name].suffix:
-        refuse(path, f"the extension must be {PRESETS[name].suffix} for {name}", repr(path.suffix))
+        raise_file_error(path, f"the extension must be {PRESETS[name].suffix} for {name}", repr(path.suffix))
     return name
 
 
@@ -131,7 +131,7 @@ def require_size(path: Path, name: str, columns: int, rows: int) -> None:
     if min(columns, rows) < preset.least:
         smaller = ", ".join(known for known, other in PRESETS.items() if other.least <= min(columns, rows))
         rule = f"{name} needs {preset.least} columns and rows or more; these take less: {smaller}"
-        refuse(path, rule, f"{columns} x {rows} px")
+        raise_file_error(path, rule, f"{columns} x {rows} px")
 
 
 def parse_rate(value: Fraction | int | str, where: str = "rate") -> Fraction:
@@ -215,12 +215,12 @@ def write_clip(
     source = _showable(target, frames)
     first = next(source, None)
     if first is None:
-        refuse(target, "a clip must hold a frame", "none")
+        raise_file_error(target, "a clip must hold a frame", "none")
     require_size(target, preset, first.shape[1], first.shape[0])
     clip = _Clip(target, PRESETS[preset], rate, transfer, comment, first)
     try:
         remove_left(target.parent)
-        with whole_file(target) as file:  # by its name, as the index of an mp4 moves to its beginning
+        with atomic_write(target) as file:  # by its name, as the index of an mp4 moves to its beginning
             clip.encode(str(Path(file.name).absolute()), _alike(target, first, source))
     except _FromFramesError as error:
         raise error.error from None
@@ -247,11 +247,11 @@ def _showable(where: Path, frames: Iterable[NDArray[Any]]) -> Iterator[NDArray[A
     for number, image in enumerate(frames):
         frame, name = np.asarray(image), f"frame {number}"
         if frame.ndim not in (2, 3) or frame.shape[2:] not in ((), (3,)) or 0 in frame.shape:
-            refuse(where, f"{name}: shape must be (rows, columns) or (rows, columns, 3)", frame.shape)
+            raise_file_error(where, f"{name}: shape must be (rows, columns) or (rows, columns, 3)", frame.shape)
         if frame.dtype.kind != "f" and frame.dtype not in (np.uint8, np.uint16):
-            refuse(where, f"{name}: values must be uint8 or uint16 codes, or floats", frame.dtype)
+            raise_file_error(where, f"{name}: values must be uint8 or uint16 codes, or floats", frame.dtype)
         if frame.dtype.kind == "f" and not (finite := np.isfinite(frame)).all():
-            refuse(where, f"{name}: values must be finite", first_of(frame, ~finite))
+            raise_file_error(where, f"{name}: values must be finite", first_of(frame, ~finite))
         yield frame
 
 
@@ -265,7 +265,9 @@ def _alike(where: Path, first: NDArray[Any], others: Iterator[NDArray[Any]]) -> 
     try:
         for number, frame in enumerate(chain((first,), others)):
             if kind(frame) != kind(first):
-                refuse(where, f"frame {number}: size and type must be those of frame 0, {kind(first)}", kind(frame))
+                raise_file_error(
+                    where, f"frame {number}: size and type must be those of frame 0, {kind(first)}", kind(frame)
+                )
             yield frame
     except Exception as error:
         raise _FromFramesError(error) from error
@@ -323,7 +325,7 @@ class _Clip:
                 container.mux(stream.encode(None))
         except av.FFmpegError as error:
             what = f"{preset.codec} at {self.size[0]} x {self.size[1]} px, {self.rate} frames per second"
-            refuse(self.where, f"must be encodable and writable, by {what}", error, error)
+            raise_file_error(self.where, f"must be encodable and writable, by {what}", error, error)
 
     def _picture(self, av: Any, number: int, frame: NDArray[Any]) -> Any:
         """A frame as PyAV takes it."""

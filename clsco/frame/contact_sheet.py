@@ -54,6 +54,6 @@ def contact_sheet(
     return np.asarray(sheet)
 
 
-def in_rows(tiles: Sequence[tuple[Picture, str]], across: int = 4) -> list[Sequence[tuple[Picture, str]]]:
+def split_into_rows(tiles: Sequence[tuple[Picture, str]], across: int = 4) -> list[Sequence[tuple[Picture, str]]]:
     """Divide pictures and labels into rows of so many; the last one may be shorter."""
     return [tiles[start : start + across] for start in range(0, len(tiles), across)]

@@ -15,7 +15,7 @@ from clsco.optics.sensor import SensorModel, noise_variance
 LEAST_SIDE = 2  # px, of frames that can be demosaiced
 
 
-def developed(raw: NDArray[np.uint16], sensor_model: SensorModel) -> NDArray[np.float32]:
+def develop(raw: NDArray[np.uint16], sensor_model: SensorModel) -> NDArray[np.float32]:
     """Light that codes stand for: (code - black) / (gain white), demosaiced where the sensor says so.
 
     Parameters
@@ -35,17 +35,17 @@ def developed(raw: NDArray[np.uint16], sensor_model: SensorModel) -> NDArray[np.
         colour-demosaicing is missing, for `demosaic = "menon"`.
     """
     electrons = (raw.astype(np.float64) - sensor_model.sensor.black_level) / sensor_model.gain
-    light = electrons / of_sites(sensor_model.white, sensor_model, raw.shape[:2])
+    light = electrons / values_at_sites(sensor_model.white, sensor_model, raw.shape[:2])
     if sensor_model.sensor.mosaic == "none" or sensor_model.channels == 1:
         return np.asarray(light if light.shape[2] > 1 else light[..., 0], np.float32)
     plane = light[..., 0]
     if sensor_model.sensor.demosaic == "none":
-        colors = of_sites((0, 1, 2), sensor_model, plane.shape) == np.arange(3)
+        colors = values_at_sites((0, 1, 2), sensor_model, plane.shape) == np.arange(3)
         return np.where(colors, plane[..., None], 0.0).astype(np.float32)
     return demosaic(plane, sensor_model.filters[0], sensor_model.sensor.demosaic).astype(np.float32)
 
 
-def of_sites(values: Collection[float], sensor_model: SensorModel, size: tuple[int, ...]) -> NDArray[Any]:
+def values_at_sites(values: Collection[float], sensor_model: SensorModel, size: tuple[int, ...]) -> NDArray[Any]:
     """Values of the channels that pixels have measured, (rows, columns, planes) of this size."""
     y, x = np.ogrid[: size[0], : size[1]]
     each = np.array(tuple(values))[np.array(sensor_model.filters)]
@@ -85,9 +85,9 @@ def sensor_truth(
         arrays["raw"] = raw
     if light is not None:
         channels = np.atleast_3d(light).astype(np.float64)
-        channel = np.minimum(of_sites((0, 1, 2), sensor_model, raw.shape[:2]), sensor_model.channels - 1)
+        channel = np.minimum(values_at_sites((0, 1, 2), sensor_model, raw.shape[:2]), sensor_model.channels - 1)
         own = np.maximum(np.take_along_axis(channels, channel, axis=2), 0.0)
-        photo = own * of_sites(sensor_model.scale, sensor_model, raw.shape[:2])
+        photo = own * values_at_sites(sensor_model.scale, sensor_model, raw.shape[:2])
         if "electrons" in names:
             arrays["electrons"] = (photo + sensor_model.dark).astype(np.float32)
         if "noise_sigma" in names:

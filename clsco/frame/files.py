@@ -14,18 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import require_extra
-from clsco.files.atomic import remove, sha256, together, writable_folder, write_whole
-from clsco.files.bounded import npy_bytes
+from clsco.files.archives import npy_bytes
+from clsco.files.atomic import atomic_folder, atomic_write_bytes, make_writable_folder, remove_file, sha256
 from clsco.files.cameras import colmap_texts
 from clsco.files.color import SRGB, Color
 from clsco.files.depth_codes import kitti_depth_codes, kitti_disparity_codes, pfm_bytes
 from clsco.files.flow import flo_bytes, kitti_flow_codes
 from clsco.files.images import write_exr, write_json, write_npz, write_png, write_tiff
 from clsco.files.transfer import encode
-from clsco.frame.cameras import all_pinholes, exr_attributes, eye_of, gets_behind
+from clsco.frame.cameras import all_pinholes, exr_attributes, eye_of, mark_behind_lens
 from clsco.frame.channels import exr_channels
 from clsco.frame.frame import ALL_TRUTH, FILE_NAMES, IMAGE_NAMES, Frame
-from clsco.frame.truth_files import ATTRIBUTES, Shot, TruthFile, TruthFormat, wanted_files
+from clsco.frame.truth_files import ATTRIBUTES, Shot, TruthFile, TruthFormat, choose_files
 from clsco.optics.motion import Eye
 from clsco.resources import read_regular
 from clsco.scene.model import Scene
@@ -64,7 +64,7 @@ def _per_pixel(shot: Shot, frame: Frame, arrays: dict[str, NDArray[Any]]) -> dic
 
 
 def _write_npy(path: Path, shot: Shot, file: TruthFile) -> None:
-    write_whole(path, npy_bytes(_single(shot, file)))
+    atomic_write_bytes(path, npy_bytes(_single(shot, file)))
 
 
 def _write_pfm(path: Path, shot: Shot, file: TruthFile) -> None:
@@ -73,7 +73,7 @@ def _write_pfm(path: Path, shot: Shot, file: TruthFile) -> None:
         vectors = array.reshape(*array.shape[:2], -1)
         known = _known(shot, file)[..., None] & np.isfinite(vectors).all(axis=-1, keepdims=True)
         array = np.where(known, vectors, np.float32(np.inf)).reshape(array.shape)
-    write_whole(path, pfm_bytes(array, str(path)))
+    atomic_write_bytes(path, pfm_bytes(array, str(path)))
 
 
 def _write_codes(path: Path, shot: Shot, file: TruthFile) -> None:
@@ -85,7 +85,7 @@ def _write_code_tiff(path: Path, shot: Shot, file: TruthFile) -> None:
 
 
 def _write_flo(path: Path, shot: Shot, file: TruthFile) -> None:
-    write_whole(path, flo_bytes(_single(shot, file), _known(shot, file), str(path)))
+    atomic_write_bytes(path, flo_bytes(_single(shot, file), _known(shot, file), str(path)))
 
 
 def _write_kitti_flow(path: Path, shot: Shot, file: TruthFile) -> None:
@@ -105,9 +105,9 @@ def _write_colmap(folder: Path, shot: Shot, _wanted: TruthFile) -> None:
     assert scene is not None
     shown: dict[Eye, str] = {"left": "left" if scene.stereo else "", "right": "right"}
     texts = colmap_texts((f"{_stem(index, shown[eye])}.png", camera) for index, eye, camera in all_pinholes(scene))
-    with together(writable_folder(folder), "model") as temporary:
+    with atomic_folder(make_writable_folder(folder), "model") as temporary:
         for name, content in texts.items():
-            write_whole(temporary / name, content)
+            atomic_write_bytes(temporary / name, content)
 
 
 def _known(shot: Shot, file: TruthFile) -> NDArray[np.bool_]:
@@ -116,7 +116,7 @@ def _known(shot: Shot, file: TruthFile) -> NDArray[np.bool_]:
     assert frame.mask is not None  # is among what the format needs besides
     if name not in _FLOWS or shot.scene is None or not shot.scene.moves:
         return frame.mask
-    return frame.mask & ~gets_behind(shot.scene, frame, 1 if name == "flow" else -1)
+    return frame.mask & ~mark_behind_lens(shot.scene, frame, 1 if name == "flow" else -1)
 
 
 _FLOWS, _WHERE_FLOW_HOLDS = ("flow", "flow_backward"), ("mask", "depth", "object_id")
@@ -144,8 +144,8 @@ TRUTH_FORMATS = {
 
 
 def files_of(truth: str, formats: str = "", types: str = "") -> tuple[TruthFile, ...]:
-    """Files of ground truth that hold arrays in formats. Raises SceneError as `wanted_files`."""
-    return wanted_files(truth, formats, types, TRUTH_FORMATS)
+    """Files of ground truth that hold arrays in formats. Raises SceneError as `choose_files`."""
+    return choose_files(truth, formats, types, TRUTH_FORMATS)
 
 
 def needed_truth(files: Iterable[TruthFile]) -> tuple[str, ...]:
@@ -270,7 +270,7 @@ def write_frame(
     by_eye = {frame.eye: frame for frame in views}
     held = {in_file for name, in_file in FILE_NAMES.items() if all(getattr(view, name) is not None for view in views)}
     described, curve = frame_json(folder, index), color.transfer(transfer)
-    with together(Path(folder), _stem(index, "")) as temporary:
+    with atomic_folder(Path(folder), _stem(index, "")) as temporary:
         for eye, frame in by_eye.items():
             images = [frame.color, *(() if frame.subframes is None else frame.subframes)] if "color" in held else []
             stem = _stem(index, eye if stereo else "")
@@ -281,7 +281,7 @@ def write_frame(
                 shot = Shot(tuple(by_eye[eye] for eye in eyes), scene, color)
                 TRUTH_FORMATS[file.format].write(temporary / name, shot, part)
         digests = {path.name: sha256(path) for path in sorted(temporary.iterdir())}
-        remove(described)  # an older frame is not whole any more
+        remove_file(described)  # an older frame is not whole any more
     recorded = {"views": {frame.eye: dict(frame.metadata) for frame in views}} if stereo else dict(views[0].metadata)
     partial = [str(file) for file in truth if str(file) != file.format]
     profile = {} if color.is_plain else {"color_profile": color.name}

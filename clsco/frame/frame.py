@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from clsco.errors import ArgumentError, SceneError
 from clsco.frame.channels import exr_channels
-from clsco.frame.shown import codes_to_show, html_to_show, png_to_show
+from clsco.frame.notebook import codes_to_show, html_to_show, png_to_show
 
 TRUTH_NAMES = ("sharp", "depth", "blur_radius", "mask", "filled", "missing", "object_id", "normal", "flow", "hidden")
 MOTION_NAMES = ("flow_backward", "flow_occluded")  # besides, where something moves

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from clsco import __version__
-from clsco.files.atomic import refuse, sha256
+from clsco.files.atomic import raise_file_error, sha256
 from clsco.optics.motion import Eye
 from clsco.scene.arrays import HasInputs
 from clsco.scene.changes import dump, table_at
@@ -74,7 +74,7 @@ def _digest(path: str) -> str:
     try:
         return sha256(Path(path))
     except OSError as error:
-        refuse(Path(path), "must be a file that can be read", error, error)
+        raise_file_error(Path(path), "must be a file that can be read", error, error)
 
 
 def _digests(item: HasInputs, known: Mapping[str, str]) -> dict[str, str]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from clsco.errors import SceneError
 from clsco.files.color import SRGB, Color
-from clsco.files.ranges import refuse_values
+from clsco.files.ranges import check_values
 from clsco.frame.frame import ALL_TRUTH, FILE_NAMES, Frame
 from clsco.scene.model import Scene
 
@@ -59,16 +59,16 @@ class TruthFile:
         held = {name: array for name, array in known.items() if name in (self.names or known)}
         halves = held if ALL in self.float16 else self.float16
         where = f"frame {frame.index}"
-        return {name: in_float16(f"{where}: {name}", each) if name in halves else each for name, each in held.items()}
+        return {name: to_float16(f"{where}: {name}", each) if name in halves else each for name, each in held.items()}
 
 
-def in_float16(where: str, array: NDArray[Any]) -> NDArray[Any]:
+def to_float16(where: str, array: NDArray[Any]) -> NDArray[Any]:
     """An array of floats in 16 bits; all others, and times, as they are. Raises FileError for what is beyond them."""
     if array.dtype.kind != "f" or array.ndim < 2:  # times keep their digits
         return array
     with np.errstate(over="ignore"):  # what becomes infinite is refused next
         half = array.astype(np.float16)
-    refuse_values(where, "sizes must be at most 65504 in float16", array, np.isinf(half) & np.isfinite(array))
+    check_values(where, "sizes must be at most 65504 in float16", array, np.isinf(half) & np.isfinite(array))
     return half
 
 
@@ -169,7 +169,7 @@ def parse_types(text: str, known: Mapping[str, Sequence[str]]) -> dict[str, str]
     return {name: others for name, dtypes in known.items() if others in dtypes} | types
 
 
-def wanted_files(truth: str, formats: str, types: str, known: Mapping[str, TruthFormat]) -> tuple[TruthFile, ...]:
+def choose_files(truth: str, formats: str, types: str, known: Mapping[str, TruthFormat]) -> tuple[TruthFile, ...]:
     """Files of ground truth that hold arrays in formats.
 
     Parameters

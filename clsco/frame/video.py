@@ -17,8 +17,8 @@ from clsco.errors import ArgumentError, FileError
 from clsco.files.transfer import TRANSFERS, encode
 from clsco.files.video import PRESETS, parse_rate, preset_for, rate_of, write_clip
 from clsco.frame.frame import GREEN, Frame
+from clsco.frame.frame_folder import FrameFolder
 from clsco.frame.views import VIEWS
-from clsco.frame.written import WrittenFrames
 
 VIEW_NAMES = ("color", "sharp", *VIEWS, "compare")
 
@@ -133,7 +133,7 @@ class Playing:
 
 def write_folder_clip(
     target: Path,
-    frames: WrittenFrames,
+    frames: FrameFolder,
     eye: str,
     view: str,
     preset: str,
@@ -145,9 +145,9 @@ def write_folder_clip(
     Parameters
     ----------
     target : Path
-    frames : WrittenFrames
+    frames : FrameFolder
     eye : str
-        One of the views of a stereo pair, as `WrittenFrames.eyes` has them.
+        One of the views of a stereo pair, as `FrameFolder.eyes` has them.
     view : str
         One of `VIEW_NAMES`: color, the PNG files; sharp, or both side by side (compare); depth, coc or flow as colors,
         on one scale for the clip.
@@ -189,7 +189,7 @@ def write_folder_clip(
     return [*facts, *write_clip(target, counted(), rate, preset, transfer, comment)]
 
 
-def _measured(frames: WrittenFrames, name: str, eye: str) -> Iterator[NDArray[Any]]:
+def _measured(frames: FrameFolder, name: str, eye: str) -> Iterator[NDArray[Any]]:
     """An array of each frame; blur radii, of several colors those of green, are +inf where nothing is, as far as
     the depth is there to say so."""
     arrays = frames.arrays(name, eye)
@@ -201,7 +201,7 @@ def _measured(frames: WrittenFrames, name: str, eye: str) -> Iterator[NDArray[An
     return (np.where(np.isfinite(depth), radius, np.inf) for radius, depth in pairs)
 
 
-def _pictures(frames: WrittenFrames, eye: str, view: str) -> Iterator[NDArray[Any]]:
+def _pictures(frames: FrameFolder, eye: str, view: str) -> Iterator[NDArray[Any]]:
     """Color, sharp, or both."""
     if view == "color":
         return frames.images(eye)

@@ -9,7 +9,7 @@ import numpy as np
 from clsco.inputs.textures import Texture
 
 
-def in_color(texture: Texture) -> Texture:
+def to_color(texture: Texture) -> Texture:
     """A texture of three channels."""
     if texture.radiance.ndim == 3:
         return texture
@@ -18,7 +18,7 @@ def in_color(texture: Texture) -> Texture:
     return replace(texture, radiance=images[0], others=tuple(images[1:]), content=content)
 
 
-def of_channels(texture: Texture, channels: tuple[int, ...]) -> Texture:
+def select_channels(texture: Texture, channels: tuple[int, ...]) -> Texture:
     """A texture of some channels of another one; of a gray one, which has one for all, itself."""
     if texture.radiance.ndim == 2:
         return texture

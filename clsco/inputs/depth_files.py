@@ -11,10 +11,10 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.files.atomic import refuse
-from clsco.files.bounded import image_shape, member_array, npy_header, open_archive, open_member
-from clsco.files.decoders import IMAGE_FORMATS, check_limits, decoded, exr_planes, opened
-from clsco.files.layers import depth_channels, listed
+from clsco.files.archives import image_shape, member_array, npy_header, open_archive, open_member
+from clsco.files.atomic import raise_file_error
+from clsco.files.decoders import IMAGE_FORMATS, check_limits, decode_file, exr_planes, open_format
+from clsco.files.layers import depth_channels, list_names
 from clsco.files.ranges import first_of
 
 MOST_ARRAYS = 256  # in an NPZ
@@ -36,17 +36,17 @@ def read_depth(path: str | os.PathLike[str], layer: str | None = None) -> NDArra
     extension, damaged, over 2^27 pixels or 65536 a side (refused from the header), channels that differ.
     Validated against files written by imagecodecs, Pillow, OpenCV, tifffile, OpenEXR and NumPy, and by hand.
     """
-    with opened(path, DEPTH_FORMATS) as (file, kind):
+    with open_format(path, DEPTH_FORMATS) as (file, kind):
         if kind == "EXR":
             data = _decode_exr(file, layer)
         elif layer is not None:
-            refuse(Path(file.name), f"only an EXR has layers, such as {listed([layer])}", kind)
+            raise_file_error(Path(file.name), f"only an EXR has layers, such as {list_names([layer])}", kind)
         elif kind == "NPZ":
             data = _decode_npz(file)
         elif kind == "DPT":
             data = _decode_dpt(file)
         else:
-            data = decoded(file, kind)
+            data = decode_file(file, kind)
         return _single_channel(file, data)
 
 
@@ -54,15 +54,17 @@ def _single_channel(file: BinaryIO, data: NDArray[Any]) -> NDArray[Any]:
     """Take one of three equal channels, and turn floats into float64."""
     path = Path(file.name)
     if data.dtype.kind not in "iuf":
-        refuse(path, "values must be integers or floats", data.dtype)
+        raise_file_error(path, "values must be integers or floats", data.dtype)
     if data.ndim == 3 and data.shape[2] == 3:
         first = data[..., :1]
         differ = ((data != first) & ~(np.isnan(data) & np.isnan(first))).any(axis=2)
         if differ.any():
-            refuse(path, "must hold one depth per pixel: red, green and blue must be equal", first_of(data, differ))
+            raise_file_error(
+                path, "must hold one depth per pixel: red, green and blue must be equal", first_of(data, differ)
+            )
         data = data[..., 0]
     if data.ndim != 2:
-        refuse(path, "shape must be (rows, columns)", data.shape)
+        raise_file_error(path, "shape must be (rows, columns)", data.shape)
     return np.ascontiguousarray(data, np.float64 if data.dtype.kind == "f" else data.dtype.newbyteorder("="))
 
 
@@ -73,14 +75,14 @@ def _decode_exr(file: BinaryIO, layer: str | None) -> NDArray[Any]:
         channels = depth_channels(names, layer)
         if not channels:
             rule = "an EXR must hold one depth: a channel Z, V, R or Y, or Z or V of a layer"
-            refuse(path, f"{rule} {listed([layer])}" if layer else rule, listed(names))
+            raise_file_error(path, f"{rule} {list_names([layer])}" if layer else rule, list_names(names))
         return channels
 
     first, *others = exr_planes(file, choose, np.nan).items()
     name, data = first
     if any(not np.array_equal(data, plane, equal_nan=data.dtype.kind == "f") for _, plane in others):
         rule = "an EXR must hold one depth, or equal ones, or its layer must be named"
-        refuse(path, rule, f"channels {listed([name, *(other for other, _ in others)])} that differ")
+        raise_file_error(path, rule, f"channels {list_names([name, *(other for other, _ in others)])} that differ")
     return data
 
 
@@ -92,7 +94,7 @@ def _decode_npz(file: BinaryIO) -> NDArray[Any]:
         if "depth.npy" in archive.NameToInfo:
             entries = {"depth": "depth.npy"}
         elif len(entries) > MOST_ARRAYS:
-            refuse(path, f"an NPZ must hold an array depth, or at most {MOST_ARRAYS} arrays", "more")
+            raise_file_error(path, f"an NPZ must hold an array depth, or at most {MOST_ARRAYS} arrays", "more")
         headers = {}
         for name, entry in entries.items():
             with open_member(archive, entry) as member:
@@ -100,12 +102,12 @@ def _decode_npz(file: BinaryIO) -> NDArray[Any]:
         flat = [name for name, header in headers.items() if len(image_shape(header.shape)) == 2 or name == "depth"]
         if len(flat) != 1:
             rule = "an NPZ must hold an array depth, or one array with two dimensions"
-            refuse(path, rule, f"arrays {listed(flat)}" if flat else "none")
+            raise_file_error(path, rule, f"arrays {list_names(flat)}" if flat else "none")
         header = headers[flat[0]]
         shape, dtype = image_shape(header.shape), header.dtype
         if len(shape) not in (2, 3) or shape[2:] not in ((), (3,)) or dtype.kind not in "iuf":
-            rule = f"array {listed(flat)} must hold numbers of shape (rows, columns)"
-            refuse(path, rule, f"{dtype} of shape {header.shape}")
+            rule = f"array {list_names(flat)} must hold numbers of shape (rows, columns)"
+            raise_file_error(path, rule, f"{dtype} of shape {header.shape}")
         check_limits(path, shape[1], shape[0])
         return member_array(archive, entries[flat[0]], header).reshape(shape)
 

@@ -20,7 +20,7 @@ from clsco.files.atomic import sha256
 from clsco.files.color import Color
 from clsco.inputs import textures
 from clsco.inputs.depth_maps import DepthValues, depth_numbers, load_scene_depths, map_values
-from clsco.inputs.pupils import dimmed, scene_point_spread
+from clsco.inputs.pupils import scale_radiance, scene_point_spread
 from clsco.inputs.textures import (
     PATTERNS,
     Texture,
@@ -86,7 +86,7 @@ class InputFiles:
         loaded = load_scene_textures(scene, self.texture, lambda image: self.about(image).color)[1]
         if scene.aperture.exposure == "normalized":
             return loaded
-        return dimmed(loaded, exposure_factor(scene.aperture, self.point_spread(scene)))
+        return scale_radiance(loaded, exposure_factor(scene.aperture, self.point_spread(scene)))
 
     def maps(self, scene: Scene) -> Maps:
         """Inverse depth (rows, columns) in 1/mm of every object that is a depth map, None for others.

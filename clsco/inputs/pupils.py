@@ -65,7 +65,7 @@ def scene_point_spread(scene: Scene, load: Load = picture_of) -> PointSpread:
     return load_point_spread(scene.psf, scene.aperture, scene.image.transfer, load, scene.camera)
 
 
-def dimmed(textures: Sequence[Texture], factor: float) -> tuple[Texture, ...]:
+def scale_radiance(textures: Sequence[Texture], factor: float) -> tuple[Texture, ...]:
     """Textures with their radiance times a factor."""
     if factor == 1.0:
         return tuple(textures)

@@ -155,7 +155,7 @@ def is_gray(name: str) -> bool:
     return name in PATTERNS or color_codes(name).ndim == 0
 
 
-def with_coverage(texture: Texture, channels: int, covers: bool) -> Texture:
+def add_coverage(texture: Texture, channels: int, covers: bool) -> Texture:
     """A texture of so many channels, and one more: 1 where it covers surfaces behind it, else 0."""
     images = []
     for image in texture.images:
@@ -260,7 +260,7 @@ def load_scene_textures(
     return scene.model_copy(update={"camera": camera}), tuple(placed)
 
 
-def stretched(scenes: Iterable[Scene]) -> list[str]:
+def find_stretched(scenes: Iterable[Scene]) -> list[str]:
     """Projected images of another aspect than the frame, each with the first object that has it; drawn ones have none.
 
     Parameters

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from clsco.errors import FileError, MissingDependencyError, SceneError
 from clsco.files.color import SRGB, Color
 from clsco.frame.provenance import views
-from clsco.inputs.channels import in_color
+from clsco.inputs.channels import to_color
 from clsco.inputs.files import InputFiles, Maps, shared_files
-from clsco.inputs.textures import Texture, image_files, is_gray, mapped_size, texture_size, with_coverage
+from clsco.inputs.textures import Texture, add_coverage, image_files, is_gray, mapped_size, texture_size
 from clsco.plan.device import DeviceFacts
 from clsco.plan.memory import fitted, limit_of
 from clsco.plan.plan import Plan, make_plan
@@ -61,11 +61,11 @@ class Prepared:
         """Textures of every object; with a channel more for `alpha`."""
         found = self.files.textures(self.scene)
         if self.plan.spreads:
-            found = tuple(map(cache(in_color), found))
+            found = tuple(map(cache(to_color), found))
         if not self.plan.alpha:
             return found
         covers = [not item.is_background for item in self.scene.objects]
-        wider = cache(lambda texture, covering: with_coverage(texture, self.plan.channels - 1, covering))
+        wider = cache(lambda texture, covering: add_coverage(texture, self.plan.channels - 1, covering))
         return tuple(wider(*pair) for pair in zip(found, covers, strict=True))
 
     @cached_property

@@ -60,7 +60,7 @@ def at_keys(faults: list[tuple[tuple[str | int, ...], PydanticCustomError, Any]]
 
     Parameters
     ----------
-    found : list of (location, fault, value)
+    faults : list of (location, fault, value)
         Location of the key, fault from `fault`, and the value given there.
 
     Returns
@@ -270,10 +270,10 @@ class Strict(BaseModel):
             try:
                 super().__init__(**values)
             except ValidationError as error:
-                found = error
+                refused = error
             else:
                 return
-            raise Strict.refusal(type(self), found)
+            raise Strict.refusal(type(self), refused)
 
         # By this pydantic knows its own constructor, which it passes by for the parts of a model.
         __init__.__pydantic_base_init__ = True

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from clsco.errors import FileError, SceneError
-from clsco.files.atomic import writable_folder, write_whole
+from clsco.files.atomic import atomic_write_bytes, make_writable_folder
 from clsco.files.images import read_image
 from clsco.resources import read_regular
 from clsco.scene.text import shown
@@ -88,7 +88,7 @@ def keep_image(root: Path, content: bytes, kind: str) -> str:
                 read_image(trial)
             except FileError as error:
                 raise FileError(str(error).replace(str(trial), "image")) from None
-        write_whole(writable_folder(path.parent) / path.name, content)
+        atomic_write_bytes(make_writable_folder(path.parent) / path.name, content)
     return name
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from clsco.data.containers import CONTAINERS, DEFAULT
 from clsco.errors import ClscoError, SceneError
-from clsco.files.atomic import writable_folder, write_whole
+from clsco.files.atomic import atomic_write_bytes, make_writable_folder
 from clsco.files.png import png_parts
 from clsco.files.transfer import encode
 from clsco.files.video import PRESETS
@@ -148,7 +148,7 @@ def data_set(
     jobs.require_free(name)
     shipped = shipped_distributions().get(source)
     if shipped is not None and not (session.root / source).exists():
-        write_whole(writable_folder((session.root / source).parent) / shipped.name, shipped.read_bytes())
+        atomic_write_bytes(make_writable_folder((session.root / source).parent) / shipped.name, shipped.read_bytes())
     if not (session.root / source).is_file():
         raise ClscoError(f"distribution: must be an existing file; got {distribution!r}")
     shard = min(LARGEST_SHARD, -(-count // STEPS))
@@ -181,7 +181,7 @@ def _render(session: Document, jobs: Jobs, folder: str, table: Table, what: str,
     jobs.require_free(name)
     prepare_sweep(replace(sweep, scenes=scenes))  # says what is beyond the limits, before anything is begun
     target.mkdir(parents=True, exist_ok=True)
-    write_whole(target / SCENE_FILE, toml_text(sparse(moved(table, session.folder, target))).encode())
+    atomic_write_bytes(target / SCENE_FILE, toml_text(sparse(moved(table, session.folder, target))).encode())
     title = str(table.get("title", "")) or "scene"
     arguments = ["render", f"{name}/{SCENE_FILE}", "-o", name, *wanted.options()]
     pattern = "frame_[0-9]*.json" if len(scenes) == 1 else "*/frame_[0-9]*.json"

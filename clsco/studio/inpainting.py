@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from clsco.engine.child import Child
 from clsco.errors import ClscoError, FileError, SceneError
-from clsco.files.atomic import together, writable_folder
+from clsco.files.atomic import atomic_folder, make_writable_folder
 from clsco.files.color import SRGB
 from clsco.files.images import Picture, read_image, write_png
 from clsco.files.png import png_parts
@@ -180,7 +180,7 @@ class Inpainting:
             raise FileError(f"mask: must be written to a file that ends in .png; got {name!r}")
         if target == (self.root / self.name).resolve():
             raise FileError(f"mask: must not take the place of the image; got {name!r}")
-        write_png(writable_folder(target.parent) / target.name, self._mask_codes())
+        write_png(make_writable_folder(target.parent) / target.name, self._mask_codes())
 
     def fill(self, method: str) -> FilledImage | None:
         """Fill the missing pixels, and keep the result beside those of other methods.
@@ -265,7 +265,7 @@ class Inpainting:
         target = self._target(folder)
         if self.image.dtype.kind == "f":
             raise FileError("image: must be of 8 or 16 bits to be written as PNG; use clsco inpaint for floats")
-        with together(writable_folder(target), "inpainting") as made:
+        with atomic_folder(make_writable_folder(target), "inpainting") as made:
             write_png(made / "image.png", self.image, self.color)
             write_png(made / "mask.png", self._mask_codes())
             for filled in results:

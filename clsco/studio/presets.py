@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.files.atomic import writable_folder, write_whole
+from clsco.files.atomic import atomic_write_bytes, make_writable_folder
 from clsco.files.images import read_image
 from clsco.inputs.textures import bricks
 from clsco.resources import folder
@@ -86,7 +86,7 @@ def _copied(path: Path, root: Path) -> str:
     name = f"{IMAGES}/{path.name}"
     target = below(root, name)
     if not target.exists():
-        write_whole(writable_folder(target.parent) / target.name, content)
+        atomic_write_bytes(make_writable_folder(target.parent) / target.name, content)
     elif not holds(target, content):  # somebody's other image
         return keep_image(root, content, path.suffix[1:])
     return name

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from clsco.errors import ClscoError, FileError, SceneError
-from clsco.files.atomic import write_whole
+from clsco.files.atomic import atomic_write_bytes
 from clsco.resources import ExposedFolderError, open_regular, private_folder, read_regular
 from clsco.scene.faults import items
 from clsco.scene.file import relocated
@@ -104,7 +104,7 @@ class Document(Editor):
         if not overwrite and digest_of(target) != self._digests.get(target, ""):
             rule = "is on the disk with other content" if target in self._digests else "is there already"
             raise ConflictError(f"{target.name}: {rule}: overwrite it, or save under another name")
-        write_whole(target, text.encode())
+        atomic_write_bytes(target, text.encode())
         self._digests[target] = digest_of(target)
         self._state = replace(self._state, table=table, path=target)
         self._saved = target, table
@@ -257,7 +257,7 @@ class StateFolder:
 
     def write(self, name: str, content: bytes) -> None:
         """Write a file that is whole or absent. Raises FileError where that cannot be."""
-        write_whole(self.path / name, content)  # in a folder that nobody else can look into
+        atomic_write_bytes(self.path / name, content)  # in a folder that nobody else can look into
 
     def key(self) -> bytes:
         """A secret that the next studio in the folder has, too, if it can be kept."""

@@ -134,7 +134,7 @@ def test_memory_does_not_grow_with_the_shard(form: str, tmp_path: Path) -> None:
 
 @EACH
 def test_damage_is_refused_or_harmless(form: str, tmp_path: Path) -> None:
-    """A file that is cut off or has other bits gives an FileError of one line, or arrays of the right kind."""
+    """A file that is cut off or has other bits gives a FileError of one line, or arrays of the right kind."""
     records = [record(number, wanted=("color", "depth", "mask")) for number in range(2)]
     whole = written(tmp_path, form, records)
     files = sorted(each for each in whole.rglob("*") if each.is_file()) if whole.is_dir() else [whole]

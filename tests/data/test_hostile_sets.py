@@ -72,7 +72,7 @@ def large_png() -> bytes:
 )
 def test_lies_about_sizes_take_no_memory(extension: str, content: bytes) -> None:
     tracemalloc.start()
-    with pytest.raises(Exception):  # noqa: B017, PT011, any: readers turn all of them into an FileError
+    with pytest.raises(Exception):  # noqa: B017, PT011, any: readers turn all of them into a FileError
         decoded(HERE, extension, content, about("f4", 2, 2))
     assert tracemalloc.get_traced_memory()[1] < 2**20
     tracemalloc.stop()

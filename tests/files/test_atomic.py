@@ -19,7 +19,7 @@ import pytest
 
 from clsco import resources
 from clsco.errors import FileError
-from clsco.files.atomic import writable_folder
+from clsco.files.atomic import make_writable_folder
 from clsco.files.images import read_image, write_exr, write_json, write_npz, write_png
 from clsco.files.transfer import encode
 from clsco.frame.channels import exr_channels
@@ -261,11 +261,11 @@ def test_unwritable_places(tmp_path: Path) -> None:
         write_json(tmp_path / "a.json", {"x": float("nan")})
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder"]
 
-    assert writable_folder(tmp_path / "new" / "deep") == tmp_path / "new" / "deep"
+    assert make_writable_folder(tmp_path / "new" / "deep") == tmp_path / "new" / "deep"
     assert list((tmp_path / "new" / "deep").iterdir()) == []
     for path in (tmp_path / "file", tmp_path / "file" / "below", Path("/proc/nothing"), tmp_path / "a\0"):
         with pytest.raises(FileError, match="must be a folder that can be written; got "):
-            writable_folder(path)
+            make_writable_folder(path)
 
 
 def test_stale_temporary_files_are_removed(tmp_path: Path) -> None:
@@ -304,7 +304,7 @@ if naive:
     @contextlib.contextmanager
     def in_place(folder, name):
         yield folder
-    images.whole_file, framefiles.together, framefiles.sha256 = images_open, in_place, lambda path: path.name
+    images.atomic_write, framefiles.together, framefiles.sha256 = images_open, in_place, lambda path: path.name
 light, npz = np.random.default_rng(1).random((64, 64, 3), "f4"), framefiles.files_of("", "npz")
 framefiles.write_frame(folder, (Frame(0, light),), 16, "srgb")  # makes the tables, once for all children
 random.seed(2)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from clsco.errors import FileError
-from clsco.files.atomic import write_whole
+from clsco.files.atomic import atomic_write_bytes
 from clsco.files.depth_codes import (
     kitti_depth_codes,
     kitti_disparity_codes,
@@ -86,7 +86,7 @@ def test_pfm_is_read_by_opencv_and_torchvision(tmp_path: Path, channels: int) ->
     array = RNG.normal(0, 1e3, shape).astype(np.float32)
     array[0, 0], array[5, 3] = np.inf, -0.0
     path = tmp_path / "a.pfm"
-    write_whole(path, pfm_bytes(array))
+    atomic_write_bytes(path, pfm_bytes(array))
     np.testing.assert_array_equal(torchvision_pfm(path, max(channels, 1)).reshape(shape), array)
     stored = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     bgr = stored if channels == 0 else stored[..., ::-1]
@@ -95,7 +95,7 @@ def test_pfm_is_read_by_opencv_and_torchvision(tmp_path: Path, channels: int) ->
         assert not bgr[..., 2].any()
     if channels != 2:
         light = np.abs(np.where(np.isinf(array), 1, array)).astype(np.float32)
-        write_whole(path, pfm_bytes(light))
+        atomic_write_bytes(path, pfm_bytes(light))
         np.testing.assert_array_equal(read_image(path).data, light)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from clsco.errors import FileError
-from clsco.files.atomic import write_whole
+from clsco.files.atomic import atomic_write_bytes
 from clsco.files.flow import flo_bytes, kitti_flow_codes
 from clsco.files.images import write_png
 from tests.files.readers import torchvision_flo, torchvision_kitti_flow
@@ -22,10 +22,10 @@ LARGEST = 511 + 63 / 64
 
 def test_flo_is_read_by_opencv_and_torchvision(tmp_path: Path) -> None:
     path = tmp_path / "a.flo"
-    write_whole(path, flo_bytes(FLOW))
+    atomic_write_bytes(path, flo_bytes(FLOW))
     np.testing.assert_array_equal(cv2.readOpticalFlow(str(path)), FLOW, strict=True)
     np.testing.assert_array_equal(torchvision_flo(path), FLOW)
-    write_whole(path, flo_bytes(FLOW, VALID))
+    atomic_write_bytes(path, flo_bytes(FLOW, VALID))
     np.testing.assert_array_equal(torchvision_flo(path)[VALID], FLOW[VALID])
     assert (cv2.readOpticalFlow(str(path))[~VALID] > 1e9).all()  # what Middlebury's readers take for unknown
     cv2.writeOpticalFlow(str(path), FLOW)
@@ -75,7 +75,7 @@ def test_flow_that_is_no_number_is_unknown(tmp_path: Path) -> None:
     flow[0, 0, 0], flow[1, 1, 1], flow[2, 2] = np.nan, np.inf, -np.inf
     known = np.isfinite(flow).all(axis=-1)
     np.testing.assert_array_equal(kitti_flow_codes(flow)[..., 2] == 1, known)
-    write_whole(tmp_path / "a.flo", flo_bytes(flow))
+    atomic_write_bytes(tmp_path / "a.flo", flo_bytes(flow))
     found = torchvision_flo(tmp_path / "a.flo")
     np.testing.assert_array_equal((found < 1e9).all(axis=-1), known)
     np.testing.assert_array_equal(found[known], flow[known])

@@ -20,7 +20,7 @@ from PIL import Image, ImageOps
 from clsco.cli.main import main
 from clsco.errors import FileError
 from clsco.files.images import image_size, read_image, write_png, write_tiff
-from clsco.files.tags import upright
+from clsco.files.tags import turn_upright
 from clsco.inputs.depth_files import read_depth
 
 Array = NDArray[Any]
@@ -202,5 +202,5 @@ def test_turns_are_those_of_pillow() -> None:
         content = io.BytesIO()
         image.save(content, "PNG", exif=exif(orientation))
         wanted = np.asarray(ImageOps.exif_transpose(Image.open(content)))
-        np.testing.assert_array_equal(upright(stored(UPRIGHT), orientation), wanted)
+        np.testing.assert_array_equal(turn_upright(stored(UPRIGHT), orientation), wanted)
         np.testing.assert_array_equal(wanted, UPRIGHT)

@@ -204,7 +204,7 @@ def test_a_failed_model_of_colmap_leaves_nothing(tmp_path: Path, monkeypatch: py
             raise FileError(f"{path}: the file must be writable; got No space left on device")
         path.write_bytes(content)
 
-    monkeypatch.setattr(framefiles, "write_whole", last_fails)
+    monkeypatch.setattr(framefiles, "atomic_write_bytes", last_fails)
     with pytest.raises(FileError, match=re.escape(f"{tmp_path}/sparse/0/points3D.txt: the file must be writable")):
         framefiles.write_scene_files(tmp_path, SCENE, files_of("", "colmap"))
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []

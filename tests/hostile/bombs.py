@@ -379,7 +379,7 @@ def limited(name: str, path: str) -> tuple[float, float, str]:
 def _end_decoder() -> None:
     """End the process with limits, whose memory is known then."""
     with suppress(ImportError):
-        importlib.import_module("clsco.files.confined")._serving.end()
+        importlib.import_module("clsco.files.decoder_process")._serving.end()
 
 
 def _peak() -> int:

@@ -14,8 +14,8 @@ import pytest
 
 from clsco.data.containers.base import LARGEST_RECORD, parsed_meta
 from clsco.errors import FileError
-from clsco.files import confined as confining
-from clsco.files.confined import confined
+from clsco.files import decoder_process as confining
+from clsco.files.decoder_process import run_decoder
 from clsco.files.images import read_image
 from clsco.inputs.depth_files import read_depth
 from tests.hostile import bombs
@@ -110,7 +110,7 @@ class TestConfined:
 
     def call(self, path: Path, function: Callable[..., Any], most: int = 100, **options: Any) -> Any:
         with open(path, "rb") as file:
-            return confined(f"tests.hostile.test_bombs:{function.__name__}", file, most, **options)
+            return run_decoder(f"tests.hostile.test_bombs:{function.__name__}", file, most, **options)
 
     def test_gives_what_the_function_does(self, file: Path) -> None:
         for _ in range(2):
@@ -147,7 +147,7 @@ class TestConfined:
             (tmp_path / "other").write_text("other")
             (tmp_path / "other").replace(file)
             with pytest.raises(ValueError, match="another file than was opened first"):
-                confined("tests.hostile.test_bombs:echo", opened, 0)
+                run_decoder("tests.hostile.test_bombs:echo", opened, 0)
 
     def test_modules_of_the_current_folder_are_not_imported(
         self, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -19,7 +19,7 @@ from clsco.cli.main import main
 from clsco.engine.batch import prepare
 from clsco.errors import FileError, SceneError
 from clsco.files import decoders
-from clsco.files.atomic import same_place
+from clsco.files.atomic import is_same_place
 from clsco.files.images import read_image
 from clsco.frame.files import read_complete
 from clsco.inputs.depth_files import read_depth
@@ -113,8 +113,8 @@ def test_frames_stay_inside_their_folder_by_links_as_well(tmp_path: Path) -> Non
     assert f"frames must stay inside {out}; got {out / 'f_number_3'}" in refused.stderr
     assert list(elsewhere.iterdir()) == []
     (tmp_path / "loop").symlink_to("loop")
-    assert same_place(tmp_path / "loop", tmp_path / "loop")
-    assert not same_place(tmp_path / "loop", tmp_path)
+    assert is_same_place(tmp_path / "loop", tmp_path / "loop")
+    assert not is_same_place(tmp_path / "loop", tmp_path)
 
 
 def test_an_image_with_too_many_channels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

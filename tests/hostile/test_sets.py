@@ -19,8 +19,8 @@ from clsco.data.manifest import part_key
 from clsco.data.storage import open_storage
 from clsco.errors import ClscoError, FileError, SceneError, visible
 from clsco.files.array_cache import ArrayCache
-from clsco.files.bounded import MOST_DEEP, strict_json
 from clsco.files.images import read_image
+from clsco.files.strict_json import MOST_DEEP, strict_json
 from clsco.frame.files import frame_json, read_complete
 from clsco.scene.toml import toml_text
 from tests.data.samples import make_set

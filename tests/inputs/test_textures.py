@@ -18,9 +18,9 @@ from clsco.inputs.textures import (
     PATTERNS,
     bricks,
     checkerboard,
+    find_stretched,
     load_scene_textures,
     load_texture,
-    stretched,
     texture_size,
 )
 from clsco.scene.model import BUILT_IN_TEXTURES, Background, Camera, DepthMap, Plane, Scene
@@ -300,14 +300,14 @@ def test_a_projected_image_of_another_aspect_is_stretched(
     items["lying"] = Plane(distance=300.0, texture=array, texture_mapping="surface", texture_size=(9.0, 3.0))
     names = ("pattern", "projected", "lying", "projected")  # the same image again is one
     scene = Scene(camera=Camera(resolution=frame), objects=tuple(items[name] for name in names))
-    found = stretched([scene, scene])
+    found = find_stretched([scene, scene])
     assert found == ([f"{line} from {size} to the frame's {other} px"] if is_stretched else [])
 
 
 def test_backgrounds_and_depth_maps_are_stretched_as_well() -> None:
     array = np.zeros((480, 640), np.float32)
     items = Background(texture=array), DepthMap(depth=np.full((8, 8), 300.0), texture=array[:, :600])
-    found = stretched([Scene(camera=Camera(resolution=(8, 8)), objects=items)])
+    found = find_stretched([Scene(camera=Camera(resolution=(8, 8)), objects=items)])
     assert [line[: line.index(" to")] for line in found] == [
         "object[0].texture: is stretched from 640 x 480",
         "object[1].texture: is stretched from 600 x 480",

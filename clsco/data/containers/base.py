@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from clsco.data.record import Record
 from clsco.errors import ClscoError, FileError, import_extra
-from clsco.files.atomic import refuse
-from clsco.files.bounded import npy_array as npy_array
-from clsco.files.bounded import npy_size as npy_size
-from clsco.files.bounded import strict_json
+from clsco.files.archives import npy_array as npy_array
+from clsco.files.archives import npy_size as npy_size
+from clsco.files.atomic import raise_file_error
 from clsco.files.decoders import unzstd
 from clsco.files.png import GRAY, RGB, SIGNATURE, png_parts
+from clsco.files.strict_json import strict_json
 
 
 class ShardReader(ABC):
@@ -99,16 +99,16 @@ class Container:
 
 @contextlib.contextmanager
 def whole(path: Path, kind: str) -> Iterator[None]:
-    """Turn any error of a codec into an FileError: each has its own exceptions for damage, and none lists them."""
+    """Turn any error of a codec into a FileError: each has its own exceptions for damage, and none lists them."""
     try:
         yield
     except ClscoError:
         raise
     except OSError as error:
         rule = f"must be a {kind} that can be read" if error.errno else f"must be a whole {kind}"
-        refuse(path, rule, error, error)
+        raise_file_error(path, rule, error, error)
     except Exception as error:
-        refuse(path, f"must be a whole {kind}", error, error)
+        raise_file_error(path, f"must be a whole {kind}", error, error)
 
 
 Layout = dict[str, tuple["np.dtype[Any]", tuple[int, ...]]]
@@ -137,13 +137,13 @@ def blocks(path: Path, records: Iterable[Record], kind: str) -> Iterator[tuple[L
         layout = own if layout is None else layout
         if own != layout:
             rule = f"{kind} must have the same arrays in all samples, of one type and size"
-            refuse(path, rule, f"{_differing(layout, own)} in sample {record.key}")
+            raise_file_error(path, rule, f"{_differing(layout, own)} in sample {record.key}")
         block.append(record)
         if len(block) == block_size(layout):
             yield layout, block
             block = []
     if layout is None:
-        refuse(path, f"{kind} must have a sample", "none")
+        raise_file_error(path, f"{kind} must have a sample", "none")
     if block:
         yield layout, block
 
@@ -215,7 +215,7 @@ def decoded(path: Path, extension: str, content: bytes, about: Mapping[str, Any]
     Raises
     ------
     Exception
-        For damage any of the codecs', which readers turn into an FileError.
+        For damage any of the codecs', which readers turn into a FileError.
     """
     dtype, shape = about["dtype"], tuple(about["shape"])
     if extension == "png":
@@ -300,15 +300,15 @@ def parsed_meta(path: Path, content: bytes | str) -> dict[str, Any]:
     FileError
     """
     if len(content) > LARGEST_META:
-        refuse(path, f"meta.json must have at most {LARGEST_META} bytes", len(content))
+        raise_file_error(path, f"meta.json must have at most {LARGEST_META} bytes", len(content))
     meta = strict_json(content)
     if isinstance(meta, dict) and isinstance(meta.get("arrays"), str):  # flat
         meta |= {name: strict_json(meta[name]) for name in NESTED if isinstance(meta.get(name), str)}
     if not isinstance(meta, dict) or not isinstance(meta.get("arrays"), dict):
-        refuse(path, "meta.json must be an object with arrays", type(meta).__name__)
+        raise_file_error(path, "meta.json must be an object with arrays", type(meta).__name__)
     known = [described(path, meta, name) for name in meta["arrays"]]
     if (total := sum(prod(each["shape"]) * each["dtype"].itemsize for each in known)) > LARGEST_RECORD:
-        refuse(path, f"arrays of a sample must have at most {LARGEST_RECORD} bytes in all", total)
+        raise_file_error(path, f"arrays of a sample must have at most {LARGEST_RECORD} bytes in all", total)
     return meta
 
 
@@ -316,13 +316,15 @@ def described(path: Path, meta: Mapping[str, Any], name: str) -> dict[str, Any]:
     """`dtype` and `shape` of an array of a record. Raises FileError for none, or for what no record has."""
     about = meta["arrays"].get(name)
     if not isinstance(about, dict) or not _NAME.fullmatch(name):
-        refuse(path, "arrays must have plain names and be described in meta.json", repr(name))
+        raise_file_error(path, "arrays must have plain names and be described in meta.json", repr(name))
     dtype, shape = _DTYPES.get(str(about.get("dtype"))), list[Any](about["shape"] if _is_list(about) else [])
     if dtype is None:
-        refuse(path, f"dtype of {name} must be one of {', '.join(_DTYPES)}", repr(about.get("dtype")))
+        raise_file_error(path, f"dtype of {name} must be one of {', '.join(_DTYPES)}", repr(about.get("dtype")))
     plain = 1 <= len(shape) <= 5 and all(type(size) is int and size > 0 for size in shape)
     if not plain or prod(shape) * dtype.itemsize > LARGEST:
-        refuse(path, f"shape of {name} must be 1 to 5 sizes of at most {LARGEST} bytes in all", about.get("shape"))
+        raise_file_error(
+            path, f"shape of {name} must be 1 to 5 sizes of at most {LARGEST} bytes in all", about.get("shape")
+        )
     return {"dtype": dtype, "shape": tuple(shape)}
 
 

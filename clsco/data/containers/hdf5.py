@@ -17,7 +17,7 @@ from clsco.data.containers.base import LARGEST_META, ShardReader, described, met
 from clsco.data.containers.base import NEEDS as DEFLATE
 from clsco.data.record import Record, is_wanted
 from clsco.errors import import_extra
-from clsco.files.atomic import refuse
+from clsco.files.atomic import raise_file_error
 from clsco.resources import open_regular
 
 NEEDS = ("h5py", "data")
@@ -123,5 +123,7 @@ class Hdf5Reader(ShardReader):
         found = group[name] if isinstance(link, self._h5py.HardLink) else None
         apart = isinstance(found, self._h5py.Dataset) and (found.external or found.is_virtual)
         if not isinstance(found, kind) or apart:
-            refuse(self.path, f"{name} must be a {kind.__name__.lower()} in the file itself", "something else")
+            raise_file_error(
+                self.path, f"{name} must be a {kind.__name__.lower()} in the file itself", "something else"
+            )
         return found

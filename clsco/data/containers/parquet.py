@@ -31,8 +31,8 @@ from clsco.data.containers.base import (
 )
 from clsco.data.record import Record, is_wanted
 from clsco.errors import import_extra, require_extra
-from clsco.files.atomic import refuse
-from clsco.files.confined import confined
+from clsco.files.atomic import raise_file_error
+from clsco.files.decoder_process import run_decoder
 from clsco.resources import open_regular
 
 NEEDS = ("pyarrow", "data")
@@ -133,15 +133,15 @@ class ParquetReader(ShardReader):
         self._places: list[tuple[int, int]] = []
         require_extra(path, *NEEDS)
         with whole(path, "Parquet file"), open_regular(path) as file:
-            about, _ = confined(f"{_FILE}:layout", file, MOST_KEYS)
+            about, _ = run_decoder(f"{_FILE}:layout", file, MOST_KEYS)
             for number, (size, rows) in enumerate(about["groups"]):
                 if size > LARGEST or rows > MOST_ROWS:
                     rule = f"row groups must have at most {LARGEST} bytes and {MOST_ROWS} rows"
-                    refuse(path, rule, f"{size} and {rows}")
+                    raise_file_error(path, rule, f"{size} and {rows}")
                 self._places += [(number, row) for row in range(rows)]
         self._names, keys = tuple(map(str, about["names"])), about["keys"]
         if len(keys) != len(self._places) or not all(isinstance(key, str) for key in keys):
-            refuse(path, "must have a key in each row", f"{len(keys)} of {len(self._places)}")
+            raise_file_error(path, "must have a key in each row", f"{len(keys)} of {len(self._places)}")
         super().__init__(path, keys)
 
     def record(self, index: int, wanted: Collection[str] | None = None) -> Record:
@@ -165,7 +165,7 @@ class ParquetReader(ShardReader):
 
     def _columns(self, group: int, names: Sequence[str], most: int) -> dict[str, _Column]:
         with open_regular(self.path) as file:
-            _, arrays = confined(f"{_FILE}:columns", file, most, group=group, names=list(names))
+            _, arrays = run_decoder(f"{_FILE}:columns", file, most, group=group, names=list(names))
         pairs = zip(names, arrays[::2], arrays[1::2], strict=True)
         return {name: _Column(places, values) for name, places, values in pairs}
 

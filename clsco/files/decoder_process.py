@@ -32,7 +32,7 @@ FACTOR = 4  # and so many times what it may give
 SECONDS, RATE = 20.0, 2**25  # of the processor's time that a decoder may take, and bytes that it gives in one more
 PATIENCE = 6  # times that, by the clock: the processor may have other work
 _ROOT = Path(__file__).resolve().parents[2]  # the folder of this very package, whatever the current folder has
-_COMMAND = "from clsco.files.confined import serve; serve()"
+_COMMAND = "from clsco.files.decoder_process import serve; serve()"
 _PIPE = 2**20  # bytes, where the system lets a user choose
 _MOST_LINE = 2**24  # bytes of a reply beside its arrays
 
@@ -84,7 +84,7 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_serving.forget)
 
 
-def confined(function: str, file: BinaryIO, most: int, **options: Any) -> Found:
+def run_decoder(function: str, file: BinaryIO, most: int, **options: Any) -> Found:
     """Call a function on a file in the process with limits.
 
     Parameters

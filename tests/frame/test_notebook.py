@@ -11,7 +11,7 @@ from clsco.errors import FileError
 from clsco.files.images import read_image
 from clsco.files.transfer import encode
 from clsco.frame.frame import Frame
-from clsco.frame.shown import LARGEST_SHOWN, png_to_show
+from clsco.frame.notebook import LARGEST_SHOWN, png_to_show
 
 
 def made(color: tuple[int, ...] = (6, 8, 3), **more: object) -> Frame:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from clsco.errors import FileError, SceneError
 from clsco.files.arrays import read_exr, read_npz
-from clsco.files.atomic import refuse
+from clsco.files.atomic import raise_file_error
 from clsco.files.images import read_image
 from clsco.files.transfer import TRANSFERS
 from clsco.frame.files import LARGEST_JSON, frame_json
@@ -31,7 +31,7 @@ _COMPONENTS = {"color": ((), (3,)), "sharp": ((), (3,)), "coc": ((), (3,)), "flo
 
 
 @dataclass(frozen=True)
-class WrittenFrames:
+class FrameFolder:
     """Frames of one scene.
 
     Attributes
@@ -79,9 +79,9 @@ class WrittenFrames:
                 array = np.stack(planes, axis=-1) if len(planes) > 1 else planes[0]
                 where = exr
             else:
-                refuse(self.folder, f"must hold {npz.name} or {exr.name}, with {name}", "neither")
+                raise_file_error(self.folder, f"must hold {npz.name} or {exr.name}, with {name}", "neither")
             if array.shape[2:] not in _COMPONENTS.get(name, ((),)):
-                refuse(where, f"{name} must have its channels", f"shape {array.shape}")
+                raise_file_error(where, f"{name} must have its channels", f"shape {array.shape}")
             yield array.astype(np.float32, copy=False)
 
     def has(self, name: str, eye: str = "") -> bool:
@@ -109,7 +109,7 @@ def _exr_planes(path: Path, name: str, eye: str) -> list[NDArray[Any]]:
             raise error from None
 
 
-def written_frames(folder: Path, only: range | None = None) -> WrittenFrames:
+def read_frame_folder(folder: Path, only: range | None = None) -> FrameFolder:
     """Find the frames of a folder by their JSON files, and read these.
 
     Parameters
@@ -127,7 +127,7 @@ def written_frames(folder: Path, only: range | None = None) -> WrittenFrames:
     try:
         numbers = sorted(number for number in _numbers(folder) if only is None or number in only)
     except OSError as error:
-        refuse(folder, "must be a folder of frames", error, error)
+        raise_file_error(folder, "must be a folder of frames", error, error)
     if not numbers:
         raise SceneError(f"{folder}: must hold frames from clsco render, frame_0000.json and so on; got none")
     faults = [
@@ -158,7 +158,7 @@ def written_frames(folder: Path, only: range | None = None) -> WrittenFrames:
     interval, transfer, is_stereo, count = facts[numbers[0]]
     eyes = ("left", "right") if is_stereo else ("",)
     whole = range(numbers[0], numbers[-1] + 1)
-    return WrittenFrames(folder, whole, eyes, interval, transfer, count, frozenset(scenes))
+    return FrameFolder(folder, whole, eyes, interval, transfer, count, frozenset(scenes))
 
 
 def _numbers(folder: Path) -> Iterator[int]:

@@ -18,7 +18,7 @@ from clsco.files.arrays import read_exr, read_npz
 from clsco.files.images import write_exr, write_npz
 from clsco.frame.files import files_of, write_frame
 from clsco.frame.frame import Frame
-from clsco.frame.written import written_frames
+from clsco.frame.frame_folder import read_frame_folder
 
 SCENE = {"sequence": {"interval": 0.04, "frames": 9}, "image": {"transfer": "linear"}}
 
@@ -40,7 +40,7 @@ def frames(folder: Path, numbers: Sequence[int], truth: str = "", stereo: bool =
 
 def test_frames_are_found_with_what_a_clip_needs(tmp_path: Path) -> None:
     frames(tmp_path, range(3, 7), "npz")
-    found = written_frames(tmp_path)
+    found = read_frame_folder(tmp_path)
     assert (found.numbers, found.eyes, found.of) == (range(3, 7), ("",), 9)
     assert (found.interval, found.transfer) == (0.04, "linear")
     assert found.scenes == {"abc"}
@@ -48,12 +48,12 @@ def test_frames_are_found_with_what_a_clip_needs(tmp_path: Path) -> None:
     with np.load(tmp_path / "frame_0004.npz") as arrays:
         for name in ("color", "sharp", "depth", "flow"):
             np.testing.assert_array_equal(list(found.arrays(name))[1], arrays[name], strict=True)
-    assert written_frames(tmp_path, range(4, 6)).numbers == range(4, 6)
+    assert read_frame_folder(tmp_path, range(4, 6)).numbers == range(4, 6)
 
 
 def test_arrays_come_from_exr_too(tmp_path: Path) -> None:
     frames(tmp_path, [0], "npz,exr", stereo=True)
-    found = written_frames(tmp_path)
+    found = read_frame_folder(tmp_path)
     assert found.eyes == ("left", "right")
     for eye in found.eyes:
         for name in ("color", "sharp", "depth", "flow"):
@@ -73,7 +73,7 @@ def test_arrays_come_from_exr_too(tmp_path: Path) -> None:
 
 def faults(folder: Path) -> list[str]:
     with pytest.raises(SceneError) as caught:
-        written_frames(folder)
+        read_frame_folder(folder)
     return [message.removeprefix(f"{folder}{os.sep}") for message in caught.value.messages]
 
 
@@ -94,7 +94,7 @@ def test_a_folder_without_frames_is_refused(tmp_path: Path) -> None:
     for place in (tmp_path / "none", tmp_path / "file"):
         (tmp_path / "file").touch()
         with pytest.raises(FileError, match="must be a folder of frames; got N"):
-            written_frames(place)
+            read_frame_folder(place)
 
 
 def test_frames_of_different_scenes_are_refused(tmp_path: Path) -> None:
@@ -145,7 +145,7 @@ def test_an_interval_of_many_digits(tmp_path: Path) -> None:
     frames(tmp_path, [0])
     text = json.dumps({"scene": SCENE}).replace("0.04", "1" + "0" * 400)
     (tmp_path / "frame_0000.json").write_text(text)
-    assert written_frames(tmp_path).interval == 1e300
+    assert read_frame_folder(tmp_path).interval == 1e300
 
 
 def test_npz_of_a_stranger(tmp_path: Path) -> None:

@@ -1,12 +1,11 @@
-"""NPY arrays, members of ZIP archives, and JSON of strangers: no more is unpacked than is asked for."""
+"""NPY arrays, and members of ZIP archives, of strangers: no more is unpacked than is asked for."""
 
 from __future__ import annotations
 
 import io
-import json
 import math
 import os
-from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,32 +117,3 @@ def member_array(archive: zipfile.ZipFile, name: str, header: NpyHeader) -> NDAr
     if archive.getinfo(name).file_size > needed:
         raise ValueError("bytes after the array")
     return npy_array(member_bytes(archive, name, needed), header.dtype.newbyteorder("="), header.shape)
-
-
-MOST_DEEP = 64
-
-
-def strict_json(content: bytes | str) -> Any:
-    """Parse JSON. Raises ValueError for other texts, for NaN and infinity, and beyond `MOST_DEEP` levels."""
-    try:
-        value = json.loads(content, parse_constant=_refuse_number)
-    except RecursionError:
-        raise ValueError("nested too deeply") from None
-    text = content if isinstance(content, bytes) else content.encode(errors="replace")
-    if text.count(b"[") + text.count(b"{") > MOST_DEEP and _is_deep(value):  # most have fewer, which is soon counted
-        raise ValueError("nested too deeply")
-    return value
-
-
-def _refuse_number(text: str) -> NoReturn:
-    raise ValueError(f"{text}, which is no number in JSON")
-
-
-def _is_deep(value: Any) -> bool:
-    level = [value]
-    for _ in range(MOST_DEEP):
-        holders = [item for item in level if isinstance(item, (dict, list))]
-        level = [inner for item in holders for inner in (item.values() if isinstance(item, dict) else item)]
-        if not level:
-            return False
-    return True
