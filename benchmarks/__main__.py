@@ -20,7 +20,7 @@ from clsco.cli.output import echo
 from clsco.cli.progress import progress
 from clsco.cli.tables import print_tables
 from clsco.errors import ClscoError
-from clsco.files.atomic import remove, writable_folder
+from clsco.files.atomic import make_writable_folder, remove_file
 from clsco.files.plots import require_matplotlib
 from clsco.opencl.device import Device, choose
 
@@ -119,9 +119,9 @@ def thesis(out: Path, numbers: tuple[str, ...], device: str | None, quiet: bool)
     figures, stated = chosen(numbers)
     require_device(device)
     name = page.PART if numbers else page.PAGE
-    pages = [writable_folder(out) / f"{name}{ending}" for ending in (".html", ".md", page.NUMBERS_PAGE)]
+    pages = [make_writable_folder(out) / f"{name}{ending}" for ending in (".html", ".md", page.NUMBERS_PAGE)]
     for path in pages:
-        remove(path)  # an older page is not whole any more
+        remove_file(path)  # an older page is not whole any more
     page.write_page(out, name, figures, page.render(out, figures, stated, device, quiet))
     echo(f"{click.format_filename(pages[0])}: figures, and numbers as stated and as measured")
 
@@ -174,7 +174,7 @@ def _run(task: Task, out: Path, device: str | None, quiet: bool) -> None:
     require_device(device)
     for notice in task.notices():
         echo(notice, err=True)
-    folder, on = writable_folder(out), choose(device)
+    folder, on = make_writable_folder(out), choose(device)
     with progress(task.steps(on), quiet, "calls") as advance:
         tables, shortfall = task.run(on, folder, advance)
     print_tables(*tables)

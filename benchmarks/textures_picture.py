@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 import clsco
-from clsco.cli.demo import photograph
-from clsco.frame.contact_sheet import contact_sheet, in_rows
+from clsco.frame.contact_sheet import contact_sheet, split_into_rows
+from clsco.frame.notebook import codes_to_show
 from clsco.frame.views import Picture
 
 SIDE, CELL = 240, 64  # px
@@ -84,8 +84,8 @@ def picture() -> Picture:
     tiles = []
     for label, item in objects().items():
         scene = clsco.parse_scene({"camera": CAMERA, "light": LIGHT, "object": [item, behind]})
-        tiles.append((photograph(clsco.render_frame(scene, truth=()).color), label))
-    return contact_sheet(in_rows(tiles), text=14)
+        tiles.append((codes_to_show(clsco.render_frame(scene, truth=()).color), label))
+    return contact_sheet(split_into_rows(tiles), text=14)
 
 
 def main() -> None:

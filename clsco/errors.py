@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any
 from unicodedata import category
 
 
@@ -24,8 +27,16 @@ class SceneError(ClscoError):
         return type(self), (self.messages,)  # from process to process
 
 
-class ImageError(ClscoError):
-    """An image or ground-truth file cannot be read or written."""
+class FileError(ClscoError):
+    """A file cannot be read or written, or what it holds cannot be used."""
+
+
+class ArgumentError(ClscoError):
+    """An array, or another argument of a call, is not valid."""
+
+
+class MissingDependencyError(ClscoError):
+    """A package that a feature needs is not installed; the message has the command that installs it."""
 
 
 class DeviceError(ClscoError):
@@ -45,6 +56,35 @@ class KernelError(ClscoError):
 
     def __init__(self, message: str) -> None:
         Exception.__init__(self, message)
+
+
+def import_extra(where: object, module: str, extra: str) -> Any:
+    """Import a module that an extra of clsco brings.
+
+    Parameters
+    ----------
+    where : object
+        File or option that needs it, for the message.
+    module, extra : str
+
+    Returns
+    -------
+    module
+
+    Raises
+    ------
+    MissingDependencyError
+    """
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise MissingDependencyError(f"{where}: needs {module}: pip install 'clsco[{extra}]'; got {error}") from error
+
+
+def require_extra(where: object, module: str, extra: str) -> None:
+    """Raise MissingDependencyError as `import_extra`, without importing the module."""
+    if find_spec(module) is None:
+        raise MissingDependencyError(f"{where}: needs {module}: pip install 'clsco[{extra}]'; got no such module")
 
 
 def visible(text: str, lines: bool = False) -> str:

@@ -19,7 +19,7 @@ from rich.text import Text
 from benchmarks.blur.cases import PSFS
 from benchmarks.blur.measure import Bench, BenchRow
 from clsco.errors import ClscoError
-from clsco.files.atomic import together
+from clsco.files.atomic import atomic_folder
 
 RING: dict[str, Any] = {"markersize": 11, "markerfacecolor": "none", "linewidth": 0.7, "markeredgewidth": 0.7}
 NO_ERROR = 1e-9  # where plots show rows without error, which a logarithm cannot
@@ -34,12 +34,12 @@ COLORS = (
 def write(folder: Path, bench: Bench, also: Callable[[Path], None] = lambda _: None) -> None:
     """Write bench.json, bench.csv and the plots, and what `also` writes into the folder it is given: all or none.
 
-    Raises ImageError where the folder cannot be written, ClscoError where all cases were left out.
+    Raises FileError where the folder cannot be written, ClscoError where all cases were left out.
     """
     if not bench.rows:
         raise ClscoError(f"bench: some case must be short enough; got none, {bench.left_out[0]['why']}")
     content = rounded(asdict(bench))
-    with together(folder, "bench") as made:
+    with atomic_folder(folder, "bench") as made:
         (made / "bench.json").write_text(json.dumps(content, indent=1) + "\n", "utf-8")
         write_csv(made / "bench.csv", COLUMNS, content["rows"])
         also(made)

@@ -51,9 +51,9 @@ IN_COLOR: dict[str, dict[str, Any]] = {
 WIDE = {ELLIPSES: 4.0, COLORED_ELLIPSES: 4.0}  # times as large pixels and opening: the image is distorted visibly
 
 
-def scene(sections: dict[str, Any], radius: float, in_color: bool = False, wide: float = 1.0) -> clsco.Scene:
+def scene(sections: dict[str, Any], radius: float, to_color: bool = False, wide: float = 1.0) -> clsco.Scene:
     """A plane behind the focus, with |R| around a radius in px."""
-    texture = np.random.default_rng(1).random((256, 256, 3), np.float32) if in_color else "bricks"
+    texture = np.random.default_rng(1).random((256, 256, 3), np.float32) if to_color else "bricks"
     focus, aperture, pitch, focal_length = 250.0, wide * 10.0, wide * 0.012, 20.0
     scale = focal_length * aperture / (2.0 * pitch)
     nearest, farthest = (1.0 / (1.0 / focus - part * radius / scale) for part in (0.8, 1.2))

@@ -20,7 +20,7 @@ from benchmarks.stability import degenerate, hardgeometry, hardimages, survey
 from benchmarks.stability.degenerate import Outcome
 from benchmarks.stability.hardcase import FORMS, HardCase
 from benchmarks.stability.rays import FAMILIES
-from clsco.files.atomic import together
+from clsco.files.atomic import atomic_folder
 from clsco.opencl.device import Device
 from clsco.opencl.session import Session
 
@@ -88,9 +88,9 @@ def run(device: Device, quick: bool, advance: Callable[[], object]) -> Stability
 
 
 def write(folder: Path, stability: Stability) -> None:
-    """Write stability.json, three CSV files and stability.png: all or none. Raises ImageError where that fails."""
+    """Write stability.json, three CSV files and stability.png: all or none. Raises FileError where that fails."""
     content = rounded(_finite(asdict(stability)))
-    with together(folder, "stability") as made:
+    with atomic_folder(folder, "stability") as made:
         (made / "stability.json").write_text(json.dumps(content, indent=1) + "\n", "utf-8")
         rows = [_row(case) for case in stability.cases]
         write_csv(made / "stability.csv", list(rows[0]), rounded(_finite(rows)))

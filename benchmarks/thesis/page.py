@@ -23,7 +23,7 @@ from benchmarks.thesis.figures import (
 from clsco.cli.progress import progress
 from clsco.engine import batch
 from clsco.engine.batch import Job
-from clsco.files.atomic import together, whole_file, writable_folder
+from clsco.files.atomic import atomic_folder, atomic_write, make_writable_folder
 from clsco.files.images import read_image, write_png
 from clsco.frame.frame import Frame
 from clsco.plan.prepare import prepare
@@ -219,15 +219,15 @@ def small_figure(out: Path, figure: Figure) -> Image.Image:
 
 
 def write_page(out: Path, name: str, figures: Collection[Figure], values: Values) -> None:
-    """Write the pictures of figures, and then both pages, which are called `name`. Raises ImageError."""
+    """Write the pictures of figures, and then both pages, which are called `name`. Raises FileError."""
     if figures:
-        with together(writable_folder(out / PICTURES), "figures") as made:
+        with atomic_folder(make_writable_folder(out / PICTURES), "figures") as made:
             for figure in figures:
-                with whole_file(made / Path(_small(figure)).name) as file:
+                with atomic_write(made / Path(_small(figure)).name) as file:
                     small_figure(out, figure).save(file, "WEBP", quality=QUALITY)
-    with together(out, name) as made:
+    with atomic_folder(out, name) as made:
         texts = {NUMBERS_PAGE: numbers_page(values)} if values else {}
         texts |= {".md": page(figures, values), ".html": html_page(figures, values)}
         for ending, text in texts.items():
-            with whole_file(made / f"{name}{ending}") as file:
+            with atomic_write(made / f"{name}{ending}") as file:
                 file.write(text.encode())

@@ -88,24 +88,24 @@ class Checked:
     frame: Frame
 
 
-def difference(output: str, got: NDArray[Any], wanted: NDArray[Any], single: bool = False) -> Difference:
+def difference(output: str, got: NDArray[Any], expected: NDArray[Any], single: bool = False) -> Difference:
     """Compare two arrays (rows, columns[, channels]); equal infinities agree, and NaN never does. single: the
     precision."""
     unit, figure = FIGURES[output]
     figure *= 10.0 if single else 1.0
-    found, exact = np.asarray(got, np.float64), np.asarray(wanted, np.float64)
+    values, exact = np.asarray(got, np.float64), np.asarray(expected, np.float64)
     with np.errstate(invalid="ignore"):  # infinity minus infinity
-        error = np.abs(found - exact)
+        error = np.abs(values - exact)
     if unit == "relative":
         error = error / np.where(np.isfinite(exact), np.abs(exact), 1.0)
     if unit == "relative beyond 1":  # millions of copies of an image may lie on a surface
         error = error / np.maximum(np.abs(exact), 1.0)
-    error = np.where(found == exact, 0.0, np.where(np.isnan(error), np.inf, error))
+    error = np.where(values == exact, 0.0, np.where(np.isnan(error), np.inf, error))
     error = error.reshape(len(error), *error.shape[1:2], -1).max(axis=-1).reshape(len(error), -1)
     row, column = np.unravel_index(int(error.argmax()), error.shape)
     rms = float(np.sqrt(np.mean(error**2)))
     count = int((error > figure).sum())
-    allowed = error.size // LEAST_AGREEING if single and not np.isnan(found).any() else 0
+    allowed = error.size // LEAST_AGREEING if single and not np.isnan(values).any() else 0
     return Difference(output, unit, float(error.max()), rms, int(row), int(column), count, figure, error.size, allowed)
 
 
@@ -122,9 +122,9 @@ def compare(frame: Frame, exact: Frame) -> tuple[Difference, ...]:
 def _sensor_of(scene: Scene, frame: Frame) -> Frame:
     """Outputs of the reference's sensor for the light of a frame."""
     light = np.atleast_3d(frame.color)
-    found = sensor_model(scene, light.shape[2])
+    model = sensor_model(scene, light.shape[2])
     camera = camera_word(frame.index, "right" if frame.eye == "right" else "left")
-    return Frame(index=frame.index, **sensor_outputs(found, light, camera, SENSOR_NAMES))
+    return Frame(index=frame.index, **sensor_outputs(model, light, camera, SENSOR_NAMES))
 
 
 def compare_frames(scene: Scene, device: str | None, precision: str | None) -> Iterator[Checked]:

@@ -49,14 +49,14 @@ def check_scene(
             raise ClscoError(f"{path}: color must agree within {color.figure:g} of white; got {got}")
         if why is None:
             problem = make_problem(scene, checked.index, checked.eye)
-            found = judge(problem, checked.frame.color, rays, seconds / count)
-            print_tables(*judged_tables(found))
-            views.append((replace(checked, eye=view), found))
+            judged = judge(problem, checked.frame.color, rays, seconds / count)
+            print_tables(*judged_tables(judged))
+            views.append((replace(checked, eye=view), judged))
     if why is not None:
         echo(f"the lens: not judged: {why}")
     if out is not None:
         _write_report(out, views, why)
-    if wrong := [f"{found.wrong} in frame {each.index}{each.eye}" for each, found in views if not found.agrees]:
+    if wrong := [f"{judged.wrong} in frame {each.index}{each.eye}" for each, judged in views if not judged.agrees]:
         raise ClscoError(f"{path}: pixels must be within 0.01 of white and 5 errors of rays; got {'; '.join(wrong)}")
 
 
@@ -64,8 +64,8 @@ def _write_report(out: Path, views: list[tuple[Checked, Judgement]], why: str | 
     """Write all figures to a JSON file, or the tried pixels of all views, one below the other, on frames that are dark:
     red where they are too bright, blue where too dark, and green where they agree; full from 0.01 of white on."""
     if out.suffix.lower() == ".json":
-        found = [{"frame": each.index, "eye": each.frame.eye} | judged.values() for each, judged in views]
-        write_json(out, {"not_judged": why, "views": found})
+        values = [{"frame": each.index, "eye": each.frame.eye} | judged.values() for each, judged in views]
+        write_json(out, {"not_judged": why, "views": values})
         return
     if why is not None:
         raise ClscoError(f"-o: a picture needs rays; got {why}")

@@ -41,9 +41,9 @@ def dataset() -> None:
 
 def _parse_numbers(text: str) -> range:
     match = re.fullmatch(r"(\d{1,12}):(\d{1,12})", text, re.ASCII)
-    if match is None or not (found := range(int(match[1]), int(match[2]))):
+    if match is None or not (numbers := range(int(match[1]), int(match[2]))):
         raise click.BadParameter(f"must be A:B, samples A to B - 1 counted from 0; got {text}")
-    return found
+    return numbers
 
 
 def _parse_part(text: str) -> tuple[int, int]:
@@ -158,8 +158,8 @@ def _line(out: str, status: Status) -> str:
     failed = f", {status.failed} failed" if status.failed else ""
     whole = "" if status.is_whole else f" of {status.shards}, as far as it is made"
     shards = len(status.done)
-    made = f"{status.made} samples in {shards} shard{'' if shards == 1 else 's'}"
-    return f"{click.format_filename(out)}: {made}{whole}{failed}, {format_bytes(status.bytes)}"
+    samples = f"{status.made} samples in {shards} shard{'' if shards == 1 else 's'}"
+    return f"{click.format_filename(out)}: {samples}{whole}{failed}, {format_bytes(status.bytes)}"
 
 
 @dataset.command()
@@ -170,14 +170,14 @@ def status(data: str) -> None:
     from clsco.data.storage import open_storage
 
     there = open_set(open_storage(data))
-    found = status_of(there)
-    echo(f"shards: {len(found.done)} of {found.shards}")
-    echo(f"samples: {found.made} made, {found.failed} failed, of {found.samples}; {format_bytes(found.bytes)}")
-    if found.rate is not None and not found.is_whole:
-        echo(f"rate: {found.rate:.3g} samples/s, {format_seconds(found.seconds_left or 0.0)} left at this rate")
-    if missing := [shard for shard in there.shards if shard not in found.done]:
+    state = status_of(there)
+    echo(f"shards: {len(state.done)} of {state.shards}")
+    echo(f"samples: {state.made} made, {state.failed} failed, of {state.samples}; {format_bytes(state.bytes)}")
+    if state.rate is not None and not state.is_whole:
+        echo(f"rate: {state.rate:.3g} samples/s, {format_seconds(state.seconds_left or 0.0)} left at this rate")
+    if missing := [shard for shard in there.shards if shard not in state.done]:
         echo(f"missing: {ranges(missing)}")
-    for fault in found.faults:
+    for fault in state.faults:
         echo(f"incomplete: {fault}")
 
 
@@ -229,11 +229,11 @@ def remake(data: str, out: str | None, devices: tuple[str, ...], workers: int | 
     from clsco.data import copies
 
     require_opencl()
-    found = copies.remake(data, out, folder=base, devices=devices, workers=workers, progress=_bar(quiet))
-    for line in found:
+    differences = copies.remake(data, out, folder=base, devices=devices, workers=workers, progress=_bar(quiet))
+    for line in differences:
         echo(line)
-    if found:
-        raise ClscoError(f"{data}: must be what is made again; got {len(found)} differences")
+    if differences:
+        raise ClscoError(f"{data}: must be what is made again; got {len(differences)} differences")
     echo(f"{click.format_filename(data)}: made again, all bytes are the same")
 
 
@@ -247,8 +247,8 @@ def open_data(data: str, sheet: Path | None) -> None:
     from clsco.data.dataset import record_sheet
     from clsco.files.images import write_png
 
-    found = opened(data)
-    card = found.card
+    records = opened(data)
+    card = records.card
     rows = [
         (name, about["dtype"], " x ".join(map(str, about["shape"])), about["unit"], about["convention"])
         for name, about in card.get("arrays", {}).items()
@@ -256,16 +256,16 @@ def open_data(data: str, sheet: Path | None) -> None:
     place = json.dumps(data)[:-1]
     loading = {name: code.replace('"DATA', place) for name, code in card.get("load", {}).items()}
     splits = ", ".join(f"{sum(count for _, count in files)} of {name}" for name, files in card["files"].items() if name)
-    about = f"{len(found)} samples{f' ({splits})' if splits else ''}, {card['identity']['format']}"
+    about = f"{len(records)} samples{f' ({splits})' if splits else ''}, {card['identity']['format']}"
     print_tables(
         f"{click.format_filename(data)}: {about}",
         table("Arrays", ("array", "type", "shape", "unit", "what it is"), rows),
         *(f"{package}: {code}" for package, code in loading.items()),
     )
     if sheet is not None:
-        write_png(sheet, record_sheet(found[:SHOWN]))
-        echo(f"{click.format_filename(sheet)}: pictures of {min(SHOWN, len(found))} samples")
-    found.close()
+        write_png(sheet, record_sheet(records[:SHOWN]))
+        echo(f"{click.format_filename(sheet)}: pictures of {min(SHOWN, len(records))} samples")
+    records.close()
 
 
 @dataset.command()

@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from clsco.errors import ImageError, SceneError
-from clsco.files.atomic import refuse, same_place, writable_folder
+from clsco.errors import FileError, SceneError
+from clsco.files.atomic import is_same_place, make_writable_folder, raise_file_error
 from clsco.files.color import SRGB, Color
-from clsco.files.images import WRITERS, check_alike, writer_for
+from clsco.files.images import WRITERS, check_same_size, writer_for
 from clsco.files.transfer import encode
 from clsco.frame.frame import Frame
 from clsco.inputs.depth_files import DEPTH_FORMATS
@@ -56,29 +56,29 @@ def scenes_from_files(
 
 
 def check_pair(scene: Scene) -> None:
-    """Read an image and its depth map. Raises ImageError where one cannot be read, or where they differ in size."""
+    """Read an image and its depth map. Raises FileError where one cannot be read, or where they differ in size."""
     for item in scene.objects:
         if isinstance(item, DepthMap):
             rows, columns = shared_files().depth(item.inputs()["depth"]).shape
             files = item.files()
             if "texture" in files:
-                check_alike(files["texture"], files["depth"], (columns, rows), DEPTH_FORMATS)
+                check_same_size(files["texture"], files["depth"], (columns, rows), DEPTH_FORMATS)
 
 
 def is_image_file(out: Path) -> bool:
-    """True if OUT names an image file and no folder; raises ImageError for an image that cannot be written."""
+    """True if OUT names an image file and no folder; raises FileError for an image that cannot be written."""
     suffix = out.suffix.lower()
     if out.is_dir():
         return False
     if suffix not in WRITERS and suffix in _OTHER_IMAGES:
-        refuse(out, f"must be a folder, or end in one of {' '.join(WRITERS)}", repr(out.suffix))
+        raise_file_error(out, f"must be a folder, or end in one of {' '.join(WRITERS)}", repr(out.suffix))
     return suffix in WRITERS
 
 
 def prepare_image(scenes: Sequence[Scene], out: Path) -> None:
     """Make the folder of an image file, and prove that the file can be written.
 
-    scenes: those to be rendered. Raises SceneError where they have more than one image, ImageError where OUT is what
+    scenes: those to be rendered. Raises SceneError where they have more than one image, FileError where OUT is what
     the image is made of, an extra of clsco is missing, or the folder cannot be written.
     """
     count = sum(scene.sequence.frames * (1 if scene.stereo is None else 2) for scene in scenes)
@@ -86,10 +86,10 @@ def prepare_image(scenes: Sequence[Scene], out: Path) -> None:
         raise SceneError(f"{out}: a file takes one image, a folder takes more; got {count}")
     named = [Path(name) for _, item in scenes[0].inputs for name in item.files().values()]
     for path in named:
-        if same_place(out, path):
-            raise ImageError(f"{out}: must not be the image or the depth that it is made of; got {path}")
+        if is_same_place(out, path):
+            raise FileError(f"{out}: must not be the image or the depth that it is made of; got {path}")
     writer_for(out)
-    writable_folder(out.parent)
+    make_writable_folder(out.parent)
 
 
 def write_color(out: Path, frame: Frame, bits: int, transfer: str, color: Color = SRGB) -> None:
@@ -109,7 +109,7 @@ def write_color(out: Path, frame: Frame, bits: int, transfer: str, color: Color 
 
     Raises
     ------
-    ImageError
+    FileError
         The file cannot be written.
     """
     writer = writer_for(out)

@@ -6,13 +6,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
 from clsco.files.images import write_png
-from clsco.files.transfer import encode
-from clsco.frame.contact_sheet import PAPER, contact_sheet, in_rows
+from clsco.frame.contact_sheet import PAPER, contact_sheet, split_into_rows
 from clsco.frame.frame import GREEN, Frame
+from clsco.frame.notebook import codes_to_show
 from clsco.frame.views import Picture, flow_colors, viridis
 from clsco.scene.examples import EXAMPLES
 
@@ -45,7 +44,7 @@ def views(frames: Sequence[Frame]) -> dict[str, Picture]:
     if frame.disparity is not None and frame.occluded is not None:
         low, high = (float(limit) for limit in (frame.disparity[seen].min(), frame.disparity[seen].max()))
         label = f"disparity, {low:.1f} to {high:.1f} px"
-        covered = np.where(frame.occluded[..., None], OCCLUDED, photograph(frame.sharp))
+        covered = np.where(frame.occluded[..., None], OCCLUDED, codes_to_show(frame.sharp))
         maps |= {label: viridis(frame.disparity, low, high), "red: not in the right view": covered}
     else:
         maps[f"blur radius R, {least:.1f} to {most:.1f} px"] = viridis(radius, -bound, bound)
@@ -53,16 +52,10 @@ def views(frames: Sequence[Frame]) -> dict[str, Picture]:
     if longest >= 0.5:  # else rounding, or nothing that a picture shows
         maps[f"flow, up to {longest:.0f} px"] = flow_colors(frame.flow, longest)
     on_gray = {label: np.where(seen[..., None], m, NOTHING).astype(np.uint8) for label, m in maps.items()}
-    photographs = {"color": photograph(frame.color)}
+    photographs = {"color": codes_to_show(frame.color)}
     if len(frames) > 1:
-        photographs = {"left": photographs["color"], "right": photograph(frames[1].color)}
-    return {**photographs, "sharp": photograph(frame.sharp), **on_gray}
-
-
-def photograph(radiance: NDArray[np.float32]) -> Picture:
-    """Linear radiance, gray or color, as 8-bit sRGB with three channels."""
-    codes = encode(radiance, 8, "srgb").astype(np.uint8)
-    return codes if codes.ndim == 3 else np.repeat(codes[..., None], 3, axis=2)
+        photographs = {"left": photographs["color"], "right": codes_to_show(frames[1].color)}
+    return {**photographs, "sharp": codes_to_show(frame.sharp), **on_gray}
 
 
 def demo_sheet(shown: Mapping[str, Frame], detailed: Sequence[Sequence[Frame]]) -> Picture:
@@ -70,10 +63,10 @@ def demo_sheet(shown: Mapping[str, Frame], detailed: Sequence[Sequence[Frame]]) 
 
     detailed: frames, or stereo pairs, with all truth.
     """
-    photographs = [(_fitted(photograph(frame.color), WIDE), label) for label, frame in shown.items()]
+    photographs = [(_fitted(codes_to_show(frame.color), WIDE), label) for label, frame in shown.items()]
     details = [[(_fitted(picture, NARROW), label) for label, picture in views(frames).items()] for frames in detailed]
     title = "The truth that comes with a frame, at the middle of the shutter"
-    parts = (contact_sheet(in_rows(photographs), text=14), contact_sheet(details, title, text=14))
+    parts = (contact_sheet(split_into_rows(photographs), text=14), contact_sheet(details, title, text=14))
     width = max(part.shape[1] for part in parts)
     filled = [ImageOps.pad(Image.fromarray(part), (width, len(part)), color=PAPER, centering=(0, 0)) for part in parts]
     return np.concatenate([np.asarray(part) for part in filled])
@@ -84,7 +77,7 @@ def _fitted(picture: Picture, side: int) -> Picture:
 
 
 def write_contact_sheet(path: Path, frames: Mapping[str, Sequence[Frame]]) -> None:
-    """Write the sheet of all EXAMPLES as a PNG: frames, or stereo pairs, by name. Raises ImageError where it cannot be
+    """Write the sheet of all EXAMPLES as a PNG: frames, or stereo pairs, by name. Raises FileError where it cannot be
     written."""
     shown = {EXAMPLES[name]: each[0] for name, each in frames.items()}
     write_png(path, demo_sheet(shown, [frames[name] for name in DETAILS]))

@@ -11,48 +11,48 @@ from clsco.scene.formatting import format_bytes, format_seconds
 BAR = 40  # characters of the longest bar
 
 
-def dry_run_tables(found: DryRun) -> list[RenderableType]:
+def dry_run_tables(dry_run: DryRun) -> list[RenderableType]:
     """Tables of a data set to be made: parameters, measures of samples, size and time."""
     parameters = [
-        (one.name, _number(one.low), _number(one.mean), _number(one.high), one.note) for one in found.parameters
+        (one.name, _number(one.low), _number(one.mean), _number(one.high), one.note) for one in dry_run.parameters
     ]
     tables: list[RenderableType] = [
         table(
-            f"Parameters of {found.looked_at - len(found.failed)} samples",
+            f"Parameters of {dry_run.looked_at - len(dry_run.failed)} samples",
             ("parameter", "lowest", "mean", "highest", ""),
             parameters,
             ("lowest", "mean", "highest"),
         )
     ]
-    if found.splits:
-        rows = [(name, f"{share * found.count:.0f}", f"{share:.2%}") for name, share in found.splits.items()]
+    if dry_run.splits:
+        rows = [(name, f"{share * dry_run.count:.0f}", f"{share:.2%}") for name, share in dry_run.splits.items()]
         tables.append(table("Splits, about", ("split", "samples", "share"), rows, ("samples", "share")))
-    accepted = found.looked_at - len(found.failed)
+    accepted = dry_run.looked_at - len(dry_run.failed)
     seen = [
-        ("accepted", f"{accepted / max(1, found.attempts):.1%} of {found.attempts} attempts"),
-        ("failed", f"{len(found.failed)}"),
-        ("frames per sample", f"{found.frames:g}"),
-        ("predicted work", f"{found.weights:.3g} weights per frame"),
+        ("accepted", f"{accepted / max(1, dry_run.attempts):.1%} of {dry_run.attempts} attempts"),
+        ("failed", f"{len(dry_run.failed)}"),
+        ("frames per sample", f"{dry_run.frames:g}"),
+        ("predicted work", f"{dry_run.weights:.3g} weights per frame"),
     ]
-    of = f"{found.looked_at} of {found.count} samples"
+    of = f"{dry_run.looked_at} of {dry_run.count} samples"
     tables.append(table(f"Looked at: {of}, with rays on a coarse grid", ("what", "how much"), seen))
-    tables += [_histogram(one) for one in found.histograms]
-    sizes = [(name, format_bytes(size), format_bytes(size * found.count)) for name, size in found.bytes.items()]
-    total = sum(found.bytes.values())
-    sizes.append(("in all", format_bytes(total), format_bytes(total * found.count)))
+    tables += [_histogram(one) for one in dry_run.histograms]
+    sizes = [(name, format_bytes(size), format_bytes(size * dry_run.count)) for name, size in dry_run.bytes.items()]
+    total = sum(dry_run.bytes.values())
+    sizes.append(("in all", format_bytes(total), format_bytes(total * dry_run.count)))
     tables.append(
         table("Size before compression", ("array", "per sample", "of the set"), sizes, ("per sample", "of the set"))
     )
-    duration = "not known" if found.seconds is None else format_seconds(found.seconds)
-    tables.append(table("Time", ("predicted", "from"), [(duration, found.basis)]))
+    duration = "not known" if dry_run.seconds is None else format_seconds(dry_run.seconds)
+    tables.append(table("Time", ("predicted", "from"), [(duration, dry_run.basis)]))
     return tables
 
 
-def print_dry_run(found: DryRun) -> None:
+def print_dry_run(dry_run: DryRun) -> None:
     """Print `dry_run_tables`, the messages of samples that failed, and where the contact sheet is."""
-    print_tables(*dry_run_tables(found), *found.failed)
-    if found.sheet is not None:
-        print_tables(f"{found.sheet}: pictures of some samples")
+    print_tables(*dry_run_tables(dry_run), *dry_run.failed)
+    if dry_run.sheet is not None:
+        print_tables(f"{dry_run.sheet}: pictures of some samples")
 
 
 def _histogram(one: SeenHistogram) -> RenderableType:

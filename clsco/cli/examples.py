@@ -32,8 +32,8 @@ def examples(names: tuple[str, ...], out: Path | None) -> None:
         if unknown := [name for name in names if name not in files]:
             raise SceneError(f"examples: must be some of {', '.join(known)}; got {shown(unknown[0])}")
         if out is None:
-            wanted = {name: files[name] for name in names} if names else known
-            rows = [(name, _title(path)) for name, path in wanted.items()]
+            listed = {name: files[name] for name in names} if names else known
+            rows = [(name, _title(path)) for name, path in listed.items()]
             print_tables(table("Examples", ("name", "title"), rows))
             echo("clsco examples NAME... -o DIR: copies of the files")
             return
@@ -75,11 +75,11 @@ def _texts(value: Any) -> Iterator[str]:
 
 def _copy(source: Path, target: Path) -> None:
     """Copy a file; one that is there must be the same."""
-    from clsco.files.atomic import refuse, whole_file
+    from clsco.files.atomic import atomic_write, raise_file_error
 
     data = source.read_bytes()
     if target.exists() and target.read_bytes() != data:
-        refuse(target, "must not be there, or be the same file", "another one")
+        raise_file_error(target, "must not be there, or be the same file", "another one")
     target.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(target) as file:
+    with atomic_write(target) as file:
         file.write(data)

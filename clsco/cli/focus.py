@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from clsco.errors import ImageError, SceneError
+from clsco.errors import ClscoError, SceneError
 
 if TYPE_CHECKING:
     from clsco.inputs.focus import Focus
@@ -35,7 +35,7 @@ focus_depth_option = click.option(
 )  # fmt: skip
 
 
-def parsed_focus(at: tuple[int, int] | None, share: float | None) -> Focus | None:
+def parse_focus(at: tuple[int, int] | None, share: float | None) -> Focus | None:
     """Focus that the options ask for, None where neither is given. Raises click.UsageError for both."""
     if at is not None and share is not None:
         raise click.UsageError("--focus-at: goes without --focus-depth; got both")
@@ -47,13 +47,13 @@ def parsed_focus(at: tuple[int, int] | None, share: float | None) -> Focus | Non
     return Focus(on)
 
 
-def focused_files(
+def focus_files(
     loaded: Sequence[tuple[Path, Sweep | SceneError]], focus: Focus | None
 ) -> Sequence[tuple[Path, Sweep | SceneError]]:  # fmt: skip
     """Scenes with the lens focused so; those of a file that has a fault, and all without `focus`, stay as they are.
 
-    In place of scenes that cannot be focused is a SceneError, as of `clsco.inputs.focus.focused`, or where the scenes
-    of a file have several focus distances.
+    In place of scenes that cannot be focused is a SceneError, as of `clsco.inputs.focus.focus_scene`, or where the
+    scenes of a file have several focus distances.
     """
     if focus is None:
         return loaded
@@ -62,7 +62,7 @@ def focused_files(
 
 def _focused(path: Path, sweep: Sweep, focus: Focus) -> Sweep | SceneError:
     from clsco.inputs.files import shared_files
-    from clsco.inputs.focus import focused
+    from clsco.inputs.focus import focus_scene
     from clsco.plan.prepare import with_resolution
 
     cameras = [scene.camera for scene in sweep.scenes]
@@ -70,7 +70,7 @@ def _focused(path: Path, sweep: Sweep, focus: Focus) -> Sweep | SceneError:
     if len(distances) > 1:
         return SceneError(f"{path}: focus: goes without several values of the focus; got {len(distances)}")
     try:
-        scenes = tuple(focused(with_resolution(scene), shared_files(), focus) for scene in sweep.scenes)
-    except (ImageError, SceneError) as error:
+        scenes = tuple(focus_scene(with_resolution(scene), shared_files(), focus) for scene in sweep.scenes)
+    except ClscoError as error:
         return SceneError([f"{path}: {message}" for message in getattr(error, "messages", [error])])
     return replace(sweep, scenes=scenes)

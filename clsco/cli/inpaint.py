@@ -11,18 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.cli.output import echo
-from clsco.errors import ImageError, SceneError
-from clsco.files.atomic import refuse, same_place, writable_folder
+from clsco.errors import ArgumentError, FileError, SceneError
+from clsco.files.atomic import is_same_place, make_writable_folder, raise_file_error
 from clsco.files.images import (
     WRITERS,
     ImageWriter,
     Picture,
-    check_alike,
+    check_same_size,
     image_size,
     read_image,
     upright_note,
     writer_for,
 )
+from clsco.files.ranges import first_of
 from clsco.inpainting.rules import MeanMedian
 
 
@@ -33,17 +34,17 @@ def read_pair(
 
     Missing is where the mask is white: 255, 65535, or 1.0 in floats; where it is 0 all is known. threshold: what is
     missing from there on, in the mask's values; then any others may occur as well. What missing pixels of a float image
-    hold may also be no number. Raises ImageError where the files cannot be read or differ in size, where the mask has
+    hold may also be no number. Raises FileError where the files cannot be read or differ in size, where the mask has
     colors or other values, where it leaves nothing known, and for a threshold that is no number.
     """
     if threshold is not None and not math.isfinite(threshold):
-        raise ImageError(f"--threshold: must be a finite number; got {threshold}")
-    check_alike(str(image), str(mask), image_size(mask))
+        raise ArgumentError(f"--threshold: must be a finite number; got {threshold}")
+    check_same_size(str(image), str(mask), image_size(mask))
     if note := upright_note(str(image), str(mask)):
         echo(note, err=True)
     missing = _missing(mask, threshold)
     if missing.all():
-        refuse(mask, "some pixel must be known, and be 0", "only missing ones")
+        raise_file_error(mask, "some pixel must be known, and be 0", "only missing ones")
     return read_image(image, missing, layer), missing
 
 
@@ -52,46 +53,49 @@ def _missing(mask: Path, threshold: float | None) -> NDArray[np.bool_]:
     values = picture.data
     if values.ndim == 3:
         if (values != values[..., :1]).any():
-            refuse(mask, "a mask must be gray", "colors")
+            raise_file_error(mask, "a mask must be gray", "colors")
         values = values[..., 0]
     if threshold is not None:
         return values >= threshold
     white = 1 if picture.is_float else np.iinfo(values.dtype).max
     other = (values != 0) & (values != white)
     if other.any():
-        row, column = np.unravel_index(int(other.argmax()), other.shape)
-        got = f"{values[row, column]} at row {row}, column {column} ({int(other.sum())} others in all)"
-        refuse(mask, f"values must be 0 (known) or {white} (missing), or give --threshold", got)
+        rule = f"values must be 0 (known) or {white} (missing), or give --threshold"
+        raise_file_error(mask, rule, first_of(values, other))
     return values == white
 
 
 def prepare_out(out: Path, image: Path, mask: Path, is_float: bool | None = None) -> ImageWriter:
     """Writer for OUT, after a proof that it can hold the image and that its folder can be written.
 
-    is_float: whether the image has floats and no codes, once that is known. Raises ImageError.
+    is_float: whether the image has floats and no codes, once that is known. Raises FileError.
     """
     suffix = out.suffix.lower()
     if suffix not in WRITERS or out.is_dir():
-        refuse(out, f"must be a file that ends in one of {' '.join(WRITERS)}", repr(out.suffix))
+        raise_file_error(out, f"must be a file that ends in one of {' '.join(WRITERS)}", repr(out.suffix))
     for path in (image, mask):
-        if same_place(out, path):
-            raise ImageError(f"{out}: must not be the image or the mask that it is made of; got {path}")
+        if is_same_place(out, path):
+            raise FileError(f"{out}: must not be the image or the mask that it is made of; got {path}")
     writer = writer_for(out)
     if is_float and not writer.floats:
         fitting = _listed(name for name, other in WRITERS.items() if other.floats)
-        refuse(out, f"{writer.label} holds codes; for floats it must end in {fitting}", f"the floats of {image}")
+        raise_file_error(
+            out, f"{writer.label} holds codes; for floats it must end in {fitting}", f"the floats of {image}"
+        )
     if is_float is False and not writer.code_bits:
         fitting = _listed(name for name, other in WRITERS.items() if other.code_bits)
-        refuse(out, f"{writer.label} holds floats; for codes it must end in {fitting}", f"the codes of {image}")
-    writable_folder(out.parent)
+        raise_file_error(
+            out, f"{writer.label} holds floats; for codes it must end in {fitting}", f"the codes of {image}"
+        )
+    make_writable_folder(out.parent)
     return writer
 
 
-def mean_median_options(method: str, given: Mapping[str, Any]) -> MeanMedian | None:
+def mean_median_options(method: str, options: Mapping[str, Any]) -> MeanMedian | None:
     """Constants of mean-median where any is given, None else. Raises SceneError with the name of the option."""
     from clsco.inpainting.methods import THESIS
 
-    constants = {name: value for name, value in given.items() if value is not None}
+    constants = {name: value for name, value in options.items() if value is not None}
     if not constants:
         return None
     option = f"--{next(iter(constants)).replace('_', '-')}"

@@ -65,22 +65,22 @@ def report_scenes(path: Path, labels: Sequence[str], prepared: Sequence[Prepared
     """Say on stderr which images of the scenes of a file are stretched, once per size of the frame, and what of them is
     not in sight or black, each line of the first scene that it is of; close: also of a focus so close that sizes are
     not those of textbooks."""
-    from clsco.inputs.textures import stretched
+    from clsco.inputs.textures import find_stretched
     from clsco.plan.notes import close_focus_note, sight_notes
     from clsco.plan.predict import without_lens
 
-    for line in stretched(each.scene for each in prepared):
+    for line in find_stretched(each.scene for each in prepared):
         echo(f"{click.format_filename(path)}: {line}", err=True)
-    known, said = set["Scene"](), set[str]()
+    known, reported = set["Scene"](), set[str]()
     for label, each in zip(labels, prepared, strict=True):
-        alike = without_lens(each.scene)
-        lines = [] if alike in known else sight_notes(each.plans)
-        known.add(alike)
+        without = without_lens(each.scene)
+        lines = [] if without in known else sight_notes(each.plans)
+        known.add(without)
         if close and (note := close_focus_note(each.scene.camera)) is not None:
             lines.append(note)
             close = False
-        for line in (line for line in lines if line not in said):
-            said.add(line)
+        for line in (line for line in lines if line not in reported):
+            reported.add(line)
             where = f" (with {label})" if label else ""
             echo(f"{click.format_filename(path)}{where}: {line}", err=True)
 
@@ -118,5 +118,5 @@ def _report_depth(prepared: Prepared, item: DepthMap) -> None:
         echo(note, err=True)
     values = prepared.files.depth_values(prepared.scene, item)
     if report := values.report():
-        taken = "; those without are taken as infinitely far" if values.invalid and item.no_depth == "far" else ""
-        echo(f"{item.depth}: {report}{taken}", err=True)
+        taken_as = "; those without are taken as infinitely far" if values.invalid and item.no_depth == "far" else ""
+        echo(f"{item.depth}: {report}{taken_as}", err=True)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from clsco import __version__
-from clsco.cli.focus import focus_at_option, focus_depth_option, focused_files, parsed_focus
+from clsco.cli.focus import focus_at_option, focus_depth_option, focus_files, parse_focus
 from clsco.cli.inputs import first_scene, report_inputs, report_loss, report_notes, report_scenes
 from clsco.cli.options import (
     PATH,
@@ -28,12 +28,12 @@ from clsco.cli.options import (
     device_option,
     memory_option,
     no_color_option,
-    one_scene,
     precision_option,
     quiet_option,
     require_device,
     require_opencl,
-    scenes_wanted,
+    scene_argument,
+    scenes_argument,
     set_option,
     truth_options,
 )
@@ -46,7 +46,15 @@ if TYPE_CHECKING:
     from clsco.plan.prepare import Prepared
 
 
-MODULES = ("dataset", "examples", "psf", "render", "studio", "video")
+MODULES = {
+    "dataset": "Make data sets of many scenes drawn from distributions, look at them, and check them.",
+    "examples": "List the example files, or copy some.",
+    "psf": "Write the point spread functions of a scene's lens.",
+    "render": "Render the frames of scenes to files.",
+    "studio": "Edit a scene in the browser while it is rendered.",
+    "video": "Make a clip of the frames in DIR, which clsco render wrote.",
+}
+"""Commands that have a module each, which is imported where one is called, and their lines in the list of commands."""
 
 
 def _of_module(name: str) -> Any:
@@ -54,7 +62,13 @@ def _of_module(name: str) -> Any:
 
 
 class _AllCommands(Commands):
-    """The commands of this module, and those of modules that are imported when they are called or listed."""
+    """The commands of this module, and those of `MODULES`."""
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the list of commands, without importing their modules."""
+        stubs: dict[str, click.Command] = {name: click.Command(name, help=text) for name, text in MODULES.items()}
+        listing = click.Group(commands={**self.commands, **stubs})
+        listing.format_commands(ctx, formatter)
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Names in the order of the alphabet."""
@@ -109,7 +123,7 @@ def demo(out: Path, device: str | None, quiet: bool) -> None:
 
 
 @main.command()
-@one_scene
+@scene_argument
 @set_option
 @truth_options
 @no_color_option
@@ -146,7 +160,7 @@ def plan(
 
 
 @main.command()
-@one_scene
+@scene_argument
 @click.option(
     "--rays", metavar="N", type=click.IntRange(min=0), default=2**16, show_default=True,
     help="Most rays of a pixel; 0: the reference alone, without the extra.",
@@ -200,10 +214,10 @@ def devices(device: str | None, tested: bool, warms: bool) -> None:
     from clsco.opencl.device import list_devices
     from clsco.opencl.self_test import self_test
 
-    found, choice = list_devices(device, "--device")
-    checks = {item: self_test(item) for item in found} if tested else {}
-    if found:
-        print_tables(*device_tables(found, choice.device, checks))
+    all_devices, choice = list_devices(device, "--device")
+    checks = {item: self_test(item) for item in all_devices} if tested else {}
+    if all_devices:
+        print_tables(*device_tables(all_devices, choice.device, checks))
     if choice.device is None:
         raise DeviceError(choice.reason)
     echo(f"used: {choice.device} ({choice.reason})")
@@ -226,7 +240,7 @@ def schema() -> None:
 
 
 @main.command()
-@scenes_wanted
+@scenes_argument
 def validate(scenes: tuple[Path, ...]) -> None:
     """Check scene files and their textures without rendering: reports valid files, and all faults of the others.
 
@@ -356,29 +370,29 @@ def defocus(
     alone, request = is_image_file(out), request_for((), computation)
     if alone and files:
         raise click.UsageError(f"--truth: OUT must be a folder; got {click.format_filename(out)}")
-    focus = parsed_focus(focus_at, focus_depth)
+    focus = parse_focus(focus_at, focus_depth)
     for name in ("focus_distance", "sensor_distance"):
         if focus is not None and options[name] is not None:
             raise click.UsageError(f"focus: goes without --{name.replace('_', '-')}; got both")
     sweep = scenes_from_files(image, depth, options, overrides, (image_layer, depth_layer))
     check_pair(sweep.scenes[0])
-    loaded = focused_files([(image, sweep)], focus)
+    loaded = focus_files([(image, sweep)], focus)
     if not alone:
         render_to_folders(loaded, out, files, computation, quiet)
         return
     planned = prepare_files(loaded, request)
-    found = [each for _, _, prepared in planned for each in prepared]
-    prepare_image([each.scene for each in found], out)
+    scenes = [each for _, _, prepared in planned for each in prepared]
+    prepare_image([each.scene for each in scenes], out)
     report_inputs(planned)
-    report_loss(out, found[0].color)
+    report_loss(out, scenes[0].color)
     require_device(computation.device)
     from clsco.cli.progress import progress
     from clsco.engine.sequence import render_prepared
     from clsco.opencl.session import session_for
 
     with progress(1, quiet) as advance:
-        for _, frame in render_prepared(session_for(computation.device), found):
-            write_color(out, frame, frame.metadata["bits"], found[0].scene.image.transfer, found[0].color)
+        for _, frame in render_prepared(session_for(computation.device), scenes):
+            write_color(out, frame, frame.metadata["bits"], scenes[0].scene.image.transfer, scenes[0].color)
             advance()
 
 
@@ -436,13 +450,13 @@ def inpaint(
     from clsco import inpaint as fill
     from clsco.cli.progress import shares
     from clsco.cli.tables import inpaint_tables, print_tables
-    from clsco.files.atomic import writable_folder
+    from clsco.files.atomic import make_writable_folder
     from clsco.files.plots import require_matplotlib
     from clsco.inpainting.report import write_report
 
     if folder is not None:
         require_matplotlib("report", "report")
-        writable_folder(folder)
+        make_writable_folder(folder)
     method = options.pop("method")
     chosen = mean_median_options(method, options)
     with shares(quiet) as progress:

@@ -112,12 +112,12 @@ def attribute(place: str) -> Callable[[], Iterable[str]]:
     "clsco.scene.shapes:DepthMap.unit", the values that it can have."""
     module, _, path = place.partition(":")
 
-    def found() -> Iterable[str]:
+    def names() -> Iterable[str]:
         name, _, field = path.partition(".")
         value = getattr(import_module(module), name)
         return get_args(value.model_fields[field].annotation) if field else value
 
-    return found
+    return names
 
 
 def _arrays() -> tuple[str, ...]:
@@ -173,34 +173,6 @@ def parse_memory(text: str) -> int:
         raise click.BadParameter(str(error).removeprefix("memory: ")) from None
 
 
-def one_value(name: str, kind: type[Any], *options: Callable[[Command], Command]) -> Callable[[Command], Command]:
-    """Give a command one argument for a group of options.
-
-    Parameters
-    ----------
-    name : str
-        Argument of the command.
-    kind : type
-        Dataclass with a field for each option, of the option's name.
-    *options : decorators
-        Options of click, in the order of the help text.
-    """
-    names = [field.name for field in fields(kind)]
-
-    def decorate(command: Command) -> Command:
-        @wraps(command)
-        def call(**values: Any) -> Any:
-            value = kind(**{field: values.pop(field) for field in names})
-            return command(**values, **{name: value})
-
-        found: Any = call
-        for option in reversed(options):
-            found = option(found)
-        return found
-
-    return decorate
-
-
 @dataclass(frozen=True)
 class Computation:
     """Place and method of computing frames: options of `render` and `defocus`."""
@@ -235,8 +207,8 @@ class _Path(click.Path):
 
 
 PATH = _Path(path_type=Path)
-one_scene = click.argument("scene", type=PATH)
-scenes_wanted = click.argument("scenes", metavar="SCENE...", nargs=-1, required=True, type=PATH)
+scene_argument = click.argument("scene", type=PATH)
+scenes_argument = click.argument("scenes", metavar="SCENE...", nargs=-1, required=True, type=PATH)
 set_option = click.option(
     "--set", "overrides", metavar="KEY=VALUE", multiple=True,
     help="Set a key of the scene, such as camera.f_number=4 or object.0.radius=30; may be given again.",
@@ -251,8 +223,8 @@ _FORMAT = click.option(
     "--format", "formats", metavar="FORMAT,...", type=Names(attribute("clsco.frame.files:TRUTH_FORMATS"), many=True),
     default="",
     help="Files of the ground truth: npz (default) or exr, which hold all of it; npy or pfm, a file per array; of the "
-    "field flo, kitti_flow, kitti_disparity, kitti_depth, dpt; the camera as cam or colmap; codes of a sensor as png "
-    "or tiff. npz+compressed, npy+zstd: smaller files. Without --truth all that they hold.",
+    "field flo, kitti_flow, kitti_disparity, kitti_depth; the cameras as colmap; codes of a sensor as png or tiff. "
+    "npz+compressed: smaller files. Without --truth all that they hold.",
 )  # fmt: skip
 types_option = click.option(
     "--types", metavar="NAME=TYPE,...", type=Names(_types, many=True), default="",
@@ -268,8 +240,8 @@ def truth_options(command: Command) -> Command:
     def call(truth: str, formats: str, types: str, **values: Any) -> Any:
         return command(files=_files(truth, formats, types), **values)
 
-    found: Any = call
-    return _TRUTH(_FORMAT(types_option(found)))
+    decorated: Any = call
+    return _TRUTH(_FORMAT(types_option(decorated)))
 
 
 no_color_option = click.option(
@@ -309,6 +281,13 @@ def quiet_option(command: Command) -> Command:
     return quiet(form(command))
 
 
-computation_options = one_value(
-    "computation", Computation, device_option, precision_option, memory_option, tolerance_option
-)
+def computation_options(command: Command) -> Command:
+    """Give a command the argument `computation`, a Computation of its options."""
+    names = [field.name for field in fields(Computation)]
+
+    @wraps(command)
+    def call(**values: Any) -> Any:
+        return command(computation=Computation(**{name: values.pop(name) for name in names}), **values)
+
+    decorated: Any = call
+    return device_option(precision_option(memory_option(tolerance_option(decorated))))

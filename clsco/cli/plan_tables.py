@@ -107,7 +107,7 @@ def _time(cost: Cost | None) -> str:
 def _passes(plans: Sequence[Plan], cost: Cost | None) -> list[tuple[str, ...]]:
     """Rows of what is run, those of all occlusion groups together; of a stereo pair, of each view. A buffer counts for
     the first pass that works with it."""
-    found: list[tuple[str, ...]] = []
+    rows: list[tuple[str, ...]] = []
     views = ({},) * len(plans) if cost is None else cost.views
     for plan, seconds in zip(plans, views, strict=True):
         counted: Sizes = {}
@@ -123,8 +123,8 @@ def _passes(plans: Sequence[Plan], cost: Cost | None) -> list[tuple[str, ...]]:
                 (f"{kind}{view}", f"{_times(plan, kind)}", f"{sum(sizes.values()) / 2**20:.1f}", spent),
                 *(("", "", "", ""),) * (len(members[0].parameters) - 1),
             )
-            found += [(*name, *row) for name, row in zip(names, members[0].parameters, strict=True)]
-    return found
+            rows += [(*name, *row) for name, row in zip(names, members[0].parameters, strict=True)]
+    return rows
 
 
 def _figures(plan: Plan) -> list[tuple[str, str]]:
@@ -161,11 +161,11 @@ def _of_views(rows: Sequence[Sequence[tuple[str, str]]]) -> list[tuple[str, str]
     if len(rows) == 1:
         return list(rows[0])
     views = [dict(one) for one in rows]
-    found = []
+    merged = []
     for name in dict.fromkeys(name for one in rows for name, _ in one):
         texts = [view.get(name) for view in views]
-        alike = len(set(texts)) == 1
+        same = len(set(texts)) == 1
         for eye, text in zip(("left", "right"), texts, strict=True):
-            if text is not None and (eye == "left" or not alike):
-                found.append((name if alike else f"{name} ({eye})", text))
-    return found
+            if text is not None and (eye == "left" or not same):
+                merged.append((name if same else f"{name} ({eye})", text))
+    return merged

@@ -83,11 +83,11 @@ def _is_in_lines() -> bool:
 @contextmanager
 def _lines(total: int, what: str) -> Iterator[Callable[[], object]]:
     """Print a line of JSON at the beginning, at the end, and meanwhile every LINES_S seconds."""
-    done, said, last = 0, -1, 0.0
+    done, printed, last = 0, -1, 0.0
 
     def say() -> None:
-        nonlocal said
-        said = done
+        nonlocal printed
+        printed = done
         click.echo(json.dumps({"progress": what, "done": done, "total": total}), err=True)
 
     def advance() -> None:
@@ -101,7 +101,7 @@ def _lines(total: int, what: str) -> Iterator[Callable[[], object]]:
     try:
         yield advance
     finally:
-        if said != done:
+        if printed != done:
             say()
 
 

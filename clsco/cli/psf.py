@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from clsco.cli.inputs import first_scene
-from clsco.cli.options import PATH, one_scene, set_option
+from clsco.cli.options import PATH, scene_argument, set_option
 from clsco.cli.output import echo
 from clsco.errors import ClscoError
 
@@ -34,7 +34,7 @@ def _numbers(text: str, rule: str) -> tuple[float, ...]:
 
 
 @click.command()
-@one_scene
+@scene_argument
 @click.option(
     "-o", "out", metavar="OUT", required=True, type=PATH,
     help="File: .npz for the weights and their axes, .png for a picture of them.",
@@ -77,9 +77,10 @@ def psf(
 
         write_npz(out, stack.arrays())
     else:
-        from clsco.cli.psf_sheet import write_sheet
+        from clsco.cli.psf_sheet import sheet
+        from clsco.files.images import write_png
 
-        write_sheet(out, stack)
+        write_png(out, sheet(stack))
     echo(f"{click.format_filename(out)}: {_about(stack)}")
 
 

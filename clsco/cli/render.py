@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from clsco.cli.focus import focus_at_option, focus_depth_option, focused_files, parsed_focus
+from clsco.cli.focus import focus_at_option, focus_depth_option, focus_files, parse_focus
 from clsco.cli.inputs import report_inputs
 from clsco.cli.options import (
     PATH,
@@ -20,7 +20,7 @@ from clsco.cli.options import (
     parse_span,
     quiet_option,
     require_device,
-    scenes_wanted,
+    scenes_argument,
     set_option,
     truth_options,
 )
@@ -28,8 +28,6 @@ from clsco.cli.output import echo
 from clsco.errors import SceneError
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from clsco.engine.batch import Job, Span
     from clsco.frame.truth_files import TruthFile
     from clsco.plan.request import Request
@@ -37,7 +35,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@scenes_wanted
+@scenes_argument
 @click.option("-o", "out", metavar="DIR", required=True, type=PATH, help="Folder for the frames.")
 @truth_options
 @no_color_option
@@ -52,7 +50,7 @@ if TYPE_CHECKING:
 @click.option(
     "--video", "preset", metavar="PRESET", type=PRESET,
     help="When all frames are there, write a clip beside them, such as clip.mp4: mp4, ffv1, prores or another preset "
-    "of clsco video. With -o - and y4m: to the standard output, and no files.",
+    "of clsco video.",
 )  # fmt: skip
 @click.option(
     "--check", is_flag=True, help="Record how far frames are from rays through the lens, in their JSON files."
@@ -82,20 +80,11 @@ def render(
     """
     from clsco.scene.sweep import load_sweeps
 
-    if str(out) == "-":
-        if preset != "y4m":
-            raise click.UsageError(f"-o -: needs --video y4m, which alone goes to a pipe; got {preset or 'no --video'}")
-        if files or subframes or resume or check:
-            rule = "writes no files, so must be without --truth, --subframes, --check and --resume"
-            raise click.UsageError(f"-o -: {rule}")
     if no_color and (subframes or preset):
         raise click.UsageError("--no-color: makes no image, so must be without --subframes and --video")
     require_uncolored(files, no_color)
-    focus = parsed_focus(focus_at, focus_depth)
-    loaded = focused_files(load_sweeps(scenes, overrides), focus)
-    if str(out) == "-":
-        _render_to_pipe(loaded, computation, quiet, span)
-        return
+    focus = parse_focus(focus_at, focus_depth)
+    loaded = focus_files(load_sweeps(scenes, overrides), focus)
     if check:
         from clsco.truth import require_rays
 
@@ -199,42 +188,3 @@ def _written(out: Path, jobs: Sequence[Job]) -> str:
     image = ("png",) if first.prepared.plan.color else ()
     kinds = ", ".join(dict.fromkeys((*image, "json", *(file.format for file in first.files))))
     return f"{place}: {count} frame{'s' * (count > 1)}{views}{where}, from frame_{first.frames[0]:04d} on: {kinds}"
-
-
-def _render_to_pipe(
-    loaded: Sequence[tuple[Path, Sweep | SceneError]], computation: Computation, quiet: bool, span: Span
-) -> None:
-    """Render the frames of one scene, and write them to the standard output as y4m."""
-    from clsco.cli.video import require_clips, standard_output
-    from clsco.plan.prepare import prepare_files
-
-    planned = prepare_files(loaded, request_for((), computation))
-    require_clips(planned, "y4m")
-    report_inputs(planned)
-    found = [(path, each) for path, _, prepared in planned for each in prepared]
-    ((path, prepared), *others) = found
-    scene = prepared.scene
-    if others or scene.stereo is not None:
-        got = f"{len(found)} scenes" if others else "a stereo pair"
-        raise click.UsageError(f"-o -: must be one scene with one view; got {got}")
-    require_device(computation.device)
-    from clsco.cli.progress import progress
-    from clsco.engine.batch import wanted
-    from clsco.engine.sequence import render_prepared
-    from clsco.files.transfer import encode
-    from clsco.files.video import write_clip
-    from clsco.frame.video import Playing
-    from clsco.opencl.session import session_for
-
-    numbers, playing = wanted(scene, span, str(path)), Playing()
-    echo(f"{click.format_filename(path)}: {playing.about(scene.sequence.interval, str(path))}", err=True)
-    rate, stream = playing.rate(scene.sequence.interval, str(path)), standard_output()
-    with progress(len(numbers), quiet) as advance:
-
-        def codes() -> Iterator[NDArray[Any]]:
-            for _, frame in render_prepared(session_for(computation.device), [prepared], numbers):
-                yield encode(frame.color, min(frame.metadata["bits"], 16), scene.image.transfer)
-                advance()
-
-        for change in write_clip(stream, codes(), rate, "y4m", scene.image.transfer):
-            echo(f"{click.format_filename(path)}: {change}", err=True)

@@ -9,7 +9,7 @@ import click
 
 from clsco.cli.options import PATH, device_option, require_device
 from clsco.cli.output import echo
-from clsco.errors import SceneError
+from clsco.errors import MissingDependencyError, SceneError
 
 
 @click.command()
@@ -41,7 +41,9 @@ def studio(
         from clsco.studio.page import draw
         from clsco.studio.server import Studio, serve
     except ModuleNotFoundError as error:
-        raise SceneError(f"studio: needs {error.name}: pip install 'clsco[studio]'; got no such module") from None
+        raise MissingDependencyError(
+            f"studio: needs {error.name}: pip install 'clsco[studio]'; got no such module"
+        ) from None
     require_device(device)
     opened = Studio(root, scene, device)
     opened.new_session()  # a scene with faults ends here

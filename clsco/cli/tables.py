@@ -23,13 +23,13 @@ if TYPE_CHECKING:
 
 def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], right: Sequence[str] = ()) -> Group:
     """A table of plain text; columns named in `right` hold numbers."""
-    found = Table(box=SIMPLE, pad_edge=False)
+    body = Table(box=SIMPLE, pad_edge=False)
     for name in columns:
-        found.add_column(Text(name), justify="right" if name in right else "left", overflow="fold")
+        body.add_column(Text(name), justify="right" if name in right else "left", overflow="fold")
     for row in rows:
-        found.add_row(*(Text(visible(cell)) for cell in row))
+        body.add_row(*(Text(visible(cell)) for cell in row))
     return Group(
-        Text(visible(title), no_wrap=True, overflow="ignore", style="italic"), found
+        Text(visible(title), no_wrap=True, overflow="ignore", style="italic"), body
     )  # a table would wrap its own
 
 
@@ -60,12 +60,12 @@ def check_tables(checked: Checked) -> list[RenderableType]:
     return [compared, Text(times)]
 
 
-def judged_tables(found: Judgement) -> list[RenderableType]:
+def judged_tables(judgement: Judgement) -> list[RenderableType]:
     """Deviations of one frame from rays through the lens, by class of pixel and by object, and light of small
     objects."""
     columns = ("", "pixels", "RMS", "noise", "dB", "mean", "beyond", "column", "row", "right", "got", "errors")
     tables: list[RenderableType] = []
-    for title, rows in (("Pixels against rays", found.classes), ("Their objects", found.objects)):
+    for title, rows in (("Pixels against rays", judgement.classes), ("Their objects", judgement.objects)):
         cells = [
             (
                 r.name, f"{r.pixels}", f"{r.rms:.5f}", f"{r.noise:.5f}", f"{r.decibels:.1f}", f"{r.mean:+.5f}",
@@ -74,11 +74,13 @@ def judged_tables(found: Judgement) -> list[RenderableType]:
             for r in rows
         ]  # fmt: skip
         tables.append(table(title, columns, cells, right=columns[1:]))
-    if found.lights:
-        lights = [(r.name, f"{r.right:.4f}", f"{r.error:.4f}", f"{r.got:.4f}", f"{r.own:.4f}") for r in found.lights]
+    if judgement.lights:
+        lights = [
+            (r.name, f"{r.right:.4f}", f"{r.error:.4f}", f"{r.got:.4f}", f"{r.own:.4f}") for r in judgement.lights
+        ]
         names = ("small object", "right", "noise", "got", "its own")
         tables.append(table("Light around small objects, px of white", names, lights, right=names[1:]))
-    tables.append(Text(f"{found.rays} rays in {found.seconds:.1f} s"))
+    tables.append(Text(f"{judgement.rays} rays in {judgement.seconds:.1f} s"))
     return tables
 
 

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING
 
 import click
 
 from clsco.cli.options import PATH, PRESET, quiet_option
 from clsco.cli.output import echo
-from clsco.errors import ImageError
+from clsco.errors import ArgumentError
 
 if TYPE_CHECKING:
     from clsco.engine.batch import Job
@@ -24,7 +23,7 @@ def _rate(text: str) -> Fraction:
 
     try:
         return parse_rate(text, "rate")
-    except ImageError as error:
+    except ArgumentError as error:
         raise click.BadParameter(str(error).removeprefix("rate: ")) from None
 
 
@@ -32,7 +31,7 @@ def _rate(text: str) -> Fraction:
 @click.argument("folder", metavar="DIR", type=PATH)
 @click.option(
     "-o", "out", metavar="OUT", required=True, type=PATH,
-    help="File for the clip: .mp4, .webm, .mkv or .mov; - for y4m on the standard output.",
+    help="File for the clip: .mp4, .webm, .mkv, .mov or .y4m.",
 )  # fmt: skip
 @click.option(
     "--preset", metavar="NAME", type=PRESET,
@@ -45,8 +44,6 @@ def _rate(text: str) -> Fraction:
 )  # fmt: skip
 @click.option("--fps", metavar="RATE", type=_rate, help="Frames per second, like 24000/1001. Default: 1 / interval.")
 @click.option("--speed", metavar="FACTOR", type=_rate, help="Play so many times as fast as the scene, such as 0.25.")
-@click.option("--from-exr", is_flag=True, help="Colors of the EXR files, linear, instead of those of the PNG files.")
-@click.option("--transfer-tag", type=click.Choice(["bt709"]), help="What the file says of its transfer, for players.")
 @quiet_option
 def video(
     folder: Path,
@@ -55,8 +52,6 @@ def video(
     view: str,
     fps: Fraction | None,
     speed: Fraction | None,
-    from_exr: bool,
-    transfer_tag: str | None,
     quiet: bool,
 ) -> None:
     """Make a clip of the frames in DIR, which clsco render wrote.
@@ -67,36 +62,18 @@ def video(
     """
     if fps is not None and speed is not None:
         raise click.UsageError("--speed: must be without --fps, which says how fast the clip is")
-    if from_exr and view in ("coc", "depth", "flow"):
-        raise click.UsageError(f"--from-exr: is for color, sharp and compare; got --view {view}")
-    to_pipe = str(out) == "-"
-    if to_pipe and preset not in (None, "y4m"):
-        raise click.UsageError(f"-o -: needs --preset y4m, which alone goes to a pipe; got {preset}")
     from clsco.cli.progress import progress
     from clsco.files.video import preset_for, require_video
-    from clsco.frame.video import Playing, ShownFrames, clip_path, write_folder_clip
-    from clsco.frame.written import written_frames
+    from clsco.frame.frame_folder import read_frame_folder
+    from clsco.frame.video import Playing, clip_path, write_folder_clip
 
-    name = "y4m" if to_pipe else preset_for(out, preset)
+    name = preset_for(out, preset)
     require_video(out)
-    frames, playing = written_frames(folder), Playing(fps, speed or Fraction(1))
-    if to_pipe and len(frames.eyes) > 1:
-        raise click.UsageError("-o -: must be frames of one view; got stereo pairs")
+    frames, playing = read_frame_folder(folder), Playing(fps, speed or Fraction(1))
     with progress(len(frames.numbers) * len(frames.eyes), quiet) as advance:
         for eye in frames.eyes:
             target = clip_path(out, eye)
-            stream = standard_output() if to_pipe else target
-            facts = write_folder_clip(
-                stream, frames, ShownFrames(eye, view, from_exr), name, playing, transfer_tag, advance
-            )
-            _report(target, facts)
-
-
-def standard_output() -> BinaryIO:
-    """The standard output for bytes. Raises UsageError where it is a terminal."""
-    if sys.stdout.isatty():
-        raise click.UsageError("-o -: the standard output must be a pipe or a file; got a terminal")
-    return sys.stdout.buffer
+            _report(target, write_folder_clip(target, frames, eye, view, name, playing, advance))
 
 
 def _report(where: Path, facts: Sequence[str]) -> None:
@@ -105,7 +82,7 @@ def _report(where: Path, facts: Sequence[str]) -> None:
 
 
 def require_clips(planned: Sequence[PreparedFile], preset: str) -> None:
-    """Raise ImageError, before anything is rendered, where PyAV is missing or a scene can have no clip of a preset."""
+    """Fail before anything is rendered where PyAV is missing or a scene can have no clip of a preset."""
     from clsco.files.video import rate_of, require_size, require_video
 
     for path, _, prepared in planned:
@@ -125,18 +102,18 @@ def _clips(job: Job, preset: str) -> list[tuple[str, Path]]:
 
 def remove_clips(jobs: Sequence[Job], preset: str) -> None:
     """Remove clips of frames that will be others."""
-    from clsco.files.atomic import remove
+    from clsco.files.atomic import remove_file
 
     for job in jobs:
         for _, path in _clips(job, preset) if job.frames else ():
-            remove(path)
+            remove_file(path)
 
 
 def write_clips(jobs: Sequence[Job], preset: str) -> None:
     """Write a clip beside the frames of each job, where all of its scene's are there; otherwise say so."""
     from clsco.frame.files import frame_json
-    from clsco.frame.video import Playing, ShownFrames, write_folder_clip
-    from clsco.frame.written import written_frames
+    from clsco.frame.frame_folder import read_frame_folder
+    from clsco.frame.video import Playing, write_folder_clip
 
     for job in jobs:
         numbers = range(job.prepared.scene.sequence.frames)
@@ -147,9 +124,9 @@ def write_clips(jobs: Sequence[Job], preset: str) -> None:
                 [f"no clip, as {len(missing)} of {len(numbers)} frames are missing, frame {missing[0]} first"],
             )
             continue
-        frames = written_frames(job.folder, numbers)
+        frames = read_frame_folder(job.folder, numbers)
         if frames.scenes != {job.record["scene_sha256"]}:
             _report(job.folder, ["no clip, as some of the frames are of another scene"])
             continue
         for eye, path in _clips(job, preset):
-            _report(path, write_folder_clip(path, frames, ShownFrames(eye), preset, Playing()))
+            _report(path, write_folder_clip(path, frames, eye, "color", preset, Playing()))

@@ -75,12 +75,12 @@ def _together(device: str | None, count: int) -> tuple[int, int]:
     """Have processes compile, each into a folder of its own; how many plans and programs there were."""
     base, running = temporary_folder("warm"), list[Child]()
     try:
-        found = [base / str(k) / "clsco" / "pocl" for k in range(count)]
-        for k, folder in enumerate(found):
+        folders = [base / str(k) / "clsco" / "pocl" for k in range(count)]
+        for k, folder in enumerate(folders):
             folder.mkdir(mode=0o700, parents=True)
             running.append(Child(_work, device, k, count, environ={VARIABLE: str(folder)}))
         plans = sum(map(_answer, running))
-        return plans, sum(adopt(folder) for folder in found)
+        return plans, sum(adopt(folder) for folder in folders)
     finally:
         for child in running:
             child.kill()

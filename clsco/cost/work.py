@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.constants import BAND, MAP_TRIPLANAR, TAP_LANES
-from clsco.inputs.focus import seen
+from clsco.inputs.focus import find_visible
 from clsco.inputs.textures import mapped_size
 from clsco.optics.exposure import frame_exposure, middle_time
 from clsco.optics.lens import Lens
@@ -324,7 +324,7 @@ def _of_image(plan: Plan, lattice: Lattice, maps: Maps) -> dict[str, Work]:
     """Work of passes that take an image with its radii, by their kinds: depth maps, forward warp, layered occlusion."""
     sizes = zip(plan.scene.camera.frame_size[::-1], (lattice.row, lattice.column), strict=True)
     i, j = (np.clip(at.round().astype(np.intp), 0, size - 1) for size, at in sizes)
-    w, number = seen(plan.scene, maps, i, j)
+    w, number = find_visible(plan.scene, maps, i, j)
     lit, rays = w > 0.0, pixel_ray(reference_camera(plan.scene), i[:, None], j[None, :])
     radius = np.where(lit, blur_radius(lens_at(plan.scene, 0.0, plan.only), rays, w), 0.0)
     pixels = lattice.total(np.ones(w.shape))

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from clsco import __version__
 from clsco.data.pool import DIED, Schedule, ShardTask, device_of, failure_of, limit_threads, perform, stoppable
 from clsco.data.storage import open_storage
-from clsco.errors import ClscoError, DeviceError, ImageError
+from clsco.errors import ClscoError, DeviceError, MissingDependencyError
 from clsco.resources import processors
 
 if TYPE_CHECKING:
@@ -126,7 +126,7 @@ def _distributed() -> Any:
         return importlib.import_module("distributed")
     except ImportError:
         rule = "needs dask.distributed: pip install 'clsco[distributed]'"
-        raise ImageError(f"scheduler: {rule}; got no such module") from None
+        raise MissingDependencyError(f"scheduler: {rule}; got no such module") from None
 
 
 def _workers(client: Any, address: str) -> Mapping[str, Any]:

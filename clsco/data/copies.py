@@ -16,9 +16,9 @@ from clsco.data.manifest import part_bytes, part_key
 from clsco.data.record import Record
 from clsco.data.sets import CARD, DataSet, Status, check_resumable, finish, open_set, ranges, status_of
 from clsco.data.storage import Storage, open_storage, remove_path
-from clsco.errors import ImageError, SceneError
+from clsco.errors import FileError, SceneError
 from clsco.files.atomic import file_digests
-from clsco.files.bounded import strict_json
+from clsco.files.strict_json import strict_json
 
 
 def remake(
@@ -56,7 +56,7 @@ def remake(
     ------
     SceneError
         A function made the set, and none is given; or as `clsco.data.make`.
-    ImageError
+    FileError
         There is no set, or it is damaged.
 
     Examples
@@ -112,7 +112,7 @@ def convert(
 
     target: empty, or with a conversion that was interrupted, whose whole shards stay with `resume`; begin: takes the
     number of shards that are left, and gives what is called after each. Returns the set in `target` and its progress.
-    Raises SceneError: there is no such format, or another set is in `target`; ImageError: the set is not whole or
+    Raises SceneError: there is no such format, or another set is in `target`; FileError: the set is not whole or
     damaged, as each array must have the SHA-256 that the manifest names.
     """
     container_named(form)
@@ -121,7 +121,7 @@ def convert(
     status = status_of(there)
     if not status.is_whole:
         found = next(iter(status.faults), f"{len(status.done)}")
-        raise ImageError(f"{source.where}: all {status.shards} shards must be whole; got {found}")
+        raise FileError(f"{source.where}: all {status.shards} shards must be whole; got {found}")
     made = DataSet(target, replace(there.identity, format=form), there.samples)
     check_resumable(made, resume)
     card = strict_json(source.read(CARD) or b"{}")
@@ -151,7 +151,7 @@ def _convert_shard(there: DataSet, made: DataSet, shard: int) -> None:
         reader = old.read(local)
         try:
             if len(reader) != len(own):
-                raise ImageError(f"{file}: must hold {len(own)} samples, as the manifest says; got {len(reader)}")
+                raise FileError(f"{file}: must hold {len(own)} samples, as the manifest says; got {len(reader)}")
             new.write(path, _checked(file, reader, own))
         finally:
             reader.close()
@@ -172,5 +172,5 @@ def _checked(file: str, records: Iterator[Record] | Any, rows: Sequence[Mapping[
     """Records whose arrays are those of the manifest."""
     for record, row in zip(records, sorted(rows, key=lambda row: row["offset"]), strict=True):
         if record.key != f"{row['number']:09d}" or record.sha256() != row["arrays"]:
-            raise ImageError(f"{file}: sample {row['number']} must have the arrays of the manifest; got others")
+            raise FileError(f"{file}: sample {row['number']} must have the arrays of the manifest; got others")
         yield record

@@ -19,10 +19,10 @@ from clsco.data.draws import shuffled
 from clsco.data.record import ABOUT, PICTURES, Record, is_wanted
 from clsco.data.sets import CARD, DataSet, open_set, split_files
 from clsco.data.storage import Storage, checked_key, open_storage, remove_path
-from clsco.errors import ImageError, SceneError
-from clsco.files.atomic import refuse
-from clsco.frame.contact_sheet import contact_sheet, in_rows
-from clsco.frame.shown import html_to_show
+from clsco.errors import MissingDependencyError, SceneError
+from clsco.files.atomic import raise_file_error
+from clsco.frame.contact_sheet import contact_sheet, split_into_rows
+from clsco.frame.notebook import html_to_show
 from clsco.frame.views import Picture
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ class _Shards:
         path = self._stored.local(file)
         reader = container_named(self.form).read(path)
         if len(reader) != count:
-            refuse(path, f"must hold {count} samples, as {CARD} says", len(reader))
+            raise_file_error(path, f"must hold {count} samples, as {CARD} says", len(reader))
         return reader
 
     def close(self) -> None:
@@ -142,7 +142,7 @@ class Dataset(Sequence[Record]):
     @overload
     def __getitem__(self, index: slice) -> Dataset: ...
     def __getitem__(self, index: int | slice) -> Record | Dataset:
-        """One record; a view of several. Raises IndexError beyond the end, ImageError where a shard is damaged."""
+        """One record; a view of several. Raises IndexError beyond the end, FileError where a shard is damaged."""
         if isinstance(index, slice):
             return self._view(span=self._span[index])
         return self._record(self._span[index])
@@ -222,7 +222,7 @@ class Dataset(Sequence[Record]):
 
         Raises
         ------
-        ImageError
+        FileError
             There is no PyTorch.
 
         Examples
@@ -232,7 +232,7 @@ class Dataset(Sequence[Record]):
         torch.Size([3, 9, 12])
         """
         if find_spec("torch") is None:
-            raise ImageError("to_torch: needs PyTorch: pip install torch; got no such module")
+            raise MissingDependencyError("to_torch: needs PyTorch: pip install torch; got no such module")
         return self.map(tensors_of)
 
     def __repr__(self) -> str:
@@ -292,7 +292,7 @@ def open(data: str | os.PathLike[str], split: str | None = None, arrays: Iterabl
     ------
     SceneError
         There is no such split or array.
-    ImageError
+    FileError
         There is no data set, its card is damaged, or the extra that its format needs is missing.
 
     Notes
@@ -328,7 +328,7 @@ def _shard(file: tuple[str, int]) -> tuple[str, str]:
 
 
 def _card_with_files(there: DataSet) -> dict[str, Any]:
-    """The card with the `files` of each split, which are checked. Raises ImageError."""
+    """The card with the `files` of each split, which are checked. Raises FileError."""
     try:
         listed = there.about["files"] if "files" in there.about else split_files(there.storage)
         files = {
@@ -336,7 +336,7 @@ def _card_with_files(there: DataSet) -> dict[str, Any]:
             for split, each in dict(listed).items()
         }
     except (ValueError, TypeError) as error:
-        refuse(f"{there.storage.where}/{CARD}", "must list the files of a data set", repr(error), error)
+        raise_file_error(f"{there.storage.where}/{CARD}", "must list the files of a data set", repr(error), error)
     return {**there.about, "files": files}
 
 
@@ -368,4 +368,4 @@ def record_sheet(records: Iterable[Record]) -> Picture:
         padded = [np.pad(each, ((0, height - len(each)), (0, 0), (0, 0))) for each in pictures]
         label = " ".join(filter(None, (record.key, str(record.meta.get("split") or ""))))
         tiles.append((np.concatenate(padded, axis=1), label))
-    return contact_sheet(in_rows(tiles))
+    return contact_sheet(split_into_rows(tiles))

@@ -20,7 +20,7 @@ from clsco.data.distribution import Distribution, Sample
 from clsco.errors import ClscoError, DeviceError, SceneError
 from clsco.files.images import write_png
 from clsco.files.transfer import encode
-from clsco.frame.contact_sheet import contact_sheet, in_rows
+from clsco.frame.contact_sheet import contact_sheet, split_into_rows
 from clsco.frame.frame import Frame
 from clsco.frame.provenance import views
 from clsco.frame.truth_files import ATTRIBUTES
@@ -227,7 +227,7 @@ def sample_sheet(samples: Sequence[Sample]) -> NDArray[np.uint8]:
         variants = f", {len(sample.scenes)} variants" if len(sample.scenes) > 1 else ""
         label = f"{sample.number} {sample.split}".rstrip() + variants
         tiles.append((np.concatenate([_picture(scene) for scene in ends], axis=1), label))
-    return contact_sheet(in_rows(tiles))
+    return contact_sheet(split_into_rows(tiles))
 
 
 def _picture(scene: Scene) -> NDArray[np.uint8]:

@@ -14,8 +14,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from clsco.data.storage import Storage, checked_key
-from clsco.errors import ImageError
-from clsco.files.bounded import strict_json
+from clsco.errors import FileError
+from clsco.files.strict_json import strict_json
 
 PARTS, MERGED, FAILED, LOG = "manifest", "manifest.jsonl", "failed.jsonl", "log"
 CONFLICT = "conflict"  # folder of shards that were made otherwise before
@@ -107,7 +107,7 @@ def part_bytes(
 
 
 def parsed_part(data: bytes) -> ManifestPart:
-    """The description of a shard from the first line of its part. Raises ImageError where it is none."""
+    """The description of a shard from the first line of its part. Raises FileError where it is none."""
     try:
         found = strict_json(data.partition(b"\n")[0])
         files = {checked_key(str(key)): (int(size), str(digest)) for key, (size, digest) in found.pop("files").items()}
@@ -115,14 +115,14 @@ def parsed_part(data: bytes) -> ManifestPart:
         part = ManifestPart(**numbers, files=files, identity=str(found.pop("identity")), rows=str(found.pop("rows")))
         counts_agree = min(numbers.values()) >= 0 and part.made + part.failed == part.count
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise ImageError(f"manifest: a part must begin with a line about its shard; got {error!r}") from None
+        raise FileError(f"manifest: a part must begin with a line about its shard; got {error!r}") from None
     if found or not counts_agree:
-        raise ImageError(f"manifest: samples made and failed must add up; got {part.made} + {part.failed}")
+        raise FileError(f"manifest: samples made and failed must add up; got {part.made} + {part.failed}")
     return part
 
 
 def rows_of(data: bytes) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """The samples and the failures of a part. Raises ImageError where they are not as its first line says."""
+    """The samples and the failures of a part. Raises FileError where they are not as its first line says."""
     part = parsed_part(data)
     require_rows(part, data)
     try:
@@ -131,7 +131,7 @@ def rows_of(data: bytes) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
         if len(found) != part.count or not (all(map(_is_row, rows)) and all(map(_is_failure, failures))):
             raise ValueError("other values, or fewer lines")
     except ValueError as error:
-        raise ImageError(f"{part_key(part.shard)}: each line must be about a sample; got {error}") from None
+        raise FileError(f"{part_key(part.shard)}: each line must be about a sample; got {error}") from None
     return rows, failures
 
 
@@ -157,9 +157,9 @@ def _is_count(value: Any) -> bool:
 
 
 def require_rows(part: ManifestPart, data: bytes) -> None:
-    """Raise ImageError where the lines of a part are not those that its first line describes."""
+    """Raise FileError where the lines of a part are not those that its first line describes."""
     if hashlib.sha256(data.partition(b"\n")[2]).hexdigest() != part.rows:
-        raise ImageError(f"{part_key(part.shard)}: lines must have the SHA-256 that the first one names; got another")
+        raise FileError(f"{part_key(part.shard)}: lines must have the SHA-256 that the first one names; got another")
 
 
 def shard_numbers(samples: range, size: int) -> range:
@@ -206,7 +206,7 @@ class ManifestParts:
             try:
                 part = parsed_part(data)
                 fault = self._fault(part, data, hashes)
-            except ImageError as error:
+            except FileError as error:
                 faults.append(f"{key}: {str(error).partition(': ')[2]}")
                 continue
             if part.shard != keys[key] or part.identity != digest:
@@ -274,7 +274,7 @@ class Merged:
 
 
 def files_of(part: ManifestPart, data: bytes) -> dict[str, list[tuple[str, int]]]:
-    """Files of a part by their splits, with the number of samples in them. Raises ImageError where it is damaged."""
+    """Files of a part by their splits, with the number of samples in them. Raises FileError where it is damaged."""
     counts: dict[str, int] = {}
     if len(part.files) == 1 and (only := next(iter(part.files))).count("/") == 1:
         counts[only] = part.made

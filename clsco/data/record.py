@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from clsco import __version__
 from clsco.files.color import exr_color
 from clsco.files.images import save_image, write_npz
-from clsco.files.ranges import refuse_values
+from clsco.files.ranges import check_values
 from clsco.files.transfer import decode, encode
 from clsco.frame.frame import FILE_NAMES, Frame
-from clsco.frame.shown import codes_to_show, html_to_show
-from clsco.frame.truth_files import FLOATS, in_float16, parse_types
+from clsco.frame.notebook import codes_to_show, html_to_show
+from clsco.frame.truth_files import FLOATS, parse_types, to_float16
 
 if TYPE_CHECKING:
     from clsco.data.distribution import Sample
@@ -145,7 +145,7 @@ class Record(Mapping[str, NDArray[Any]]):
         ------
         KeyError
             The record has no such array.
-        ImageError
+        FileError
             The extension is another one, the extra that the format needs is missing, or the file cannot be written.
         """
         if Path(path).suffix.lower() == ".npz":
@@ -214,7 +214,7 @@ def make_record(
     """Make the record of a sample from the frames of each variant, of a stereo pair left and right after each other.
 
     wanted: names in files; what a frame does not have is left out, such as `uv` where no texture lies on a surface.
-    stored: types as `parse_stored` gives them. Raises ImageError: radiance that is not finite; floats beyond float16.
+    stored: types as `parse_stored` gives them. Raises FileError: radiance that is not finite; floats beyond float16.
 
     Codes end at white as those of a sensor do, and at black, below which interpolated textures may go at an edge. Both
     are no error, but what share of an array was clipped is in `meta["arrays"][name]["clipped"]`; float32 keeps all.
@@ -264,12 +264,12 @@ def _stored(
     if dtype in CODES:
         bits = CODES[dtype]
         half = 0.5 / (2**bits - 1)  # what rounds to white or black is not clipped
-        refuse_values(where, "radiance must be a finite number", array, ~np.isfinite(array))
+        check_values(where, "radiance must be a finite number", array, ~np.isfinite(array))
         # Below black: where the cubic between texels, and what sharpens it, goes below them at an edge.
         beyond = np.count_nonzero((array > 1 + half) | (array < -half))
         more = {"transfer": transfer, "clipped": float(beyond / array.size)}
         array = encode(array, bits, transfer)
     elif dtype == "float16":
-        array = in_float16(where, array)
+        array = to_float16(where, array)
     about = {"dtype": array.dtype.name, "shape": list(array.shape), "unit": unit, "convention": convention}
     return np.ascontiguousarray(array), about | more

@@ -24,8 +24,8 @@ from clsco.data.manifest import (
     shard_numbers,
 )
 from clsco.data.storage import Storage
-from clsco.errors import ImageError, SceneError
-from clsco.files.bounded import strict_json
+from clsco.errors import FileError, SceneError
+from clsco.files.strict_json import strict_json
 
 MOST_SHARDS = 10**6
 LARGEST_CARD = 2**26
@@ -72,10 +72,10 @@ class DataSet:
 
 
 def open_set(storage: Storage) -> DataSet:
-    """The set in a storage. Raises ImageError where there is none, or its card is damaged."""
+    """The set in a storage. Raises FileError where there is none, or its card is damaged."""
     data = storage.read(CARD)
     if data is None:
-        raise ImageError(f"{storage.where}: must hold a data set that clsco dataset make made; got no {CARD}")
+        raise FileError(f"{storage.where}: must hold a data set that clsco dataset make made; got no {CARD}")
     try:
         if len(data) > LARGEST_CARD:
             raise ValueError(f"{len(data)} bytes")
@@ -91,7 +91,7 @@ def open_set(storage: Storage) -> DataSet:
         if not samples or samples.start < 0 or len(shard_numbers(samples, identity.shard_size)) > MOST_SHARDS:
             raise ValueError(f"samples are {samples}")
     except (ValueError, TypeError, KeyError, AttributeError, ArithmeticError, RecursionError) as error:
-        raise ImageError(f"{storage.where}/{CARD}: must describe a data set; got {error!r}") from None
+        raise FileError(f"{storage.where}/{CARD}: must describe a data set; got {error!r}") from None
     return DataSet(storage, identity, samples, card)
 
 
@@ -227,7 +227,7 @@ _HUB_FORMATS = ("webdataset", "parquet")
 def split_files(storage: Storage) -> dict[str, list[tuple[str, int]]]:
     """Files of each split with the number of samples in them, by the parts of the manifest.
 
-    Returns: split to files, in the order of the shards; "" of a set without splits. Raises ImageError: a part is
+    Returns: split to files, in the order of the shards; "" of a set without splits. Raises FileError: a part is
     damaged.
     """
     found: dict[str, list[tuple[str, int]]] = {}
@@ -241,7 +241,7 @@ def write_card(storage: Storage, identity: Identity, listed: Mapping[str, list[t
     """Complete the card of a set whose shards are all done, and write README.md.
 
     What `dataset.json` has stays, of the license and the distribution above all. listed: split to its files, with the
-    number of samples in them. Raises ImageError: the set cannot be read or written.
+    number of samples in them. Raises FileError: the set cannot be read or written.
     """
     card = json.loads(storage.read(CARD) or b"{}")
     files = {split: listed[split] for split in sorted(listed)}

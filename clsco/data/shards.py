@@ -22,7 +22,7 @@ from clsco.data.manifest import CONFLICT, LOG, UNSPLIT, Identity, line, numbers_
 from clsco.data.record import Record, make_record
 from clsco.data.storage import Storage, remove_path
 from clsco.engine.sequence import render_prepared
-from clsco.errors import ImageError, KernelError, SceneError
+from clsco.errors import FileError, KernelError, MissingDependencyError, SceneError
 from clsco.files.atomic import file_digests
 from clsco.frame.frame import Frame
 from clsco.frame.truth_files import ATTRIBUTES
@@ -143,7 +143,7 @@ class ShardMaker:
             start = time.perf_counter()
             try:
                 sample = self.job.distribution.draw(self.job.identity.seed, number)
-            except (SceneError, ImageError) as error:
+            except (SceneError, FileError, MissingDependencyError) as error:
                 failures[number] = {"number": number, "error": self._portable(error), "scene": None}
                 advance()
                 continue
@@ -167,7 +167,7 @@ class ShardMaker:
                         frames[0][0] = judged_frame(sample.scenes[0], frames[0][0])
                     spent["render"] += time.perf_counter() - start
                     record = make_record(sample, self.job.identity.seed, frames, self.arrays, self.types)
-                except (SceneError, ImageError, KernelError) as error:
+                except (SceneError, FileError, MissingDependencyError, KernelError) as error:
                     failures[sample.number] = _failure(sample, self._portable(error))
                     advance()
                     continue
@@ -204,7 +204,7 @@ class ShardMaker:
     def deliver(self, made: MadeShard, about: Mapping[str, Any]) -> None:
         """Move the files of a shard to the set, then its part, and note in the log how long it took.
 
-        about: of the process, for the log. Raises ImageError where another process has made other bytes of the shard;
+        about: of the process, for the log. Raises FileError where another process has made other bytes of the shard;
         then both are kept.
         """
         key = part_key(made.shard)
@@ -230,7 +230,7 @@ class ShardMaker:
         """True if the part of a shard is of this set, has all samples, and describes its files as they are."""
         try:
             part = parsed_part(data)
-        except ImageError:
+        except FileError:
             return False
         same = (part.shard, part.identity, part.numbers) == (shard, self.job.identity.digest, self.job.numbers(shard))
         return same and all(self.storage.digest(name) == digest for name, (_, digest) in part.files.items())
@@ -242,7 +242,7 @@ class ShardMaker:
             self.storage.put(f"{beside}/{name}", path)
         self.storage.write(f"{beside}/{part_key(made.shard)}", made.part)
         rule = "all that make a shard must make the same bytes"
-        raise ImageError(f"{part_key(made.shard)}: {rule}; got others, which are in {beside}") from OSError(rule)
+        raise FileError(f"{part_key(made.shard)}: {rule}; got others, which are in {beside}") from OSError(rule)
 
     def drop(self, made: MadeShard) -> None:
         """Remove the files of a shard from the scratch folder."""

@@ -14,8 +14,8 @@ from functools import wraps
 from pathlib import Path
 from typing import Any, TypeVar
 
-from clsco.errors import ImageError
-from clsco.files.atomic import file_sha256, refuse
+from clsco.errors import ClscoError, FileError, MissingDependencyError
+from clsco.files.atomic import file_sha256, raise_file_error
 from clsco.resources import open_regular, read_regular, remove_left, work_name
 
 BLOCK = 2**20
@@ -32,10 +32,10 @@ def remove_path(path: Path) -> None:
 
 
 def checked_key(key: str) -> str:
-    """A key that stays in its storage; raises ImageError for any other, as a file of a stranger may name one."""
+    """A key that stays in its storage; raises FileError for any other, as a file of a stranger may name one."""
     parts = key.split("/")
     if not key.isprintable() or "\\" in key or any(part in ("", ".", "..") for part in parts):
-        raise ImageError(f"{key!a}: a file of a data set must lie in its folder; got another place")
+        raise FileError(f"{key!a}: a file of a data set must lie in its folder; got another place")
     return key
 
 
@@ -46,16 +46,16 @@ def _failing(function: Call) -> Call:
     def call(self: Any, *args: Any) -> Any:
         try:
             return function(self, *args)
-        except ImageError:
+        except ClscoError:
             raise
         except OSError as error:
             place = Path(self.where) / str(args[0]) if args else Path(self.where)
-            refuse(place, "the data set must be writable and readable", error, error)
+            raise_file_error(place, "the data set must be writable and readable", error, error)
         except Exception as error:
             if self.is_local:
                 raise
             got = " ".join(str(error).split()) or type(error).__name__  # of the store's own client
-            raise ImageError(f"{self.where}: the store must answer; got {got}") from OSError(got)
+            raise FileError(f"{self.where}: the store must answer; got {got}") from OSError(got)
 
     return call  # type: ignore[return-value]
 
@@ -72,7 +72,7 @@ def _sync(path: Path) -> None:
 
 
 class _Folder:
-    """A folder for objects by their keys, relative paths with "/". All methods raise ImageError where it fails.
+    """A folder for objects by their keys, relative paths with "/". All methods raise FileError where it fails.
 
     A file gets its name when all of it is on the disk: it is made in a hidden folder beside.
     """
@@ -84,10 +84,10 @@ class _Folder:
         self.where = str(self.root)
 
     def _path(self, key: str) -> Path:
-        """Path of a key. Raises ImageError where a link leads out of the set, as in a folder of a stranger one may."""
+        """Path of a key. Raises FileError where a link leads out of the set, as in a folder of a stranger one may."""
         path = self.root / checked_key(key)
         if not path.parent.resolve().is_relative_to(self.root.resolve()):
-            refuse(path, "must lie in the folder of the data set", "a link that leaves it")
+            raise_file_error(path, "must lie in the folder of the data set", "a link that leaves it")
         return path
 
     @_failing
@@ -137,7 +137,7 @@ class _Folder:
         """A local file or folder with the content of a key."""
         path = self._path(key)
         if not path.resolve().is_relative_to(self.root.resolve()):
-            refuse(path, "must lie in the folder of the data set", "a link that leaves it")
+            raise_file_error(path, "must lie in the folder of the data set", "a link that leaves it")
         return path
 
     @_failing
@@ -186,12 +186,12 @@ class _Remote:
             core = importlib.import_module("fsspec.core")
         except ImportError:
             rule = "an address needs fsspec: pip install 'clsco[distributed]'"
-            raise ImageError(f"{url}: {rule}; got no such module") from None
+            raise MissingDependencyError(f"{url}: {rule}; got no such module") from None
         self.where = url
         try:
             self.system, self.root = core.url_to_fs(url, use_listings_cache=False)
         except (ImportError, ValueError, OSError) as error:
-            raise ImageError(f"{url}: must be an address that fsspec opens; got {error}") from error
+            raise FileError(f"{url}: must be an address that fsspec opens; got {error}") from error
 
     def _path(self, key: str) -> str:
         return f"{self.root.rstrip('/')}/{checked_key(key)}"
@@ -272,7 +272,7 @@ Storage = _Folder | _Remote
 
 
 def open_storage(where: str | os.PathLike[str]) -> Storage:
-    """The storage of a data set: a folder, or an address such as s3://bucket/set. Raises ImageError for neither."""
+    """The storage of a data set: a folder, or an address such as s3://bucket/set. Raises FileError for neither."""
     text = os.fspath(where)
     if "://" not in text:
         return _Folder(Path(text))

@@ -18,7 +18,7 @@ from clsco.data.manifest import ManifestParts, Merged, parsed_part, part_key
 from clsco.data.record import Record, make_record
 from clsco.data.sets import DataSet
 from clsco.data.shards import SampleRenderer, device_family
-from clsco.errors import ClscoError, ImageError, SceneError
+from clsco.errors import ClscoError, FileError, SceneError
 from clsco.files.atomic import sha256
 from clsco.frame.frame import Frame
 from clsco.opencl.device import choose
@@ -234,13 +234,13 @@ def _stored(there: DataSet, row: Mapping[str, Any]) -> Record:
     """The record of a sample, by its line in the manifest."""
     with closing(container_named(there.identity.format).read(there.storage.local(row["file"]))) as reader:
         if row["offset"] >= len(reader):
-            raise ImageError(f"{row['file']}: must hold sample {row['number']} as number {row['offset']}; got no such")
+            raise FileError(f"{row['file']}: must hold sample {row['number']} as number {row['offset']}; got no such")
         record = reader[row["offset"]]
     kinds = {"scene": dict, "frames": list, "split": str, "attempts": int, "parameters": dict}
     for name, kind in kinds.items():
         if not isinstance(record.meta.get(name), kind):
             rule = f"{row['file']}: sample {row['number']}: {name} must be there, as clsco dataset make writes it"
-            raise ImageError(f"{rule}; got {shown(record.meta.get(name))}")
+            raise FileError(f"{rule}; got {shown(record.meta.get(name))}")
     return record
 
 

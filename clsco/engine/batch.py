@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from clsco.engine.sequence import render_prepared
-from clsco.errors import ImageError, SceneError
-from clsco.files.atomic import same_place, writable_folder
+from clsco.errors import FileError, SceneError
+from clsco.files.atomic import is_same_place, make_writable_folder
 from clsco.frame.files import (
     TRUTH_FORMATS,
     frame_files,
@@ -69,7 +69,7 @@ def folders(scenes: Sequence[Path], out: Path) -> list[Path]:
 
 def _require_inside(folder: Path, out: Path, where: Path) -> None:
     """Raise SceneError where a folder of frames would not lie in `out`, by its name or as a symbolic link."""
-    if not same_place(Path(os.path.realpath(folder)).parent, out):
+    if not is_same_place(Path(os.path.realpath(folder)).parent, out):
         raise SceneError(f"{where}: frames must stay inside {out}; got {folder}")
 
 
@@ -97,17 +97,17 @@ def prepare(
 
     digests: of its files, as `provenance.file_digests` gives them, where they are known. A frame is whole where its
     JSON file, written last, names the scene's hash, this version, the same tolerance, all files
-    wanted with what they hold, and each file's SHA-256. Raises ImageError where a texture or depth cannot be read or
+    wanted with what they hold, and each file's SHA-256. Raises FileError where a texture or depth cannot be read or
     the folder written.
     """
     scene, request = prepared.scene, prepared.request
     about = record(scene, digests)
-    writable_folder(folder)
+    make_writable_folder(folder)
     remove_left(folder)
     for _, item in scene.inputs:
         for what, path in ((key, Path(name)) for key, name in item.files().items()):
-            if path.stem.startswith("frame_") and same_place(path.parent, folder):
-                raise ImageError(f"{path}: a {what} must not lie where frames are written; got {folder}")
+            if path.stem.startswith("frame_") and is_same_place(path.parent, folder):
+                raise FileError(f"{path}: a {what} must not lie where frames are written; got {folder}")
 
     image = ["color"] if prepared.plan.color else []
     held = {FILE_NAMES[name] for name in (*image, *prepared.plan.truth, *(["alpha"] if prepared.plan.alpha else []))}
@@ -143,7 +143,7 @@ def prepare_all(
     _require_arrays(planned, files)
     places = list(zip(planned, folders([path for path, *_ in planned], out), strict=True))
     for (path, labels, _), folder in places:
-        if path.stem.startswith("frame_") and same_place(path.parent, folder):
+        if path.stem.startswith("frame_") and is_same_place(path.parent, folder):
             raise SceneError(f"{path}: a scene file must not lie where frames are written; got {folder}")
         for label in filter(None, labels):
             _require_inside(folder / label, folder, path)
@@ -217,7 +217,7 @@ def _run_together(session: Session, jobs: Sequence[Job], check: bool) -> Iterato
         job, views = jobs[number], (frame,) if left is None else (left, frame)
         if _written(job.folder, frame.index) != job.before[frame.index]:
             where = frame_json(job.folder, frame.index)
-            raise ImageError(f"{where}: frames must have one writer at a time; got one that another process wrote")
+            raise FileError(f"{where}: frames must have one writer at a time; got one that another process wrote")
         scene = job.prepared.scene
         about = job.folder, views, frame.metadata["bits"], scene.image.transfer, job.files, job.record
         write_frame(*about, scene=scene, color=job.prepared.color)

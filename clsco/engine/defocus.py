@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from clsco.constants import TAP_LANES
 from clsco.engine.shrinking import Shrinking
 from clsco.engine.workspace import Workspace, blur_runs, shared_buffers
-from clsco.errors import ImageError, SceneError
+from clsco.errors import ArgumentError, SceneError
 from clsco.files.transfer import decode_channels, encode_channels, has_alpha
 from clsco.frame.strips import Strip
 from clsco.inputs.pupils import load_point_spread
@@ -142,7 +142,7 @@ def defocus(
 
     Raises
     ------
-    ImageError
+    ArgumentError
         Arrays that cannot be, such as of masked or infinite values.
     SceneError
         Other arguments that cannot be, such as occlusion = "visibility".
@@ -232,19 +232,19 @@ def _checked(picture: NDArray[Any], radii: NDArray[Any], mirrored: bool) -> _Giv
     check_image(picture)
     if radii.shape != picture.shape[:2]:
         rule = f"must have the rows and columns of the image, {picture.shape[:2]}"
-        raise ImageError(f"blur_radius: {rule}; got {radii.shape}")
+        raise ArgumentError(f"blur_radius: {rule}; got {radii.shape}")
     ends = []
     for name, array in (("image", picture), ("blur_radius", radii)):
         if array.dtype.kind not in "fiu":
-            raise ImageError(f"{name}: must hold real numbers; got {array.dtype}")
+            raise ArgumentError(f"{name}: must hold real numbers; got {array.dtype}")
         ends.append((float(array.min()), float(array.max())))  # as NaN and infinity are, and without a plane of its own
         if not np.isfinite(ends[-1]).all():
-            raise ImageError(f"{name}: must be finite; got {int((~np.isfinite(array)).sum())} values that are not")
+            raise ArgumentError(f"{name}: must be finite; got {int((~np.isfinite(array)).sum())} values that are not")
     if picture.dtype.kind != "f":
-        raise ImageError(f"image: must be floats, uint8 or uint16; got {picture.dtype}")
+        raise ArgumentError(f"image: must be floats, uint8 or uint16; got {picture.dtype}")
     brightest, largest = (max(abs(low), abs(high)) for low, high in ends)
     if largest > LARGEST_BLUR:
-        raise ImageError(f"blur_radius: must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px")
+        raise ArgumentError(f"blur_radius: must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px")
     low, high = ends[1]
     smallest = 0.0 if low <= 0.0 <= high else min(abs(low), abs(high))  # or less than that, without reading all again
     return _Given(picture, radii, smallest, largest, float(np.float32(brightest)), mirrored)

@@ -10,7 +10,7 @@ import numpy as np
 import pyopencl.array as cl_array
 from numpy.typing import NDArray
 
-from clsco.errors import ImageError, SceneError
+from clsco.errors import ArgumentError, SceneError
 from clsco.inpainting.methods import METHODS, THESIS, Filled, Task, check_method, method_for
 from clsco.inpainting.report import Report
 from clsco.inpainting.rules import MeanMedian, as_stored, value_span
@@ -85,7 +85,7 @@ def inpaint(
 
     Raises
     ------
-    ImageError
+    ArgumentError
         Arrays that cannot be, such as an image without any known pixel.
     SceneError
         Other arguments that cannot be.
@@ -118,27 +118,29 @@ def inpaint(
 def _checked(picture: NDArray[Any], holes: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
     check_image(picture)
     if picture.dtype not in (np.uint8, np.uint16, np.float16, np.float32, np.float64):
-        raise ImageError(f"image: must be uint8, uint16, float16, float32 or float64; got {picture.dtype}")
+        raise ArgumentError(f"image: must be uint8, uint16, float16, float32 or float64; got {picture.dtype}")
     if holes.shape != picture.shape[:2]:
-        raise ImageError(f"mask: must have the rows and columns of the image, {picture.shape[:2]}; got {holes.shape}")
+        raise ArgumentError(
+            f"mask: must have the rows and columns of the image, {picture.shape[:2]}; got {holes.shape}"
+        )
     if holes.dtype == np.uint8:
         other = (holes != 0) & (holes != 255)
         if other.any():
-            raise ImageError(f"mask: must be 0 or 255 where it is uint8; got {int(other.sum())} other values")
+            raise ArgumentError(f"mask: must be 0 or 255 where it is uint8; got {int(other.sum())} other values")
         holes = holes == 255
     if holes.dtype != np.bool_:
-        raise ImageError(f"mask: must be bool, or uint8 of 0 and 255; got {holes.dtype}")
+        raise ArgumentError(f"mask: must be bool, or uint8 of 0 and 255; got {holes.dtype}")
     if isinstance(picture, np.ma.MaskedArray):
         masked = np.ma.getmaskarray(picture)
         picture, holes = picture.data, holes | (masked.any(axis=2) if masked.ndim == 3 else masked)
     if holes.all():
-        raise ImageError("mask: some pixel must be known; got none that is")
+        raise ArgumentError("mask: some pixel must be known; got none that is")
     if picture.dtype.kind == "f":
         most = min(LARGEST, float(np.finfo(picture.dtype).max))
         usable = np.abs(picture) <= most  # false for what is not a number
         wrong = int((~usable & ~(holes if picture.ndim == 2 else holes[..., None])).sum())
         if wrong:
-            raise ImageError(f"image: known pixels must be finite, and at most 2^60 in size; got {wrong} others")
+            raise ArgumentError(f"image: known pixels must be finite, and at most 2^60 in size; got {wrong} others")
     return picture, holes
 
 

@@ -80,7 +80,7 @@ class Live:
         ------
         CanceledError
             `cancel` was called meanwhile.
-        SceneError, ImageError, DeviceError, KernelError
+        SceneError, FileError, DeviceError, KernelError
             As `clsco.render_frame`.
         """
         known = scene_of(scene)
@@ -112,7 +112,7 @@ class Live:
         ------
         CanceledError
             `cancel` was called meanwhile.
-        SceneError, ImageError, DeviceError, KernelError
+        SceneError, FileError, DeviceError, KernelError
             As `clsco.response`.
         """
         lit = only_lit(scene_of(scene), x, y, index, item, self.files)

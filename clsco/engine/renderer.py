@@ -18,7 +18,7 @@ from clsco.engine.workspace import Light, Pixels, Workspace, scene_workspace
 from clsco.errors import DeviceError
 from clsco.frame.frame import Frame
 from clsco.frame.strips import Strip
-from clsco.inputs.channels import of_channels
+from clsco.inputs.channels import select_channels
 from clsco.opencl.buffers import download
 from clsco.opencl.session import Progress, Session
 from clsco.optics.exposure import line_times, middle_time
@@ -93,7 +93,7 @@ class Renderer:
         plan, found = self.plan, list[Light]()
         for one in plan.apart:
             channels = (one.only or 0, plan.colors)[: one.channels]
-            take = cache(partial(of_channels, channels=channels))
+            take = cache(partial(select_channels, channels=channels))
             textures = tuple(take(texture) for texture in self.prepared.textures)
             scene = PlacedScene(self.session, one.scene, one.psf, textures, self.scene.real, one.eye, one.alpha)
             found.append(Light(scene, self._pixels(one, scene)))
@@ -157,11 +157,11 @@ class Renderer:
             image = {"color": _without_alpha(film.color), "alpha": np.ascontiguousarray(film.color[..., -1])}
             truth |= {name: _without_alpha(truth[name]) for name in {"sharp", "subframes"} & truth.keys()}
         if plan.sensor_model is not None:
-            from clsco.frame.development import developed, sensor_truth
+            from clsco.frame.development import develop, sensor_truth
 
             light = image["color"] if plan.needs_light else None
             truth |= sensor_truth(plan.truth, film.code, film.saturated, light, plan.sensor_model)
-            image["color"] = developed(film.code, plan.sensor_model)
+            image["color"] = develop(film.code, plan.sensor_model)
         eye = plan.eye if plan.scene.stereo else ""
         return Frame(index=film.index, metadata=self._metadata(film), eye=eye, **image, **truth)
 

@@ -14,7 +14,7 @@ from clsco.engine.sequence import frame_numbers, render_frame
 from clsco.errors import SceneError
 from clsco.frame.frame import GREEN, Frame
 from clsco.inputs.files import InputFiles
-from clsco.inputs.focus import seen
+from clsco.inputs.focus import find_visible
 from clsco.opencl.session import DeviceLike
 from clsco.optics.exposure import middle_time, shutter_span
 from clsco.optics.lens_path import camera_at, reference_camera
@@ -95,7 +95,7 @@ def response(
 
     Raises
     ------
-    SceneError, ImageError, DeviceError, KernelError
+    SceneError, FileError, DeviceError, KernelError
         As `render_frame`; there is no such source, or without `item` nothing is seen there.
 
     Notes
@@ -164,7 +164,7 @@ def only_lit(
 
 def _seen_at(prepared: Prepared, column: int, row: int) -> int:
     """Number of the object that is seen in a pixel at t = 0. Raises SceneError where nothing is."""
-    number = int(seen(prepared.scene, prepared.maps, np.array([row]), np.array([column]))[1][0, 0])
+    number = int(find_visible(prepared.scene, prepared.maps, np.array([row]), np.array([column]))[1][0, 0])
     if number < 0:
         raise SceneError(f"x, y: must be on a surface at t = 0; got nothing at {column}, {row}")
     return number

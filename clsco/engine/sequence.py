@@ -85,7 +85,7 @@ def render(
     ------
     SceneError, DeviceError
         At the call, for arguments that cannot be.
-    ImageError, SceneError, DeviceError, KernelError
+    FileError, SceneError, DeviceError, KernelError
         From the iterator, for files that cannot be read and what a device or a method cannot do.
 
     Notes
@@ -131,7 +131,7 @@ def render_frame(
 
     Raises
     ------
-    SceneError, ImageError, DeviceError, KernelError
+    SceneError, FileError, DeviceError, KernelError
         As `render`, all at the call.
 
     Examples
@@ -173,7 +173,7 @@ def render_sweep(
 
     Raises
     ------
-    SceneError, ImageError, DeviceError, KernelError
+    SceneError, FileError, DeviceError, KernelError
         As `render`.
 
     Notes

@@ -78,9 +78,9 @@ class ArrayCache:
 
     def _shrink(self) -> None:
         assert self.folder is not None
-        found = [(path.stat().st_mtime_ns, path.stat().st_size, path) for path in self.folder.glob(f"*{SUFFIX}")]
-        total = sum(size for _, size, _ in found)
-        for _, size, path in sorted(found):
+        files = [(path.stat().st_mtime_ns, path.stat().st_size, path) for path in self.folder.glob(f"*{SUFFIX}")]
+        total = sum(size for _, size, _ in files)
+        for _, size, path in sorted(files):
             if total <= MOST_BYTES:
                 return
             path.unlink(missing_ok=True)
@@ -105,11 +105,11 @@ def _read(path: Path) -> mmap.mmap:
 
 def _unpacked(content: mmap.mmap) -> dict[str, NDArray[Any]]:
     end = content.find(b"\n", DIGEST)
-    found, at = dict[str, NDArray[Any]](), end + 1
+    arrays, at = dict[str, NDArray[Any]](), end + 1
     for name, (kind, shape) in json.loads(content[DIGEST:end]).items():
         count = math.prod(shape)
         array = np.frombuffer(content, kind, count, at) if count else np.empty(0, kind)
         array.flags.writeable = False
-        found[name] = array.reshape(shape)
+        arrays[name] = array.reshape(shape)
         at += array.nbytes
-    return found
+    return arrays

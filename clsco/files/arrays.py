@@ -8,51 +8,49 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.files.atomic import refuse
-from clsco.files.bounded import member_array, npy_header, open_archive, open_member
-from clsco.files.decoders import check_limits, codec, exr_parts, opened
+from clsco.files.archives import member_array, npy_header, open_archive, open_member
+from clsco.files.atomic import raise_file_error
+from clsco.files.decoders import check_limits, exr_planes, open_format
 
 
 def read_npz(path: Path, names: Sequence[str]) -> dict[str, NDArray[np.floating]]:
     """Read arrays of floats (rows, columns[, 2 or 3]) from an NPZ.
 
-    Raises ImageError where one is not there, is no such array, or has over 2^27 pixels.
+    Raises FileError where one is not there, is no such array, or has over 2^27 pixels.
     """
-    with opened(path, {".npz": "NPZ"}) as (file, _), open_archive(file) as archive:
-        found = {}
+    with open_format(path, {".npz": "NPZ"}) as (file, _), open_archive(file) as archive:
+        arrays = {}
         for name in names:
             if f"{name}.npy" not in archive.NameToInfo:
-                refuse(path, f"must hold the array {name}", "none of this name")
+                raise_file_error(path, f"must hold the array {name}", "none of this name")
             with open_member(archive, f"{name}.npy") as member:
                 header = npy_header(member)
             shape, dtype = header.shape, header.dtype
             if len(shape) not in (2, 3) or shape[2:] not in ((), (2,), (3,)) or dtype.kind != "f" or dtype.itemsize > 8:
                 rule = f"array {name} must hold floats of shape (rows, columns[, 2 or 3])"
-                refuse(path, rule, f"{dtype} of shape {shape}")
+                raise_file_error(path, rule, f"{dtype} of shape {shape}")
             check_limits(path, shape[1], shape[0])
-            found[name] = member_array(archive, f"{name}.npy", header)
-        return found
+            arrays[name] = member_array(archive, f"{name}.npy", header)
+        return arrays
 
 
 def read_exr(path: Path, names: Sequence[str], view: str = "") -> list[NDArray[np.floating]]:
     """Read channels (rows, columns) of floats from an EXR, of one with several views those of `view`.
 
-    Raises ImageError where one is not there or holds no floats, and for over 2^27 pixels or 2^29 values in all.
+    Raises FileError where one is not there or holds no floats, and for over 2^27 pixels or 2^29 values in all.
     """
-    with opened(path, {".exr": "EXR"}) as (file, _):
-        parts, exr = exr_parts(file), codec(path, "OpenEXR", "exr")
-        pages = exr.File(str(path), separate_channels=True).parts
-        if len(pages) != len(parts):  # a part that cannot be decoded is left out by the library
-            raise ValueError(f"{len(pages)} readable parts of {len(parts)}")
-        chosen = [page for page in pages if not view or page.header.get("view") == view]
-        if len(chosen) != 1:
-            refuse(path, f"must hold one view {view}".rstrip(), f"{len(chosen)} of {len(pages)} parts")
-        channels = {name: channel.pixels for name, channel in chosen[0].channels.items()}
-        for name in names:
-            if name not in channels:
-                refuse(path, f"must hold the channel {name}", "none of this name")
-            if channels[name].dtype.kind != "f":
-                refuse(path, f"channel {name} must hold floats", channels[name].dtype)
-        if len({channels[name].shape for name in names}) > 1:
-            refuse(path, f"channels {' '.join(names)} must have one size", [channels[name].shape for name in names])
-        return [channels[name] for name in names]
+    own = [f"{view}.{name}" if view else name for name in names]
+
+    def choose(there: list[str]) -> list[str]:
+        if lost := [name for name, full in zip(names, own, strict=True) if full not in there]:
+            raise_file_error(
+                path, f"must hold the channel {lost[0]}", f"none of this name{f' in the view {view}' if view else ''}"
+            )
+        return own
+
+    with open_format(path, {".exr": "EXR"}) as (file, _):
+        planes = list(exr_planes(file, choose, np.nan).values())
+    for name, plane in zip(names, planes, strict=True):
+        if plane.dtype.kind != "f":
+            raise_file_error(path, f"channel {name} must hold floats", plane.dtype)
+    return planes

@@ -11,14 +11,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO, NoReturn
 
-from clsco.errors import ImageError
+from clsco.errors import FileError, MissingDependencyError
 from clsco.resources import open_regular, work_name
 
 _BLOCK = 2**18  # bytes that are read at once
 
 
-def refuse(path: Path | str, rule: str, got: object, cause: Exception | None = None) -> NoReturn:
-    """Raise ImageError with the one line `path: rule; got value`.
+def raise_file_error(path: Path | str, rule: str, got: object, cause: Exception | None = None) -> NoReturn:
+    """Raise FileError with the one line `path: rule; got value`.
 
     Parameters
     ----------
@@ -31,17 +31,17 @@ def refuse(path: Path | str, rule: str, got: object, cause: Exception | None = N
 
     Raises
     ------
-    ImageError
+    FileError
     """
     where = str(path)
     if isinstance(got, OSError):
         got = got.strerror or got
     value = " ".join(str(got).split()) or type(got).__name__
-    raise ImageError(f"{where if where.isprintable() else ascii(where)}: {rule}; got {value}") from cause
+    raise FileError(f"{where if where.isprintable() else ascii(where)}: {rule}; got {value}") from cause
 
 
 @contextlib.contextmanager
-def whole_file(path: Path) -> Iterator[BinaryIO]:
+def atomic_write(path: Path) -> Iterator[BinaryIO]:
     """Open a file that gets its name only when all of it is on the disk; otherwise nothing is left.
 
     Parameters
@@ -55,7 +55,7 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
 
     Raises
     ------
-    ImageError
+    FileError
         The folder, the disk or a codec fails.
     """
     temporary = _temporary(path)
@@ -66,20 +66,20 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
             os.fsync(file.fileno())
         temporary.replace(path)
     except (OSError, ValueError, RuntimeError) as error:  # the last two come from paths, JSON and OpenEXR
-        refuse(path, "the file must be writable", error, error)
+        raise_file_error(path, "the file must be writable", error, error)
     finally:
         with contextlib.suppress(OSError, ValueError):
             temporary.unlink(missing_ok=True)
 
 
-def write_whole(path: Path, content: bytes) -> None:
-    """Write a file that is whole or absent. Raises ImageError as `whole_file`."""
-    with whole_file(path) as file:
+def atomic_write_bytes(path: Path, content: bytes) -> None:
+    """Write a file that is whole or absent. Raises FileError as `atomic_write`."""
+    with atomic_write(path) as file:
         file.write(content)
 
 
 @contextlib.contextmanager
-def together(folder: Path, name: str) -> Iterator[Path]:
+def atomic_folder(folder: Path, name: str) -> Iterator[Path]:
     """Open a hidden folder whose files move to `folder` when all of them are written; otherwise they are removed.
 
     Parameters
@@ -96,33 +96,33 @@ def together(folder: Path, name: str) -> Iterator[Path]:
 
     Raises
     ------
-    ImageError
+    FileError
         The folder cannot be written. Errors from inside name the files as if they were in `folder` already.
     """
-    made = _temporary(folder / name)
+    temporary = _temporary(folder / name)
     try:
-        made.mkdir()
-        yield made
-        for path in sorted(made.iterdir()):
+        temporary.mkdir()
+        yield temporary
+        for path in sorted(temporary.iterdir()):
             path.replace(folder / path.name)
-    except ImageError as error:
-        raise ImageError(str(error).replace(str(made), str(folder))) from error
+    except (FileError, MissingDependencyError) as error:
+        raise type(error)(str(error).replace(str(temporary), str(folder))) from error
     except (OSError, ValueError) as error:
-        refuse(folder / name, "the files must be writable", error, error)
+        raise_file_error(folder / name, "the files must be writable", error, error)
     finally:
-        shutil.rmtree(made, ignore_errors=True)
+        shutil.rmtree(temporary, ignore_errors=True)
 
 
-def remove(path: Path) -> None:
-    """Remove a file if it is there. Raises ImageError where that is not allowed."""
+def remove_file(path: Path) -> None:
+    """Remove a file if it is there. Raises FileError where that is not allowed."""
     try:
         path.unlink(missing_ok=True)
     except (OSError, ValueError) as error:
-        refuse(path, "the file must be replaceable", error, error)
+        raise_file_error(path, "the file must be replaceable", error, error)
 
 
-def writable_folder(path: str | os.PathLike[str]) -> Path:
-    """Make a folder and its parents, and prove that files can be made in it. Raises ImageError where not."""
+def make_writable_folder(path: str | os.PathLike[str]) -> Path:
+    """Make a folder and its parents, and prove that files can be made in it. Raises FileError where not."""
     path = Path(path)
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -130,11 +130,11 @@ def writable_folder(path: str | os.PathLike[str]) -> Path:
         probe.touch(exist_ok=False)
         probe.unlink()
     except (OSError, ValueError) as error:
-        refuse(path, "must be a folder that can be written", error, error)
+        raise_file_error(path, "must be a folder that can be written", error, error)
     return path
 
 
-def same_place(path: str | os.PathLike[str], other: str | os.PathLike[str]) -> bool:
+def is_same_place(path: str | os.PathLike[str], other: str | os.PathLike[str]) -> bool:
     """True if two paths, existing or not, are one after all symbolic links; a link to itself is only itself."""
     return os.path.realpath(path) == os.path.realpath(other)
 

@@ -1,19 +1,13 @@
-"""Cameras in the files of Sintel (.cam) and COLMAP (cameras.txt, images.txt): numbers to bytes, and back."""
+"""Cameras in the files of COLMAP (cameras.txt, images.txt, points3D.txt): numbers to bytes."""
 
 from __future__ import annotations
 
 import math
-import os
-import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-
-from clsco.files.decoders import opened
-from clsco.files.depth_codes import MM_PER_M
-from clsco.files.tagged import TAG
 
 Array = NDArray[np.float64]
 
@@ -22,7 +16,7 @@ Array = NDArray[np.float64]
 class Pinhole:
     """A camera and its pose: X_camera = rotation X_world + translation.
 
-    World and camera have x to the right, y down, z into the scene, as OpenCV, COLMAP and Sintel have it.
+    World and camera have x to the right, y down, z into the scene, as OpenCV and COLMAP have it.
 
     Attributes
     ----------
@@ -46,47 +40,6 @@ class Pinhole:
     rotation: Array
     translation: Array
     distortion: tuple[float, ...] = ()
-
-
-def cam_bytes(camera: Pinhole) -> bytes:
-    """A .cam file of Sintel: the matrices M (3, 3) and N (3, 4), so that a pixel is M N X for a point X of the world.
-
-    It has no place for distortion: M N X is then the pixel that a lens without it would have.
-
-    Notes
-    -----
-    Centers of pixels are integers in M, as in Sintel's own files, and N is in m, as depth in .dpt files. Validated by
-    the steps of the reader in Sintel's SDK.
-    """
-    (column, row), focal = camera.center, camera.focal
-    intrinsic = np.array([[focal, 0.0, column], [0.0, focal, row], [0.0, 0.0, 1.0]])
-    extrinsic = np.column_stack([camera.rotation, camera.translation / MM_PER_M])
-    return TAG + intrinsic.astype("<f8").tobytes() + extrinsic.astype("<f8").tobytes()
-
-
-def read_cam(path: str | os.PathLike[str]) -> tuple[Array, Array]:
-    """Read a .cam file.
-
-    Returns
-    -------
-    M : ndarray of float64, (3, 3)
-        px.
-    N : ndarray of float64, (3, 4)
-        The last column in mm.
-
-    Raises
-    ------
-    ImageError
-        The file is not one whole .cam file.
-    """
-    with opened(path, {".cam": "CAM"}) as (file, _):
-        content = file.read(4 + 8 * 21 + 1)
-        if len(content) != 4 + 8 * 21:
-            raise ValueError(f"{'more' if len(content) > 4 + 8 * 21 else len(content)} bytes instead of 172")
-    found = np.array(struct.unpack("<21d", content[4:]))
-    extrinsic = found[9:].reshape(3, 4)
-    extrinsic[:, 3] *= MM_PER_M
-    return found[:9].reshape(3, 3), extrinsic
 
 
 def _quaternion(rotation: Array) -> Array:

@@ -92,9 +92,9 @@ class Color:
         """Bytes that it takes in memory."""
         return len(self.icc) + (0 if self.curve is None else self.curve.radiance.nbytes)
 
-    def transfer(self, wanted: str) -> str | Curve:
+    def transfer(self, curve_of_scene: str) -> str | Curve:
         """Transfer curve of codes where a scene wants "srgb" or "linear": its own curve in place of "srgb"."""
-        return self.curve if wanted == "srgb" and self.curve is not None else wanted
+        return self.curve if curve_of_scene == "srgb" and self.curve is not None else curve_of_scene
 
     def profile(self, linear: bool) -> bytes:
         """ICC profile of red, green and blue, in codes or linear: its own, or one of its primaries; b"" for none."""
@@ -119,12 +119,12 @@ SRGB = Color()
 def icc_color(icc: bytes, channels: int) -> Color:
     """The color space of an ICC profile, for an image with 1 or 3 channels; a profile that cannot be used is noted."""
     try:
-        name, found, tables, primaries = _parsed(icc)
+        name, colors, tables, primaries = _parsed(icc)
     except (ValueError, struct.error, IndexError, ArithmeticError) as error:
         got = " ".join(str(error).split()) or type(error).__name__
         return Color(note=f"the color profile is left out, as it cannot be read: {got}")
-    if found != channels:
-        kind = {1: "gray images", 3: "RGB"}.get(found, "neither gray images nor RGB")
+    if colors != channels:
+        kind = {1: "gray images", 3: "RGB"}.get(colors, "neither gray images nor RGB")
         return Color(note=f"the color profile {name} is left out: it is for {kind}")
     if tables is None:
         note = f"the color profile {name} has no curves: codes are taken as sRGB's"
@@ -182,8 +182,8 @@ def _unless_srgb(tables: list[NDArray[np.float64]]) -> Curve | None:
     srgb = decode(CODES, "srgb")
     if all(float(np.abs(table - srgb).max()) <= SRGB_LIKE for table in tables):
         return None
-    alike = all(np.array_equal(table, tables[0]) for table in tables)
-    return Curve(np.stack(tables[:1] if alike else tables))
+    same = all(np.array_equal(table, tables[0]) for table in tables)
+    return Curve(np.stack(tables[:1] if same else tables))
 
 
 def _parsed(icc: bytes) -> tuple[str, int, list[NDArray[np.float64]] | None, tuple[float, ...] | None]:

@@ -3,27 +3,25 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 import math
 import os
 import re
 import struct
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.errors import ImageError
-from clsco.files.atomic import refuse
-from clsco.files.bounded import image_shape, npy_header
-from clsco.files.confined import confined
-from clsco.files.layers import full_names, image_channels, listed
-from clsco.files.png import GRAY, GRAY_ALPHA, PALETTE, RGB_ALPHA, SIGNATURE, checked_png, png_size
-from clsco.files.tags import Tags, jpeg_segments, jpeg_tags, png_tags, upright
+from clsco.errors import ClscoError, import_extra, require_extra
+from clsco.files.archives import image_shape, npy_header
+from clsco.files.atomic import raise_file_error
+from clsco.files.decoder_process import run_decoder
+from clsco.files.layers import full_names, image_channels, list_names
+from clsco.files.png import GRAY, GRAY_ALPHA, PALETTE, RGB_ALPHA, SIGNATURE, check_png, png_size
+from clsco.files.tags import Tags, jpeg_segments, jpeg_tags, png_tags, turn_upright
 from clsco.resources import DEVICE, open_regular
 
 MAX_PIXELS = 2**27
@@ -54,12 +52,14 @@ _FIRST_BYTES = {
     "PFM": (b"PF", b"Pf"),
     "NPY": (b"\x93NUMPY",),
     "NPZ": (b"PK\x03\x04",),
-    **dict.fromkeys(("FLO", "DPT", "CAM"), (b"PIEH",)),
+    "DPT": (b"PIEH",),
 }
 
 
 @contextlib.contextmanager
-def opened(path: str | os.PathLike[str], formats: Mapping[str, str] = IMAGE_FORMATS) -> Iterator[tuple[BinaryIO, str]]:
+def open_format(
+    path: str | os.PathLike[str], formats: Mapping[str, str] = IMAGE_FORMATS
+) -> Iterator[tuple[BinaryIO, str]]:
     """Open a file as the format that its extension and first bytes name.
 
     Parameters
@@ -75,7 +75,7 @@ def opened(path: str | os.PathLike[str], formats: Mapping[str, str] = IMAGE_FORM
 
     Raises
     ------
-    ImageError
+    FileError
         In place of any error of the file or of a codec.
     """
     path = Path(path)
@@ -83,36 +83,36 @@ def opened(path: str | os.PathLike[str], formats: Mapping[str, str] = IMAGE_FORM
     try:
         with _opened(path) as file:
             if not kind:
-                refuse(path, f"the extension must be one of {' '.join(formats)}", repr(path.suffix))
+                raise_file_error(path, f"the extension must be one of {' '.join(formats)}", repr(path.suffix))
             head = file.read(8)
             if not head.startswith(_FIRST_BYTES[kind]):
-                found = next((name for name, first in _FIRST_BYTES.items() if head.startswith(first)), None)
-                got = found or (f"the first bytes {head!r}" if head else "an empty file")
-                refuse(path, f"the content must be {kind}, as the extension says", got)
+                content = next((name for name, first in _FIRST_BYTES.items() if head.startswith(first)), None)
+                got = content or (f"the first bytes {head!r}" if head else "an empty file")
+                raise_file_error(path, f"the content must be {kind}, as the extension says", got)
             file.seek(0)
             yield file, kind
-    except ImageError:
+    except ClscoError:
         raise
     except OSError as error:
-        refuse(
+        raise_file_error(
             path,
             "must be a file that can be read" if error.errno else f"must be a whole {kind}",
             error,
             error,
         )
     except Exception as error:  # damage: each codec has its own exceptions for it, and none lists them
-        refuse(path, f"must be a whole {kind}", error, error)
+        raise_file_error(path, f"must be a whole {kind}", error, error)
 
 
 def _opened(path: Path) -> BinaryIO:
     try:
         return open_regular(path, follow=True)
     except IsADirectoryError:
-        refuse(path, "must be an image file", "a folder")
+        raise_file_error(path, "must be an image file", "a folder")
     except OSError as error:
         if error.strerror != DEVICE:
             raise
-        refuse(path, "must be an image file", DEVICE)
+        raise_file_error(path, "must be an image file", DEVICE)
 
 
 def path_of(file: BinaryIO) -> Path:
@@ -120,32 +120,16 @@ def path_of(file: BinaryIO) -> Path:
     return Path(file.name)
 
 
-def codec(path: Path, module: str, extra: str) -> Any:
-    """Import the decoder of a file. Raises ImageError that names the extra of clsco that brings it."""
-    if module == "av":  # whose wheel has GnuTLS, which would read settings that anybody may put in a shared folder
-        os.environ.setdefault("GNUTLS_SYSTEM_PRIORITY_FILE", os.devnull)
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        refuse(path, f"needs {module}: pip install 'clsco[{extra}]'", error, error)
-
-
-def require(path: Path, module: str, extra: str) -> None:
-    """Raise ImageError that names the extra of clsco that brings a module, where it is not there."""
-    if find_spec(module) is None:
-        refuse(path, f"needs {module}: pip install 'clsco[{extra}]'", "no such module")
-
-
 def unzstd(path: Path, content: bytes, most: int) -> memoryview:
     """Decompress a frame of Zstandard of at most `most` bytes. Raises an error of imagecodecs where it has more."""
     unpacked = np.empty(most, np.uint8)  # whose pages nobody has before they are written
-    return memoryview(codec(path, "imagecodecs", "formats").zstd_decode(content, out=unpacked.data))
+    return memoryview(import_extra(path, "imagecodecs", "formats").zstd_decode(content, out=unpacked.data))
 
 
-def checked_size(file: BinaryIO, kind: str) -> tuple[int, int]:
+def read_size(file: BinaryIO, kind: str) -> tuple[int, int]:
     """(columns, rows) of an opened file's header, upright; goes back to its first byte. Raises as `image_size`."""
     columns, rows = _stored_size(file, kind)
-    return (rows, columns) if tags(file, kind).is_laid_down else (columns, rows)
+    return (rows, columns) if read_tags(file, kind).is_laid_down else (columns, rows)
 
 
 def _stored_size(file: BinaryIO, kind: str) -> tuple[int, int]:
@@ -154,26 +138,26 @@ def _stored_size(file: BinaryIO, kind: str) -> tuple[int, int]:
     check_limits(path_of(file), columns, rows)
     size, most = os.fstat(file.fileno()).st_size, PIXEL_BYTES * columns * rows + OTHER_BYTES
     if size > most and kind != "EXR":  # which may hold many layers
-        refuse(path_of(file), f"a file of {columns} x {rows} pixels must have at most {most} bytes", size)
+        raise_file_error(path_of(file), f"a file of {columns} x {rows} pixels must have at most {most} bytes", size)
     return columns, rows
 
 
-def tags(file: BinaryIO, kind: str) -> Tags:
+def read_tags(file: BinaryIO, kind: str) -> Tags:
     """Read the header of an opened file; goes back to its first byte."""
     file.seek(0)
-    found = _TAGS.get(kind, lambda _: Tags())(file)
+    file_tags = _TAGS.get(kind, lambda _: Tags())(file)
     file.seek(0)
-    return found
+    return file_tags
 
 
 def check_limits(path: Path, columns: int, rows: int) -> None:
-    """Raise ImageError for an image of over 2^27 pixels or 65536 a side, or without any."""
+    """Raise FileError for an image of over 2^27 pixels or 65536 a side, or without any."""
     if not (1 <= columns <= MAX_SIDE and 1 <= rows <= MAX_SIDE and columns * rows <= MAX_PIXELS):
         rule = f"columns and rows must be from 1 to {MAX_SIDE}, and at most {MAX_PIXELS} pixels"
-        refuse(path, rule, f"{columns} x {rows}")
+        raise_file_error(path, rule, f"{columns} x {rows}")
 
 
-def decoded(file: BinaryIO, kind: str, layer: str | None = None) -> NDArray[Any]:
+def decode_file(file: BinaryIO, kind: str, layer: str | None = None) -> NDArray[Any]:
     """Decode an opened file whose header is within the limits, and turn it upright.
 
     Parameters
@@ -191,16 +175,16 @@ def decoded(file: BinaryIO, kind: str, layer: str | None = None) -> NDArray[Any]
     Raises
     ------
     Exception
-        Any of the codecs', which `opened` turns into an ImageError.
+        Any of the codecs', which `open_format` turns into a FileError.
     """
     columns, rows = _stored_size(file, kind)
-    orientation = tags(file, kind).orientation
+    orientation = read_tags(file, kind).orientation
     if layer is not None and kind != "EXR":
-        refuse(path_of(file), f"only an EXR has layers, such as {listed([layer])}", kind)
+        raise_file_error(path_of(file), f"only an EXR has layers, such as {list_names([layer])}", kind)
     data: NDArray[Any] = _CODECS[kind][1](file) if layer is None else _decode_exr(file, layer)
     if data.shape[:2] != (rows, columns):
         raise ValueError(f"{data.shape[1]} x {data.shape[0]} pixels under a header of {columns} x {rows}")
-    return upright(data, orientation)
+    return turn_upright(data, orientation)
 
 
 def _without_alpha(file: BinaryIO, data: NDArray[Any]) -> NDArray[Any]:
@@ -208,20 +192,20 @@ def _without_alpha(file: BinaryIO, data: NDArray[Any]) -> NDArray[Any]:
     alpha = data[..., -1]
     seen_through = alpha != (1 if alpha.dtype.kind == "f" else np.iinfo(alpha.dtype).max)
     if seen_through.any():
-        refuse(path_of(file), "alpha must be opaque everywhere", f"{int(seen_through.sum())} other pixels")
+        raise_file_error(path_of(file), "alpha must be opaque everywhere", f"{int(seen_through.sum())} other pixels")
     return data[..., 0] if data.shape[2] == 2 else data[..., :-1]
 
 
 def _decode_png(file: BinaryIO) -> NDArray[Any]:
-    png, depth, color, transparency = checked_png(file)
+    png, depth, color, transparency = check_png(file)
     if depth == 16 and color != GRAY:  # Pillow drops the lower 8 bits without a word
-        data = codec(path_of(file), "imagecodecs", "formats").png_decode(png)
+        data = import_extra(path_of(file), "imagecodecs", "formats").png_decode(png)
     else:
         data = _by_imageio(png, ".png")
     if data.dtype == bool:
         data = data.astype(np.uint8) * np.uint8(255)
     if transparency is not None and (count := _keyed(png, data, depth, color, transparency)):
-        refuse(path_of(file), "pixels must be opaque", f"{count} of a transparent color (chunk tRNS)")
+        raise_file_error(path_of(file), "pixels must be opaque", f"{count} of a transparent color (chunk tRNS)")
     return _without_alpha(file, data) if color in (GRAY_ALPHA, RGB_ALPHA) else data
 
 
@@ -254,59 +238,59 @@ def _jpeg_size(file: BinaryIO) -> tuple[int, int]:
 
 def _scans(content: bytes) -> int:
     """Scans of a JPEG, up to its end: a few bytes each may have a decoder go over all pixels."""
-    found, at, mark = 0, 2, re.compile(rb"\xff+([\x01-\xcf\xd8-\xfe])")  # but for those within the pixels of a scan
+    scans, at, mark = 0, 2, re.compile(rb"\xff+([\x01-\xcf\xd8-\xfe])")  # but for those within the pixels of a scan
     while (match := mark.search(content, at)) is not None and match[1] != b"\xd9":
-        found += match[1] == b"\xda"
+        scans += match[1] == b"\xda"
         at = match.end() + int.from_bytes(content[match.end() : match.end() + 2], "big")
-    return found
+    return scans
 
 
 def _decode_jpeg(file: BinaryIO) -> NDArray[Any]:
     content = file.read()
     if (scans := _scans(content)) > MOST_SCANS:
-        refuse(path_of(file), f"a JPEG must have at most {MOST_SCANS} scans", scans)
+        raise_file_error(path_of(file), f"a JPEG must have at most {MOST_SCANS} scans", scans)
     data: NDArray[Any] = _by_imageio(content, ".jpg")
     if data.ndim == 3 and data.shape[2] == 4:
-        refuse(path_of(file), "a JPEG must be gray or RGB", "CMYK")
+        raise_file_error(path_of(file), "a JPEG must be gray or RGB", "CMYK")
     return data
 
 
 def _tiff_header(file: BinaryIO) -> tuple[dict[str, Any], bytes]:
     """Read the tags of a TIFF's page, and its color profile."""
-    require(path_of(file), "tifffile", "formats")
-    found, (profile,) = confined("clsco.files.tiff:header", file, MOST_TAG)
-    if found["pages"] != 1:
-        refuse(path_of(file), "must be a single image", f"{found['pages']} pages")
-    return found, profile.tobytes()
+    require_extra(path_of(file), "tifffile", "formats")
+    header, (profile,) = run_decoder("clsco.files.tiff:header", file, MOST_TAG)
+    if header["pages"] != 1:
+        raise_file_error(path_of(file), "must be a single image", f"{header['pages']} pages")
+    return header, profile.tobytes()
 
 
 def _tiff_size(file: BinaryIO) -> tuple[int, int]:
-    found, _ = _tiff_header(file)
-    return found["columns"], found["rows"]
+    header, _ = _tiff_header(file)
+    return header["columns"], header["rows"]
 
 
 def _tiff_tags(file: BinaryIO) -> Tags:
-    found, profile = _tiff_header(file)
-    return Tags(found["orientation"], profile)
+    header, profile = _tiff_header(file)
+    return Tags(header["orientation"], profile)
 
 
 def _decode_tiff(file: BinaryIO) -> NDArray[Any]:
-    found, _ = _tiff_header(file)
-    samples, extra, bits = found["samples"], found["extra"], found["bits"]
-    kind = (found["photometric"], samples - extra)
-    if kind not in (("MINISBLACK", 1), ("RGB", 3)) or extra > 1 or found["planes"] != 1:
+    header, _ = _tiff_header(file)
+    samples, extra, bits = header["samples"], header["extra"], header["bits"]
+    kind = (header["photometric"], samples - extra)
+    if kind not in (("MINISBLACK", 1), ("RGB", 3)) or extra > 1 or header["planes"] != 1:
         got = f"{kind[0]} with {samples} samples per pixel"
-        refuse(path_of(file), "a TIFF must be gray (0 is black) or RGB, with at most an alpha channel", got)
+        raise_file_error(path_of(file), "a TIFF must be gray (0 is black) or RGB, with at most an alpha channel", got)
     if bits not in (8, 16, 32, 64):
-        refuse(path_of(file), "a TIFF must have 8 or 16 bits, or floats", f"{bits} bits")
-    most = found["columns"] * found["rows"] * samples * bits // 8
-    data = confined("clsco.files.tiff:pixels", file, most)[1][0]
+        raise_file_error(path_of(file), "a TIFF must have 8 or 16 bits, or floats", f"{bits} bits")
+    most = header["columns"] * header["rows"] * samples * bits // 8
+    data = run_decoder("clsco.files.tiff:pixels", file, most)[1][0]
     return _without_alpha(file, data) if extra else data
 
 
 def exr_parts(file: BinaryIO) -> Sequence[Any]:
-    """Headers of the parts of an EXR, which are decoded together. Raises ImageError where they are too large."""
-    parts: Sequence[Any] = codec(path_of(file), "OpenEXR", "exr").File(str(file.name), header_only=True).parts
+    """Headers of the parts of an EXR, which are decoded together. Raises FileError where they are too large."""
+    parts: Sequence[Any] = import_extra(path_of(file), "OpenEXR", "exr").File(str(file.name), header_only=True).parts
     values, layers = 0, list[str]()
     width, height = _window(parts[0].header["displayWindow"])  # which parts have in common
     check_limits(path_of(file), width, height)
@@ -315,13 +299,13 @@ def exr_parts(file: BinaryIO) -> Sequence[Any]:
         check_limits(path_of(file), columns, rows)
         if columns * rows > MOST_WINDOW * max(width * height, 1):
             rule = f"a data window must have at most {MOST_WINDOW} times the pixels of the display window"
-            refuse(path_of(file), rule, f"{columns} x {rows} of {width} x {height}")
+            raise_file_error(path_of(file), rule, f"{columns} x {rows} of {width} x {height}")
         if "deep" in str(part.header.get("type", "")).lower():
-            refuse(path_of(file), "an EXR must not be deep", part.header["type"])
+            raise_file_error(path_of(file), "an EXR must not be deep", part.header["type"])
         values += len(part.header["channels"]) * columns * rows
         layers.append(f"{len(part.header['channels'])} channels of {columns} x {rows}")
     if values > LARGEST_EXR:
-        refuse(path_of(file), f"an EXR must hold at most {LARGEST_EXR} values", " and ".join(layers[:3]))
+        raise_file_error(path_of(file), f"an EXR must hold at most {LARGEST_EXR} values", " and ".join(layers[:3]))
     if (size := os.fstat(file.fileno()).st_size) * DENSEST_EXR < values:
         raise ValueError(f"{size} bytes of {' and '.join(layers[:3])}")
     return parts
@@ -362,19 +346,19 @@ def exr_planes(file: BinaryIO, choose: Callable[[list[str]], list[str]], outside
     named = full_names(
         [(str(part.header.get("name", "")), [c.name for c in part.header["channels"]]) for part in parts]
     )
-    wanted = choose([name for names in named for name in names.values()])
-    pages = codec(path, "OpenEXR", "exr").File(str(path), separate_channels=True).parts
+    chosen = choose([name for names in named for name in names.values()])
+    pages = import_extra(path, "OpenEXR", "exr").File(str(path), separate_channels=True).parts
     if len(pages) != len(parts):  # a part that cannot be decoded is left out by the library
         raise ValueError(f"{len(pages)} readable parts of {len(parts)}")
-    found = {}
+    planes = {}
     for part, names, page in zip(parts, named, pages, strict=True):
         for own, name in names.items():
-            if name in wanted:
+            if name in chosen:
                 plane = page.channels[own].pixels
                 if plane.shape != _window(part.header["dataWindow"])[::-1]:
-                    raise ValueError(f"channel {listed([name])} of shape {plane.shape}")
-                found[name] = _in_display(part.header, plane, outside)
-    return {name: found[name] for name in wanted}
+                    raise ValueError(f"channel {list_names([name])} of shape {plane.shape}")
+                planes[name] = _in_display(part.header, plane, outside)
+    return {name: planes[name] for name in chosen}
 
 
 def _in_display(header: Mapping[str, Any], plane: NDArray[Any], outside: float) -> NDArray[Any]:
@@ -399,12 +383,12 @@ def _decode_exr(file: BinaryIO, layer: str | None = None) -> NDArray[Any]:
             return image_channels(names, layer)
         except LookupError as error:
             rule, got = error.args
-            refuse(path_of(file), rule, got)
+            raise_file_error(path_of(file), rule, got)
 
     planes = exr_planes(file, choose, 0.0)
     for name, plane in planes.items():
         if plane.dtype.kind != "f":
-            refuse(path_of(file), "EXR pixels must be floats", f"{plane.dtype} in {listed([name])}")
+            raise_file_error(path_of(file), "EXR pixels must be floats", f"{plane.dtype} in {list_names([name])}")
     data = np.stack(list(planes.values()), axis=-1)
     if len(planes) in (2, 4):
         return _without_alpha(file, data)
@@ -445,7 +429,7 @@ def _npy_size(file: BinaryIO) -> tuple[int, int]:
     flat = image_shape(shape)
     if len(flat) not in (2, 3) or (len(flat) == 3 and flat[2] != 3) or dtype.kind not in "biuf":
         rule = "an NPY must hold numbers of shape (rows, columns) or (rows, columns, 3)"
-        refuse(path_of(file), rule, f"{dtype} of shape {shape}")
+        raise_file_error(path_of(file), rule, f"{dtype} of shape {shape}")
     check_limits(path_of(file), flat[1], flat[0])
     needed, size = start + math.prod(shape) * dtype.itemsize, os.fstat(file.fileno()).st_size
     if size < needed:  # before memory for it is taken

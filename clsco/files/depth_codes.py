@@ -1,64 +1,23 @@
-"""Depth and disparity in the files of Sintel (.dpt), KITTI (PNG of 16 bits) and Middlebury (PFM).
+"""Depth and disparity in the files of KITTI (PNG of 16 bits) and Middlebury (PFM).
 
-Depth is in mm here, as everywhere in clsco, and in m in files of Sintel and KITTI.
+Depth is in mm here, as everywhere in clsco, and in m in files of KITTI.
 """
 
 from __future__ import annotations
 
-import os
-import struct
-
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.files.decoders import decoded, opened
-from clsco.files.ranges import refuse_shape, refuse_values
-from clsco.files.tagged import TAG, read_floats
+from clsco.files.ranges import check_values, raise_shape_error
 
 MM_PER_M = 1000.0
 KITTI_STEPS = 256  # per m of depth, and per px of disparity
 
 
-def _refuse_depths(where: str, depth: NDArray[np.floating]) -> None:
-    if depth.ndim != 2:
-        refuse_shape(where, "(rows, columns)", depth)
-    refuse_values(where, "must be greater than 0, and +inf where nothing is", depth, ~(depth > 0))
-
-
-def dpt_bytes(depth: NDArray[np.floating], where: str = "depth") -> bytes:
-    """A .dpt file of Sintel: depth in m as float32.
-
-    Parameters
-    ----------
-    depth : ndarray of float, (rows, columns)
-        Planar Z in mm; +inf, where nothing is, stays +inf.
-    where : str
-        Place or name that messages begin with.
-
-    Raises
-    ------
-    ImageError
-        A depth is 0, negative or no number.
-
-    Notes
-    -----
-    Meters are millimeters but for a rounding of 2^-24. Validated by the steps of the reader in Sintel's SDK.
-    """
-    _refuse_depths(where, depth)
-    rows, columns = depth.shape
-    return struct.pack("<4sii", TAG, columns, rows) + (depth.astype(np.float64) / MM_PER_M).astype("<f4").tobytes()
-
-
-def read_dpt(path: str | os.PathLike[str]) -> NDArray[np.float32]:
-    """Read a .dpt file: depth (rows, columns) in mm. Raises ImageError for a damaged file or one of another kind."""
-    with opened(path, {".dpt": "DPT"}) as (file, _):
-        return (read_floats(file, 1).astype(np.float64) * MM_PER_M).astype(np.float32)
-
-
 def _kitti_codes(values: NDArray[np.float64], valid: NDArray[np.bool_], where: str, unit: str) -> NDArray[np.uint16]:
     codes = np.rint(np.where(valid, values, 0.0) * KITTI_STEPS)
     rule = f"must round to 1/256 to 65535/256 {unit}, which KITTI's 16 bits hold besides 0 for unknown"
-    refuse_values(where, rule, values, valid & ((codes < 1) | (codes > 65535)))
+    check_values(where, rule, values, valid & ((codes < 1) | (codes > 65535)))
     return codes.astype(np.uint16)
 
 
@@ -79,14 +38,16 @@ def kitti_depth_codes(depth: NDArray[np.floating], where: str = "depth") -> NDAr
 
     Raises
     ------
-    ImageError
+    FileError
         A depth rounds to 0 or to more than 255.996 m, is negative or no number.
 
     Notes
     -----
     Validated by OpenCV.
     """
-    _refuse_depths(where, depth)
+    if depth.ndim != 2:
+        raise_shape_error(where, "(rows, columns)", depth)
+    check_values(where, "must be greater than 0, and +inf where nothing is", depth, ~(depth > 0))
     return _kitti_codes(depth.astype(np.float64) / MM_PER_M, np.isfinite(depth), where, "m")
 
 
@@ -111,7 +72,7 @@ def kitti_disparity_codes(
 
     Raises
     ------
-    ImageError
+    FileError
         A valid disparity rounds to 0 or less, or to more than 255.996 px.
 
     Notes
@@ -119,7 +80,7 @@ def kitti_disparity_codes(
     Validated by OpenCV and by the steps of torchvision's reader.
     """
     if disparity.ndim != 2:
-        refuse_shape(where, "(rows, columns)", disparity)
+        raise_shape_error(where, "(rows, columns)", disparity)
     known = np.isfinite(disparity) if valid is None else np.isfinite(disparity) & valid
     return _kitti_codes(disparity.astype(np.float64), known, where, "px")
 
@@ -137,7 +98,7 @@ def pfm_bytes(array: NDArray[np.floating], where: str = "array") -> bytes:
 
     Raises
     ------
-    ImageError
+    FileError
         Any other shape.
 
     Notes
@@ -147,15 +108,6 @@ def pfm_bytes(array: NDArray[np.floating], where: str = "array") -> bytes:
     if array.ndim == 3 and array.shape[2] == 2:
         array = np.dstack([array, np.zeros_like(array[..., 0])])
     if array.ndim != 2 and (array.ndim != 3 or array.shape[2] != 3):
-        refuse_shape(where, "(rows, columns[, 2 or 3])", array)
+        raise_shape_error(where, "(rows, columns[, 2 or 3])", array)
     head = f"{'PF' if array.ndim == 3 else 'Pf'}\n{array.shape[1]} {array.shape[0]}\n-1.0\n"
     return head.encode() + array[::-1].astype("<f4").tobytes()
-
-
-def read_pfm(path: str | os.PathLike[str]) -> NDArray[np.float32]:
-    """Read a PFM file of any floats: (rows, columns) or (rows, columns, 3), the top row first.
-
-    Raises ImageError for a file that is damaged, of another kind, or of over 2^27 pixels. The scale is not applied.
-    """
-    with opened(path, {".pfm": "PFM"}) as (file, kind):
-        return np.ascontiguousarray(decoded(file, kind), np.float32)

@@ -1,17 +1,15 @@
-"""Optical flow in the files of Middlebury (.flo) and KITTI (PNG of 16 bits): arrays to bytes, and back."""
+"""Optical flow in the files of Middlebury (.flo) and KITTI (PNG of 16 bits): arrays to bytes."""
 
 from __future__ import annotations
 
-import os
 import struct
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.files.decoders import opened
-from clsco.files.ranges import refuse_shape, refuse_values
-from clsco.files.tagged import TAG, read_floats
+from clsco.files.ranges import check_values, raise_shape_error
 
+TAG = struct.pack("<f", 202021.25)
 LARGEST_FLO = 1e9  # px, at which Middlebury's readers take a vector for unknown
 UNKNOWN_FLO = 1e10  # what Middlebury's writers put there
 KITTI_STEPS = 64  # per px
@@ -21,7 +19,7 @@ KITTI_ZERO = 32768  # code of 0 px
 def _checked(where: str, flow: NDArray[np.floating], valid: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
     """Check a flow and mark its known vectors: valid, by default all, and finite."""
     if flow.ndim != 3 or flow.shape[2] != 2:
-        refuse_shape(where, "(rows, columns, 2)", flow)
+        raise_shape_error(where, "(rows, columns, 2)", flow)
     finite = np.isfinite(flow).all(axis=-1)
     return finite if valid is None else finite & valid
 
@@ -40,7 +38,7 @@ def flo_bytes(flow: NDArray[np.floating], valid: NDArray[np.bool_] | None = None
 
     Raises
     ------
-    ImageError
+    FileError
         A component of a valid vector has a size of 1e9 or more, which readers take for unknown.
 
     Notes
@@ -49,31 +47,11 @@ def flo_bytes(flow: NDArray[np.floating], valid: NDArray[np.bool_] | None = None
     """
     known = _checked(where, flow, valid)
     beyond = known & (np.abs(flow) >= LARGEST_FLO).any(axis=-1)
-    refuse_values(where, "sizes must be below 1e9 px, as readers of .flo take others for unknown", flow, beyond)
+    check_values(where, "sizes must be below 1e9 px, as readers of .flo take others for unknown", flow, beyond)
     rows, columns = flow.shape[:2]
     stored = np.full(flow.shape, UNKNOWN_FLO, "<f4")
     stored[known] = flow[known]
     return struct.pack("<4sii", TAG, columns, rows) + stored.tobytes()
-
-
-def read_flo(path: str | os.PathLike[str]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Read a .flo file.
-
-    Returns
-    -------
-    flow : ndarray of float32, (rows, columns, 2)
-        px, right and down; as stored.
-    valid : ndarray of bool, (rows, columns)
-        Both components are numbers below 1e9.
-
-    Raises
-    ------
-    ImageError
-        For everything that is not one whole such file, or of over 2^27 pixels.
-    """
-    with opened(path, {".flo": "FLO"}) as (file, _):
-        flow = read_floats(file, 2)
-    return flow, np.asarray((np.abs(flow) < LARGEST_FLO).all(axis=-1))
 
 
 def kitti_flow_codes(
@@ -97,7 +75,7 @@ def kitti_flow_codes(
 
     Raises
     ------
-    ImageError
+    FileError
         A valid vector rounds to less than -512 px or more than 511.984375 px.
 
     Notes
@@ -108,5 +86,5 @@ def kitti_flow_codes(
     codes = np.rint(np.where(known[..., None], flow, 0.0).astype(np.float64) * KITTI_STEPS) + KITTI_ZERO
     beyond = np.asarray(((codes < 0) | (codes > 65535)).any(axis=-1))
     rule = "must lie within -512 to 511.984375 px, which KITTI's 16 bits hold in steps of 1/64 px"
-    refuse_values(where, rule, flow, beyond)
+    check_values(where, rule, flow, beyond)
     return np.where(known[..., None], np.dstack([codes, np.ones(known.shape)]), 0.0).astype(np.uint16)

@@ -13,9 +13,10 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.files.atomic import refuse, whole_file
+from clsco.errors import import_extra
+from clsco.files.atomic import atomic_write, raise_file_error
 from clsco.files.color import SRGB, Color
-from clsco.files.decoders import IMAGE_FORMATS, checked_size, codec, decoded, opened, path_of, tags
+from clsco.files.decoders import IMAGE_FORMATS, decode_file, open_format, path_of, read_size, read_tags
 from clsco.files.png import png_parts
 from clsco.files.ranges import first_of
 from clsco.files.transfer import encode
@@ -70,7 +71,7 @@ def read_image(
 
     Raises
     ------
-    ImageError
+    FileError
         In one line, for everything that is not exactly one such image: no readable file, wrong extension, damaged, over
         2^27 pixels or 65536 a side (refused from the header), transparent, CMYK, several pages, values that are
         not finite. Also where TIFF and 16-bit color PNG lack the extra `formats`, and EXR the extra `exr`.
@@ -83,43 +84,43 @@ def read_image(
     display window: pixels outside of the data window are 0. The color space is given and not applied; neither is the
     scale of a PFM. Validated against files written by Pillow, tifffile, imagecodecs and OpenEXR, and by hand.
     """
-    with opened(path) as (file, kind):
-        data = np.ascontiguousarray(_as_stored(file, decoded(file, kind, layer), hidden))
+    with open_format(path) as (file, kind):
+        data = np.ascontiguousarray(_as_stored(file, decode_file(file, kind, layer), hidden))
         below = np.count_nonzero((data if hidden is None else data[~hidden]) < 0) if data.dtype.kind == "f" else 0
-        return Picture(data, tags(file, kind).color(1 if data.ndim == 2 else 3), int(below))
+        return Picture(data, read_tags(file, kind).color(1 if data.ndim == 2 else 3), int(below))
 
 
 def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
     """Size of an image from its header alone.
 
-    Returns: as `read_image` would give them. Raises ImageError for what the header shows.
+    Returns: as `read_image` would give them. Raises FileError for what the header shows.
     """
-    with opened(path) as (file, kind):
-        return checked_size(file, kind)
+    with open_format(path) as (file, kind):
+        return read_size(file, kind)
 
 
 def check_sizes(
-    image: str, wanted: tuple[int, int], other: str, size: tuple[int, int], hint: str = "one of them lies on its side"
+    image: str, right: tuple[int, int], other: str, size: tuple[int, int], hint: str = "one of them lies on its side"
 ) -> None:  # fmt: skip
-    """Raise ImageError where a mask or a depth map has not the size of its image.
+    """Raise FileError where a mask or a depth map has not the size of its image.
 
     Parameters
     ----------
     image, other : str
         Their names.
-    wanted, size : (int, int)
+    right, size : (int, int)
         Columns and rows.
     hint : str
         Hint where rows and columns are exchanged.
     """
-    if size != wanted:
-        sizes = [f"{columns} x {rows}" for columns, rows in (wanted, size)]
-        got = f"{sizes[1]} ({hint})" if size == wanted[::-1] else sizes[1]
-        refuse(Path(other), f"the size must be that of {image}, {sizes[0]} pixels", got)
+    if size != right:
+        sizes = [f"{columns} x {rows}" for columns, rows in (right, size)]
+        got = f"{sizes[1]} ({hint})" if size == right[::-1] else sizes[1]
+        raise_file_error(Path(other), f"the size must be that of {image}, {sizes[0]} pixels", got)
 
 
-def check_alike(image: str, other: str, size: tuple[int, int], formats: Mapping[str, str] = IMAGE_FORMATS) -> None:
-    """Raise ImageError where the file of a mask or a depth map has not the size of its image, or that cannot be read.
+def check_same_size(image: str, other: str, size: tuple[int, int], formats: Mapping[str, str] = IMAGE_FORMATS) -> None:
+    """Raise FileError where the file of a mask or a depth map has not the size of its image, or that cannot be read.
 
     Parameters
     ----------
@@ -128,7 +129,7 @@ def check_alike(image: str, other: str, size: tuple[int, int], formats: Mapping[
     size : (int, int)
         Columns and rows of the other file, upright.
     formats : mapping
-        Formats of the other file, as for `clsco.files.decoders.opened`.
+        Formats of the other file, as for `clsco.files.decoders.open_format`.
     """
     _, turned, untagged = _turned_alone(image, other, formats)
     hint = f"{turned} is turned upright by its orientation tag, and {untagged} has none: turn it likewise"
@@ -137,7 +138,7 @@ def check_alike(image: str, other: str, size: tuple[int, int], formats: Mapping[
 
 def upright_note(image: str, other: str, formats: Mapping[str, str] = IMAGE_FORMATS) -> str:
     """One line where an image or its mask or depth map has an orientation, and sizes do not show that the other file,
-    which has none, is upright; else "". Parameters and errors as for `check_alike`."""
+    which has none, is upright; else "". Parameters and errors as for `check_same_size`."""
     orientation, turned, untagged = _turned_alone(image, other, formats)
     columns, rows = image_size(image)
     if not turned or (orientation >= 5 and columns != rows):
@@ -149,35 +150,35 @@ def _turned_alone(image: str, other: str, formats: Mapping[str, str]) -> tuple[i
     """The only orientation that two files have, which of them has it, and which not; 1 and "" where none or both do."""
     if image == other:
         return 1, "", ""
-    found = {image: _orientation(image, IMAGE_FORMATS), other: _orientation(other, formats)}
-    turned = [path for path, orientation in found.items() if orientation != 1]
+    orientations = {image: _orientation(image, IMAGE_FORMATS), other: _orientation(other, formats)}
+    turned = [path for path, orientation in orientations.items() if orientation != 1]
     if len(turned) != 1:
         return 1, "", ""
-    return found[turned[0]], turned[0], other if turned[0] == image else image
+    return orientations[turned[0]], turned[0], other if turned[0] == image else image
 
 
 def _orientation(path: str, formats: Mapping[str, str]) -> int:
-    with opened(path, formats) as (file, kind):
-        return tags(file, kind).orientation
+    with open_format(path, formats) as (file, kind):
+        return read_tags(file, kind).orientation
 
 
 def _as_stored(file: BinaryIO, data: NDArray[Any], hidden: NDArray[np.bool_] | None) -> NDArray[Any]:
     """Refuse anything but a gray or RGB image of 8, 16 or 32 bits, and values that are not finite."""
     if data.ndim not in (2, 3) or (data.ndim == 3 and data.shape[2] != 3):
-        refuse(path_of(file), "shape must be (rows, columns) or (rows, columns, 3)", data.shape)
+        raise_file_error(path_of(file), "shape must be (rows, columns) or (rows, columns, 3)", data.shape)
     if data.dtype == np.bool_:  # a mask of NumPy
         return data.astype(np.uint8) * np.uint8(255)
     if data.dtype.str[1:] in ("u1", "u2"):
         return data.astype(data.dtype.newbyteorder("="), copy=False)
     if data.dtype.str[1:] not in ("f2", "f4", "f8"):
-        refuse(path_of(file), "values must be uint8, uint16, float16, float32 or float64", data.dtype)
+        raise_file_error(path_of(file), "values must be uint8, uint16, float16, float32 or float64", data.dtype)
     with np.errstate(over="ignore"):  # overflow becomes infinite, which is refused next
         data = data.astype(np.float32, copy=False)
     wrong = ~np.isfinite(data)
     if hidden is not None:
         wrong[hidden] = False
     if wrong.any():
-        refuse(path_of(file), "values must be finite", first_of(data, wrong))
+        raise_file_error(path_of(file), "values must be finite", first_of(data, wrong))
     return data
 
 
@@ -195,10 +196,10 @@ def write_png(
 
     Raises
     ------
-    ImageError
+    FileError
         The file cannot be written.
     """
-    with whole_file(Path(path)) as file:
+    with atomic_write(Path(path)) as file:
         file.writelines(png_parts(data, color.png_chunks(data.ndim == 3)))
 
 
@@ -214,14 +215,14 @@ def write_tiff(path: str | os.PathLike[str], data: NDArray[Any], color: Color = 
 
     Raises
     ------
-    ImageError
+    FileError
         The extra `formats` is missing, or the file cannot be written.
     """
-    tifffile = codec(Path(path), "tifffile", "formats")
+    tifffile = import_extra(path, "tifffile", "formats")
     options: dict[str, Any] = {"photometric": "rgb" if data.ndim == 3 else "minisblack", "compression": "zlib"}
     if profile := color.profile(data.dtype.kind == "f") if data.ndim == 3 else color.icc:
         options["iccprofile"] = profile
-    with whole_file(Path(path)) as file:
+    with atomic_write(Path(path)) as file:
         tifffile.imwrite(file, data, metadata=None, **options)
 
 
@@ -237,7 +238,7 @@ def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]], 
 
     Raises
     ------
-    ImageError
+    FileError
         The file cannot be written.
 
     Notes
@@ -245,7 +246,7 @@ def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]], 
     Masks and object numbers are compressed, floats by default are stored: 15 MB of truth (512 x 512, color) become
     13.6 MB in 16 ms; compressing all of it leaves 7.1 MB after 210 to 450 ms. The same arrays give the same bytes.
     """
-    with whole_file(Path(path)) as file, zipfile.ZipFile(file, "w") as archive:
+    with atomic_write(Path(path)) as file, zipfile.ZipFile(file, "w") as archive:
         for name, array in arrays.items():
             entry = zipfile.ZipInfo(f"{name}.npy")  # its fixed date keeps the time of writing out of the file
             stored = array.dtype.kind == "f" and not compressed
@@ -273,10 +274,10 @@ def write_exr(
 
     Raises
     ------
-    ImageError
+    FileError
         The extra `exr` is missing, or the file cannot be written.
     """
-    exr = codec(Path(path), "OpenEXR", "exr")
+    exr = import_extra(path, "OpenEXR", "exr")
     header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
     pixels = [{name: np.ascontiguousarray(plane, _exr_type(plane)) for name, plane in view.items()} for view in views]
     headers = [{**header, **about} for about in attributes or [{}] * len(views)]
@@ -286,7 +287,7 @@ def write_exr(
     else:
         (planes,), (about,) = pixels, headers
         content = exr.File(about, planes)
-    with whole_file(Path(path)) as file:
+    with atomic_write(Path(path)) as file:
         keeper = _ErrorKeeper(file)
         content.write(keeper)
         if keeper.error is not None:
@@ -314,15 +315,15 @@ class _ErrorKeeper:
 
 
 def write_json(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None:
-    """Write a JSON file. Raises ImageError where a number is not finite, or the file cannot be written."""
-    with whole_file(Path(path)) as file:
+    """Write a JSON file. Raises FileError where a number is not finite, or the file cannot be written."""
+    with atomic_write(Path(path)) as file:
         file.write(json.dumps(content, indent=2, allow_nan=False).encode() + b"\n")
 
 
 def write_exr_image(path: str | os.PathLike[str], image: NDArray[np.floating], color: Color = SRGB) -> None:
     """Write an image (rows, columns[, 3]) as the channels R G B; gray fills all three, which every reader shows.
 
-    Raises ImageError: as `write_exr`.
+    Raises FileError: as `write_exr`.
     """
     planes = {name: image if image.ndim == 2 else image[..., n] for n, name in enumerate("RGB")}
     write_exr(path, planes, attributes=[color.exr_attributes()])
@@ -377,10 +378,10 @@ WRITERS = {
 
 
 def writer_for(path: Path) -> ImageWriter:
-    """Writer for a path's extension; raises ImageError where the extra that it needs is missing."""
+    """Writer for a path's extension; raises FileError where the extra that it needs is missing."""
     writer = WRITERS[path.suffix.lower()]
     if writer.needs is not None:
-        codec(path, *writer.needs)
+        import_extra(path, *writer.needs)
     return writer
 
 
@@ -402,12 +403,12 @@ def save_image(
 
     Raises
     ------
-    ImageError
+    FileError
         The extension is another one, the extra that the format needs is missing, or the file cannot be written.
     """
     to, ending = Path(path), Path(path).suffix.lower()
     if ending not in WRITERS:
         known = ", ".join((*WRITERS, ".npz"))
-        refuse(to, f"the extension must be one of {known}", ending or "none")
+        raise_file_error(to, f"the extension must be one of {known}", ending or "none")
     writer = writer_for(to)
     writer.save(to, image if writer.floats else encode(image, min(bits, 16), "srgb"), color)

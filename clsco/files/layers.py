@@ -35,11 +35,11 @@ def full_names(parts: Sequence[tuple[str, Iterable[str]]]) -> list[dict[str, str
     ]
 
 
-def listed(names: Iterable[str]) -> str:
+def list_names(names: Iterable[str]) -> str:
     """Names for a message: printable, and not too many."""
-    found = sorted(names)
-    shown = [name if name.isprintable() else ascii(name) for name in found[:SHOWN]]
-    return " ".join(shown) + (f" and {len(found) - SHOWN} more" if len(found) > SHOWN else "")
+    ordered = sorted(names)
+    shown = [name if name.isprintable() else ascii(name) for name in ordered[:SHOWN]]
+    return " ".join(shown) + (f" and {len(ordered) - SHOWN} more" if len(ordered) > SHOWN else "")
 
 
 def image_channels(names: Sequence[str], layer: str | None = None) -> list[str]:
@@ -67,11 +67,13 @@ def image_channels(names: Sequence[str], layer: str | None = None) -> list[str]:
         images = [name for name in images if name.rpartition(".")[2].lower() in MAIN_LAYERS] or images
     if not images:
         rule = "an EXR must hold the channels R G B or Y"
-        raise LookupError(rule if layer is None else f"{rule} in a layer {listed([layer])}", listed(names) or "none")
+        raise LookupError(
+            rule if layer is None else f"{rule} in a layer {list_names([layer])}", list_names(names) or "none"
+        )
     if len(images) > 1:
-        raise LookupError("an EXR must hold one image, or its layer must be named", f"layers {listed(images)}")
-    (found,) = images
-    own, prefix = layers[found], f"{found}." if found else ""
+        raise LookupError("an EXR must hold one image, or its layer must be named", f"layers {list_names(images)}")
+    (image,) = images
+    own, prefix = layers[image], f"{image}." if image else ""
     return [prefix + name for name in (*("RGB" if "R" in own else "Y"), *("A" if "A" in own else ""))]
 
 
@@ -90,8 +92,8 @@ def depth_channels(names: Sequence[str], layer: str | None = None) -> list[str]:
     if layer is not None:
         if layer in names:
             return [layer]
-        found = _matching(list(_layers(names)), layer)
-        names = [name for name in names if name.rpartition(".")[0] in found]
+        layers = _matching(list(_layers(names)), layer)
+        names = [name for name in names if name.rpartition(".")[0] in layers]
 
     def is_value(name: str) -> bool:
         prefix, dot, last = name.rpartition(".")
@@ -119,18 +121,18 @@ def _own(name: str, layer: str | None) -> str:
 
 def _layers(names: Iterable[str]) -> Mapping[str, set[str]]:
     """Names of the channels of each layer within it."""
-    found: dict[str, set[str]] = {}
+    layers: dict[str, set[str]] = {}
     for name in names:
         layer, _, own = name.rpartition(".")
-        found.setdefault(layer, set()).add(own)
-    return found
+        layers.setdefault(layer, set()).add(own)
+    return layers
 
 
-def _matching(layers: Sequence[str], wanted: str) -> list[str]:
+def _matching(layers: Sequence[str], layer: str) -> list[str]:
     """The layers of a name: exactly, else but for capitals, else as the last of their words."""
-    low = wanted.lower()
+    low = layer.lower()
     kinds = (
-        [name for name in layers if name == wanted],
+        [name for name in layers if name == layer],
         [name for name in layers if name.lower() == low],
         [name for name in layers if name.lower().endswith(f".{low}")],
     )

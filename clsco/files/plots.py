@@ -5,10 +5,9 @@ from __future__ import annotations
 import os
 from contextlib import chdir
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 
-from clsco.errors import ClscoError
+from clsco.errors import ClscoError, require_extra
 from clsco.resources import ExposedFolderError, private_folder, temporary_folder
 
 VARIABLE = "MPLCONFIGDIR"
@@ -29,11 +28,12 @@ def require_matplotlib(what: str, extra: str) -> None:
 
     Raises
     ------
+    MissingDependencyError
+        It is not installed.
     ClscoError
-        It is not installed, or there is no folder for its fonts.
+        There is no folder for its fonts.
     """
-    if find_spec("matplotlib") is None:
-        raise ClscoError(f"{what}: needs matplotlib: pip install 'clsco[{extra}]'; got no such module")
+    require_extra(what, "matplotlib", extra)
     try:
         if not os.environ.get(VARIABLE):
             os.environ[VARIABLE] = str(_folder())

@@ -64,7 +64,7 @@ def png_size(file: BinaryIO) -> tuple[int, int]:
     return columns, rows
 
 
-def checked_png(file: BinaryIO) -> tuple[bytes, int, int, bytes | None]:
+def check_png(file: BinaryIO) -> tuple[bytes, int, int, bytes | None]:
     """Check a PNG from its first byte to its last pixel, as far as possible without decoding.
 
     Returns

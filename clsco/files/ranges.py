@@ -7,7 +7,7 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.errors import ImageError
+from clsco.errors import FileError
 
 
 def first_of(values: NDArray[Any], wrong: NDArray[np.bool_]) -> str:
@@ -24,12 +24,12 @@ def first_of(values: NDArray[Any], wrong: NDArray[np.bool_]) -> str:
     return f"{shown} at row {first[0]}, column {first[1]} ({int(wrong.sum())} in all)"
 
 
-def refuse_values(where: str, rule: str, values: NDArray[Any], wrong: NDArray[np.bool_]) -> None:
-    """Raise ImageError `where: rule; got value at row, column (how many in all)` where any value is wrong."""
+def check_values(where: str, rule: str, values: NDArray[Any], wrong: NDArray[np.bool_]) -> None:
+    """Raise FileError `where: rule; got value at row, column (how many in all)` where any value is wrong."""
     if wrong.any():
-        raise ImageError(f"{where}: {rule}; got {first_of(values, wrong)}")
+        raise FileError(f"{where}: {rule}; got {first_of(values, wrong)}")
 
 
-def refuse_shape(where: str, rule: str, values: NDArray[Any]) -> NoReturn:
-    """Raise ImageError `where: shape must be ...; got shape`."""
-    raise ImageError(f"{where}: shape must be {rule}; got {values.shape}")
+def raise_shape_error(where: str, rule: str, values: NDArray[Any]) -> NoReturn:
+    """Raise FileError `where: shape must be ...; got shape`."""
+    raise FileError(f"{where}: shape must be {rule}; got {values.shape}")

@@ -55,11 +55,11 @@ class Tags:
         """Color space of the image, which has 1 or 3 channels."""
         if self.chromaticities:
             return exr_color(self.chromaticities)
-        found = dict(self.chunks)
-        return icc_color(self.icc, channels) if self.icc and b"cICP" not in found else chunk_color(found)
+        chunks = dict(self.chunks)
+        return icc_color(self.icc, channels) if self.icc and b"cICP" not in chunks else chunk_color(chunks)
 
 
-def upright(data: NDArray[Any], orientation: int) -> NDArray[Any]:
+def turn_upright(data: NDArray[Any], orientation: int) -> NDArray[Any]:
     """Stored pixels (rows, columns[, channels]) as they are seen: row 0 on top, column 0 on the left."""
     if orientation in (2, 3, 7):
         data = data[:, ::-1]
@@ -124,8 +124,8 @@ def jpeg_segments(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
 
 def tiff_tags(values: Any) -> Tags:
     """Tags of a page of a TIFF; values: `tifffile.TiffTags`."""
-    found, icc = values.valueof(_ORIENTATION, default=1), values.valueof(_ICC, default=b"")
-    return Tags(found if found in range(1, 9) else 1, icc if isinstance(icc, bytes) else b"")
+    orientation, icc = values.valueof(_ORIENTATION, default=1), values.valueof(_ICC, default=b"")
+    return Tags(orientation if orientation in range(1, 9) else 1, icc if isinstance(icc, bytes) else b"")
 
 
 def _inflated(chunk: bytes) -> bytes:
@@ -139,14 +139,14 @@ def _inflated(chunk: bytes) -> bytes:
 
 def _orientation(exif: bytes, xmp: bytes) -> int:
     """As the EXIF says, else the XMP; 1 where neither does, or what they say is no orientation."""
-    found: Any = None
+    orientation: Any = None
     if exif:
         from PIL import Image
 
         with contextlib.suppress(Exception):  # a damaged tag says nothing of the pixels, and each damage has its own
             known = Image.Exif()
             known.load(exif)
-            found = known.get(_ORIENTATION)
-    if found is None and (match := _XMP_ORIENTATION.search(xmp)):
-        found = int(match[1])
-    return found if found in range(1, 9) else 1
+            orientation = known.get(_ORIENTATION)
+    if orientation is None and (match := _XMP_ORIENTATION.search(xmp)):
+        orientation = int(match[1])
+    return orientation if orientation in range(1, 9) else 1

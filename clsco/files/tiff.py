@@ -1,4 +1,4 @@
-"""Pages of TIFF files, by tifffile: called in a process with limits (`confined`), as no header bounds what it takes."""
+"""Pages of TIFF files, by tifffile: called in a process with limits (`run_decoder`), as no header bounds them."""
 
 from __future__ import annotations
 

@@ -133,9 +133,9 @@ def encode(linear: NDArray[np.floating], bits: int, transfer: Transfer) -> NDArr
             at = (..., channel) if len(starts) == 3 else ...
             codes[at] = np.searchsorted(start, np.fmax(linear[at], 0), side="right")
         return codes
-    given, out = linear.reshape(-1), codes.reshape(-1)
-    for first in range(0, given.size, AT_A_TIME):
-        out[first : first + AT_A_TIME] = _codes_of(given[first : first + AT_A_TIME], bits, transfer)
+    values, out = linear.reshape(-1), codes.reshape(-1)
+    for first in range(0, values.size, AT_A_TIME):
+        out[first : first + AT_A_TIME] = _codes_of(values[first : first + AT_A_TIME], bits, transfer)
     return codes
 
 

@@ -10,14 +10,15 @@ from fractions import Fraction
 from itertools import chain
 from numbers import Rational
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.errors import ImageError
-from clsco.files.atomic import refuse, whole_file
-from clsco.files.decoders import check_limits, codec
+from clsco.errors import ArgumentError, import_extra
+from clsco.files.atomic import atomic_write, raise_file_error
+from clsco.files.decoders import check_limits
+from clsco.files.ranges import first_of
 from clsco.files.transfer import encode
 from clsco.files.yuv import yuv_planes
 from clsco.resources import remove_left
@@ -25,8 +26,7 @@ from clsco.resources import remove_left
 SLOWEST, FASTEST = 1, 240  # frames per second that an interval may give
 MOST = 2**20  # of the parts of a rate, and frames per second: far below what the fields of containers hold
 STANDARD_RATES = 1001 * 120  # denominators up to this one: intervals of 1001 / 120000 s come back as they are
-TRANSFER_TAGS = {"srgb": 13, "linear": 8, "bt709": 1}
-"""Codes of ITU-T H.273 by name."""
+_TRANSFER_TAGS = {"srgb": 13, "linear": 8}  # codes of ITU-T H.273
 _BT709_PRIMARIES, _RGB_MATRIX, _BT709_MATRIX, _LIMITED, _FULL = 1, 0, 1, 1, 2
 
 
@@ -98,40 +98,46 @@ PRESETS = {
 def preset_for(path: Path, name: str | None = None) -> str:
     """Name of the preset of a file: the given one, or the first one of the file's extension.
 
-    Raises ImageError for an unknown preset, and for an extension that is not the preset's.
+    Raises ArgumentError for an unknown preset, FileError for an extension that is not the preset's.
     """
     suffix = path.suffix.lower()
     if name is None:
         suffixes = dict.fromkeys(preset.suffix for preset in PRESETS.values())
         if suffix not in suffixes:
-            refuse(path, f"the extension must be one of {' '.join(suffixes)}", repr(path.suffix))
+            raise_file_error(path, f"the extension must be one of {' '.join(suffixes)}", repr(path.suffix))
         return next(known for known, preset in PRESETS.items() if preset.suffix == suffix)
     if name not in PRESETS:
-        raise ImageError(f"preset: must be one of {', '.join(PRESETS)}; got {name}")
+        raise ArgumentError(f"preset: must be one of {', '.join(PRESETS)}; got {name}")
     if suffix != PRESETS[name].suffix:
-        refuse(path, f"the extension must be {PRESETS[name].suffix} for {name}", repr(path.suffix))
+        raise_file_error(path, f"the extension must be {PRESETS[name].suffix} for {name}", repr(path.suffix))
     return name
 
 
 def require_video(path: Path) -> None:
-    """Raise ImageError where PyAV is not installed."""
-    codec(path, "av", "video")
+    """Raise MissingDependencyError where PyAV is not installed."""
+    _av(path)
+
+
+def _av(path: Path) -> Any:
+    """Import PyAV, whose wheel has GnuTLS, which would read settings that anybody may put in a shared folder."""
+    os.environ.setdefault("GNUTLS_SYSTEM_PRIORITY_FILE", os.devnull)
+    return import_extra(path, "av", "video")
 
 
 def require_size(path: Path, name: str, columns: int, rows: int) -> None:
-    """Raise ImageError for frames that a preset does not take."""
+    """Raise FileError for frames that a preset does not take."""
     check_limits(path, columns, rows)
     preset = PRESETS[name]
     if min(columns, rows) < preset.least:
         smaller = ", ".join(known for known, other in PRESETS.items() if other.least <= min(columns, rows))
         rule = f"{name} needs {preset.least} columns and rows or more; these take less: {smaller}"
-        refuse(path, rule, f"{columns} x {rows} px")
+        raise_file_error(path, rule, f"{columns} x {rows} px")
 
 
 def parse_rate(value: Fraction | int | str, where: str = "rate") -> Fraction:
     """Frames per second, exactly, from a Fraction, a whole number or text like 24, 23.976 or 24000/1001.
 
-    Raises ImageError for anything else, and for rates that are not above 0, or that containers do not hold.
+    Raises ArgumentError for anything else, and for rates that are not above 0, or that containers do not hold.
     """
     text = value.strip() if isinstance(value, str) else ""
     if text and len(text) <= 32 and re.fullmatch(r"\d+(\.\d+)?|\d+/0*[1-9]\d*", text, re.ASCII):
@@ -140,16 +146,16 @@ def parse_rate(value: Fraction | int | str, where: str = "rate") -> Fraction:
         rate = Fraction(value)
     else:
         rule = "must be exact: a Fraction, a whole number, or text like 24 or 30000/1001"
-        raise ImageError(f"{where}: {rule}; got {value!r}")
+        raise ArgumentError(f"{where}: {rule}; got {value!r}")
     if not (0 < rate <= MOST and rate.numerator <= MOST and rate.denominator <= MOST):
-        raise ImageError(f"{where}: must be above 0, of numbers up to {MOST}; got {value}")
+        raise ArgumentError(f"{where}: must be above 0, of numbers up to {MOST}; got {value}")
     return rate
 
 
 def rate_of(interval: float, where: str, speed: Fraction = Fraction(1)) -> Fraction:
     """Frames per second of frames that are `interval` seconds apart, played `speed` times as fast.
 
-    An interval of 1001 / 30000 s, as a float, gives 30000/1001. Raises ImageError below 1 and above 240 per second,
+    An interval of 1001 / 30000 s, as a float, gives 30000/1001. Raises ArgumentError below 1 and above 240 per second,
     where a rate has to be given.
     """
     rate = Fraction(0)
@@ -159,25 +165,23 @@ def rate_of(interval: float, where: str, speed: Fraction = Fraction(1)) -> Fract
     if not SLOWEST <= rate <= FASTEST:
         rule = f"must give {SLOWEST} to {FASTEST} frames per second; otherwise a rate must be given"
         faster = "" if speed == 1 else f" at {float(speed):g} times its speed"
-        raise ImageError(f"{where}: sequence.interval {rule}; got {interval:g} s{faster}")
+        raise ArgumentError(f"{where}: sequence.interval {rule}; got {interval:g} s{faster}")
     return parse_rate(rate, where)
 
 
 def write_clip(
-    target: Path | BinaryIO,
+    target: Path,
     frames: Iterable[NDArray[Any]],
     rate: Fraction,
     preset: str,
     transfer: str = "srgb",
-    transfer_tag: str | None = None,
     comment: str = "",
 ) -> tuple[str, ...]:
-    """Write frames as a video file that is whole or absent, or into a stream.
+    """Write frames as a video file that is whole or absent.
 
     Parameters
     ----------
-    target : Path or BinaryIO
-        A stream holds what was written before an error.
+    target : Path
     frames : iterable of ndarray, (rows, columns) or (rows, columns, 3)
         Codes (uint8, uint16) or linear radiance (floats, 1 = white), which is clipped; of one shape and type.
     rate : Fraction
@@ -186,8 +190,6 @@ def write_clip(
         One of `PRESETS`.
     transfer : {"srgb", "linear"}
         Transfer curve of the codes, and for floats.
-    transfer_tag : {"srgb", "linear", "bt709"}, optional
-        Transfer curve that the file states, by default `transfer`.
     comment : str
         For the file's metadata, where the container has any.
 
@@ -198,8 +200,10 @@ def write_clip(
 
     Raises
     ------
-    ImageError
-        PyAV is missing, no frames, frames that differ or are not finite, an encoder or the disk fails. Errors that
+    MissingDependencyError
+        PyAV is missing.
+    FileError
+        No frames, frames that differ or are not finite, an encoder or the disk fails. Errors that
         `frames` raises pass as they are, and then nothing is left either.
 
     Notes
@@ -207,59 +211,31 @@ def write_clip(
     The same frames give the same bytes with the same PyAV. Validated: pixels, rates and tags as read back through PyAV
     for each preset, and the bits of lossless ones (tests/files/test_video.py).
     """
-    where = target if isinstance(target, Path) else Path("-")
-    require_video(where)
-    if transfer_tag not in (None, transfer) and (transfer, transfer_tag) != ("srgb", "bt709"):
-        refuse(where, f"the tag of the transfer must be {transfer}, or bt709 for srgb", transfer_tag)
-    source = _showable(where, frames)
+    require_video(target)
+    source = _showable(target, frames)
     first = next(source, None)
     if first is None:
-        refuse(where, "a clip must hold a frame", "none")
-    require_size(where, preset, first.shape[1], first.shape[0])
-    clip = _Clip(where, PRESETS[preset], rate, transfer, transfer_tag or transfer, comment, first)
+        raise_file_error(target, "a clip must hold a frame", "none")
+    require_size(target, preset, first.shape[1], first.shape[0])
+    clip = _Clip(target, PRESETS[preset], rate, transfer, comment, first)
     try:
-        if isinstance(target, Path):
-            remove_left(target.parent)
-            with whole_file(target) as file:  # by its name, as the index of an mp4 moves to its beginning
-                clip.encode(str(Path(file.name).absolute()), _alike(where, first, source))
-        else:
-            stream = _Stream(target)
-            try:
-                clip.encode(stream, _alike(where, first, source))
-            except ImageError:
-                if stream.error is not None:
-                    raise stream.error from None
-                raise
+        remove_left(target.parent)
+        with atomic_write(target) as file:  # by its name, as the index of an mp4 moves to its beginning
+            clip.encode(str(Path(file.name).absolute()), _alike(target, first, source))
     except _FromFramesError as error:
         raise error.error from None
-    rounded = _rounded_rate(target, rate) if isinstance(target, Path) else ()
-    return (*clip.changes(preset), *rounded)
+    return (*clip.changes(preset), *_rounded_rate(target, rate))
 
 
 def _rounded_rate(path: Path, rate: Fraction) -> tuple[str, ...]:
     """Note on the rate that FFmpeg reads where it is another one: Matroska has it in ns."""
-    with codec(path, "av", "video").open(str(path.absolute())) as container:
+    with _av(path).open(str(path.absolute())) as container:
         seen = container.streams.video[0].average_rate
     return () if seen == rate else (f"FFmpeg reads a rate of {seen} from it, near {rate}; mp4 keeps it",)
 
 
-class _Stream:
-    """A stream that keeps the error of a write, for which PyAV has one of its own: a pipe may be closed."""
-
-    def __init__(self, stream: BinaryIO) -> None:
-        self.stream = stream
-        self.error: OSError | None = None
-
-    def write(self, part: bytes) -> int:
-        try:
-            return self.stream.write(part)
-        except OSError as error:
-            self.error = error
-            raise
-
-
 class _FromFramesError(Exception):
-    """An error that the frames raised, to pass where errors of files become ImageError."""
+    """An error that the frames raised, to pass where errors of files become FileError."""
 
     def __init__(self, error: Exception) -> None:
         super().__init__(str(error))
@@ -268,16 +244,14 @@ class _FromFramesError(Exception):
 
 def _showable(where: Path, frames: Iterable[NDArray[Any]]) -> Iterator[NDArray[Any]]:
     """Frames of numbers that can be shown."""
-    for number, given in enumerate(frames):
-        frame, name = np.asarray(given), f"frame {number}"
+    for number, image in enumerate(frames):
+        frame, name = np.asarray(image), f"frame {number}"
         if frame.ndim not in (2, 3) or frame.shape[2:] not in ((), (3,)) or 0 in frame.shape:
-            refuse(where, f"{name}: shape must be (rows, columns) or (rows, columns, 3)", frame.shape)
+            raise_file_error(where, f"{name}: shape must be (rows, columns) or (rows, columns, 3)", frame.shape)
         if frame.dtype.kind != "f" and frame.dtype not in (np.uint8, np.uint16):
-            refuse(where, f"{name}: values must be uint8 or uint16 codes, or floats", frame.dtype)
+            raise_file_error(where, f"{name}: values must be uint8 or uint16 codes, or floats", frame.dtype)
         if frame.dtype.kind == "f" and not (finite := np.isfinite(frame)).all():
-            place = tuple(int(index) for index in np.unravel_index(int(finite.argmin()), frame.shape))
-            got = f"{frame[place]} at row {place[0]}, column {place[1]} ({int((~finite).sum())} in all)"
-            refuse(where, f"{name}: values must be finite", got)
+            raise_file_error(where, f"{name}: values must be finite", first_of(frame, ~finite))
         yield frame
 
 
@@ -291,7 +265,9 @@ def _alike(where: Path, first: NDArray[Any], others: Iterator[NDArray[Any]]) -> 
     try:
         for number, frame in enumerate(chain((first,), others)):
             if kind(frame) != kind(first):
-                refuse(where, f"frame {number}: size and type must be those of frame 0, {kind(first)}", kind(frame))
+                raise_file_error(
+                    where, f"frame {number}: size and type must be those of frame 0, {kind(first)}", kind(frame)
+                )
             yield frame
     except Exception as error:
         raise _FromFramesError(error) from error
@@ -305,7 +281,6 @@ class _Clip:
     preset: VideoPreset
     rate: Fraction
     transfer: str
-    transfer_tag: str
     comment: str
     first: NDArray[Any]
 
@@ -326,14 +301,14 @@ class _Clip:
         is_rgb = not self.preset.is_yuv and self.pixels == self.preset.pixels  # gray is a luma without color
         return {
             "color_primaries": _BT709_PRIMARIES,
-            "color_trc": TRANSFER_TAGS[self.transfer_tag],
+            "color_trc": _TRANSFER_TAGS[self.transfer],
             "colorspace": _RGB_MATRIX if is_rgb else _BT709_MATRIX,
             "color_range": _LIMITED if self.preset.is_yuv else _FULL,
         }
 
-    def encode(self, target: str | _Stream, frames: Iterator[NDArray[Any]]) -> None:
-        """Write all frames. Raises ImageError, and OSError where the disk fails."""
-        av, preset = codec(self.where, "av", "video"), self.preset
+    def encode(self, target: str, frames: Iterator[NDArray[Any]]) -> None:
+        """Write all frames. Raises FileError, and OSError where the disk fails."""
+        av, preset = _av(self.where), self.preset
         os.environ.setdefault("SVT_LOG", "1")  # errors alone: SVT-AV1 writes two dozen lines to stderr
         files = {"fflags": "+bitexact"} | ({"movflags": "+faststart"} if preset.container in ("mp4", "mov") else {})
         try:
@@ -350,7 +325,7 @@ class _Clip:
                 container.mux(stream.encode(None))
         except av.FFmpegError as error:
             what = f"{preset.codec} at {self.size[0]} x {self.size[1]} px, {self.rate} frames per second"
-            refuse(self.where, f"must be encodable and writable, by {what}", error, error)
+            raise_file_error(self.where, f"must be encodable and writable, by {what}", error, error)
 
     def _picture(self, av: Any, number: int, frame: NDArray[Any]) -> Any:
         """A frame as PyAV takes it."""
@@ -386,16 +361,16 @@ class _Clip:
     def changes(self, name: str) -> tuple[str, ...]:
         """Changes against the frames that readers see."""
         rows, columns = self.first.shape[:2]
-        found = []
+        notes = []
         if self.first.dtype == np.uint16 and self.preset.bits < 16:
-            found.append(f"codes of 16 bits rounded to {self.preset.bits}; ffv1-16 keeps them")
+            notes.append(f"codes of 16 bits rounded to {self.preset.bits}; ffv1-16 keeps them")
         if self.size != (columns, rows):
             whole = ", ".join(known for known, preset in PRESETS.items() if preset.blocks == (1, 1))
             stored = f"{self.size[0]} x {self.size[1]} px, with the last row or column again"
-            found.append(
+            notes.append(
                 f"{columns} x {rows} px stored as {stored}, as {name} needs even sizes; these keep odd ones: {whole}"
             )
-        return tuple(found)
+        return tuple(notes)
 
 
 def _with_bits(codes: NDArray[Any], bits: int) -> NDArray[Any]:

@@ -64,7 +64,7 @@ def eye_of(frame: Frame) -> Eye:
     return "right" if frame.eye == "right" else "left"
 
 
-def gets_behind(scene: Scene, frame: Frame, step: int) -> NDArray[np.bool_]:
+def mark_behind_lens(scene: Scene, frame: Frame, step: int) -> NDArray[np.bool_]:
     """Mark surface points of a frame that are not before the lens at the middle of the shutter `step` frames later.
 
     Their flow is 0, as no pixel shows them.

@@ -12,7 +12,9 @@ GAP = 8  # px around each picture
 PAPER, INK = (250, 250, 248), (20, 20, 20)
 
 
-def contact_sheet(rows: Sequence[Sequence[tuple[Picture, str]]], title: str = "", text: int = 12) -> Picture:
+def contact_sheet(
+    rows: Sequence[Sequence[tuple[Picture, str]]], title: str = "", text: int = 12, lines: int = 1
+) -> Picture:
     """Draw pictures with a label below each, one row of them below the other.
 
     Parameters
@@ -23,6 +25,8 @@ def contact_sheet(rows: Sequence[Sequence[tuple[Picture, str]]], title: str = ""
         Text above them.
     text : int
         Height of the text, px.
+    lines : int
+        Lines of a label.
 
     Returns
     -------
@@ -36,7 +40,8 @@ def contact_sheet(rows: Sequence[Sequence[tuple[Picture, str]]], title: str = ""
     heights = [max((len(tile) for tile, _ in row), default=1) for row in rows]
     top = GAP + (line if title else 0)
     across = max(map(len, rows), default=1)
-    size = (GAP + across * (width + GAP), top + sum(height + line + GAP for height in heights))
+    below = lines * line
+    size = (GAP + across * (width + GAP), top + sum(height + below + GAP for height in heights))
     sheet = Image.new("RGB", size, PAPER)
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(text)
     draw.text((GAP, GAP // 2), title, fill=INK, font=font)
@@ -45,10 +50,10 @@ def contact_sheet(rows: Sequence[Sequence[tuple[Picture, str]]], title: str = ""
             x = GAP + column * (width + GAP)
             sheet.paste(Image.fromarray(tile), (x, top))
             draw.text((x, top + height + 2), label, fill=INK, font=font)
-        top += height + line + GAP
+        top += height + below + GAP
     return np.asarray(sheet)
 
 
-def in_rows(tiles: Sequence[tuple[Picture, str]], across: int = 4) -> list[Sequence[tuple[Picture, str]]]:
+def split_into_rows(tiles: Sequence[tuple[Picture, str]], across: int = 4) -> list[Sequence[tuple[Picture, str]]]:
     """Divide pictures and labels into rows of so many; the last one may be shorter."""
     return [tiles[start : start + across] for start in range(0, len(tiles), across)]

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from importlib import import_module
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.errors import ImageError
+from clsco.errors import import_extra
 
 Array = NDArray[np.float64]
 _CORNERS = np.array([[1.0, 0.0, 1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 1.0]]) / 4
@@ -50,7 +49,7 @@ def demosaic(plane: NDArray[np.floating], filters: Sequence[int], method: str) -
 
     Raises
     ------
-    ImageError
+    MissingDependencyError
         For "menon", where colour-demosaicing is missing.
 
     Examples
@@ -96,11 +95,7 @@ def _weighted(padded: Array, kernel: Array, y: int, x: int, size: tuple[int, ...
 
 
 def menon_function() -> Any:
-    """The function of colour-demosaicing, or ImageError where it is missing."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)  # of SciPy, for how it imports it
-            return import_module("colour_demosaicing").demosaicing_CFA_Bayer_Menon2007
-    except ImportError as error:
-        needs = "sensor.demosaic: menon needs colour-demosaicing: pip install 'clsco[sensor]'"
-        raise ImageError(f"{needs}; got {error}") from error
+    """The function of colour-demosaicing. Raises MissingDependencyError where it is not installed."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of SciPy, for how it imports it
+        return import_extra("sensor.demosaic", "colour_demosaicing", "sensor").demosaicing_CFA_Bayer_Menon2007

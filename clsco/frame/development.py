@@ -15,7 +15,7 @@ from clsco.optics.sensor import SensorModel, noise_variance
 LEAST_SIDE = 2  # px, of frames that can be demosaiced
 
 
-def developed(raw: NDArray[np.uint16], sensor_model: SensorModel) -> NDArray[np.float32]:
+def develop(raw: NDArray[np.uint16], sensor_model: SensorModel) -> NDArray[np.float32]:
     """Light that codes stand for: (code - black) / (gain white), demosaiced where the sensor says so.
 
     Parameters
@@ -31,21 +31,21 @@ def developed(raw: NDArray[np.uint16], sensor_model: SensorModel) -> NDArray[np.
 
     Raises
     ------
-    ImageError
+    MissingDependencyError
         colour-demosaicing is missing, for `demosaic = "menon"`.
     """
     electrons = (raw.astype(np.float64) - sensor_model.sensor.black_level) / sensor_model.gain
-    light = electrons / of_sites(sensor_model.white, sensor_model, raw.shape[:2])
+    light = electrons / values_at_sites(sensor_model.white, sensor_model, raw.shape[:2])
     if sensor_model.sensor.mosaic == "none" or sensor_model.channels == 1:
         return np.asarray(light if light.shape[2] > 1 else light[..., 0], np.float32)
     plane = light[..., 0]
     if sensor_model.sensor.demosaic == "none":
-        colors = of_sites((0, 1, 2), sensor_model, plane.shape) == np.arange(3)
+        colors = values_at_sites((0, 1, 2), sensor_model, plane.shape) == np.arange(3)
         return np.where(colors, plane[..., None], 0.0).astype(np.float32)
     return demosaic(plane, sensor_model.filters[0], sensor_model.sensor.demosaic).astype(np.float32)
 
 
-def of_sites(values: Collection[float], sensor_model: SensorModel, size: tuple[int, ...]) -> NDArray[Any]:
+def values_at_sites(values: Collection[float], sensor_model: SensorModel, size: tuple[int, ...]) -> NDArray[Any]:
     """Values of the channels that pixels have measured, (rows, columns, planes) of this size."""
     y, x = np.ogrid[: size[0], : size[1]]
     each = np.array(tuple(values))[np.array(sensor_model.filters)]
@@ -53,7 +53,7 @@ def of_sites(values: Collection[float], sensor_model: SensorModel, size: tuple[i
 
 
 def check_development(sensor_model: SensorModel, rows: int, columns: int) -> None:
-    """Raise ImageError where colour-demosaicing is missing and needed, SceneError for frames that are too small."""
+    """Fail where colour-demosaicing is needed and missing, or frames are too small to be demosaiced."""
     if sensor_model.sensor.demosaic != "none" and sensor_model.channels > 1:
         if min(rows, columns) < LEAST_SIDE:
             size = f"{columns} x {rows}"
@@ -80,18 +80,20 @@ def sensor_truth(
         Light of the exposure, for `electrons` and `noise_sigma`.
     sensor_model : SensorModel
     """
-    found: dict[str, NDArray[Any]] = {}
+    arrays: dict[str, NDArray[Any]] = {}
     if "raw" in names:
-        found["raw"] = raw
+        arrays["raw"] = raw
     if light is not None:
         channels = np.atleast_3d(light).astype(np.float64)
-        taken = np.minimum(of_sites((0, 1, 2), sensor_model, raw.shape[:2]), sensor_model.channels - 1)
-        own = np.maximum(np.take_along_axis(channels, taken, axis=2), 0.0)
-        photo = own * of_sites(sensor_model.scale, sensor_model, raw.shape[:2])
+        channel = np.minimum(values_at_sites((0, 1, 2), sensor_model, raw.shape[:2]), sensor_model.channels - 1)
+        own = np.maximum(np.take_along_axis(channels, channel, axis=2), 0.0)
+        photo = own * values_at_sites(sensor_model.scale, sensor_model, raw.shape[:2])
         if "electrons" in names:
-            found["electrons"] = (photo + sensor_model.dark).astype(np.float32)
+            arrays["electrons"] = (photo + sensor_model.dark).astype(np.float32)
         if "noise_sigma" in names:
-            found["noise_sigma"] = np.sqrt(noise_variance(sensor_model, photo)).astype(np.float32)
+            arrays["noise_sigma"] = np.sqrt(noise_variance(sensor_model, photo)).astype(np.float32)
     if "saturated" in names:
-        found["saturated"] = saturated
-    return {name: array if array.shape[2] > 1 else np.ascontiguousarray(array[..., 0]) for name, array in found.items()}
+        arrays["saturated"] = saturated
+    return {
+        name: array if array.shape[2] > 1 else np.ascontiguousarray(array[..., 0]) for name, array in arrays.items()
+    }

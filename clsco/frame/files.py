@@ -7,45 +7,44 @@ import os
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.errors import ImageError
-from clsco.files.atomic import refuse, remove, sha256, together, writable_folder, write_whole
-from clsco.files.cameras import cam_bytes, colmap_texts
+from clsco.errors import require_extra
+from clsco.files.archives import npy_bytes
+from clsco.files.atomic import atomic_folder, atomic_write_bytes, make_writable_folder, remove_file, sha256
+from clsco.files.cameras import colmap_texts
 from clsco.files.color import SRGB, Color
-from clsco.files.depth_codes import dpt_bytes, kitti_depth_codes, kitti_disparity_codes, pfm_bytes
+from clsco.files.depth_codes import kitti_depth_codes, kitti_disparity_codes, pfm_bytes
 from clsco.files.flow import flo_bytes, kitti_flow_codes
 from clsco.files.images import write_exr, write_json, write_npz, write_png, write_tiff
-from clsco.files.npy import ZSTD, npy_bytes
 from clsco.files.transfer import encode
-from clsco.frame.cameras import all_pinholes, exr_attributes, eye_of, gets_behind, pinhole
+from clsco.frame.cameras import all_pinholes, exr_attributes, eye_of, mark_behind_lens
 from clsco.frame.channels import exr_channels
 from clsco.frame.frame import ALL_TRUTH, FILE_NAMES, IMAGE_NAMES, Frame
-from clsco.frame.truth_files import ATTRIBUTES, Shot, TruthFile, TruthFormat, parse_truth, wanted_files
+from clsco.frame.truth_files import ATTRIBUTES, Shot, TruthFile, TruthFormat, choose_files
 from clsco.optics.motion import Eye
 from clsco.resources import read_regular
 from clsco.scene.model import Scene
 
 
-def _single(shot: Shot, wanted: TruthFile) -> NDArray[Any]:
+def _single(shot: Shot, file: TruthFile) -> NDArray[Any]:
     """The array of a file that holds one."""
     (frame,) = shot.views
-    (array,) = wanted.arrays(frame).values()
+    (array,) = file.arrays(frame).values()
     return array
 
 
-def _write_npz(path: Path, shot: Shot, wanted: TruthFile) -> None:
+def _write_npz(path: Path, shot: Shot, file: TruthFile) -> None:
     (frame,) = shot.views
-    write_npz(path, wanted.arrays(frame), wanted.compressed)
+    write_npz(path, file.arrays(frame), file.compressed)
 
 
-def _write_exr(path: Path, shot: Shot, wanted: TruthFile) -> None:
-    channels = [exr_channels(_per_pixel(shot, frame, wanted.arrays(frame))) for frame in shot.views]
+def _write_exr(path: Path, shot: Shot, file: TruthFile) -> None:
+    channels = [exr_channels(_per_pixel(shot, frame, file.arrays(frame))) for frame in shot.views]
     names = [frame.eye for frame in shot.views] if len(shot.views) > 1 else ()
     known = [] if shot.scene is None else [exr_attributes(shot.scene, view.index, eye_of(view)) for view in shot.views]
     if not shot.color.is_plain:  # an EXR without chromaticities where only a profile has its primaries
@@ -64,74 +63,60 @@ def _per_pixel(shot: Shot, frame: Frame, arrays: dict[str, NDArray[Any]]) -> dic
     return arrays | {"row_time": np.broadcast_to(lines, frame.color.shape[:2])}
 
 
-def _write_npy(path: Path, shot: Shot, wanted: TruthFile) -> None:
-    write_whole(path, npy_bytes(_single(shot, wanted), wanted.zstd, str(path)))
+def _write_npy(path: Path, shot: Shot, file: TruthFile) -> None:
+    atomic_write_bytes(path, npy_bytes(_single(shot, file)))
 
 
-def _write_pfm(path: Path, shot: Shot, wanted: TruthFile) -> None:
-    array = _single(shot, wanted)
-    if wanted.names[0] in (*_FLOWS, "disparity"):  # which are 0 where nothing is
+def _write_pfm(path: Path, shot: Shot, file: TruthFile) -> None:
+    array = _single(shot, file)
+    if file.names[0] in (*_FLOWS, "disparity"):  # which are 0 where nothing is
         vectors = array.reshape(*array.shape[:2], -1)
-        known = _known(shot, wanted)[..., None] & np.isfinite(vectors).all(axis=-1, keepdims=True)
+        known = _known(shot, file)[..., None] & np.isfinite(vectors).all(axis=-1, keepdims=True)
         array = np.where(known, vectors, np.float32(np.inf)).reshape(array.shape)
-    write_whole(path, pfm_bytes(array, str(path)))
+    atomic_write_bytes(path, pfm_bytes(array, str(path)))
 
 
-def _write_codes(path: Path, shot: Shot, wanted: TruthFile) -> None:
-    write_png(path, _single(shot, wanted))
+def _write_codes(path: Path, shot: Shot, file: TruthFile) -> None:
+    write_png(path, _single(shot, file))
 
 
-def _write_code_tiff(path: Path, shot: Shot, wanted: TruthFile) -> None:
-    write_tiff(path, _single(shot, wanted))
+def _write_code_tiff(path: Path, shot: Shot, file: TruthFile) -> None:
+    write_tiff(path, _single(shot, file))
 
 
-def _write_flo(path: Path, shot: Shot, wanted: TruthFile) -> None:
-    write_whole(path, flo_bytes(_single(shot, wanted), _known(shot, wanted), str(path)))
+def _write_flo(path: Path, shot: Shot, file: TruthFile) -> None:
+    atomic_write_bytes(path, flo_bytes(_single(shot, file), _known(shot, file), str(path)))
 
 
-def _write_kitti_flow(path: Path, shot: Shot, wanted: TruthFile) -> None:
-    write_png(path, kitti_flow_codes(_single(shot, wanted), _known(shot, wanted), str(path)))
+def _write_kitti_flow(path: Path, shot: Shot, file: TruthFile) -> None:
+    write_png(path, kitti_flow_codes(_single(shot, file), _known(shot, file), str(path)))
 
 
-def _write_kitti_disparity(path: Path, shot: Shot, wanted: TruthFile) -> None:
-    write_png(path, kitti_disparity_codes(_single(shot, wanted), _known(shot, wanted), str(path)))
+def _write_kitti_disparity(path: Path, shot: Shot, file: TruthFile) -> None:
+    write_png(path, kitti_disparity_codes(_single(shot, file), _known(shot, file), str(path)))
 
 
-def _write_kitti_depth(path: Path, shot: Shot, wanted: TruthFile) -> None:
-    write_png(path, kitti_depth_codes(_single(shot, wanted), str(path)))
-
-
-def _write_dpt(path: Path, shot: Shot, wanted: TruthFile) -> None:
-    write_whole(path, dpt_bytes(_single(shot, wanted), str(path)))
-
-
-def _write_cam(path: Path, shot: Shot, _wanted: TruthFile) -> None:
-    (frame,) = shot.views
-    write_whole(path, cam_bytes(pinhole(_scene_of(path, shot), frame.index, eye_of(frame))))
+def _write_kitti_depth(path: Path, shot: Shot, file: TruthFile) -> None:
+    write_png(path, kitti_depth_codes(_single(shot, file), str(path)))
 
 
 def _write_colmap(folder: Path, shot: Shot, _wanted: TruthFile) -> None:
-    scene = _scene_of(folder, shot)
+    scene = shot.scene
+    assert scene is not None
     shown: dict[Eye, str] = {"left": "left" if scene.stereo else "", "right": "right"}
     texts = colmap_texts((f"{_stem(index, shown[eye])}.png", camera) for index, eye, camera in all_pinholes(scene))
-    with together(writable_folder(folder), "model") as made:
+    with atomic_folder(make_writable_folder(folder), "model") as temporary:
         for name, content in texts.items():
-            write_whole(made / name, content)
+            atomic_write_bytes(temporary / name, content)
 
 
-def _scene_of(path: Path, shot: Shot) -> Scene:
-    if shot.scene is None:
-        refuse(path, "needs the scene of the frame", "none")
-    return shot.scene
-
-
-def _known(shot: Shot, wanted: TruthFile) -> NDArray[np.bool_]:
+def _known(shot: Shot, file: TruthFile) -> NDArray[np.bool_]:
     """Mark known pixels of a flow or a disparity: on surfaces, and of flow on those that do not get behind the lens."""
-    (frame,), (name,) = shot.views, wanted.names
+    (frame,), (name,) = shot.views, file.names
     assert frame.mask is not None  # is among what the format needs besides
     if name not in _FLOWS or shot.scene is None or not shot.scene.moves:
         return frame.mask
-    return frame.mask & ~gets_behind(shot.scene, frame, 1 if name == "flow" else -1)
+    return frame.mask & ~mark_behind_lens(shot.scene, frame, 1 if name == "flow" else -1)
 
 
 _FLOWS, _WHERE_FLOW_HOLDS = ("flow", "flow_backward"), ("mask", "depth", "object_id")
@@ -140,7 +125,7 @@ LARGEST_JSON = 2**22  # bytes; 64 objects with all of their keys take a fiftieth
 TRUTH_FORMATS = {
     "npz": TruthFormat("{stem}.npz", _write_npz, options=("float16", "compressed")),
     "exr": TruthFormat("{stem}.exr", _write_exr, "frame", options=("float16",), needs=("OpenEXR", "exr")),
-    "npy": TruthFormat("{stem}_{array}.npy", _write_npy, "array", options=("float16", "zstd")),
+    "npy": TruthFormat("{stem}_{array}.npy", _write_npy, "array", options=("float16",)),
     "pfm": TruthFormat(
         "{stem}_{array}.pfm", _write_pfm, "array",
         ("color", "sharp", "depth", "coc", "normal", *_FLOWS, "uv", "disparity", "throughput", "alpha"),
@@ -154,20 +139,13 @@ TRUTH_FORMATS = {
     "kitti_depth": TruthFormat("{stem}_kitti_{array}.png", _write_kitti_depth, "array", ("depth",)),
     "png": TruthFormat("{stem}_{array}.png", _write_codes, "array", ("raw",)),
     "tiff": TruthFormat("{stem}_{array}.tif", _write_code_tiff, "array", ("raw",), needs=("tifffile", "formats")),
-    "dpt": TruthFormat("{stem}_{array}.dpt", _write_dpt, "array", ("depth",)),
-    "cam": TruthFormat("{stem}.cam", _write_cam, arrays=()),
     "colmap": TruthFormat("sparse/0", _write_colmap, "scene", ()),
 }  # fmt: skip
 
 
-def truth_files(text: str) -> tuple[TruthFile, ...]:
-    """Files of ground truth as they are recorded, none for "". Raises SceneError as `parse_truth`."""
-    return parse_truth(text, TRUTH_FORMATS) if text else ()
-
-
 def files_of(truth: str, formats: str = "", types: str = "") -> tuple[TruthFile, ...]:
-    """Files of ground truth that hold arrays in formats. Raises SceneError as `wanted_files`."""
-    return wanted_files(truth, formats, types, TRUTH_FORMATS)
+    """Files of ground truth that hold arrays in formats. Raises SceneError as `choose_files`."""
+    return choose_files(truth, formats, types, TRUTH_FORMATS)
 
 
 def needed_truth(files: Iterable[TruthFile]) -> tuple[str, ...]:
@@ -181,12 +159,10 @@ def needed_truth(files: Iterable[TruthFile]) -> tuple[str, ...]:
 
 
 def require_truth_formats(files: Sequence[TruthFile]) -> None:
-    """Raise ImageError where the extra that a format in `TRUTH_FORMATS` or its option needs is not installed."""
+    """Raise MissingDependencyError where the extra that a format in `TRUTH_FORMATS` needs is not installed."""
     for file in files:
-        for needs in (TRUTH_FORMATS[file.format].needs, ZSTD if file.zstd else None):
-            if needs is not None and find_spec(needs[0]) is None:
-                got = "got no such module"
-                raise ImageError(f"format: {file} needs {needs[0]}: pip install 'clsco[{needs[1]}]'; {got}")
+        if needs := TRUTH_FORMATS[file.format].needs:
+            require_extra(f"format {file}", *needs)
 
 
 def _stem(index: int, eye: str) -> str:
@@ -207,16 +183,15 @@ def _truth_names(
     held: arrays that the frame has, as they are called in files.
     """
     known = TRUTH_FORMATS[file.format]
-    ending = ".zst" if file.zstd else ""
     if known.per == "frame":
-        yield known.name.format(stem=_stem(index, "")) + ending, tuple(eyes), file
+        yield known.name.format(stem=_stem(index, "")), tuple(eyes), file
     for eye in eyes:
         stem = _stem(index, eye if len(eyes) > 1 else "")
         if known.per == "view":
-            yield known.name.format(stem=stem) + ending, (eye,), file
+            yield known.name.format(stem=stem), (eye,), file
         for array in (file.names or known.arrays) if known.per == "array" else ():
             if array in held:
-                yield known.name.format(stem=stem, array=array) + ending, (eye,), replace(file, names=(array,))
+                yield known.name.format(stem=stem, array=array), (eye,), replace(file, names=(array,))
 
 
 def frame_files(
@@ -271,7 +246,7 @@ def write_frame(
     about : mapping, optional
         Content of the JSON file besides the frame's own metadata.
     scene : Scene, optional
-        Scene that the frame shows, with its resolution: gives an EXR the attributes of its camera, and cam needs it.
+        Scene that the frame shows, with its resolution: gives an EXR the attributes of its camera.
     color : Color, optional
         Color space of the PNG, whose curve takes the place of "srgb"; by default sRGB. Of another one the JSON file has
         the name, and an EXR the chromaticities, as far as they are known.
@@ -284,7 +259,7 @@ def write_frame(
 
     Raises
     ------
-    ImageError
+    FileError
         A file cannot be written, or values do not fit its format.
 
     Notes
@@ -295,18 +270,18 @@ def write_frame(
     by_eye = {frame.eye: frame for frame in views}
     held = {in_file for name, in_file in FILE_NAMES.items() if all(getattr(view, name) is not None for view in views)}
     described, curve = frame_json(folder, index), color.transfer(transfer)
-    with together(Path(folder), _stem(index, "")) as made:
+    with atomic_folder(Path(folder), _stem(index, "")) as temporary:
         for eye, frame in by_eye.items():
             images = [frame.color, *(() if frame.subframes is None else frame.subframes)] if "color" in held else []
             stem = _stem(index, eye if stereo else "")
             for name, image in zip(_pictures(stem, len(images) - 1), images, strict=bool(images)):
-                write_png(made / name, encode(image, min(bits, 16), curve), color)
+                write_png(temporary / name, encode(image, min(bits, 16), curve), color)
         for file in truth:
-            for name, eyes, wanted in _truth_names(index, list(by_eye), file, held):
+            for name, eyes, part in _truth_names(index, list(by_eye), file, held):
                 shot = Shot(tuple(by_eye[eye] for eye in eyes), scene, color)
-                TRUTH_FORMATS[file.format].write(made / name, shot, wanted)
-        digests = {path.name: sha256(path) for path in sorted(made.iterdir())}
-        remove(described)  # an older frame is not whole any more
+                TRUTH_FORMATS[file.format].write(temporary / name, shot, part)
+        digests = {path.name: sha256(path) for path in sorted(temporary.iterdir())}
+        remove_file(described)  # an older frame is not whole any more
     recorded = {"views": {frame.eye: dict(frame.metadata) for frame in views}} if stereo else dict(views[0].metadata)
     partial = [str(file) for file in truth if str(file) != file.format]
     profile = {} if color.is_plain else {"color_profile": color.name}
@@ -328,7 +303,7 @@ def write_scene_files(folder: str | os.PathLike[str], scene: Scene, truth: Seque
 
     Raises
     ------
-    ImageError
+    FileError
         A file cannot be written.
     """
     for file in truth:

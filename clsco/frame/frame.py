@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.errors import ImageError, SceneError
+from clsco.errors import ArgumentError, SceneError
 from clsco.frame.channels import exr_channels
-from clsco.frame.shown import codes_to_show, html_to_show, png_to_show
+from clsco.frame.notebook import codes_to_show, html_to_show, png_to_show
 
 TRUTH_NAMES = ("sharp", "depth", "blur_radius", "mask", "filled", "missing", "object_id", "normal", "flow", "hidden")
 MOTION_NAMES = ("flow_backward", "flow_occluded")  # besides, where something moves
@@ -156,8 +156,8 @@ class Frame:
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """The image and all truth that was requested, by their names in files, such as "color" and "coc"."""
-        found = {in_file: getattr(self, name) for name, in_file in FILE_NAMES.items()}
-        return {name: array for name, array in found.items() if array is not None}
+        by_name = {in_file: getattr(self, name) for name, in_file in FILE_NAMES.items()}
+        return {name: array for name, array in by_name.items() if array is not None}
 
     def image(self) -> NDArray[np.uint8]:
         """The image as 8-bit codes of sRGB, for `matplotlib.pyplot.imshow`, Pillow and OpenCV.
@@ -179,7 +179,7 @@ class Frame:
     def _image(self) -> NDArray[np.float32]:
         image: NDArray[np.float32] | None = self.color
         if image is None:
-            raise ImageError(f"frame {self.index}: must have color for an image; got one rendered with color=False")
+            raise ArgumentError(f"frame {self.index}: must have color for an image; got one rendered with color=False")
         return image
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -194,9 +194,12 @@ class Frame:
 
         Raises
         ------
-        ImageError
-            The extension is another one, the extra that the format needs is missing, the file cannot be written, or the
-            frame has no color for an image.
+        FileError
+            The extension is another one, or the file cannot be written.
+        ArgumentError
+            The frame has no color for an image.
+        MissingDependencyError
+            The extra that the format needs is missing.
 
         Examples
         --------

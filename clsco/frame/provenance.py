@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from clsco import __version__
-from clsco.files.atomic import refuse, sha256
+from clsco.files.atomic import raise_file_error, sha256
 from clsco.optics.motion import Eye
 from clsco.scene.arrays import HasInputs
 from clsco.scene.changes import dump, table_at
@@ -33,7 +33,7 @@ def units(scene: Scene) -> dict[str, str]:
     sections = [(name, getattr(scene, name)) for name in type(scene).model_fields if name not in ("groups", "objects")]
     sections += [(f"group[{index}]", group) for index, group in enumerate(scene.groups)]
     sections += [(f"object[{index}]", item) for index, item in enumerate(scene.objects)]
-    found: dict[str, str] = {}
+    units_of_keys: dict[str, str] = {}
     while sections:
         place, model = sections.pop(0)
         for name, field in getattr(type(model), "model_fields", {}).items():
@@ -43,8 +43,8 @@ def units(scene: Scene) -> dict[str, str]:
             sections += [(key, value), *((f"{key}[{k}]", each) for k, each in listed)]
             is_table = hasattr(type(value), "model_fields")  # whose own keys have units
             if (unit := _unit((field.annotation, *field.metadata))) and not is_table:
-                found[key] = unit
-    return found
+                units_of_keys[key] = unit
+    return units_of_keys
 
 
 def _record_units(scene: Scene) -> dict[str, str]:
@@ -64,7 +64,7 @@ def _unit(parts: Iterable[Any]) -> str:
 def file_digests(scenes: Iterable[Scene]) -> dict[str, str]:
     """SHA-256 of all texture and depth files of scenes.
 
-    Returns: path to digest in hexadecimal. Raises ImageError: a file cannot be read.
+    Returns: path to digest in hexadecimal. Raises FileError: a file cannot be read.
     """
     paths = [path for scene in scenes for _, item in scene.inputs for path in item.files().values()]
     return {path: _digest(path) for path in dict.fromkeys(paths)}
@@ -74,7 +74,7 @@ def _digest(path: str) -> str:
     try:
         return sha256(Path(path))
     except OSError as error:
-        refuse(Path(path), "must be a file that can be read", error, error)
+        raise_file_error(Path(path), "must be a file that can be read", error, error)
 
 
 def _digests(item: HasInputs, known: Mapping[str, str]) -> dict[str, str]:
@@ -95,7 +95,7 @@ def scene_sha256(scene: Scene, digests: Mapping[str, str] | None = None) -> str:
 
     Raises
     ------
-    ImageError
+    FileError
         A file cannot be read.
     """
     known = file_digests([scene]) if digests is None else digests
@@ -124,7 +124,7 @@ def record(scene: Scene, digests: Mapping[str, str] | None = None) -> dict[str, 
 
     Raises
     ------
-    ImageError
+    FileError
         A file cannot be read.
     """
     camera = scene.camera
@@ -132,7 +132,7 @@ def record(scene: Scene, digests: Mapping[str, str] | None = None) -> dict[str, 
     digests_of = [(item, _digests(item, known)) for _, item in scene.inputs]
 
     def of(what: str) -> dict[str, str]:
-        return {str(item.inputs()[what]): found[what] for item, found in digests_of if what in found}
+        return {str(item.inputs()[what]): hashes[what] for item, hashes in digests_of if what in hashes}
 
     content = dump(scene)
     for place, item in scene.inputs:

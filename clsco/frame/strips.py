@@ -38,7 +38,7 @@ class Strip:
         return slice(self.top, self.top + self.rows)
 
 
-def cut(rows: int, tallest: int, guard: int, reach: int, step: int = 1) -> tuple[Strip, ...]:
+def cut_strips(rows: int, tallest: int, guard: int, reach: int, step: int = 1) -> tuple[Strip, ...]:
     """Cut a frame into strips; the first one is the tallest.
 
     Parameters
@@ -55,11 +55,11 @@ def cut(rows: int, tallest: int, guard: int, reach: int, step: int = 1) -> tuple
         Grids begin at multiples of this many rows.
     """
     tops = range(0, rows, tallest)
-    return tuple(part(rows, top, min(top + tallest, rows), guard, reach, step) for top in tops)
+    return tuple(make_strip(rows, top, min(top + tallest, rows), guard, reach, step) for top in tops)
 
 
-def part(rows: int, top: int, end: int, guard: int, reach: int, step: int = 1) -> Strip:
-    """The strip from one row of a frame to the one before another; the other arguments as for `cut`.
+def make_strip(rows: int, top: int, end: int, guard: int, reach: int, step: int = 1) -> Strip:
+    """The strip from one row of a frame to the one before another; the other arguments as for `cut_strips`.
 
     It has the bits of the whole frame where it begins at a multiple of BAND, and ends at one or with the frame.
     """
@@ -67,7 +67,7 @@ def part(rows: int, top: int, end: int, guard: int, reach: int, step: int = 1) -
     return Strip(top, end - top, above + (top + guard - above) % step, below)
 
 
-def around(
+def with_apron(
     plane: NDArray[Any], strip: Strip, guard: int, outside: Literal["symmetric", "constant"] = "symmetric"
 ) -> NDArray[Any]:
     """The part of an image that is on the grid of a strip, with an apron beyond the image's border.

@@ -1,13 +1,13 @@
 """Files of ground truth: arrays by name, the formats that hold them, and the types of their numbers.
 
-The JSON file of a frame records a file as FORMAT+OPTION:ARRAY,..., such as "npz", "npz:depth,coc", "npz+float16" or
-"npy+depth=float16+zstd:depth,mask".
+The JSON file of a frame records a file as FORMAT+OPTION:ARRAY,..., such as "npz", "npz:depth,coc", "npz+compressed" or
+"npy+depth=float16:depth,mask".
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 
 from clsco.errors import SceneError
 from clsco.files.color import SRGB, Color
-from clsco.files.ranges import refuse_values
+from clsco.files.ranges import check_values
 from clsco.frame.frame import ALL_TRUTH, FILE_NAMES, Frame
 from clsco.scene.model import Scene
 
-OPTIONS = ("compressed", "zstd")
 ALL = "all"
 FLOATS = ("float32", "float16")  # types of an array of floats
 ATTRIBUTES = {in_file: name for name, in_file in FILE_NAMES.items()}
@@ -42,37 +41,34 @@ class TruthFile:
         Arrays whose floats have 16 bits: 11 significant ones, and sizes up to 65504; ("all",) for all of them.
     compressed : bool
         Floats are compressed as well.
-    zstd : bool
-        Whole files are compressed by Zstandard, and have the ending .zst.
     """
 
     format: str
     names: tuple[str, ...] = ()
     float16: tuple[str, ...] = ()
     compressed: bool = False
-    zstd: bool = False
 
     def __str__(self) -> str:
         options = "".join("+float16" if name == ALL else f"+{name}=float16" for name in self.float16)
-        options += "".join(f"+{name}" for name in OPTIONS if getattr(self, name))
+        options += "+compressed" if self.compressed else ""
         return f"{self.format}{options}" + (f":{','.join(self.names)}" if self.names else "")
 
     def arrays(self, frame: Frame) -> dict[str, NDArray[Any]]:
-        """The arrays of a frame in it, as they are called in files. Raises ImageError for floats beyond float16."""
+        """The arrays of a frame in it, as they are called in files. Raises FileError for floats beyond float16."""
         known = frame.arrays()
-        found = {name: array for name, array in known.items() if name in (self.names or known)}
-        halves = found if ALL in self.float16 else self.float16
+        held = {name: array for name, array in known.items() if name in (self.names or known)}
+        halves = held if ALL in self.float16 else self.float16
         where = f"frame {frame.index}"
-        return {name: in_float16(f"{where}: {name}", each) if name in halves else each for name, each in found.items()}
+        return {name: to_float16(f"{where}: {name}", each) if name in halves else each for name, each in held.items()}
 
 
-def in_float16(where: str, array: NDArray[Any]) -> NDArray[Any]:
-    """An array of floats in 16 bits; all others, and times, as they are. Raises ImageError for what is beyond them."""
+def to_float16(where: str, array: NDArray[Any]) -> NDArray[Any]:
+    """An array of floats in 16 bits; all others, and times, as they are. Raises FileError for what is beyond them."""
     if array.dtype.kind != "f" or array.ndim < 2:  # times keep their digits
         return array
     with np.errstate(over="ignore"):  # what becomes infinite is refused next
         half = array.astype(np.float16)
-    refuse_values(where, "sizes must be at most 65504 in float16", array, np.isinf(half) & np.isfinite(array))
+    check_values(where, "sizes must be at most 65504 in float16", array, np.isinf(half) & np.isfinite(array))
     return half
 
 
@@ -113,7 +109,7 @@ class TruthFormat:
     besides : tuple of str
         Attributes of a frame that it needs to know where its arrays hold.
     options : tuple of str
-        Some of `OPTIONS`, and "float16" where its floats may have 16 bits.
+        "compressed" where its floats may be compressed, and "float16" where they may have 16 bits.
     needs : (str, str), optional
         Module that it needs, and the extra of clsco that brings it.
     """
@@ -153,7 +149,7 @@ def parse_types(text: str, known: Mapping[str, Sequence[str]]) -> dict[str, str]
     SceneError
         Anything else; one message for each.
     """
-    found: dict[str, str] = {}
+    types: dict[str, str] = {}
     faults = []
     every = {dtype for dtypes in known.values() for dtype in dtypes}
     for part in text.split(",") if text else ():
@@ -163,17 +159,17 @@ def parse_types(text: str, known: Mapping[str, Sequence[str]]) -> dict[str, str]
             faults.append(f"types: must name arrays, some of {', '.join(known)}; got {part}")
         elif dtype not in dtypes:
             faults.append(f"types: {name} must be one of {', '.join(dtypes)}; got {part}")
-        elif name in found:
+        elif name in types:
             faults.append(f"types: must name each array once; got {name} twice")
         else:
-            found[name] = dtype
+            types[name] = dtype
     if faults:
         raise SceneError(faults)
-    others = found.pop(ALL, "")
-    return {name: others for name, dtypes in known.items() if others in dtypes} | found
+    others = types.pop(ALL, "")
+    return {name: others for name, dtypes in known.items() if others in dtypes} | types
 
 
-def wanted_files(truth: str, formats: str, types: str, known: Mapping[str, TruthFormat]) -> tuple[TruthFile, ...]:
+def choose_files(truth: str, formats: str, types: str, known: Mapping[str, TruthFormat]) -> tuple[TruthFile, ...]:
     """Files of ground truth that hold arrays in formats.
 
     Parameters
@@ -203,10 +199,13 @@ def wanted_files(truth: str, formats: str, types: str, known: Mapping[str, Truth
     names = () if truth in (ALL, "") else array_names(truth)
     stored = parse_types(types, dict.fromkeys(ATTRIBUTES, FLOATS))
     halves = tuple(name for name, dtype in stored.items() if dtype == "float16")
-    found = [_in_format(part, names, halves, known) for part in (formats or "npz").split(",")]
-    if lost := [name for name in names if all(name not in file.names for file in found)]:
+    files_in_formats = [_in_format(part, names, halves, known) for part in (formats or "npz").split(",")]
+    if lost := [name for name in names if all(name not in file.names for file in files_in_formats)]:
         raise SceneError(f"format: must be one that holds {lost[0]}; got {formats or 'npz'}")
-    return _once(found, formats)
+    files = tuple(dict.fromkeys(files_in_formats))
+    if len({file.format for file in files}) < len(files):
+        raise SceneError(f"format: must name each format once; got {formats}")
+    return files
 
 
 def _in_format(text: str, names: Sequence[str], halves: Sequence[str], known: Mapping[str, TruthFormat]) -> TruthFile:
@@ -216,63 +215,13 @@ def _in_format(text: str, names: Sequence[str], halves: Sequence[str], known: Ma
         raise SceneError(f"format: must be some of {','.join(known)}; got {text}")
     if "float16" in options:
         raise SceneError(f"format: must be {form}, with types all=float16; got {text}")
-    file, held = _parsed(text, known), known[form].arrays
-    chosen = tuple(name for name in names if name in held)
+    if unknown := [option for option in options if option != "compressed" or option not in known[form].options]:
+        rule = f"{form} or {form}+compressed" if "compressed" in known[form].options else f"{form} without options"
+        raise SceneError(f"format: must be {rule}; got {form}+{unknown[0]}")
+    held = known[form].arrays
+    chosen = tuple(name for name in ATTRIBUTES if name in names and name in held)
     if names and held and not chosen:
         raise SceneError(f"format: {form} must hold some of {','.join(names)}; got {','.join(held)}")
     shared = tuple(name for name in halves if name in (chosen or held) and "float16" in known[form].options)
-    return replace(file, names=chosen, float16=(ALL,) if shared and len(shared) == len(chosen or held) else shared)
-
-
-def parse_truth(text: str, formats: Mapping[str, TruthFormat]) -> tuple[TruthFile, ...]:
-    """Files of ground truth as they are recorded: formats, each with options and names of arrays.
-
-    Parameters
-    ----------
-    text : str
-        Such as "npz,flo", "npz:depth,coc,exr" or "npz+float16+compressed:depth".
-    formats : mapping of str to TruthFormat
-        Known formats.
-
-    Raises
-    ------
-    SceneError
-        Anything else, or a format twice.
-    """
-    found: list[list[str]] = []
-    for part in text.split(","):
-        if part.partition(":")[0].partition("+")[0] in formats:
-            found.append([part])
-        elif found and ":" in found[-1][0]:
-            found[-1].append(part)
-        else:
-            raise SceneError(f"must be some of {','.join(formats)}; got {text}")
-    return _once([_parsed(",".join(parts), formats) for parts in found], text)
-
-
-def _once(files: Iterable[TruthFile], text: str) -> tuple[TruthFile, ...]:
-    """Files without repetitions. Raises SceneError where two of one format are left."""
-    found = tuple(dict.fromkeys(files))
-    if len({file.format for file in found}) < len(found):
-        raise SceneError(f"format: must name each format once; got {text}")
-    return found
-
-
-def _parsed(text: str, formats: Mapping[str, TruthFormat]) -> TruthFile:
-    head, colon, listed = text.partition(":")
-    form, *options = head.split("+")
-    known = formats[form]
-    names = [FILE_NAMES.get(name, name) for name in listed.split(",")] if colon else []
-    for name in names:
-        if not known.arrays:
-            raise SceneError(f"format: must be {form} without names, as it holds no arrays; got {text}")
-        if name not in known.arrays:
-            some = ", ".join(known.arrays)
-            raise SceneError(f"format: must name arrays after {form}:, some of {some}; got {name or text}")
-    if unknown := [option for option in options if option not in known.options]:
-        named = [option for option in known.options if option in OPTIONS]
-        rule = f"{form} or {form}+{'+'.join(named)}" if named else f"{form} without options"
-        raise SceneError(f"format: must be {rule}; got {form}+{unknown[0]}")
-    ordered = tuple(name for name in ATTRIBUTES if name in names)
-    halves = (ALL,) if "float16" in options else ()
-    return TruthFile(form, ordered, halves, **{option: option in options for option in OPTIONS})
+    float16 = (ALL,) if shared and len(shared) == len(chosen or held) else shared
+    return TruthFile(form, chosen, float16, "compressed" in options)

@@ -7,18 +7,18 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsco import __version__
-from clsco.errors import ImageError
+from clsco.errors import ArgumentError, FileError
 from clsco.files.transfer import TRANSFERS, encode
-from clsco.files.video import PRESETS, TRANSFER_TAGS, parse_rate, preset_for, rate_of, write_clip
+from clsco.files.video import PRESETS, parse_rate, preset_for, rate_of, write_clip
 from clsco.frame.frame import GREEN, Frame
+from clsco.frame.frame_folder import FrameFolder
 from clsco.frame.views import VIEWS
-from clsco.frame.written import WrittenFrames
 
 VIEW_NAMES = ("color", "sharp", *VIEWS, "compare")
 
@@ -30,7 +30,6 @@ def write_video(
     *,
     preset: str | None = None,
     transfer: str = "srgb",
-    transfer_tag: str | None = None,
     comment: str = "",
 ) -> tuple[str, ...]:
     """Write frames as a video file, whole or not at all.
@@ -49,8 +48,6 @@ def write_video(
         of these with the extension.
     transfer : {"srgb", "linear"}
         Transfer curve of the codes; floats are encoded by it.
-    transfer_tag : {"srgb", "linear", "bt709"}, optional
-        Transfer curve that the file states, by default `transfer`. Some players show "bt709" more truly.
     comment : str
         For the file's metadata, by default the version of clsco.
 
@@ -61,9 +58,13 @@ def write_video(
 
     Raises
     ------
-    ImageError
-        The extra `video` is missing; a preset, rate or frame cannot be; frames differ in size or type, or are not
-        finite; the encoder or the disk fails. An error that `frames` raises passes as it is. Nothing is left then.
+    MissingDependencyError
+        The extra `video` is missing.
+    ArgumentError
+        There is no such preset, rate or transfer, or frames are of two views.
+    FileError
+        Frames differ in size or type, or are not finite; the encoder or the disk fails. Nothing is left then. An
+        error that `frames` raises passes as it is.
 
     Notes
     -----
@@ -82,12 +83,10 @@ def write_video(
     ()
     """
     if transfer not in TRANSFERS:
-        raise ImageError(f"transfer: must be one of {', '.join(TRANSFERS)}; got {transfer}")
-    if transfer_tag is not None and transfer_tag not in TRANSFER_TAGS:
-        raise ImageError(f"transfer_tag: must be one of {', '.join(TRANSFER_TAGS)}; got {transfer_tag}")
+        raise ArgumentError(f"transfer: must be one of {', '.join(TRANSFERS)}; got {transfer}")
     name = preset_for(Path(path), preset)
     about = comment or f"clsco {__version__}"
-    return write_clip(Path(path), _colors(frames), parse_rate(rate), name, transfer, transfer_tag, about)
+    return write_clip(Path(path), _colors(frames), parse_rate(rate), name, transfer, about)
 
 
 def _colors(frames: Iterable[Frame | NDArray[Any]]) -> Iterator[NDArray[Any]]:
@@ -97,7 +96,7 @@ def _colors(frames: Iterable[Frame | NDArray[Any]]) -> Iterator[NDArray[Any]]:
             yield frame
             continue
         if eye not in (None, frame.eye):
-            raise ImageError(f"frames: must be of one view; got {frame.eye} at {number}, after {eye}")
+            raise ArgumentError(f"frames: must be of one view; got {frame.eye} at {number}, after {eye}")
         eye = frame.eye
         yield frame.color
 
@@ -118,61 +117,42 @@ class Playing:
     speed: Fraction = Fraction(1)
 
     def rate(self, interval: float, where: str) -> Fraction:
-        """Frames per second. Raises ImageError as `rate_of`."""
+        """Frames per second. Raises ArgumentError as `rate_of`."""
         return rate_of(interval, where, self.speed) if self.fps is None else self.fps
 
     def about(self, interval: float, where: str) -> str:
         """Describe the rate, and how it differs from the scene's."""
         rate = self.rate(interval, where)
-        said = f"{rate} frames per second"
+        text = f"{rate} frames per second"
         if self.fps is None and self.speed == 1:
             hint = "; clsco video --fps 24 plays it faster" if interval == 1 else ""
-            return f"{said}, as sequence.interval = {interval:g} s{hint}"
+            return f"{text}, as sequence.interval = {interval:g} s{hint}"
         times = float(rate) * interval
-        return f"{said}, {times:.6g} times the speed of the scene (sequence.interval = {interval:g} s)"
-
-
-@dataclass(frozen=True)
-class ShownFrames:
-    """Pictures of a folder's frames that a clip shows.
-
-    Attributes
-    ----------
-    eye : str
-        One of the views of a stereo pair, as `WrittenFrames.eyes` has them.
-    view : str
-        One of `VIEW_NAMES`: color, the PNG files; sharp, or both side by side (compare); depth, coc or flow as colors,
-        on one scale for the clip.
-    from_exr : bool
-        Color is that of the EXR files instead, which is linear and not rounded.
-    """
-
-    eye: str
-    view: str = "color"
-    from_exr: bool = False
+        return f"{text}, {times:.6g} times the speed of the scene (sequence.interval = {interval:g} s)"
 
 
 def write_folder_clip(
-    target: Path | BinaryIO,
-    frames: WrittenFrames,
-    shown: ShownFrames,
+    target: Path,
+    frames: FrameFolder,
+    eye: str,
+    view: str,
     preset: str,
     playing: Playing,
-    transfer_tag: str | None = None,
     advance: Callable[[], object] = lambda: None,
 ) -> list[str]:
     """Write the frames of a folder as a clip.
 
     Parameters
     ----------
-    target : Path or BinaryIO
-        As for `write_clip`.
-    frames : WrittenFrames
-    shown : ShownFrames
+    target : Path
+    frames : FrameFolder
+    eye : str
+        One of the views of a stereo pair, as `FrameFolder.eyes` has them.
+    view : str
+        One of `VIEW_NAMES`: color, the PNG files; sharp, or both side by side (compare); depth, coc or flow as colors,
+        on one scale for the clip.
     preset : str
     playing : Playing
-    transfer_tag : str, optional
-        As for `write_clip`.
     advance : callable
         Called after each frame.
 
@@ -183,19 +163,21 @@ def write_folder_clip(
 
     Raises
     ------
-    ImageError
+    FileError
         As `write_clip`, and where files are missing or damaged.
     """
     where = str(frames.folder)
     facts = [f"{len(frames.numbers)} frames at {playing.about(frames.interval, where)}"]
     if len(frames.numbers) < frames.of:
         facts.append(f"frames {frames.numbers[0]} to {frames.numbers[-1]} of the {frames.of} of the scene")
-    pictures, transfer = _pictures(frames, shown), frames.transfer
-    if shown.view in VIEWS:
-        view, transfer = VIEWS[shown.view], "srgb"
-        scale = view.scale(_measured(frames, view.array, shown.eye))
-        facts.append(view.label(scale))
-        pictures = (view.paint(array, scale) for array in _measured(frames, view.array, shown.eye))
+    pictures: Iterator[NDArray[Any]]
+    if view in VIEWS:
+        shown, transfer = VIEWS[view], "srgb"
+        scale = shown.scale(_measured(frames, shown.array, eye))
+        facts.append(shown.label(scale))
+        pictures = (shown.paint(array, scale) for array in _measured(frames, shown.array, eye))
+    else:
+        pictures, transfer = _pictures(frames, eye, view), frames.transfer
     comment = "; ".join([f"clsco {__version__}", *facts])
     rate = playing.rate(frames.interval, where)
 
@@ -204,10 +186,10 @@ def write_folder_clip(
             yield picture
             advance()
 
-    return [*facts, *write_clip(target, counted(), rate, preset, transfer, transfer_tag, comment)]
+    return [*facts, *write_clip(target, counted(), rate, preset, transfer, comment)]
 
 
-def _measured(frames: WrittenFrames, name: str, eye: str) -> Iterator[NDArray[Any]]:
+def _measured(frames: FrameFolder, name: str, eye: str) -> Iterator[NDArray[Any]]:
     """An array of each frame; blur radii, of several colors those of green, are +inf where nothing is, as far as
     the depth is there to say so."""
     arrays = frames.arrays(name, eye)
@@ -219,23 +201,21 @@ def _measured(frames: WrittenFrames, name: str, eye: str) -> Iterator[NDArray[An
     return (np.where(np.isfinite(depth), radius, np.inf) for radius, depth in pairs)
 
 
-def _pictures(frames: WrittenFrames, shown: ShownFrames) -> Iterator[NDArray[Any]]:
+def _pictures(frames: FrameFolder, eye: str, view: str) -> Iterator[NDArray[Any]]:
     """Color, sharp, or both."""
-    sharp = frames.arrays("sharp", shown.eye, "exr" if shown.from_exr else "")
-    if shown.view == "sharp":
+    if view == "color":
+        return frames.images(eye)
+    sharp = frames.arrays("sharp", eye)
+    if view == "sharp":
         return sharp
-    colors = frames.arrays("color", shown.eye, "exr") if shown.from_exr else frames.images(shown.eye)
-    if shown.view == "color":
-        return colors
-    return (_beside(*pair, frames.transfer) for pair in zip(sharp, colors, strict=True))
+    return (_beside(*pair, frames.transfer) for pair in zip(sharp, frames.images(eye), strict=True))
 
 
 def _beside(left: NDArray[Any], right: NDArray[Any], transfer: str) -> NDArray[Any]:
-    """Two images next to each other, the left one in the codes of the right one where that has codes."""
+    """Two images next to each other, the left one, linear, in the codes of the right one."""
     if left.shape[:2] != right.shape[:2]:
-        raise ImageError(f"compare: sharp and color must have one size; got {left.shape[:2]} and {right.shape[:2]}")
-    if right.dtype.kind != "f":
-        left = encode(left, 8 * right.dtype.itemsize, transfer)
+        raise FileError(f"compare: sharp and color must have one size; got {left.shape[:2]} and {right.shape[:2]}")
+    left = encode(left, 8 * right.dtype.itemsize, transfer)
     if left.ndim != right.ndim:
         left, right = (each if each.ndim == 3 else np.repeat(each[..., None], 3, axis=2) for each in (left, right))
     return np.concatenate([left, right], axis=1)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.errors import ImageError
+from clsco.errors import FileError
 
 Picture = NDArray[np.uint8]
 # Every 15th of the 256 colors of viridis, perceptually uniform, by N. Smith, S. van der Walt and E. Firing (CC0),
@@ -51,10 +51,10 @@ class FrameView:
 
 
 def _require(array: NDArray[Any], name: str, also: float | None = None) -> NDArray[Any]:
-    """Raise ImageError for numbers that are not finite, nor `also`; returns which are finite."""
+    """Raise FileError for numbers that are not finite, nor `also`; returns which are finite."""
     finite: NDArray[Any] = np.isfinite(array)
     if not (finite if also is None else finite | (array == also)).all():
-        raise ImageError(f"view: {name} must be finite{'' if also is None else f' or {also}'}; got other numbers")
+        raise FileError(f"view: {name} must be finite{'' if also is None else f' or {also}'}; got other numbers")
     return finite
 
 

@@ -38,7 +38,7 @@ def fill_biharmonic(
     the share that is done, 0 to 1, after each tile. Filled values stay in the range of known ones nearby. The same
     bits on every run of a device. Memory beside the image: a byte per pixel, per missing one 8 and the result; per
     pixel of a tile (`clsco.inpainting.tiles`) 12 channels + 6 bytes, per missing one of it 43 channels + 5.
-    Raises ImageError where nothing is known, DeviceError. Validated against
+    Raises ArgumentError where nothing is known, DeviceError. Validated against
     direct solutions: a dense one (tests/kernels/test_biharmonic.py) and scikit-image's (benchmarks/inpainting).
     """
     real: Real = "double" if session.device.has_fp64 else "float"

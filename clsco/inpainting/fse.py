@@ -39,7 +39,7 @@ def fill_texture(
     the share that is done, 0 to 1, after each tile. Filled values stay in the range of known ones nearby. The same
     bits on every run of a device. Memory beside the image: a byte per pixel, per missing one 8 and the result; and that
     of one tile (`clsco.inpainting.tiles`), about 28 channels + 12 bytes per pixel of 1024 x 1024.
-    Raises ImageError where nothing is known, DeviceError. Validated against `clsco.reference.inpainting.fse`
+    Raises ArgumentError where nothing is known, DeviceError. Validated against `clsco.reference.inpainting.fse`
     (tests/kernels/test_fse.py) and beside OpenCV's FSR (benchmarks/inpainting).
     """
     features = {"CHANNELS": image.shape[2], "SAMPLED": 0, "GENERAL": 0, "WAVES": 0}

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.files.atomic import together, writable_folder
+from clsco.files.atomic import atomic_folder, make_writable_folder
 from clsco.files.images import write_json, write_png
 from clsco.files.plots import require_matplotlib
 from clsco.files.transfer import encode
@@ -73,12 +73,12 @@ def write_report(
     image, filled: (rows, columns[, K]) before and after; missing: (rows, columns). Always there is
     before_mask_after.png; of the method mean-median also 1_filled.png, 2_smoothed.png and 3_blended.png, the image
     after these stages, mse.png (figure 5.3) and gradients.png (figure 5.6), as far as the stages were not turned off.
-    Raises ClscoError without matplotlib, ImageError where the folder cannot be written.
+    Raises ClscoError without matplotlib, FileError where the folder cannot be written.
     """
     require_matplotlib("report", "report")
     display, stages = Display(image, missing), report.stages
     mask = np.repeat(np.where(missing, 255, 0).astype(np.uint8)[..., None], 3, axis=-1)
-    with together(writable_folder(folder), "report") as made:
+    with atomic_folder(make_writable_folder(folder), "report") as made:
         write_json(made / "report.json", report.figures())
         sheet = [_small(display.codes(image)), _small(mask), _small(display.codes(filled))]
         write_png(made / "before_mask_after.png", beside_each_other(sheet))

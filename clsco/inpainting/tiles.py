@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.errors import ImageError
+from clsco.errors import ArgumentError
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -30,10 +30,10 @@ def fill_in_tiles(
     fill: takes a part of the image, scaled so that what is known in it runs from 0 to 1 in each channel, and its
     holes; what it returns is kept within that range. progress: gets the share that is done after each tile. Tiles go
     row by row, each with MARGIN px around it, in which what former tiles have filled is known; those that have nothing
-    known in there wait. Only one tile at a time is made floats. Raises ImageError where nothing is known.
+    known in there wait. Only one tile at a time is made floats. Raises ArgumentError where nothing is known.
     """
     if missing.all():
-        raise ImageError(f"missing: must leave a pixel known; got all {missing.size} missing")
+        raise ArgumentError(f"missing: must leave a pixel known; got all {missing.size} missing")
     left, pixels = missing.copy(), np.flatnonzero(missing)
     values = np.zeros((pixels.size, image.shape[2]), np.float32)
     tiles = [tile for tile in _tiles(missing.shape) if missing[tile[0]].any()]

@@ -9,23 +9,23 @@ import numpy as np
 from clsco.inputs.textures import Texture
 
 
-def in_color(texture: Texture) -> Texture:
+def to_color(texture: Texture) -> Texture:
     """A texture of three channels."""
     if texture.radiance.ndim == 3:
         return texture
-    found = [np.broadcast_to(image[..., None], (*image.shape, 3)) for image in texture.images]
+    images = [np.broadcast_to(image[..., None], (*image.shape, 3)) for image in texture.images]
     content = None if texture.content is None else ("color", texture.content)
-    return replace(texture, radiance=found[0], others=tuple(found[1:]), content=content)
+    return replace(texture, radiance=images[0], others=tuple(images[1:]), content=content)
 
 
-def of_channels(texture: Texture, channels: tuple[int, ...]) -> Texture:
+def select_channels(texture: Texture, channels: tuple[int, ...]) -> Texture:
     """A texture of some channels of another one; of a gray one, which has one for all, itself."""
     if texture.radiance.ndim == 2:
         return texture
-    found = [
+    images = [
         np.ascontiguousarray(image[..., channels[0] if len(channels) == 1 else channels]) for image in texture.images
     ]
-    for image in found:
+    for image in images:
         image.flags.writeable = False
     content = None if texture.content is None else ("channels", texture.content, channels)
-    return replace(texture, radiance=found[0], others=tuple(found[1:]), content=content)
+    return replace(texture, radiance=images[0], others=tuple(images[1:]), content=content)

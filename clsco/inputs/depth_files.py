@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import struct
 from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -10,11 +11,11 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.files.atomic import refuse
-from clsco.files.bounded import image_shape, member_array, npy_header, open_archive, open_member
-from clsco.files.decoders import IMAGE_FORMATS, check_limits, decoded, exr_planes, opened
-from clsco.files.layers import depth_channels, listed
-from clsco.files.tagged import read_floats
+from clsco.files.archives import image_shape, member_array, npy_header, open_archive, open_member
+from clsco.files.atomic import raise_file_error
+from clsco.files.decoders import IMAGE_FORMATS, check_limits, decode_file, exr_planes, open_format
+from clsco.files.layers import depth_channels, list_names
+from clsco.files.ranges import first_of
 
 MOST_ARRAYS = 256  # in an NPZ
 
@@ -31,21 +32,21 @@ def read_depth(path: str | os.PathLike[str], layer: str | None = None) -> NDArra
     TIFF and 16-bit color PNG need the extra `formats`, EXR needs `exr`.
     Returns (rows, columns), integers as stored or float64, row 0 on top, any value: zero, negative, NaN and infinite
     ones too.
-    Raises ImageError, in one line, for all that is not exactly one such map: no readable file, wrong
+    Raises FileError, in one line, for all that is not exactly one such map: no readable file, wrong
     extension, damaged, over 2^27 pixels or 65536 a side (refused from the header), channels that differ.
     Validated against files written by imagecodecs, Pillow, OpenCV, tifffile, OpenEXR and NumPy, and by hand.
     """
-    with opened(path, DEPTH_FORMATS) as (file, kind):
+    with open_format(path, DEPTH_FORMATS) as (file, kind):
         if kind == "EXR":
             data = _decode_exr(file, layer)
         elif layer is not None:
-            refuse(Path(file.name), f"only an EXR has layers, such as {listed([layer])}", kind)
+            raise_file_error(Path(file.name), f"only an EXR has layers, such as {list_names([layer])}", kind)
         elif kind == "NPZ":
             data = _decode_npz(file)
         elif kind == "DPT":
-            data = read_floats(file, 1)
+            data = _decode_dpt(file)
         else:
-            data = decoded(file, kind)
+            data = decode_file(file, kind)
         return _single_channel(file, data)
 
 
@@ -53,17 +54,17 @@ def _single_channel(file: BinaryIO, data: NDArray[Any]) -> NDArray[Any]:
     """Take one of three equal channels, and turn floats into float64."""
     path = Path(file.name)
     if data.dtype.kind not in "iuf":
-        refuse(path, "values must be integers or floats", data.dtype)
+        raise_file_error(path, "values must be integers or floats", data.dtype)
     if data.ndim == 3 and data.shape[2] == 3:
         first = data[..., :1]
         differ = ((data != first) & ~(np.isnan(data) & np.isnan(first))).any(axis=2)
         if differ.any():
-            row, column = (int(index) for index in np.unravel_index(int(differ.argmax()), differ.shape))
-            got = f"{data[row, column].tolist()} at row {row}, column {column} ({int(differ.sum())} in all)"
-            refuse(path, "must hold one depth per pixel: red, green and blue must be equal", got)
+            raise_file_error(
+                path, "must hold one depth per pixel: red, green and blue must be equal", first_of(data, differ)
+            )
         data = data[..., 0]
     if data.ndim != 2:
-        refuse(path, "shape must be (rows, columns)", data.shape)
+        raise_file_error(path, "shape must be (rows, columns)", data.shape)
     return np.ascontiguousarray(data, np.float64 if data.dtype.kind == "f" else data.dtype.newbyteorder("="))
 
 
@@ -71,17 +72,17 @@ def _decode_exr(file: BinaryIO, layer: str | None) -> NDArray[Any]:
     path = Path(file.name)
 
     def choose(names: list[str]) -> list[str]:
-        wanted = depth_channels(names, layer)
-        if not wanted:
+        channels = depth_channels(names, layer)
+        if not channels:
             rule = "an EXR must hold one depth: a channel Z, V, R or Y, or Z or V of a layer"
-            refuse(path, f"{rule} {listed([layer])}" if layer else rule, listed(names))
-        return wanted
+            raise_file_error(path, f"{rule} {list_names([layer])}" if layer else rule, list_names(names))
+        return channels
 
     first, *others = exr_planes(file, choose, np.nan).items()
     name, data = first
     if any(not np.array_equal(data, plane, equal_nan=data.dtype.kind == "f") for _, plane in others):
         rule = "an EXR must hold one depth, or equal ones, or its layer must be named"
-        refuse(path, rule, f"channels {listed([name, *(other for other, _ in others)])} that differ")
+        raise_file_error(path, rule, f"channels {list_names([name, *(other for other, _ in others)])} that differ")
     return data
 
 
@@ -89,23 +90,34 @@ def _decode_npz(file: BinaryIO) -> NDArray[Any]:
     path = Path(file.name)
     with open_archive(file) as archive:
         names = (name for name in archive.namelist() if name.endswith(".npy"))
-        found = {name.removesuffix(".npy"): name for name in islice(names, MOST_ARRAYS + 1)}
+        entries = {name.removesuffix(".npy"): name for name in islice(names, MOST_ARRAYS + 1)}
         if "depth.npy" in archive.NameToInfo:
-            found = {"depth": "depth.npy"}
-        elif len(found) > MOST_ARRAYS:
-            refuse(path, f"an NPZ must hold an array depth, or at most {MOST_ARRAYS} arrays", "more")
+            entries = {"depth": "depth.npy"}
+        elif len(entries) > MOST_ARRAYS:
+            raise_file_error(path, f"an NPZ must hold an array depth, or at most {MOST_ARRAYS} arrays", "more")
         headers = {}
-        for name, entry in found.items():
+        for name, entry in entries.items():
             with open_member(archive, entry) as member:
                 headers[name] = npy_header(member)
         flat = [name for name, header in headers.items() if len(image_shape(header.shape)) == 2 or name == "depth"]
         if len(flat) != 1:
             rule = "an NPZ must hold an array depth, or one array with two dimensions"
-            refuse(path, rule, f"arrays {listed(flat)}" if flat else "none")
+            raise_file_error(path, rule, f"arrays {list_names(flat)}" if flat else "none")
         header = headers[flat[0]]
         shape, dtype = image_shape(header.shape), header.dtype
         if len(shape) not in (2, 3) or shape[2:] not in ((), (3,)) or dtype.kind not in "iuf":
-            rule = f"array {listed(flat)} must hold numbers of shape (rows, columns)"
-            refuse(path, rule, f"{dtype} of shape {header.shape}")
+            rule = f"array {list_names(flat)} must hold numbers of shape (rows, columns)"
+            raise_file_error(path, rule, f"{dtype} of shape {header.shape}")
         check_limits(path, shape[1], shape[0])
-        return member_array(archive, found[flat[0]], header).reshape(shape)
+        return member_array(archive, entries[flat[0]], header).reshape(shape)
+
+
+def _decode_dpt(file: BinaryIO) -> NDArray[Any]:
+    """Depth in a file of Sintel: a tag, which is a float, columns, rows, and floats after them, all little endian."""
+    columns, rows = struct.unpack("<4xii", file.read(12))
+    check_limits(Path(file.name), columns, rows)
+    size, there = 4 * columns * rows, os.fstat(file.fileno()).st_size - 12
+    if there != size:
+        got = "more" if there > size else f"{there} bytes"
+        raise ValueError(f"{got} after a header of {columns} x {rows} pixels, which have {size} bytes")
+    return np.frombuffer(file.read(size), "<f4").reshape(rows, columns)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.errors import ImageError
+from clsco.errors import FileError
 from clsco.inputs.textures import load_texture
 from clsco.optics.lens import LARGEST_BLUR, Lens, blur_radius
 from clsco.optics.lens_path import reference_camera
@@ -84,7 +84,7 @@ def inverse_depth(raw: NDArray[Any], item: DepthMap, camera: Camera, where: str 
     offset; of floats NaN, and inf in Middlebury's PFMs, say so. With near and far, between which the range of all
     finite numbers is mapped, no number is missing.
     What is infinitely far, or farther than 1e12 mm, gets 1e-12 per mm: it is there, and blurs as at infinity.
-    Raises ImageError where no pixel has a surface; where |R| passes 512 px, with the unit that is probably
+    Raises FileError where no pixel has a surface; where |R| passes 512 px, with the unit that is probably
     meant; nearer than 1e-6 mm; for a radius beyond the camera's at infinity, which no depth has; and where near and
     far are given for numbers that are all the same.
     Validated against the formulas in exact fractions, and by converting analytic depth to every unit and back.
@@ -110,7 +110,7 @@ def inverse_depth(raw: NDArray[Any], item: DepthMap, camera: Camera, where: str 
     valid = ~np.logical_or.reduce(list(kinds.values()))
     if not valid.any():
         why = ", ".join(f"{count} {kind}" for kind, count in numbers.items() if count)
-        raise ImageError(f"{where}: at least one pixel must have a depth; got {why}")
+        raise FileError(f"{where}: at least one pixel must have a depth; got {why}")
     value = value[valid]
     w = _convert(value, unit, camera, item.baseline)
     if item.depth_kind == "ray":
@@ -176,7 +176,7 @@ def load_scene_depths(
 
     Raises
     ------
-    ImageError
+    FileError
         A file cannot be read, has another size than the frame, or does not fit the camera; of several the first one.
     """
     of_map = load or _loaded
@@ -208,7 +208,7 @@ def map_values(
     where edges are soft (`assign_soft_edges`); without it depths alone decide. Where the file has no depth it is
     infinite or taken from around (`fill_depth`), so that the image is complete; of the latter nothing is there if
     fill.method is none.
-    Raises ImageError where the size is not that of the frame, and as `inverse_depth`.
+    Raises FileError where the size is not that of the frame, and as `inverse_depth`.
     """
     from clsco.files.images import check_sizes
 
@@ -221,7 +221,7 @@ def map_values(
     if values.invalid and item.no_depth == "far":
         if (radius := abs(float(blur_radius(scene.camera, FARTHEST)))) > LARGEST_BLUR:
             rule = f"the blur radius must be at most {LARGEST_BLUR:g} px"
-            raise ImageError(
+            raise FileError(
                 f"{name}: {rule}; got {radius:.4g} px at infinity, where no_depth puts {values.invalid} pixels"
             )
         w = values.inverse_depth
@@ -242,11 +242,11 @@ def _without_soft_edges(
     if values.invalid:
         radius[w == 0] = np.nan
         depth = None if depth is None else np.where(w > 0, depth, np.nan)
-    pixels, found = assign_soft_edges(radius, depth, image)
+    pixels, radii = assign_soft_edges(radius, depth, image)
     if not len(pixels):
         return values
     w = w.copy()
-    w.flat[pixels] = np.maximum(found / per_px, FARTHEST)
+    w.flat[pixels] = np.maximum(radii / per_px, FARTHEST)
     return replace(values, inverse_depth=w, soft=len(pixels))
 
 
@@ -257,7 +257,7 @@ def _in_range(value: Array, unit: str, near: float, far: float, where: str) -> A
         return value
     low, high = float(value[finite].min()), float(value[finite].max())
     if low == high:
-        raise ImageError(f"{where}: near and far need numbers that differ; got {low:g} alone")
+        raise FileError(f"{where}: near and far need numbers that differ; got {low:g} alone")
     first, last = (near, far) if unit == "mm" else (1 / far, 1 / near)
     share = (value[finite] - low) / (high - low)
     value[finite] = (1 - share) * first + share * last
@@ -291,12 +291,12 @@ def _check_blur(w: Array, value: Array, unit: str, scale: float | None, camera: 
     if largest > LARGEST_BLUR:
         count = np.count_nonzero(np.abs(blur_radius(camera, w)) > LARGEST_BLUR)
         cause = _probable_cause(value, unit, scale, camera) if scale else "near, or the camera, is probably wrong"
-        raise ImageError(
+        raise FileError(
             f"{where}: the blur radius must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px at {value[-at]:.4g} "
             f"{unit}, and more than that limit in {count} of {w.size} pixels ({cause})"
         )
     if w.max() > 1 / MIN_LENGTH_MM:
-        raise ImageError(f"{where}: depth must be at least {MIN_LENGTH_MM:g} mm; got {1 / w.max():.4g} mm")
+        raise FileError(f"{where}: depth must be at least {MIN_LENGTH_MM:g} mm; got {1 / w.max():.4g} mm")
 
 
 def _probable_cause(value: Array, unit: str, scale: float, camera: Camera) -> str:
@@ -333,4 +333,4 @@ def _check_reach(radius: Array, camera: Camera, where: str) -> None:
             opening = camera.aperture_diameter * largest / at_infinity * 1.001
             rule += f", or its aperture_diameter at least {opening:.4g} mm"
         count = np.count_nonzero(radius > at_infinity)
-        raise ImageError(f"{where}: {rule}; got {largest:.6g} px, and {count} pixels above the limit")
+        raise FileError(f"{where}: {rule}; got {largest:.6g} px, and {count} pixels above the limit")

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from clsco.errors import SceneError
-from clsco.files.atomic import together, whole_file
-from clsco.scene.changes import given, table_at
+from clsco.files.atomic import atomic_folder, atomic_write
+from clsco.scene.changes import given_keys, table_at
 from clsco.scene.file import absolute
 from clsco.scene.model import Scene
 from clsco.scene.text import key_name
@@ -37,7 +37,7 @@ def dump_scene(scene: Scene, path: str | os.PathLike[str] | None = None) -> str:
     ------
     SceneError
         The scene has arrays in memory and there is no path, or that does not end in .toml.
-    ImageError
+    FileError
         A file cannot be written; then none is.
 
     Notes
@@ -63,19 +63,19 @@ def dump_scene(scene: Scene, path: str | os.PathLike[str] | None = None) -> str:
         rule = "must be a name or a path to be written as text; give dump_scene a path for arrays"
         if arrays:
             raise SceneError([f"scene: {key_name((*place, key))}: {rule}; got {array}" for place, key, array in arrays])
-        return toml_text(given(scene))
+        return toml_text(given_keys(scene))
     target = Path(path)
     if target.suffix.lower() != ".toml":
         raise SceneError(f"{target}: a scene is written to a file that ends in .toml; got {target.suffix!r}")
-    data: dict[str, Any] = given(absolute(scene, Path.cwd()))
-    with together(target.parent, target.name) as made:
+    data: dict[str, Any] = given_keys(absolute(scene, Path.cwd()))
+    with atomic_folder(target.parent, target.name) as temporary:
         for place, item in scene.inputs:
             for key, array in item.arrays().items():
                 name = "_".join(map(str, (target.stem, *place, key))) + ".npy"
-                with whole_file(made / name) as file:
+                with atomic_write(temporary / name) as file:
                     np.lib.format.write_array(file, array.array, allow_pickle=False)
                 table_at(data, place)[key] = name
         text = toml_text(data)
-        with whole_file(made / target.name) as file:
+        with atomic_write(temporary / target.name) as file:
             file.write(text.encode())
     return text

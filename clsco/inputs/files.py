@@ -20,7 +20,7 @@ from clsco.files.atomic import sha256
 from clsco.files.color import Color
 from clsco.inputs import textures
 from clsco.inputs.depth_maps import DepthValues, depth_numbers, load_scene_depths, map_values
-from clsco.inputs.pupils import dimmed, scene_point_spread
+from clsco.inputs.pupils import scale_radiance, scene_point_spread
 from clsco.inputs.textures import (
     PATTERNS,
     Texture,
@@ -80,13 +80,13 @@ class InputFiles:
 
         Raises
         ------
-        ImageError
+        FileError
             As `clsco.inputs.textures.load_texture`.
         """
-        found = load_scene_textures(scene, self.texture, lambda image: self.about(image).color)[1]
+        loaded = load_scene_textures(scene, self.texture, lambda image: self.about(image).color)[1]
         if scene.aperture.exposure == "normalized":
-            return found
-        return dimmed(found, exposure_factor(scene.aperture, self.point_spread(scene)))
+            return loaded
+        return scale_radiance(loaded, exposure_factor(scene.aperture, self.point_spread(scene)))
 
     def maps(self, scene: Scene) -> Maps:
         """Inverse depth (rows, columns) in 1/mm of every object that is a depth map, None for others.
@@ -98,13 +98,13 @@ class InputFiles:
 
         Raises
         ------
-        ImageError
+        FileError
             As `clsco.inputs.depth_maps.load_scene_depths`.
         """
         return load_scene_depths(scene, self.map)
 
     def point_spread(self, scene: Scene) -> PointSpread:
-        """`clsco.inputs.pupils.scene_point_spread`. Raises ImageError as it does."""
+        """`clsco.inputs.pupils.scene_point_spread`. Raises FileError as it does."""
         return scene_point_spread(scene, self.picture)
 
     def texture(
@@ -118,12 +118,12 @@ class InputFiles:
         if content is None:
             return load_texture(source, transfer, size, to_srgb)
         key = ("texture", content, transfer, size, to_srgb and not drawn)
-        found = self.cache.get(
+        cached = self.cache.get(
             key,
             lambda: self._texture(source, transfer, size, to_srgb, key),
             lambda texture: texture.radiance.nbytes,
         )
-        return found if found.source == str(source) else replace(found, source=str(source))
+        return cached if cached.source == str(source) else replace(cached, source=str(source))
 
     def _texture(
         self, source: Input, transfer: str, size: tuple[int, int] | None, to_srgb: bool, key: Hashable
@@ -143,9 +143,9 @@ class InputFiles:
     def _pattern(self, name: str, transfer: str, size: tuple[int, int] | None) -> NDArray[np.float32]:
         """A built-in pattern, from the disk where it has been drawn before."""
         key = f"{_code()} {name} {transfer} {size}"
-        found = self._drawn.get(key)
-        if found is not None and found.keys() == {"radiance"}:
-            return aligned(found["radiance"])
+        arrays = self._drawn.get(key)
+        if arrays is not None and arrays.keys() == {"radiance"}:
+            return aligned(arrays["radiance"])
         radiance = radiance_of(name, transfer, size)
         self._drawn.put(key, {"radiance": radiance})
         return radiance
@@ -196,10 +196,10 @@ class InputFiles:
         stamp, known = _stamp(path), self._digests.get(path)
         if known is not None and known[0] == stamp:
             return known[1]
-        found = sha256(Path(path))
+        computed = sha256(Path(path))
         if stamp == _stamp(path) and time.time_ns() - max(stamp[-2:]) > SETTLED_NS:
-            self._digests[path] = stamp, found
-        return found
+            self._digests[path] = stamp, computed
+        return computed
 
     def _once(self, what: str, source: Input, read: Callable[[], V], size: Callable[[V], int]) -> V:
         content = self._content(source)
@@ -215,8 +215,8 @@ class InputFiles:
             return "array", source.sha256
         path, layer = str(source), source.layer if isinstance(source, LayerInput) else None
         try:
-            found = Path(path).stat()
-            if not S_ISREG(found.st_mode) or found.st_size > MOST_BYTES:
+            state = Path(path).stat()
+            if not S_ISREG(state.st_mode) or state.st_size > MOST_BYTES:
                 return None
             return self.digest(path), Path(path).suffix.lower(), layer
         except (OSError, ValueError):
@@ -237,5 +237,5 @@ def shared_files() -> InputFiles:
 
 def _stamp(path: str) -> tuple[int, ...]:
     """Stamp of a file, which changes when the file does; the last two numbers are times in ns."""
-    found = Path(path).stat()
-    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
+    state = Path(path).stat()
+    return state.st_dev, state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns

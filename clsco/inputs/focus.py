@@ -74,7 +74,7 @@ def _distance(w: float) -> str:
     return f"{1.0 / w:.6g}" if w > FARTHEST else "infinity"
 
 
-def focused(scene: Scene, files: InputFiles, focus: Focus) -> Scene:
+def focus_scene(scene: Scene, files: InputFiles, focus: Focus) -> Scene:
     """The scene with a lens that is focused on the surface at a point, or on a share of the depths, at t = 0.
 
     Parameters
@@ -95,7 +95,7 @@ def focused(scene: Scene, files: InputFiles, focus: Focus) -> Scene:
     SceneError
         The point is outside of the picture, nothing is there, it is within the focal length, or a depth map has blur
         radii, whose depths follow from the focus.
-    ImageError
+    FileError
         A depth map cannot be read.
 
     Notes
@@ -111,22 +111,22 @@ def focused(scene: Scene, files: InputFiles, focus: Focus) -> Scene:
         x, y = focus.on
         if not (0 <= x < columns and 0 <= y < rows):
             raise SceneError(f"focus: must be a pixel of the {columns} x {rows}, counted from 0; got {x},{y}")
-        nearest, whose = seen(scene, maps, np.array([y]), np.array([x]))
+        nearest, whose = find_visible(scene, maps, np.array([y]), np.array([x]))
         w = float(nearest[0, 0])
         if whose[0, 0] < 0:
             raise SceneError(f"focus: must be on a surface; got nothing at {x},{y}")
     else:
         step = 1 + int(np.sqrt(rows * columns / MOST_POINTS))
-        found, _ = seen(scene, maps, np.arange(0, rows, step), np.arange(0, columns, step))
-        if not (found > 0).any():
+        depths, _ = find_visible(scene, maps, np.arange(0, rows, step), np.arange(0, columns, step))
+        if not (depths > 0).any():
             raise SceneError("focus: must be on a surface; got nothing in the picture")
-        w = float(np.quantile(found[found > 0], 1.0 - focus.on, method="nearest"))
+        w = float(np.quantile(depths[depths > 0], 1.0 - focus.on, method="nearest"))
     if w * MAX_LENGTH_MM < 1.0:
         return scene.replace("camera.sensor_distance", scene.camera.focal_length)
     return scene.replace("camera.focus_distance", 1.0 / w)
 
 
-def seen(
+def find_visible(
     scene: Scene, maps: Sequence[Array | None], i: NDArray[np.intp], j: NDArray[np.intp]
 ) -> tuple[Array, NDArray[np.intp]]:
     """Inverse depth in 1/mm and number of the object that is seen in rows i and columns j at t = 0, (len(i), len(j)).

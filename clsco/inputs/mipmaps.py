@@ -95,25 +95,25 @@ _TAPS /= 2 * _TAPS.sum()
 
 def _half_as_high(image: Floats) -> Floats:
     rows, width = image.shape[0] // 2, image[0].size
-    flat, found = image.reshape(2 * rows, width), np.empty((rows, width), np.float32)
+    flat, halved = image.reshape(2 * rows, width), np.empty((rows, width), np.float32)
     for begin, end in _parts(rows, width):
         taps = flat[np.clip(np.arange(2 * begin - 3, 2 * end + 3), 0, 2 * rows - 1)].astype(np.float64)
-        found[begin:end] = _halved([taps[k : k + 2 * (end - begin) - 1 : 2] for k in range(8)])
-    return found.reshape(rows, *image.shape[1:])
+        halved[begin:end] = _halved([taps[k : k + 2 * (end - begin) - 1 : 2] for k in range(8)])
+    return halved.reshape(rows, *image.shape[1:])
 
 
 def _half_as_wide(image: Floats) -> Floats:
     rows, columns, channels = image.shape
     texels = image.reshape(rows, -1).view(f"V{image[0, 0].nbytes}")
-    taken = np.clip(np.arange(-3, columns + 3), 0, columns - 1)
-    found = np.empty((rows, columns // 2 * channels), np.float32)
-    for begin, end in _parts(rows, found.shape[1]):
+    sources = np.clip(np.arange(-3, columns + 3), 0, columns - 1)
+    halved = np.empty((rows, columns // 2 * channels), np.float32)
+    for begin, end in _parts(rows, halved.shape[1]):
         # Every second texel side by side, twice: there, taps are slices.
-        parts = (np.take(texels[begin:end], taken[k::2], axis=1) for k in (0, 1))
+        parts = (np.take(texels[begin:end], sources[k::2], axis=1) for k in (0, 1))
         halves = [part.view(np.float32).astype(np.float64) for part in parts]
         starts = (channels * (k // 2) for k in range(8))
-        found[begin:end] = _halved([halves[k % 2][:, at : at + found.shape[1]] for k, at in enumerate(starts)])
-    return found.reshape(rows, columns // 2, channels)
+        halved[begin:end] = _halved([halves[k % 2][:, at : at + halved.shape[1]] for k, at in enumerate(starts)])
+    return halved.reshape(rows, columns // 2, channels)
 
 
 def _parts(rows: int, width: int) -> Iterator[tuple[int, int]]:
@@ -157,7 +157,7 @@ def bordered(sides: Floats) -> Floats:
     """The sides of a cube map (6, rows, columns, channels) with what is next to them, CUBE_BORDER texels wide."""
     _, rows, columns, channels = sides.shape
     i, j = (np.arange(-CUBE_BORDER, n + CUBE_BORDER) for n in (rows, columns))
-    found = np.empty((6, i.size, j.size, channels), np.float32)
+    wider = np.empty((6, i.size, j.size, channels), np.float32)
     x, y = np.meshgrid((2 * j + 1) / columns - 1, 1 - (2 * i + 1) / rows)
     for side in range(6):
         number, right, up = cube_side(side_point(side, x, y))
@@ -168,7 +168,7 @@ def bordered(sides: Floats) -> Floats:
             weight = np.abs(1 - a - (row - top)) * np.abs(1 - b - (column - left))
             at = (np.clip(top + a, 0, rows - 1).astype(np.intp), np.clip(left + b, 0, columns - 1).astype(np.intp))
             total += weight[..., None] * sides[number, at[0], at[1]]
-        found[side] = total
+        wider[side] = total
         inside = slice(CUBE_BORDER, -CUBE_BORDER)
-        found[side, inside, inside] = sides[side]
-    return found
+        wider[side, inside, inside] = sides[side]
+    return wider

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsco.errors import ImageError
+from clsco.errors import FileError
 from clsco.files.transfer import decode
 from clsco.inputs.resampling import resample
 from clsco.inputs.textures import Texture, picture_of
@@ -46,18 +46,18 @@ def load_point_spread(
 
     Raises
     ------
-    ImageError
+    FileError
         The image of the aperture cannot be read, is no square or not gray, or lets no light pass.
     """
     source = aperture.inputs().get("image")
     if source is None:
         return point_spread(psf, aperture, camera=camera)
     if isinstance(source, str) and not PurePath(source).suffix:
-        raise ImageError(f"aperture.image: must be an image file; got {source!r}")
+        raise FileError(f"aperture.image: must be an image file; got {source!r}")
     try:
         return point_spread(psf, aperture, _pupil(load(source), transfer, aperture), camera)
-    except ImageError as error:
-        raise ImageError(f"aperture.image: {error}") from None
+    except FileError as error:
+        raise FileError(f"aperture.image: {error}") from None
 
 
 def scene_point_spread(scene: Scene, load: Load = picture_of) -> PointSpread:
@@ -65,16 +65,16 @@ def scene_point_spread(scene: Scene, load: Load = picture_of) -> PointSpread:
     return load_point_spread(scene.psf, scene.aperture, scene.image.transfer, load, scene.camera)
 
 
-def dimmed(textures: Sequence[Texture], factor: float) -> tuple[Texture, ...]:
+def scale_radiance(textures: Sequence[Texture], factor: float) -> tuple[Texture, ...]:
     """Textures with their radiance times a factor."""
     if factor == 1.0:
         return tuple(textures)
-    found = {}
+    scaled = {}
     for texture in textures:
         first, *others = (image * np.float32(factor) for image in texture.images)
         content = None if texture.content is None else (texture.content, factor)
-        found[texture] = replace(texture, radiance=first, others=tuple(others), content=content)
-    return tuple(found[texture] for texture in textures)
+        scaled[texture] = replace(texture, radiance=first, others=tuple(others), content=content)
+    return tuple(scaled[texture] for texture in textures)
 
 
 def _pupil(picture: Picture, transfer: str, aperture: Aperture) -> Image:
@@ -83,17 +83,17 @@ def _pupil(picture: Picture, transfer: str, aperture: Aperture) -> Image:
 
     rows, columns = picture.data.shape[:2]
     if rows != columns:
-        raise ImageError(f"must be a square; got {columns} x {rows} px")
+        raise FileError(f"must be a square; got {columns} x {rows} px")
     linear = decode(picture.data, picture.color.transfer(transfer))
     if linear.ndim == 3:
         if (linear != linear[..., :1]).any():
-            raise ImageError("must be gray; got colors")
+            raise FileError("must be gray; got colors")
         linear = linear[..., 0]
     if linear.min() < 0.0:
-        raise ImageError(f"must be at least 0 everywhere; got {linear.min():g}")
+        raise FileError(f"must be at least 0 everywhere; got {linear.min():g}")
     side = min(rows, MOST_CELLS)
     cells = resample(linear, (side, side))
     at = (np.arange(side) + 0.5) / side - 0.5
     if not cells[at[:, None] ** 2 + at**2 < 0.25].any():
-        raise ImageError("must let light pass inside its circle; got black")
+        raise FileError("must let light pass inside its circle; got black")
     return image_pupil(cells, aperture.rotation, aperture.squeeze)

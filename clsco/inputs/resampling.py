@@ -23,9 +23,9 @@ def resample(
     """
     if linear.shape[:2] == size:
         return linear[first:end]
-    wanted = np.arange(size[0])[first:end]
+    numbers = np.arange(size[0])[first:end]
     above, before = part or (0, linear.shape[0])
-    linear = linear[wanted - above] if before == size[0] else resample_rows(linear, size[0], wanted, above, before)
+    linear = linear[numbers - above] if before == size[0] else resample_rows(linear, size[0], numbers, above, before)
     if linear.shape[1] != size[1]:
         linear = np.swapaxes(resample_rows(np.swapaxes(linear, 0, 1), size[1], np.arange(size[1])), 0, 1)
     return np.ascontiguousarray(np.maximum(linear, 0))
@@ -39,34 +39,34 @@ def rows_for(before: int, rows: int, first: int, end: int) -> tuple[int, int]:
     return max(int(taps.min()), 0), min(int(taps.max()) + 1, before)
 
 
-def _taps(before: int, rows: int, wanted: NDArray[np.intp]) -> tuple[Floats, Floats]:
+def _taps(before: int, rows: int, numbers: NDArray[np.intp]) -> tuple[Floats, Floats]:
     """Rows (wanted, taps) of an image with `before` rows that are summed for each wanted one of `rows`, and how far
     they are from it, in widths of the cubic."""
     width = max(before / rows, 1.0)
-    center: Floats = (wanted + 0.5) * before / rows - 0.5
+    center: Floats = (numbers + 0.5) * before / rows - 0.5
     taps: Floats = np.floor(center - 2 * width)[:, None] + np.arange(int(np.ceil(4 * width)) + 2)
     return taps, np.abs(taps - center[:, None]) / width
 
 
 def resample_rows(
-    image: Floats, rows: int, wanted: NDArray[np.intp], above: int = 0, before: int | None = None
+    image: Floats, rows: int, numbers: NDArray[np.intp], above: int = 0, before: int | None = None
 ) -> Floats:
     """The wanted ones of the rows of an image that has `rows` then; see `resample`, and for the last two its `part`.
     Keeps second moments: the cubic has none of its own. May be below 0."""
     before = image.shape[0] if before is None else before
-    taps, t = _taps(before, rows, wanted)
+    taps, t = _taps(before, rows, numbers)
     outer = np.where(t < 2, ((2.5 - 0.5 * t) * t - 4) * t + 2, 0)
     weights = np.where(t < 1, (1.5 * t - 2.5) * t * t + 1, outer)
     weights /= weights.sum(axis=1, keepdims=True)
     nearest = np.clip(taps, 0, before - 1).astype(np.intp) - above
     flat = np.ascontiguousarray(image).reshape(len(image), -1)
-    result = np.zeros((len(wanted), flat.shape[1]))
+    result = np.zeros((len(numbers), flat.shape[1]))
     step = max(1, AT_A_TIME // flat.shape[1])
-    for start in range(0, len(wanted), step):
+    for start in range(0, len(numbers), step):
         total, here = result[start : start + step], slice(start, start + step)
         term = np.empty_like(total)
         for weight, source in zip(weights[here].T, nearest[here].T, strict=True):
             np.take(flat, source, axis=0, out=term, mode="clip")  # all are within; by default a copy is made
             term *= weight[:, None]
             total += term
-    return result.reshape(len(wanted), *image.shape[1:])
+    return result.reshape(len(numbers), *image.shape[1:])

@@ -93,11 +93,11 @@ def assign_soft_edges(
     stairs, on ramps, at the limb of a sphere, where a line beside it has no such edge, nor where a pixel between the
     two has a color that is no mixture of theirs.
     """
-    pixels, found = _found(radius, stored, image)
+    pixels, values = _found(radius, stored, image)
     if not len(pixels):
-        return pixels, found
+        return pixels, values
     clean = radius.astype(np.float64)
-    clean.flat[pixels] = found
+    clean.flat[pixels] = values
     more, again = _found(clean, None, image)  # where edges cross lines that are straight only now
     clean.flat[more] = again
     pixels = np.union1d(pixels, more)
@@ -170,8 +170,8 @@ def _edges(radius: Array, stored: Array, line: Indices, column: Indices, top: in
     last = first + count + 1
     step = radius[line, last] - radius[line, first]
     begin, end = (_surface(radius, stored, line, *ends) for ends in ((first, last, -1), (last, first, 1)))
-    found = _Edges(line + top, first, count, step, begin[0], end[0], begin[1], end[1], begin[2], end[2])
-    return found[np.abs(found.end - found.begin) >= LEAST_STEP]
+    edges = _Edges(line + top, first, count, step, begin[0], end[0], begin[1], end[1], begin[2], end[2])
+    return edges[np.abs(edges.end - edges.begin) >= LEAST_STEP]
 
 
 def _between_flat(stored: Array, line: Indices, column: Indices) -> NDArray[np.bool_]:
@@ -199,13 +199,13 @@ def _length(steps: Array) -> Indices:
     """Steps that belong to an edge, of those (edges, REACH) from its steepest one outwards, which is 1; -1 where the
     surface behind them is not flat."""
     run = np.minimum.accumulate(steps > LEAST, axis=1).sum(axis=1)
-    found = np.full(len(steps), -1)
+    lengths = np.full(len(steps), -1)
     for n in range(LONGEST + 1):
         outside = steps[:, n : n + SURFACE - 1]
         flat = (np.abs(outside) <= FLAT).all(axis=1)
         ends = steps[:, n - 1] >= ENDS * outside.min(axis=1) if n else True
-        found[flat & ends & (n <= run)] = n
-    return np.where(run <= LONGEST, found, -1)
+        lengths[flat & ends & (n <= run)] = n
+    return np.where(run <= LONGEST, lengths, -1)
 
 
 def _surface(
@@ -235,13 +235,13 @@ def _supported(edges: _Edges, columns: int) -> _Edges:
     """Select edges that go on in the line above or below, up to two pixels to the side."""
     middle = edges.first + (edges.count + 1) // 2
     width = columns + 4
-    kept = np.zeros(len(middle), np.bool_)
+    supported = np.zeros(len(middle), np.bool_)
     for rising in (False, True):
         same = (edges.step > 0) == rising
         place = edges.line[same] * width + middle[same]
         near = [place + up * width + aside for up in (-1, 1) for aside in range(-2, 3)]
-        kept[same] = np.isin(near, place).any(axis=0)
-    return edges[kept]
+        supported[same] = np.isin(near, place).any(axis=0)
+    return edges[supported]
 
 
 def _between_surfaces(rows: _Edges, columns: _Edges, width: int) -> tuple[_Edges, _Edges]:
@@ -262,14 +262,14 @@ def _between_surfaces(rows: _Edges, columns: _Edges, width: int) -> tuple[_Edges
     pixel, at = np.unique(pixel[order], return_index=True)
     size = np.append(size[order][at], 0.0)
     pixel = np.append(pixel, -1)
-    found = []
+    selected = []
     for edges in (rows, columns):
         side, last = np.arange(SURFACE), edges.first + edges.count + 1
         own = np.hstack([pixels(edges, edges.first[:, None] - side), pixels(edges, last[:, None] + side)])
         at = np.searchsorted(pixel[:-1], own)
         larger = (pixel[at] == own) & (size[at] > LARGER * np.abs(edges.step)[:, None])
-        found.append(edges[~larger.any(axis=1)])
-    return found[0], found[1]
+        selected.append(edges[~larger.any(axis=1)])
+    return selected[0], selected[1]
 
 
 def _assigned(
@@ -285,11 +285,11 @@ def _assigned(
     ends = stored[edges.line, edges.first], stored[edges.line, last]
     half = 0.5 * (ends[0] + ends[1])
     cut = (between & ((own > half[:, None]) != (ends[1] > ends[0])[:, None])).sum(axis=1)  # pixels of the first surface
-    kept = np.ones(len(edges.line), np.bool_)
+    mixed = np.ones(len(edges.line), np.bool_)
     if image is not None:
-        cut, kept = _cut_by_color(image, edges, places, between, _half_way(stored, edges, cut, half))
+        cut, mixed = _cut_by_color(image, edges, places, between, _half_way(stored, edges, cut, half))
     step = np.arange(1 - SURFACE, most + SURFACE + 1)
-    chosen = (step > -edges.begin_over[:, None]) & (step <= (edges.count + edges.end_over)[:, None]) & kept[:, None]
+    chosen = (step > -edges.begin_over[:, None]) & (step <= (edges.count + edges.end_over)[:, None]) & mixed[:, None]
     first = edges.begin[:, None] - edges.begin_slope[:, None] * step
     second = edges.end[:, None] - edges.end_slope[:, None] * (edges.count[:, None] + 1 - step)
     value = np.where(step <= cut[:, None], first, second)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.errors import ImageError
+from clsco.errors import FileError
 from clsco.files.color import Color
 from clsco.files.transfer import decode, encode
 from clsco.inputs.mipmaps import mipmap
@@ -87,7 +87,7 @@ def load_texture(
     place of "srgb" where their color profile has another one; floats are linear.
     size: (rows, columns) of the frame; an image of another size is resampled to it (`resample`), a pattern is
     made for it, 512 x 512 by default. to_srgb: whether an image gets the primaries of sRGB (`Color.to_srgb`).
-    Raises ImageError where there is no such pattern or file, or the file cannot be read.
+    Raises FileError where there is no such pattern or file, or the file cannot be read.
     """
     if is_drawn(source):
         return Texture(radiance_of(str(source), transfer, size), 8, str(source))
@@ -96,7 +96,7 @@ def load_texture(
 
 
 def picture_of(source: TextureSource) -> Picture:
-    """The picture of a file, or that of an array. Raises ImageError as `load_texture`."""
+    """The picture of a file, or that of an array. Raises FileError as `load_texture`."""
     from clsco.files.images import Picture, read_image
 
     if isinstance(source, ArrayInput):
@@ -155,17 +155,17 @@ def is_gray(name: str) -> bool:
     return name in PATTERNS or color_codes(name).ndim == 0
 
 
-def with_coverage(texture: Texture, channels: int, covers: bool) -> Texture:
+def add_coverage(texture: Texture, channels: int, covers: bool) -> Texture:
     """A texture of so many channels, and one more: 1 where it covers surfaces behind it, else 0."""
-    found = []
+    images = []
     for image in texture.images:
         wider = empty_image((*image.shape[:2], channels + 1))
         wider[..., :channels] = image[..., None] if image.ndim == 2 else image
         wider[..., channels] = covers
         wider.flags.writeable = False
-        found.append(wider)
+        images.append(wider)
     content = None if texture.content is None else ("covering", texture.content, channels, covers)
-    return replace(texture, radiance=found[0], others=tuple(found[1:]), content=content)
+    return replace(texture, radiance=images[0], others=tuple(images[1:]), content=content)
 
 
 def _by_rows(
@@ -196,7 +196,7 @@ def empty_image(shape: tuple[int, ...]) -> NDArray[np.float32]:
 
 
 def texture_size(source: TextureSource) -> tuple[int, int]:
-    """Give (columns, rows) of a texture, px, from its file's header. Raises ImageError as `load_texture`."""
+    """Give (columns, rows) of a texture, px, from its file's header. Raises FileError as `load_texture`."""
     if is_drawn(source):
         return DEFAULT_SIDE, DEFAULT_SIDE
     if isinstance(source, ArrayInput):
@@ -214,7 +214,7 @@ def image_files(scene: Scene) -> list[str | LayerInput]:
 
 
 def color_of(image: str | LayerInput) -> Color:
-    """The color space of an image file. Raises ImageError as `load_texture`."""
+    """The color space of an image file. Raises FileError as `load_texture`."""
     return picture_of(image).color
 
 
@@ -241,7 +241,7 @@ def load_scene_textures(
 
     Raises
     ------
-    ImageError
+    FileError
         As `load_texture`.
     """
     names = [item.textures() for item in scene.objects]
@@ -260,7 +260,7 @@ def load_scene_textures(
     return scene.model_copy(update={"camera": camera}), tuple(placed)
 
 
-def stretched(scenes: Iterable[Scene]) -> list[str]:
+def find_stretched(scenes: Iterable[Scene]) -> list[str]:
     """Projected images of another aspect than the frame, each with the first object that has it; drawn ones have none.
 
     Parameters
@@ -276,10 +276,10 @@ def stretched(scenes: Iterable[Scene]) -> list[str]:
 
     Raises
     ------
-    ImageError
+    FileError
         As `texture_size`.
     """
-    size_of, found = cache(texture_size), dict[str, None]()
+    size_of, notes = cache(texture_size), dict[str, None]()
     for scene in scenes:
         width, height = scene.camera.frame_size
         projected = [(item.inputs()["texture"], k) for k, item in enumerate(scene.objects) if item.mapped is None]
@@ -288,8 +288,8 @@ def stretched(scenes: Iterable[Scene]) -> list[str]:
             columns, rows = size_of(source)
             if abs(width * rows - height * columns) >= max(columns, rows):  # in proportion, a side is a pixel off
                 size = f"{columns} x {rows} to the frame's {width} x {height} px"
-                found[f"object[{number}].texture: is stretched from {size}"] = None
-    return list(found)
+                notes[f"object[{number}].texture: is stretched from {size}"] = None
+    return list(notes)
 
 
 def own_size(source: TextureSource) -> tuple[int, int] | None:
@@ -298,18 +298,20 @@ def own_size(source: TextureSource) -> tuple[int, int] | None:
 
 
 def mapped_size(sources: tuple[TextureSource, ...]) -> tuple[int, int]:
-    """Columns and rows of a texture on a surface, of one side of a cube map. Raises ImageError as `load_texture`."""
+    """Columns and rows of a texture on a surface, of one side of a cube map. Raises FileError as `load_texture`."""
     known = {(1, 1) if own_size(source) else texture_size(source) for source in sources}
-    found = known - {(1, 1)} or known
-    if len(found) > 1:
-        told = ", ".join(f"{columns} x {rows}" for columns, rows in sorted(found))
-        raise ImageError(f"texture: the six sides of a cube map must have one size; got {told} px")
-    return found.pop()
+    sizes = known - {(1, 1)} or known
+    if len(sizes) > 1:
+        listed = ", ".join(f"{columns} x {rows}" for columns, rows in sorted(sizes))
+        raise FileError(f"texture: the six sides of a cube map must have one size; got {listed} px")
+    return sizes.pop()
 
 
 def cube_map(sides: Sequence[Texture]) -> Texture:
-    """One texture of the six sides of a cube map; colors are made as large as the others. Raises ImageError."""
-    shape = max((side.radiance.shape[:2] for side in sides), key=lambda found: found[0] * found[1])
+    """One texture of the six sides of a cube map; colors are made as large as the others. Raises FileError."""
+    shape = max(
+        (side.radiance.shape[:2] for side in sides), key=lambda shape_of_side: shape_of_side[0] * shape_of_side[1]
+    )
     channels = max(side.radiance.ndim for side in sides)
     images = []
     for side in sides:
@@ -323,9 +325,9 @@ def cube_map(sides: Sequence[Texture]) -> Texture:
 
 
 def require_suffix(source: str) -> None:
-    """Raise ImageError for a name that is neither a pattern nor has an extension."""
+    """Raise FileError for a name that is neither a pattern nor has an extension."""
     if not Path(source).suffix:
-        raise ImageError(f"texture: {missing_texture(source)}; got {Path(source).name!r}")
+        raise FileError(f"texture: {missing_texture(source)}; got {Path(source).name!r}")
 
 
 # Patterns are drawn in full, or the rows from `first` up to `end` of them.

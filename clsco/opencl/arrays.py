@@ -10,7 +10,7 @@ import numpy as np
 import pyopencl.array as cl_array
 from numpy.typing import NDArray
 
-from clsco.errors import DeviceError, ImageError
+from clsco.errors import ArgumentError, DeviceError
 from clsco.opencl.session import DeviceLike, Session, session_for, session_of
 
 MOST_CHANNELS = 16
@@ -21,7 +21,7 @@ def on_host(device: DeviceLike, **arrays: Any) -> tuple[Session, list[NDArray[An
 
     arrays: by the name that messages use. Where one of them is pyopencl's, the session is that of its queue, and the
     result goes there; else it is that of `device`. The arrays of NumPy stay what they are: masked ones keep their mask.
-    Raises DeviceError for an array without a queue and where there is no such device, ImageError for pyopencl arrays
+    Raises DeviceError for an array without a queue and where there is no such device, ArgumentError for pyopencl arrays
     with gaps.
     """
     there = {name: array for name, array in arrays.items() if isinstance(array, cl_array.Array)}
@@ -32,22 +32,24 @@ def on_host(device: DeviceLike, **arrays: Any) -> tuple[Session, list[NDArray[An
         raise DeviceError(f"{first}: a pyopencl array must have a queue; got one without")
     for name, array in there.items():
         if not array.flags.forc:
-            raise ImageError(f"{name}: a pyopencl array must be contiguous; got strides {array.strides}")
+            raise ArgumentError(f"{name}: a pyopencl array must be contiguous; got strides {array.strides}")
     host = [array.get(queue) if name in there else np.asanyarray(array) for name, array in arrays.items()]
     return session_of(queue), host, partial(cl_array.to_device, queue)
 
 
 def without_mask(name: str, array: NDArray[Any]) -> NDArray[Any]:
-    """The array itself, or the values of a masked one. Raises ImageError where any is masked."""
+    """The array itself, or the values of a masked one. Raises ArgumentError where any is masked."""
     masked = int(np.count_nonzero(np.ma.getmaskarray(array))) if isinstance(array, np.ma.MaskedArray) else 0
     if masked:
-        raise ImageError(f"{name}: must have no masked values; got {masked} of them (clsco.inpaint fills an image's)")
+        raise ArgumentError(
+            f"{name}: must have no masked values; got {masked} of them (clsco.inpaint fills an image's)"
+        )
     return np.asarray(array)
 
 
 def check_image(image: NDArray[Any]) -> None:
-    """Raises ImageError unless it is (rows, columns) or (rows, columns, channels) with a pixel at least."""
+    """Raises ArgumentError unless it is (rows, columns) or (rows, columns, channels) with a pixel at least."""
     if image.ndim not in (2, 3) or 0 in image.shape or (image.ndim == 3 and image.shape[2] > MOST_CHANNELS):
-        raise ImageError(
+        raise ArgumentError(
             f"image: must have the shape (rows, columns) or (rows, columns, 1 to {MOST_CHANNELS}); got {image.shape}"
         )

@@ -11,7 +11,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from clsco.frame.strips import Strip, around
+from clsco.frame.strips import Strip, with_apron
 from clsco.opencl.buffers import lent
 from clsco.opencl.session import Session
 from clsco.optics.lens import Lens
@@ -64,7 +64,7 @@ class GivenImage(ABC):
         return buffer
 
     def _around(self, plane: NDArray[Any], strip: Strip) -> NDArray[Any]:
-        return around(plane, strip, self.guard, self.outside)
+        return with_apron(plane, strip, self.guard, self.outside)
 
 
 class StaticMap(GivenImage):

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
-from clsco.frame.strips import Grid, Strip, cut
+from clsco.frame.strips import Grid, Strip, cut_strips
 from clsco.optics.depth_layers import margin_of_layers
 from clsco.optics.psf_grid import table_reach
 from clsco.plan.buffers import (
@@ -102,4 +102,4 @@ class ImagePlan:
 def strips_of(spec: BlurSpec, rows: int, tallest: int, guard: int, reach: int) -> tuple[Strip, ...]:
     """Strips of a frame of so many rows; tallest: 0 for all; reach: px at which a source may matter to a pixel."""
     far, step = margin_of_layers(spec.psf, spec.largest) if spec.layered else (reach, 1)
-    return cut(rows, tallest or rows, guard, far, step)
+    return cut_strips(rows, tallest or rows, guard, far, step)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from clsco.constants import BAND, MERGED_SIDE, TAP_LANES
 from clsco.frame.frame import SENSOR_NAMES
-from clsco.frame.strips import Grid, Strip, part
+from clsco.frame.strips import Grid, Strip, make_strip
 from clsco.optics.exposure import frame_exposure, subframes_of
 from clsco.optics.lens_path import lens_at
 from clsco.optics.motion import Eye
@@ -243,7 +243,7 @@ class Plan:
         if not lit.size:
             return None
         top = max(int(lit[0]) // BAND * BAND, strip.top)
-        return part(self.rows, top, int(lit[-1]) + 1, self.guard_px, self.reach_px)
+        return make_strip(self.rows, top, int(lit[-1]) + 1, self.guard_px, self.reach_px)
 
     @cached_property
     def grid(self) -> Grid:

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.errors import ImageError, SceneError
+from clsco.errors import FileError, MissingDependencyError, SceneError
 from clsco.files.color import SRGB, Color
 from clsco.frame.provenance import views
-from clsco.inputs.channels import in_color
+from clsco.inputs.channels import to_color
 from clsco.inputs.files import InputFiles, Maps, shared_files
-from clsco.inputs.textures import Texture, image_files, is_gray, mapped_size, texture_size, with_coverage
+from clsco.inputs.textures import Texture, add_coverage, image_files, is_gray, mapped_size, texture_size
 from clsco.plan.device import DeviceFacts
 from clsco.plan.memory import fitted, limit_of
 from clsco.plan.plan import Plan, make_plan
@@ -61,11 +61,11 @@ class Prepared:
         """Textures of every object; with a channel more for `alpha`."""
         found = self.files.textures(self.scene)
         if self.plan.spreads:
-            found = tuple(map(cache(in_color), found))
+            found = tuple(map(cache(to_color), found))
         if not self.plan.alpha:
             return found
         covers = [not item.is_background for item in self.scene.objects]
-        wider = cache(lambda texture, covering: with_coverage(texture, self.plan.channels - 1, covering))
+        wider = cache(lambda texture, covering: add_coverage(texture, self.plan.channels - 1, covering))
         return tuple(wider(*pair) for pair in zip(found, covers, strict=True))
 
     @cached_property
@@ -191,7 +191,7 @@ def prepare_files(
 
 
 def with_resolution(scene: Scene) -> Scene:
-    """The scene with its resolution: its own, or that of the first texture. Raises ImageError as `texture_size`."""
+    """The scene with its resolution: its own, or that of the first texture. Raises FileError as `texture_size`."""
     camera = scene.camera
     if camera.resolution is None:
         camera = camera.model_copy(update={"resolution": texture_size(scene.objects[0].inputs()["texture"])})
@@ -241,7 +241,7 @@ def _channels(scene: Scene, files: InputFiles) -> int:
     messages = [f"{where}: {fault}" for fault, where in faults.items()]
     try:
         files.point_spread(scene)
-    except ImageError as error:
+    except (FileError, MissingDependencyError) as error:
         messages.append(str(error))
     if messages:
         raise SceneError(messages)
@@ -264,5 +264,5 @@ def _collected(faults: dict[str, str], where: str) -> Iterator[None]:
     """Keep the place of a fault of a file by its message: once, whichever objects, or faces of a box, have the file."""
     try:
         yield
-    except ImageError as error:
+    except (FileError, MissingDependencyError) as error:
         faults.setdefault(str(error), where)

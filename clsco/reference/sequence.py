@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from clsco.frame.frame import MAPPING_NAMES, MOTION_NAMES, SENSOR_NAMES, Frame
 from clsco.inputs.depth_maps import load_scene_depths
-from clsco.inputs.pupils import dimmed, scene_point_spread
+from clsco.inputs.pupils import scale_radiance, scene_point_spread
 from clsco.inputs.textures import Texture as TextureImage
 from clsco.inputs.textures import load_scene_textures
 from clsco.optics.depth_truth import MapPoints, map_flow, map_normal, map_occluded, map_stereo
@@ -60,7 +60,7 @@ def render(scene: Scene, *, subframes: bool = False, frames: Iterable[int] | Non
     scene, loaded = load_scene_textures(scene)
     images = [image for texture in loaded for image in texture.images]
     psf = scene_point_spread(scene)
-    loaded = dimmed(loaded, exposure_factor(scene.aperture, psf))
+    loaded = scale_radiance(loaded, exposure_factor(scene.aperture, psf))
     channels = 3 if scene.separates_colors else max(image.shape[2] if image.ndim == 3 else 1 for image in images)
     textures = tuple(_texture(scene, psf, *pair, channels) for pair in zip(scene.objects, loaded, strict=True))
     maps = load_scene_depths(scene)

@@ -101,7 +101,7 @@ def psf(
 
     Raises
     ------
-    SceneError, ImageError
+    SceneError, FileError
         As `clsco.render_frame`; a place is not in the frame, a depth not before the lens, or its |R| too large.
 
     Notes

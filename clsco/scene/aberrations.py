@@ -97,5 +97,5 @@ def zernike_terms(table: Strict) -> tuple[tuple[int, int, float], ...]:
     """n, m and waves of each polynomial of [psf.zernike] that is not 0."""
     if not table.model_fields_set:  # a frame asks several times
         return ()
-    found = ((n, m, float(getattr(table, f"{n},{m}"))) for n, m in _polynomials())
-    return tuple(term for term in found if term[2])
+    terms = ((n, m, float(getattr(table, f"{n},{m}"))) for n, m in _polynomials())
+    return tuple(term for term in terms if term[2])

@@ -135,10 +135,10 @@ def _depth(array: NDArray[Any]) -> NDArray[Any]:
     return array.astype(np.float64 if array.dtype.kind == "f" else array.dtype.newbyteorder("="))
 
 
-def _check_shape(array: NDArray[Any], right: bool, wanted: str) -> None:
+def _check_shape(array: NDArray[Any], right: bool, shape: str) -> None:
     """Refuse arrays of another shape, those over the limits of files, and masked values, which have no meaning here."""
     if array.ndim < 2 or not right:
-        raise fault(f"an array must have the shape {wanted}", str(array.shape))
+        raise fault(f"an array must have the shape {shape}", str(array.shape))
     rows, columns = array.shape[:2]
     if not (1 <= rows <= MAX_ARRAY_SIDE and 1 <= columns <= MAX_ARRAY_SIDE and rows * columns <= MAX_ARRAY_PIXELS):
         rule = f"an array must have from 1 to {MAX_ARRAY_SIDE} rows and columns, and at most {MAX_ARRAY_PIXELS} pixels"

@@ -148,13 +148,13 @@ def dump(scene: Any) -> dict[str, Any]:
 
 def table_at(data: dict[str, Any], place: Sequence[str | int]) -> dict[str, Any]:
     """Table of a scene's mapping at a place of `Scene.inputs`."""
-    found: Any = data
+    table: Any = data
     for part in place:
-        found = found[part]
-    return cast("dict[str, Any]", found)
+        table = table[part]
+    return cast("dict[str, Any]", table)
 
 
-def given(value: Any) -> Any:
+def given_keys(value: Any) -> Any:
     """Content of a scene file of the keys that were given, so that defaults follow from these again.
 
     Parameters
@@ -169,19 +169,19 @@ def given(value: Any) -> Any:
     """
     if isinstance(value, BaseModel):
         fields = type(value).model_fields
-        kept = value.model_fields_set - {name for name, field in fields.items() if field.exclude}
-        names = [name for name in fields if name in kept or name == "shape"]
-        found = {fields[name].serialization_alias or name: getattr(value, name) for name in names}
-        return {key: given(entry) for key, entry in found.items() if entry is not None}
+        names_set = value.model_fields_set - {name for name, field in fields.items() if field.exclude}
+        names = [name for name in fields if name in names_set or name == "shape"]
+        values = {fields[name].serialization_alias or name: getattr(value, name) for name in names}
+        return {key: given_keys(entry) for key, entry in values.items() if entry is not None}
     if isinstance(value, Mapping):
-        return {key: given(entry) for key, entry in value.items()}
-    return [given(entry) for entry in value] if isinstance(value, list | tuple) else value
+        return {key: given_keys(entry) for key, entry in value.items()}
+    return [given_keys(entry) for entry in value] if isinstance(value, list | tuple) else value
 
 
 def replaced(scene: Root, path: str, value: Any) -> Root:
     """A scene with another value of one key. Raises SceneError where that cannot be."""
     try:
-        data, parts, new = given(scene), key_parts(path), given(value)
+        data, parts, new = given_keys(scene), key_parts(path), given_keys(value)
     except RecursionError:
         raise SceneError(f"scene: {brief(path)}: nested too deeply; got {shown(value)}") from None
     parts = [{"objects": "object", "groups": "group"}.get(parts[0], parts[0]), *parts[1:]]

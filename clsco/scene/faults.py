@@ -64,15 +64,15 @@ def parsed(root: type[Root], mapping: Any, where: str) -> Root:
     try:
         return root.model_validate(dict(mapping), by_alias=True, by_name=False)
     except ValidationError as error:
-        found = messages(error, root)
+        lines = messages(error, root)
     names, members = (_texts(items(mapping), key) for key in ("name", "group"))
     unknown = unknown_groups(members, _texts(items(mapping, "group"), "name"))
     for key, faults in (("name", repeated_names(names)), ("group", unknown)):
         for index, fault, name in faults:
             place = f"object[{index}].{key}: "
-            if not any(message.startswith(place) for message in found):
-                found.append(f"{place}{fault.message()}; got {shown(name)}")
-    raise SceneError(at_most(where, found))
+            if not any(message.startswith(place) for message in lines):
+                lines.append(f"{place}{fault.message()}; got {shown(name)}")
+    raise SceneError(at_most(where, lines))
 
 
 def messages(error: ValidationError, root: type[BaseModel], place: tuple[str | int, ...] = ()) -> list[str]:
@@ -91,8 +91,8 @@ def refusal(root: type[BaseModel], model: type[BaseModel], error: ValidationErro
         tables = {table: tuple(path.split(".")) for path, table in _places(root)}
         place = (tables | shapes)[model]
     start = key_name(tuple(part for part in place if part not in SHAPES))
-    found = (message.removeprefix(f"{start}.").removeprefix(f"{start}: ") for message in messages(error, root, place))
-    return SceneError(at_most(model.__name__, found))
+    lines = (message.removeprefix(f"{start}.").removeprefix(f"{start}: ") for message in messages(error, root, place))
+    return SceneError(at_most(model.__name__, lines))
 
 
 def at_most(where: str, messages: Iterable[str]) -> list[str]:
@@ -121,7 +121,7 @@ def _faults(error: ValidationError) -> list[Mapping[str, Any]]:
 
 def _message(fault: Mapping[str, Any], root: type[BaseModel]) -> str:
     """Message `key: rule; got value` of one fault that pydantic found."""
-    kind, given, context = fault["type"], fault["input"], fault.get("ctx", {})
+    kind, value, context = fault["type"], fault["input"], fault.get("ctx", {})
     loc, shape = tuple(fault["loc"]), None
     if loc[:1] == ("objects",) and kind != "extra_forbidden":  # of a constructor, or a default at fault
         loc = ("object", *loc[1:])
@@ -133,11 +133,11 @@ def _message(fault: Mapping[str, Any], root: type[BaseModel]) -> str:
         rule = _unknown(loc, shape, root)
     elif kind == "rule":
         rule = context["rule"]
-    elif kind == "float_type" and type(given) is int:
+    elif kind == "float_type" and type(value) is int:
         rule = "must be a finite number"  # an integer beyond float64
     else:
         rule = _RULES[kind].format(**context).replace("'", "") if kind in _RULES else fault["msg"]
-    return f"{key_name(loc)}: {rule}; got {context.get('got') or shown(given)}"
+    return f"{key_name(loc)}: {rule}; got {context.get('got') or shown(value)}"
 
 
 def _unknown(loc: tuple[Any, ...], shape: str | None, root: type[BaseModel]) -> str:

@@ -97,7 +97,7 @@ def swept_keys(mapping: Mapping[str, Any]) -> list[tuple[Location, Any]]:
     list of (location, value)
         In the order of the file.
     """
-    found: list[tuple[Location, Any]] = []
+    swept: list[tuple[Location, Any]] = []
 
     def search(table: Any, model: type[BaseModel], location: Location) -> None:
         for key, value in table.items() if isinstance(table, Mapping) else ():
@@ -111,7 +111,7 @@ def swept_keys(mapping: Mapping[str, Any]) -> list[tuple[Location, Any]]:
                 isinstance(value, list)
                 and (not _is_vector(annotation) or any(isinstance(v, list | str) for v in value))
             ):
-                found.append(((*location, key), value))
+                swept.append(((*location, key), value))
 
     for section, table in mapping.items():
         if section in SWEEPABLE:
@@ -119,7 +119,7 @@ def swept_keys(mapping: Mapping[str, Any]) -> list[tuple[Location, Any]]:
         elif section in ("object", "group"):
             for index, item in enumerate(items(mapping, section)):
                 search(item.get("motion"), ObjectMotion, (section, index, "motion"))
-    return found
+    return swept
 
 
 def holds_tables(annotation: Any) -> bool:
@@ -181,15 +181,15 @@ def relocated(data: Mapping[str, Any], name: Callable[[Location, str], str]) -> 
     -------
     dict
     """
-    found = dict(data)
+    copy = dict(data)
     if isinstance(aperture := data.get("aperture"), Mapping):
-        found["aperture"] = dict(aperture)
+        copy["aperture"] = dict(aperture)
     if "object" in data:
-        found["object"] = [dict(item) for item in items(data)]
+        copy["object"] = [dict(item) for item in items(data)]
     for place, known in named_files(data):
-        table = found["object"][place[1]] if len(place) > 2 else found["aperture"]
+        table = copy["object"][place[1]] if len(place) > 2 else copy["aperture"]
         table[place[-1]] = name(place, known)
-    return found
+    return copy
 
 
 def missing_files(data: Mapping[str, Any], folder: Path, where: str) -> list[str]:
@@ -329,13 +329,13 @@ def aperture_of(aperture: ApertureLike, psf: Psf) -> Aperture:
     SceneError
         As `parse_scene`, for other types, and where they do not go together.
     """
-    found = _section(Aperture, aperture, "aperture", "shape")
-    if found.rim:
+    section = _section(Aperture, aperture, "aperture", "shape")
+    if section.rim:
         raise SceneError("aperture.rim: needs a camera, which an image has none of; got rims")
-    if fault := misfit(psf, found):
+    if fault := misfit(psf, section):
         key, rule, value = fault
         raise SceneError(f"aperture.{key}: {rule}; got {value}")
-    return found
+    return section
 
 
 def camera_of(camera: CameraLike) -> Camera | None:
@@ -347,17 +347,17 @@ def _section(model: type[Section], value: Any, name: str, shorthand: str = "") -
     """Section of a scene from a mapping, or from the value of one of its keys. Raises SceneError."""
     if isinstance(value, model):
         return value
-    given = {shorthand: value} if shorthand and isinstance(value, str) else {} if value is None else value
-    if not isinstance(given, Mapping):
+    table = {shorthand: value} if shorthand and isinstance(value, str) else {} if value is None else value
+    if not isinstance(table, Mapping):
         kinds = f"must be {model.__name__}" + (
             f", a mapping or the name of a {shorthand}" if shorthand else " or a mapping"
         )
-        raise SceneError(f"{name}: {kinds}; got {type(given).__name__}")
+        raise SceneError(f"{name}: {kinds}; got {type(table).__name__}")
     try:
-        return model.model_validate(dict(given))
+        return model.model_validate(dict(table))
     except ValidationError as error:
-        found = messages(error, Scene, (name,))
-    raise SceneError(found)
+        faults = messages(error, Scene, (name,))
+    raise SceneError(faults)
 
 
 def read_mapping(where: str, overrides: Sequence[str]) -> dict[str, Any]:

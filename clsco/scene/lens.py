@@ -174,7 +174,7 @@ def with_distortion_of_wavefront(lens: Lens | None, psf: Psf, camera: Any) -> Le
         half = 0.5 * math.hypot(*(size - 1 for size in camera.resolution)) or 1.0
         corner = half * camera.pixel_pitch / camera.normalization_distance
         k1 = seidel.radial_distortion(psf.wavelengths[1], camera.aperture_diameter, corner)
-    given = {} if lens is None else {name: getattr(lens, name) for name in Lens.model_fields}
+    keys = {} if lens is None else {name: getattr(lens, name) for name in Lens.model_fields}
     if k1:
-        return LensOfWavefront.model_construct(**given, of_wavefront=k1)
-    return Lens.model_construct(**given) if isinstance(lens, LensOfWavefront) else lens
+        return LensOfWavefront.model_construct(**keys, of_wavefront=k1)
+    return Lens.model_construct(**keys) if isinstance(lens, LensOfWavefront) else lens

@@ -202,7 +202,7 @@ class Scene(Strict):
     @field_validator("lens")
     @classmethod
     def _lens_of_the_camera(cls, value: Lens | None, info: ValidationInfo) -> Lens | None:
-        camera, found = info.data.get("camera"), list[Fault]()
+        camera, faults = info.data.get("camera"), list[Fault]()
         if value is None or camera is None:
             return value
         for k, key in enumerate(value.keyframe or ()):
@@ -213,16 +213,16 @@ class Scene(Strict):
             f = camera.focal_length if f is None else f
             if u is not None and not (u > f and image_distance(f, u) <= MAX_LENGTH_MM):
                 rule = fault(f"must be greater than {name} = {f:g} mm")
-                found.append((("keyframe", k, "focus_distance"), rule, u))
+                faults.append((("keyframe", k, "focus_distance"), rule, u))
             if number is not None and not MIN_LENGTH_MM <= f / number <= MAX_LENGTH_MM:
                 rule = fault(f"must leave an aperture between {MIN_LENGTH_MM:g} and {MAX_LENGTH_MM:g} mm")
-                found.append((("keyframe", k, "f_number"), rule, number))
+                faults.append((("keyframe", k, "f_number"), rule, number))
         for k, longer in enumerate(value.axial):
             if not MIN_LENGTH_MM <= camera.focal_length + longer <= MAX_LENGTH_MM:
                 rule = fault(f"must leave a focal length, of camera.focal_length = {camera.focal_length:g} mm")
-                found.append((("axial", k), rule, longer))
-        if found:
-            raise at_keys(found)
+                faults.append((("axial", k), rule, longer))
+        if faults:
+            raise at_keys(faults)
         return value
 
     @field_validator("sensor")
@@ -252,17 +252,17 @@ class Scene(Strict):
     def _in_known_groups(cls, value: tuple[AnyShape, ...], info: ValidationInfo) -> tuple[AnyShape, ...]:
         if "groups" in info.data:  # missing where they were refused
             names = (group.name for group in info.data["groups"])
-            found = unknown_groups((item.group for item in value), names)
-            if found:
-                raise at_keys([((index, "group"), rule, name) for index, rule, name in found])
+            unknown = unknown_groups((item.group for item in value), names)
+            if unknown:
+                raise at_keys([((index, "group"), rule, name) for index, rule, name in unknown])
         return value
 
     @model_validator(mode="after")
     def _psf_fits_the_aperture(self) -> Self:
         self.__dict__["lens"] = with_distortion_of_wavefront(self.lens, self.psf, self.camera)
         check_opening(self.lens, self.psf)
-        if found := misfit(self.psf, self.aperture):
-            key, rule, value = found
+        if faults := misfit(self.psf, self.aperture):
+            key, rule, value = faults
             raise at_keys([(("aperture", key), fault(rule), value)])
         return self
 
@@ -294,16 +294,16 @@ class Scene(Strict):
         of_two_views = self.motion.warp == "forward" and self.stereo is not None
         if of_two_views or not self.is_ray_castable:
             rule = 'belongs to scenes of analytic surfaces with motion.warp = "inverse"'
-            found: list[Fault] = []
+            faults: list[Fault] = []
             if self.sequence.rolls:
-                found.append((("sequence", "readout"), fault(rule), self.sequence.readout))
+                faults.append((("sequence", "readout"), fault(rule), self.sequence.readout))
             for index, item in enumerate(self.objects):
                 if item.mapped is not None:
-                    found.append((("object", index, "texture_mapping"), fault(rule), item.texture_mapping))
+                    faults.append((("object", index, "texture_mapping"), fault(rule), item.texture_mapping))
             if self.light is not None:
-                found.append((("light",), fault(rule, got="a light"), self.light))
-            if found:
-                raise at_keys(found)
+                faults.append((("light",), fault(rule, got="a light"), self.light))
+            if faults:
+                raise at_keys(faults)
         return self
 
     def replace(self, path: str, value: Any) -> Self:

@@ -40,8 +40,8 @@ def _bounds_in_front(shape: AnyShape) -> AnyShape:
 
 def _texture_keys_fit(shape: AnyShape) -> AnyShape:
     """Refuse keys of a texture that its mapping or the shape has no use for."""
-    if found := texture_faults(shape):
-        raise at_keys(found)
+    if faults := texture_faults(shape):
+        raise at_keys(faults)
     return shape
 
 
@@ -81,34 +81,34 @@ def repeated_names(names: Iterable[str | None], table: str = "object") -> list[t
         Position, fault and name of each repetition.
     """
     first: dict[str, int] = {}
-    found = []
+    repeated = []
     for index, name in enumerate(names):
         if name is not None and first.setdefault(name, index) != index:
-            found.append((index, fault(f"names must differ; {table}[{first[name]}] has the same"), name))
-    return found
+            repeated.append((index, fault(f"names must differ; {table}[{first[name]}] has the same"), name))
+    return repeated
 
 
 def _one_background(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
     """Refuse a second background, which the first would hide."""
-    found = [index for index, item in enumerate(objects) if item.is_background]
-    if len(found) > 1:
-        rule = f"one background is enough; object[{found[0]}] is one already"
-        raise at_keys([((index, "shape"), fault(rule), "background") for index in found[1:]])
+    backgrounds = [index for index, item in enumerate(objects) if item.is_background]
+    if len(backgrounds) > 1:
+        rule = f"one background is enough; object[{backgrounds[0]}] is one already"
+        raise at_keys([((index, "shape"), fault(rule), "background") for index in backgrounds[1:]])
     return objects
 
 
 def _named(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
     """Objects with distinct names: unnamed ones get that of their shape, numbered from the second on, "sphere 2"."""
-    given = [item.name if "name" in item.model_fields_set else None for item in objects]
-    if faults := repeated_names(given):
+    names = [item.name if "name" in item.model_fields_set else None for item in objects]
+    if faults := repeated_names(names):
         raise at_keys([((index, "name"), rule, name) for index, rule, name in faults])
-    taken = set(given)
+    used = set(names)
     placed = []
-    for item, name in zip(objects, given, strict=True):
+    for item, name in zip(objects, names, strict=True):
         if name is None:
             free = (item.shape if n == 1 else f"{item.shape} {n}" for n in count(1))
-            chosen = next(word for word in free if word not in taken)
-            taken.add(chosen)
+            chosen = next(word for word in free if word not in used)
+            used.add(chosen)
             if chosen != item.name:
                 item = item.model_copy(update={"name": chosen})
                 item.model_fields_set.discard("name")  # numbered anew in another scene
@@ -118,18 +118,18 @@ def _named(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
 
 def _without_boxes(objects: tuple[AnyShape, ...]) -> tuple[AnyShape, ...]:
     """Objects with the faces of each box in place of it."""
-    found: list[AnyShape] = []
+    shapes: list[AnyShape] = []
     for item in objects:
-        found += item.faces() if isinstance(item, Box) else (item,)
-    if len(found) > MAX_OBJECTS:
-        raise fault(f"must hold 1 to {MAX_OBJECTS} objects, and a box is six", got=str(len(found)))
-    taken = {item.name for item in objects if not isinstance(item, Box)}
+        shapes += item.faces() if isinstance(item, Box) else (item,)
+    if len(shapes) > MAX_OBJECTS:
+        raise fault(f"must hold 1 to {MAX_OBJECTS} objects, and a box is six", got=str(len(shapes)))
+    used = {item.name for item in objects if not isinstance(item, Box)}
     boxes = ((index, item) for index, item in enumerate(objects) if isinstance(item, Box))
-    same = [(index, item.name) for index, item in boxes if taken & {face.name for face in item.faces()}]
+    same = [(index, item.name) for index, item in boxes if used & {face.name for face in item.faces()}]
     if same:
         rule = "names of its faces must differ from those of other objects"
         raise at_keys([((index, "name"), fault(rule), name) for index, name in same])
-    return tuple(found)
+    return tuple(shapes)
 
 
 @cache

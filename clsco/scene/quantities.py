@@ -55,19 +55,19 @@ def fault(rule: str, got: str | None = None) -> PydanticCustomError:
     return PydanticCustomError("rule", "{rule}", context)
 
 
-def at_keys(found: list[tuple[tuple[str | int, ...], PydanticCustomError, Any]]) -> ValidationError:
+def at_keys(faults: list[tuple[tuple[str | int, ...], PydanticCustomError, Any]]) -> ValidationError:
     """Combine several faults into one error, each reported at its own key.
 
     Parameters
     ----------
-    found : list of (location, fault, value)
+    faults : list of (location, fault, value)
         Location of the key, fault from `fault`, and the value given there.
 
     Returns
     -------
     ValidationError
     """
-    details = [InitErrorDetails(type=fault, loc=loc, input=value) for loc, fault, value in found]
+    details = [InitErrorDetails(type=fault, loc=loc, input=value) for loc, fault, value in faults]
     return ValidationError.from_exception_data("scene", details)
 
 
@@ -270,10 +270,10 @@ class Strict(BaseModel):
             try:
                 super().__init__(**values)
             except ValidationError as error:
-                found = error
+                refused = error
             else:
                 return
-            raise Strict.refusal(type(self), found)
+            raise Strict.refusal(type(self), refused)
 
         # By this pydantic knows its own constructor, which it passes by for the parts of a model.
         __init__.__pydantic_base_init__ = True

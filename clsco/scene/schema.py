@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import ast
+import sys
+from functools import cache
 from inspect import cleandoc, getsource
 from itertools import pairwise
-from textwrap import dedent
 from typing import Any, get_args
 
 from pydantic import BaseModel
@@ -60,15 +61,23 @@ def scene_schema() -> dict[str, Any]:
 
 def _models(root: type[BaseModel]) -> set[type[BaseModel]]:
     """The models of a model's fields, at any depth."""
-    found: set[type[BaseModel]] = set()
+    models: set[type[BaseModel]] = set()
     waiting: list[Any] = [field.annotation for field in root.model_fields.values()]
     while waiting:
         part = waiting.pop()
         waiting += get_args(part)
-        if isinstance(part, type) and issubclass(part, BaseModel) and part not in found:
-            found.add(part)
+        if isinstance(part, type) and issubclass(part, BaseModel) and part not in models:
+            models.add(part)
             waiting += [field.annotation for field in part.model_fields.values()]
-    return found
+    return models
+
+
+@cache
+def _classes(module: str) -> dict[str, ast.ClassDef]:
+    """The classes of a module in its source, which is parsed once: `inspect` parses it for each of its classes."""
+    return {
+        node.name: node for node in ast.parse(getsource(sys.modules[module])).body if isinstance(node, ast.ClassDef)
+    }
 
 
 def _describe(definition: dict[str, Any], model: type[BaseModel]) -> None:
@@ -79,9 +88,7 @@ def _describe(definition: dict[str, Any], model: type[BaseModel]) -> None:
     for kind in reversed([kind for kind in model.__mro__ if issubclass(kind, BaseModel) and kind is not BaseModel]):
         if all(field.description for field in kind.model_fields.values()):  # as of one that has no source
             continue
-        (tree,) = ast.parse(dedent(getsource(kind))).body
-        assert isinstance(tree, ast.ClassDef)
-        for field, text in pairwise(tree.body):
+        for field, text in pairwise(_classes(kind.__module__)[kind.__name__].body):
             if not (isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)):
                 continue
             name = field.target.id

@@ -183,9 +183,9 @@ class Box(SixSided, _Object):
             ("left", (z, y), x, (0.0, 90.0, 0.0)), ("right", (z, y), x, (0.0, -90.0, 0.0)),
             ("top", (x, z), y, (90.0, 0.0, 0.0)), ("bottom", (x, z), y, (-90.0, 0.0, 0.0)),
         )  # fmt: skip
-        alike = self.texture_keys() | {"motion": self.motion, "group": self.group, "center": self.center}
-        alike.pop("texture_layer", None)
-        found = []
+        shared = self.texture_keys() | {"motion": self.motion, "group": self.group, "center": self.center}
+        shared.pop("texture_layer", None)
+        rectangles = []
         for side, size, deep, turn in placed:
             rotation, offset = after(turn, self.rotation), -0.5 * deep
             sides = sum(0.5 * length * abs(r) for length, r in zip(size, depth_row(rotation)[:2], strict=True))
@@ -193,8 +193,8 @@ class Box(SixSided, _Object):
                 keys = {"name": f"{self.name} {side}", "size": size, "offset": offset, "rotation": rotation}
                 image = self.side(side)
                 layer = {"texture_layer": image.layer} if isinstance(image, LayerInput) else {}
-                found.append(Rectangle.model_validate(alike | keys | {"texture": image} | layer))
-        return tuple(found)
+                rectangles.append(Rectangle.model_validate(shared | keys | {"texture": image} | layer))
+        return tuple(rectangles)
 
 
 class Cylinder(_Bounded):

@@ -84,8 +84,8 @@ class Aperture(HasInputs, Strict):
     def _of_its_shape(cls, value: Any, info: ValidationInfo) -> Any:
         shapes = APERTURE_KEYS[str(info.field_name)]
         if info.data.get("shape", shapes[0]) not in shapes:
-            wanted = " or ".join(f'"{shape}"' for shape in shapes)
-            raise fault(f'belongs to aperture.shape = {wanted}, not "{info.data["shape"]}"')
+            listed = " or ".join(f'"{shape}"' for shape in shapes)
+            raise fault(f'belongs to aperture.shape = {listed}, not "{info.data["shape"]}"')
         return value
 
     @field_validator("blade_curvature")
@@ -169,8 +169,8 @@ class Psf(Strict):
     def _of_its_model(cls, value: Any, info: ValidationInfo) -> Any:
         models = MODEL_KEYS[str(info.field_name)]
         if info.data.get("model", models[0]) not in models:
-            wanted = " or ".join(f'"{model}"' for model in models)
-            raise fault(f'belongs to psf.model = {wanted}, not "{info.data["model"]}"')
+            listed = " or ".join(f'"{model}"' for model in models)
+            raise fault(f'belongs to psf.model = {listed}, not "{info.data["model"]}"')
         return value
 
     @model_validator(mode="after")
@@ -211,11 +211,11 @@ class Psf(Strict):
 
 def misfit(psf: Psf, aperture: Aperture) -> tuple[str, str, Any] | None:
     """Key of [aperture], the rule that it and a PSF break together, and its value; None if they go together."""
-    found: list[tuple[str, str, Any]] = []
+    faults: list[tuple[str, str, Any]] = []
     if aperture.shape != "circle":
-        found.append(("shape", f'"{aperture.shape}"', aperture.shape))
+        faults.append(("shape", f'"{aperture.shape}"', aperture.shape))
     if aperture.squeeze != 1.0:
-        found.append(("squeeze", "an aperture that is squeezed", aperture.squeeze))
+        faults.append(("squeeze", "an aperture that is squeezed", aperture.squeeze))
     if aperture.rim and psf.edge == "sampled":
         return "rim", 'needs psf.edge = "integrated" or "area"', psf.edge
     if aperture.rim and psf.model == "wave":
@@ -224,7 +224,7 @@ def misfit(psf: Psf, aperture: Aperture) -> tuple[str, str, Any] | None:
         return "rim", "must be absent with psf.seidel or psf.zernike", "some"
     if psf.aberrated and aperture.squeeze < 1.0:
         return "squeeze", "must be at least 1 with psf.seidel or psf.zernike, which are of a circle", aperture.squeeze
-    for key, about, value in found:
+    for key, about, value in faults:
         if psf.model == "gaussian":
             return key, f'{about} needs psf.model = "pillbox" or "wave"', value
         if psf.edge == "sampled":

@@ -168,10 +168,10 @@ def parse_sweep(mapping: Mapping[str, Any] | str, where: str = "scene") -> Sweep
     [2.0, 4.0]
     """
     mapping = _listed(table_of(mapping, where))
-    if not isinstance(mapping, Mapping) or not (given := swept_keys(mapping)):
+    if not isinstance(mapping, Mapping) or not (swept := swept_keys(mapping)):
         return Sweep(("",), (parse_scene(mapping, where),))
     faults: list[str] = []
-    axes = [_Axis(location, _values(key_name(location), value, faults)) for location, value in given]
+    axes = [_Axis(location, _values(key_name(location), value, faults)) for location, value in swept]
     count = math.prod(max(1, len(axis.values)) for axis in axes)
     if count > MAX_OUTPUTS:
         names = ", ".join(axis.name for axis in axes[:4]) + (f" and {len(axes) - 4} more" if len(axes) > 4 else "")
@@ -227,16 +227,16 @@ def _faults(
             for message in error.messages:
                 seen.setdefault(_at_value(message.removeprefix(": "), axes, choice), []).append(choice)
     faults = []
-    for message, found in seen.items():
+    for message, places in seen.items():
         # A fault of one value occurs with every value of the other keys; any other fault is reported with all values.
         alone = any(
-            message.startswith(f"{axis.name}[{found[0][k]}]") and len(found) * len(axis.values) == len(choices)
+            message.startswith(f"{axis.name}[{places[0][k]}]") and len(places) * len(axis.values) == len(choices)
             for k, axis in enumerate(axes)
         )
-        if len(found) == len(choices) or alone:
+        if len(places) == len(choices) or alone:
             faults.append(message)
         else:
-            those = ", ".join(f"{axis.name}[{index}]" for axis, index in zip(axes, found[0], strict=True))
+            those = ", ".join(f"{axis.name}[{index}]" for axis, index in zip(axes, places[0], strict=True))
             faults.append(f"{message} (with {those})")
     return scenes, faults
 
@@ -262,15 +262,15 @@ def _with(node: Any, location: Location, value: tuple[Any, ...]) -> Any:
     return copy
 
 
-def _values(name: str, given: Any, faults: list[str]) -> tuple[Any, ...]:
+def _values(name: str, values: Any, faults: list[str]) -> tuple[Any, ...]:
     """Values of a list or a range; none, and messages in `faults`, where it is not valid."""
-    if isinstance(given, Mapping):
-        return _range(name, given, faults)
-    if not 1 <= len(given) <= MAX_OUTPUTS:
-        faults.append(f"{name}: must hold 1 to {MAX_OUTPUTS} values; got {len(given)}")
+    if isinstance(values, Mapping):
+        return _range(name, values, faults)
+    if not 1 <= len(values) <= MAX_OUTPUTS:
+        faults.append(f"{name}: must hold 1 to {MAX_OUTPUTS} values; got {len(values)}")
         return ()
     first: dict[str, int] = {}
-    for index, value in enumerate(given):
+    for index, value in enumerate(values):
         try:
             other = first.setdefault(_word(value, exact=True), index)
         except RecursionError:
@@ -278,26 +278,26 @@ def _values(name: str, given: Any, faults: list[str]) -> tuple[Any, ...]:
             return ()
         if other != index:
             faults.append(f"{name}[{index}]: values must differ; {name}[{other}] is the same; got {shown(value)}")
-    return tuple(given)
+    return tuple(values)
 
 
-def _range(name: str, given: Mapping[str, Any], faults: list[str]) -> tuple[Any, ...]:
+def _range(name: str, table: Mapping[str, Any], faults: list[str]) -> tuple[Any, ...]:
     """Values of a range; none, and messages in `faults`, where it is not valid."""
     before = len(faults)
-    for key in given:
+    for key in table:
         if key not in RANGE:
-            faults.append(f"{name}.{key_name((key,))}: a range has from, to and steps; got {shown(given[key])}")
+            faults.append(f"{name}.{key_name((key,))}: a range has from, to and steps; got {shown(table[key])}")
     for key in RANGE:
-        if key not in given:
+        if key not in table:
             faults.append(f"{name}.{key}: must be given; got nothing")
         elif key == "steps":
-            if type(given[key]) is not int or not 2 <= given[key] <= MAX_OUTPUTS:
-                faults.append(f"{name}.steps: must be an integer between 2 and {MAX_OUTPUTS}; got {shown(given[key])}")
-        elif not all(_is_finite(value) for value in _components(given[key])):
-            faults.append(f"{name}.{key}: must be a finite number, or a list of them; got {shown(given[key])}")
+            if type(table[key]) is not int or not 2 <= table[key] <= MAX_OUTPUTS:
+                faults.append(f"{name}.steps: must be an integer between 2 and {MAX_OUTPUTS}; got {shown(table[key])}")
+        elif not all(_is_finite(value) for value in _components(table[key])):
+            faults.append(f"{name}.{key}: must be a finite number, or a list of them; got {shown(table[key])}")
     if len(faults) > before:
         return ()
-    start, end, steps = (given[key] for key in RANGE)
+    start, end, steps = (table[key] for key in RANGE)
     if isinstance(start, list) != isinstance(end, list) or len(_components(start)) != len(_components(end)):
         faults.append(f"{name}.to: must have as many numbers as from = {shown(start)}; got {shown(end)}")
         return ()

@@ -45,11 +45,11 @@ def missing_texture(name: str) -> str:
 
 def _one_or_two(value: Any) -> Any:
     """A number, or a list of one or two, as a tuple."""
-    given = as_python(value)
-    if isinstance(given, int | float) and not isinstance(given, bool):
-        return (given,)
-    if isinstance(given, list | tuple) and len(given) in (1, 2):
-        return tuple(given)
+    numbers = as_python(value)
+    if isinstance(numbers, int | float) and not isinstance(numbers, bool):
+        return (numbers,)
+    if isinstance(numbers, list | tuple) and len(numbers) in (1, 2):
+        return tuple(numbers)
     raise fault("must be a number or a list of 2 numbers")
 
 
@@ -157,13 +157,13 @@ class SixSided(Textured):
 
     def inputs(self) -> dict[str, Input]:
         sides = {key: getattr(self, key) for key in SixSided.__annotations__}
-        given = {key: in_layer(side, self.texture_layer) for key, side in sides.items() if side is not None}
-        return super().inputs() | given
+        sources = {key: in_layer(side, self.texture_layer) for key, side in sides.items() if side is not None}
+        return super().inputs() | sources
 
     def side(self, name: str) -> Input:
         """The texture of a side: front, back, left, right, top or bottom."""
-        given = self.inputs()
-        return given.get(f"texture_{name}", given["texture"])
+        inputs = self.inputs()
+        return inputs.get(f"texture_{name}", inputs["texture"])
 
     def textures(self) -> tuple[Input, ...]:
         if self.mapped != "cube":
@@ -183,7 +183,7 @@ def _misplaced(item: Textured) -> Iterator[tuple[str, str, Any]]:
     """Key, rule and value."""
     shape, mapping = type(item).model_fields["shape"].default, item.texture_mapping
     lying = ("texture_size", "texture_repeats", "texture_offset", "texture_angle", "texture_wrap")
-    given = {key: getattr(item, key) for key in lying if getattr(item, key) is not None}
+    keys = {key: getattr(item, key) for key in lying if getattr(item, key) is not None}
     sides: list[tuple[str, str, Any]] = []
     if isinstance(item, SixSided) and not item.has_sides:
         rule = 'belongs to boxes, and to texture_mapping = "cube"'
@@ -193,7 +193,7 @@ def _misplaced(item: Textured) -> Iterator[tuple[str, str, Any]]:
         yield "texture_layer", "belongs to images in EXR files", item.texture_layer
     if mapping == "projected":
         yield from sides
-        for key, value in given.items():
+        for key, value in keys.items():
             yield key, 'belongs to textures on surfaces: texture_mapping = "surface", "triplanar" or "cube"', value
         return
     if mapping not in item.MAPPINGS:

@@ -29,15 +29,15 @@ def toml_text(table: Mapping[str, Any]) -> str:
 def _parts(table: Mapping[str, Any], name: str, header: str) -> list[str]:
     """A table under its header, then each table in it."""
     values = [f"{_key(key)} = {_value(value)}" for key, value in table.items() if not _is_table(value)]
-    found = ["\n".join(([header] if header else []) + values)]
+    parts = ["\n".join(([header] if header else []) + values)]
     for key, value in table.items():
         inner = f"{name}.{_key(key)}" if name else _key(key)
         if isinstance(value, Mapping):
-            found += _parts(value, inner, f"[{inner}]")
+            parts += _parts(value, inner, f"[{inner}]")
         elif _is_table(value):
             for item in value:
-                found += _parts(item, inner, f"[[{inner}]]")
-    return found
+                parts += _parts(item, inner, f"[[{inner}]]")
+    return parts
 
 
 def _is_table(value: Any) -> bool:

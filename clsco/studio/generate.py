@@ -11,7 +11,7 @@ from pathlib import Path
 
 from clsco.data.containers import CONTAINERS, DEFAULT
 from clsco.errors import ClscoError, SceneError
-from clsco.files.atomic import writable_folder, write_whole
+from clsco.files.atomic import atomic_write_bytes, make_writable_folder
 from clsco.files.video import PRESETS
 from clsco.frame.files import TRUTH_FORMATS
 from clsco.plan.prepare import prepare_sweep
@@ -61,7 +61,7 @@ def render_frames(
     jobs.require_free(name)
     prepare_sweep(replace(sweep, scenes=scenes))  # reports what is beyond the limits, before anything is begun
     target.mkdir(parents=True, exist_ok=True)
-    write_whole(target / "scene.toml", toml_text(sparse(moved(table, session.folder, target))).encode())
+    atomic_write_bytes(target / "scene.toml", toml_text(sparse(moved(table, session.folder, target))).encode())
     title = f"Frames: {table.get('title') or 'scene'}"
     return jobs.add(title, ["render", f"{name}/scene.toml", "-o", name, *options], name)
 
@@ -100,7 +100,7 @@ def make_data_set(
     jobs.require_free(name)
     shipped = shipped_distributions().get(source)
     if shipped is not None and not (session.root / source).exists():
-        write_whole(writable_folder((session.root / source).parent) / shipped.name, shipped.read_bytes())
+        atomic_write_bytes(make_writable_folder((session.root / source).parent) / shipped.name, shipped.read_bytes())
     if not (session.root / source).is_file():
         raise ClscoError(f"distribution: must be an existing file; got {distribution!r}")
     shard = min(LARGEST_SHARD, -(-count // STEPS))

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.engine.child import Child
-from clsco.errors import ClscoError, ImageError, SceneError
-from clsco.files.atomic import together, writable_folder
+from clsco.errors import ClscoError, FileError, SceneError
+from clsco.files.atomic import atomic_folder, make_writable_folder
 from clsco.files.color import SRGB
 from clsco.files.images import Picture, read_image, write_png
 from clsco.files.png import png_parts
@@ -83,13 +83,13 @@ class Inpainting:
     def open(self, name: str) -> None:
         """Take another image, without a mask.
 
-        name: relative to the root. Raises ImageError: it is not below the root, cannot be read, or has more than 2^24
+        name: relative to the root. Raises FileError: it is not below the root, cannot be read, or has more than 2^24
         pixels.
         """
         picture = self._read(name)
         image = picture.data
         if image.shape[0] * image.shape[1] > LARGEST:
-            raise ImageError(f"{name}: must have at most {LARGEST} pixels to be filled here; use clsco inpaint")
+            raise FileError(f"{name}: must have at most {LARGEST} pixels to be filled here; use clsco inpaint")
         self.name, self.image, self.color = name, image, picture.color
         self.mask = np.zeros(image.shape[:2], np.bool_)
         self.results = {}
@@ -106,16 +106,16 @@ class Inpainting:
     def paint(self, columns: int, rows: int, runs: Sequence[int]) -> None:
         """Take a mask as runs, row after row: known pixels, missing ones, known ones, and so on.
 
-        Raises ImageError: it is not of the size of the image, or the runs do not make it up.
+        Raises FileError: it is not of the size of the image, or the runs do not make it up.
         """
         if (rows, columns) != self.mask.shape:
             got = f"{columns} x {rows}"
-            raise ImageError(f"mask: must have {self.mask.shape[1]} x {self.mask.shape[0]} pixels; got {got}")
+            raise FileError(f"mask: must have {self.mask.shape[1]} x {self.mask.shape[0]} pixels; got {got}")
         lengths = list(runs)
         if len(lengths) > MOST_RUNS or not all(type(run) is int and 0 <= run <= rows * columns for run in lengths):
-            raise ImageError(f"mask: must be at most {MOST_RUNS} lengths of runs")
+            raise FileError(f"mask: must be at most {MOST_RUNS} lengths of runs")
         if sum(lengths) != rows * columns:
-            raise ImageError(f"mask: runs must make up {rows * columns} pixels; got {sum(lengths)}")
+            raise FileError(f"mask: runs must make up {rows * columns} pixels; got {sum(lengths)}")
         values = np.arange(len(lengths)) % 2 == 1
         self.mask = np.repeat(values, lengths).reshape(rows, columns)
         self.results = {}
@@ -131,10 +131,10 @@ class Inpainting:
         """Add all pixels that look like one of them to the mask, as the letters of figure 5.16.
 
         column, row: place of the pixel; tolerance: largest difference of a channel, as a share of white; erase: take
-        them off the mask instead. Raises ImageError: there is no such pixel.
+        them off the mask instead. Raises FileError: there is no such pixel.
         """
         if not (0 <= row < self.mask.shape[0] and 0 <= column < self.mask.shape[1]):
-            raise ImageError(f"color: must be that of a pixel of the image; got column {column}, row {row}")
+            raise FileError(f"color: must be that of a pixel of the image; got column {column}, row {row}")
         codes = self.shown(self.image).astype(np.int16)
         difference = np.abs(codes - codes[row, column])
         if difference.ndim == 3:
@@ -144,24 +144,24 @@ class Inpainting:
         self.results = {}
 
     def load_mask(self, name: str) -> None:
-        """Take the mask of a file: white is missing. Raises ImageError."""
+        """Take the mask of a file: white is missing. Raises FileError."""
         values = self._read(name).data
         values = values if values.ndim == 2 else values[..., 0]
         if values.shape != self.mask.shape:
             got = f"{values.shape[1]} x {values.shape[0]}"
-            raise ImageError(f"{name}: must have the size of the image; got {got} pixels")
+            raise FileError(f"{name}: must have the size of the image; got {got} pixels")
         half = 0.5 if values.dtype.kind == "f" else np.iinfo(values.dtype).max / 2
         self.mask = values > half
         self.results = {}
 
     def save_mask(self, name: str) -> None:
-        """Write the mask as PNG, white where pixels are missing. Raises ImageError."""
+        """Write the mask as PNG, white where pixels are missing. Raises FileError."""
         target = self._target(name)
         if target.suffix.lower() != ".png":
-            raise ImageError(f"mask: must be written to a file that ends in .png; got {name!r}")
+            raise FileError(f"mask: must be written to a file that ends in .png; got {name!r}")
         if target == (self.root / self.name).resolve():
-            raise ImageError(f"mask: must not take the place of the image; got {name!r}")
-        write_png(writable_folder(target.parent) / target.name, self._mask_codes())
+            raise FileError(f"mask: must not take the place of the image; got {name!r}")
+        write_png(make_writable_folder(target.parent) / target.name, self._mask_codes())
 
     def fill(self, method: str) -> FilledImage | None:
         """Fill the missing pixels, and keep the result beside those of other methods.
@@ -194,7 +194,7 @@ class Inpainting:
         return shlex.join(["clsco", "inpaint", image, mask, "-o", out, "--method", method])
 
     def save(self, folder: str) -> list[str]:
-        """Write image, mask and results as PNG, all or none; returns their names. Raises ImageError."""
+        """Write image, mask and results as PNG, all or none; returns their names. Raises FileError."""
         return self._write(folder, tuple(self.results.values()))
 
     def picture(self, which: str) -> bytes:
@@ -219,7 +219,7 @@ class Inpainting:
         if method not in FILLERS:
             raise SceneError(f"method: must be one of {', '.join(FILLERS)}; got {method!r}")
         if not self.mask.any():
-            raise ImageError("mask: some pixel must be missing; paint over what is to go")
+            raise FileError("mask: some pixel must be missing; paint over what is to go")
 
     def _mask_codes(self) -> NDArray[np.uint8]:
         return np.where(self.mask, 255, 0).astype(np.uint8)
@@ -228,8 +228,8 @@ class Inpainting:
         """Write image, mask and results, all or none."""
         target = self._target(folder)
         if self.image.dtype.kind == "f":
-            raise ImageError("image: must be of 8 or 16 bits to be written as PNG; use clsco inpaint for floats")
-        with together(writable_folder(target), "inpainting") as made:
+            raise FileError("image: must be of 8 or 16 bits to be written as PNG; use clsco inpaint for floats")
+        with atomic_folder(make_writable_folder(target), "inpainting") as made:
             write_png(made / "image.png", self.image, self.color)
             write_png(made / "mask.png", self._mask_codes())
             for filled in results:
@@ -241,7 +241,7 @@ class Inpainting:
         try:
             return below(self.root, name)
         except SceneError:
-            raise ImageError(f"output: must be below the folder of the studio; got {name!r}") from None
+            raise FileError(f"output: must be below the folder of the studio; got {name!r}") from None
 
     def _read(self, name: str) -> Picture:
         try:
@@ -250,11 +250,11 @@ class Inpainting:
         except (SceneError, OSError):  # the latter: too long a name
             is_file = False
         if not is_file:
-            raise ImageError(f"image: must be a file below the folder of the studio; got {name!r}")
+            raise FileError(f"image: must be a file below the folder of the studio; got {name!r}")
         try:
             return read_image(path)
-        except ImageError as error:
-            raise ImageError(str(error).replace(str(path), name)) from None
+        except FileError as error:
+            raise FileError(str(error).replace(str(path), name)) from None
 
 
 def _figure(value: Any) -> str:
@@ -295,7 +295,7 @@ class FillingProcess:
         Raises ClscoError: as `clsco.inpaint`; the process ended by itself; another image is being filled.
         """
         if not self._working.acquire(blocking=False):
-            raise ImageError(f"{method}: must wait for what is being filled")
+            raise FileError(f"{method}: must wait for what is being filled")
         try:
             self.share, self._is_canceled = 0.0, False
             if self._child is None:
@@ -316,7 +316,7 @@ class FillingProcess:
             self._child = None
             if self._is_canceled:
                 return None
-            raise ImageError(f"{method}: its process ended; it is begun again with the next try") from None
+            raise FileError(f"{method}: its process ended; it is begun again with the next try") from None
         finally:
             self._working.release()
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.files.atomic import writable_folder, write_whole
+from clsco.files.atomic import atomic_write_bytes, make_writable_folder
 from clsco.files.images import read_image
 from clsco.inputs.textures import bricks
 from clsco.resources import folder
@@ -64,7 +64,7 @@ def presets() -> tuple[ScenePreset, ...]:
 def load_preset(session: Document, name: str) -> None:
     """Go to the scene of a preset, as a step of undo; its images are copied below the root.
 
-    Raises SceneError; ImageError: the root cannot be written; KeyError: there is no such preset.
+    Raises SceneError; FileError: the root cannot be written; KeyError: there is no such preset.
     """
     preset = {each.name: each for each in presets()}[name]
     table, start = read_mapping(str(preset.path), ()), preset.path.parent
@@ -80,7 +80,7 @@ def _copied(path: Path, root: Path) -> str:
     name = f"{IMAGES}/{path.name}"
     target = below(root, name)
     if not target.exists():
-        write_whole(writable_folder(target.parent) / target.name, content)
+        atomic_write_bytes(make_writable_folder(target.parent) / target.name, content)
     elif not holds(target, content):  # somebody's other image
         return keep_image(root, content, path.suffix[1:])
     return name

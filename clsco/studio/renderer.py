@@ -120,7 +120,7 @@ class RendererProcess:
             `cancel` was called meanwhile.
         RendererEndedError
             The process ended, of a fault or because it was killed.
-        SceneError, ImageError, DeviceError, KernelError
+        SceneError, FileError, DeviceError, KernelError
             As `clsco.render`.
         """
         async with aclosing(self._ask("render", job, watch)) as answers:

@@ -12,7 +12,7 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
 
-from clsco.errors import ClscoError, ImageError, SceneError
+from clsco.errors import ClscoError, FileError, SceneError
 from clsco.inputs.textures import load_texture
 from clsco.scene.file import FILE_KEYS
 from clsco.scene.toml import toml_text
@@ -143,7 +143,7 @@ class Addresses:
                     inpainting.add_color(column, row, tolerance, erase=rest.get("erase") is True)
                 case _:
                     return _refused("mask: must be runs or a color")
-        except (ImageError, ValueError, RecursionError) as error:
+        except (FileError, ValueError, RecursionError) as error:
             return _refused(str(error))
         return _mask(inpainting)
 

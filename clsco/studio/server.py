@@ -26,7 +26,7 @@ from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from clsco.errors import ImageError, SceneError
+from clsco.errors import FileError, SceneError
 from clsco.scene.model import Scene
 from clsco.studio.generate import stack_scenes
 from clsco.studio.guard import Guard, close_half_open
@@ -145,7 +145,7 @@ class Studio:
             session, path = tab.session, self._kept(name)
             revision, small = tab.preview.small if tab.preview is not None else (-1, b"")
             is_kept = session.can_undo and not session.is_saved
-            with suppress(ImageError):
+            with suppress(FileError):
                 if is_kept:
                     session.keep(path)
                 if revision != session.revision or tab.pictured == revision or not (is_kept or session.path):

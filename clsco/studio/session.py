@@ -10,8 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from clsco.errors import ImageError, SceneError
-from clsco.files.atomic import write_whole
+from clsco.errors import FileError, SceneError
+from clsco.files.atomic import atomic_write_bytes
 from clsco.resources import ExposedFolderError, private_folder, read_regular, temporary_folder
 from clsco.scene.faults import items
 from clsco.scene.file import relocated
@@ -85,14 +85,14 @@ class Document(Editor):
             The file was changed meanwhile, or is another one.
         SceneError
             It is not below the root, or its name has another end.
-        ImageError
+        FileError
             It cannot be written.
         """
         target, text, table = self._written(path)
         if not overwrite and digest_of(target) != self._digests.get(target, ""):
             rule = "is on the disk with other content" if target in self._digests else "is there already"
             raise ConflictError(f"{target.name}: {rule}: overwrite it, or save under another name")
-        write_whole(target, text.encode())
+        atomic_write_bytes(target, text.encode())
         self._digests[target] = digest_of(target)
         self._state = replace(self._state, table=table, path=target)
         self._saved = target, table
@@ -145,7 +145,7 @@ class Document(Editor):
         self.take(replace(state, table=relocated(table, lambda _, name: str(start / name))))
 
     def keep(self, path: Path) -> None:
-        """Write the scene so that `recover` finds it, if it changed since. Raises ImageError."""
+        """Write the scene so that `recover` finds it, if it changed since. Raises FileError."""
         if self._kept != self.revision:
             keep(self.table, self.folder, path)
             self._kept = self.revision
@@ -206,8 +206,8 @@ class StateFolder:
         return read_regular(self.path / name, most)
 
     def write(self, name: str, content: bytes) -> None:
-        """Write a file that is whole or absent. Raises ImageError where that cannot be."""
-        write_whole(self.path / name, content)  # in a folder that nobody else can write to
+        """Write a file that is whole or absent. Raises FileError where that cannot be."""
+        atomic_write_bytes(self.path / name, content)  # in a folder that nobody else can write to
 
     def key(self) -> bytes:
         """A secret that the next studio in the folder has, too, if it can be kept."""
@@ -215,7 +215,7 @@ class StateFolder:
             if len(known := self.read(KEY, KEY_BYTES)) == KEY_BYTES:
                 return known
         made = secrets.token_bytes(KEY_BYTES)
-        with suppress(ImageError):
+        with suppress(FileError):
             self.write(KEY, made)
         return made
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from clsco.errors import ClscoError, SceneError
-from clsco.files.atomic import write_whole
+from clsco.files.atomic import atomic_write_bytes
 from clsco.resources import open_regular, read_regular
 from clsco.scene.file import Location, named_files, read_mapping, relocated
 from clsco.scene.shapes import SHAPES
@@ -299,9 +299,9 @@ def _unpacked(text: str) -> Table:
 
 
 def keep(table: Table, start: Path, path: Path) -> None:
-    """Write a scene so that it can be recovered, whole or not at all. Raises ImageError."""
+    """Write a scene so that it can be recovered, whole or not at all. Raises FileError."""
     content = {"folder": str(start), "scene": table}
-    write_whole(path, json.dumps(content, ensure_ascii=False).encode())
+    atomic_write_bytes(path, json.dumps(content, ensure_ascii=False).encode())
 
 
 def read_kept(path: Path) -> tuple[Table, Path]:

@@ -5,13 +5,10 @@ It shares with the engine the model of a scene and its loaded textures. numba an
 
 from __future__ import annotations
 
-from importlib.util import find_spec
-
-from clsco.errors import ClscoError
+from clsco.errors import require_extra
 
 
 def require_rays() -> None:
-    """Raise ClscoError where what traces rays is not installed."""
+    """Raise MissingDependencyError where what traces rays is not installed."""
     for name in ("numba", "scipy"):
-        if find_spec(name) is None:
-            raise ClscoError(f"check: the lens needs {name}: pip install 'clsco[check]'; got no such module")
+        require_extra("check", name, "check")

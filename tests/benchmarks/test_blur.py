@@ -36,7 +36,7 @@ from benchmarks.blur.measure import Bench, front
 from benchmarks.blur.paces import Paces
 from benchmarks.blur.passes import MeasuredPass
 from benchmarks.blur.roofline import Roof, intensity, multiply_add_rate, tap_rate, triad_rate
-from clsco.errors import ClscoError, ImageError
+from clsco.errors import ClscoError, FileError
 from clsco.opencl.session import Session
 from clsco.passes.gather import Gather
 from clsco.plan.buffers import row_bytes
@@ -328,7 +328,7 @@ def test_nothing_is_left_when_a_plot_fails(
     (tmp_path / "bench.csv").write_text("before")
     plots: dict[str, Callable[[Bench], Any]] = {"speed_error.png": fail}
     monkeypatch.setattr(report, "PLOTS", plots)
-    with pytest.raises(ImageError if isinstance(failure, OSError) else RuntimeError):
+    with pytest.raises(FileError if isinstance(failure, OSError) else RuntimeError):
         report.write(tmp_path, measured)
     assert [path.name for path in tmp_path.iterdir()] == ["bench.csv"]
     assert (tmp_path / "bench.csv").read_text() == "before"
@@ -373,7 +373,7 @@ def without(monkeypatch: pytest.MonkeyPatch, *missing: str) -> None:
     def find_spec(name: str, package: str | None = None) -> Any:
         return None if name in missing else there(name, package)
 
-    monkeypatch.setattr("clsco.files.plots.find_spec", find_spec)
+    monkeypatch.setattr("clsco.errors.find_spec", find_spec)
 
 
 def test_a_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,7 +17,7 @@ from benchmarks.__main__ import main
 from benchmarks.thesis import page as thesis
 from benchmarks.thesis.figures import FIGURES, NUMBERS, OTHERS, Figure, Number, chosen, numbers_named
 from benchmarks.thesis.page import GAP, SIDE
-from clsco.errors import ImageError
+from clsco.errors import FileError
 from clsco.files.images import read_image
 from clsco.files.transfer import encode
 from clsco.frame.files import read_complete
@@ -93,7 +93,7 @@ def test_the_page_is_the_last_thing_that_is_written(tmp_path: Path, monkeypatch:
     assert (tmp_path / "thesis_only.md").is_file()
 
     def no_space(out: Path, figure: Figure) -> None:
-        raise ImageError(f"{out}: the file must be writable; got No space left on device")
+        raise FileError(f"{out}: the file must be writable; got No space left on device")
 
     monkeypatch.setattr(thesis, "small_figure", no_space)
     result = run("thesis", "-o", tmp_path, "--only", "4.15")

@@ -16,7 +16,7 @@ from click.testing import CliRunner, Result
 
 from clsco.cli.defocus import check_pair, is_image_file, prepare_image, scenes_from_files, write_color
 from clsco.cli.main import main
-from clsco.errors import ClscoError, ImageError, SceneError
+from clsco.errors import ClscoError, FileError, MissingDependencyError, SceneError
 from clsco.files.images import read_image, write_png
 from clsco.frame.frame import Frame
 from clsco.scene.changes import dump
@@ -131,7 +131,7 @@ def test_all_faults_are_reported_at_once(files: tuple[Path, Path]) -> None:
 def test_sizes_must_agree(files: tuple[Path, Path]) -> None:
     image, depth = files
     write_png(depth, DEPTHS[:-1])
-    with pytest.raises(ImageError) as caught:
+    with pytest.raises(FileError) as caught:
         check_pair(scene_of(image, depth))
     assert str(caught.value) == f"{depth}: the size must be that of {image}, 12 x 9 pixels; got 12 x 8"
 
@@ -139,7 +139,7 @@ def test_sizes_must_agree(files: tuple[Path, Path]) -> None:
 @pytest.mark.parametrize("broken", [0, 1])
 def test_missing_files_are_named(files: tuple[Path, Path], broken: int) -> None:
     files[broken].unlink()
-    with pytest.raises(ImageError) as caught:
+    with pytest.raises(FileError) as caught:
         check_pair(scene_of(*files))
     assert str(caught.value) == f"{files[broken]}: must be a file that can be read; got No such file or directory"
 
@@ -149,7 +149,7 @@ def test_an_image_file_is_distinguished_from_a_folder(tmp_path: Path) -> None:
     assert not any(is_image_file(tmp_path / name) for name in ("out", "v1.2", ".png"))
     (tmp_path / "folder.jpg").mkdir()
     assert not is_image_file(tmp_path / "folder.jpg")
-    with pytest.raises(ImageError) as caught:
+    with pytest.raises(FileError) as caught:
         is_image_file(tmp_path / "a.jpg")
     assert (
         str(caught.value)
@@ -169,10 +169,10 @@ def test_one_file_takes_one_image(files: tuple[Path, Path], tmp_path: Path) -> N
         prepare_image([scene_of(*files)] * 2, out)
     prepare_image([scene_of(*files)], tmp_path / "new" / "out.png")
     assert list((tmp_path / "new").iterdir()) == []
-    with pytest.raises(ImageError, match="must be a folder that can be written"):
+    with pytest.raises(FileError, match="must be a folder that can be written"):
         prepare_image([scene_of(*files)], files[0] / "out.png")
     for path in files:
-        with pytest.raises(ImageError, match="must not be the image or the depth that it is made of"):
+        with pytest.raises(FileError, match="must not be the image or the depth that it is made of"):
             prepare_image([scene_of(*files)], path.parent / ".." / path.parent.name / path.name)
 
 
@@ -246,7 +246,7 @@ def test_a_missing_extra_is_named_before_anything_is_done(
 ) -> None:
     scene = scene_of(*files)
     monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(ImageError, match=rf"needs {module}: pip install 'clsco\[{extra}\]'"):
+    with pytest.raises(MissingDependencyError, match=rf"needs {module}: pip install 'clsco\[{extra}\]'"):
         prepare_image([scene], tmp_path / "new" / name)
     assert not (tmp_path / "new").exists()
     prepare_image([scene], tmp_path / "new" / "a.png")

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 import clsco
 from clsco.cli.inpaint import read_pair
 from clsco.cli.main import main
-from clsco.errors import ImageError
+from clsco.errors import FileError
 from clsco.files.images import read_image, write_exr, write_png, write_tiff
 
 ROWS, COLUMNS = 20, 24
@@ -193,7 +193,7 @@ def test_files_that_cannot_be_read_are_refused(save: Save, tmp_path: Path) -> No
 def test_a_report_needs_matplotlib_before_anything_is_done(
     save: Save, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("clsco.files.plots.find_spec", lambda name: None)
+    monkeypatch.setattr("clsco.errors.find_spec", lambda name: None)
     image, mask, out = save("image.png", CODES), save("mask.png", MASK), tmp_path / "out.png"
     result = run(image, mask, "-o", out, "--report", tmp_path / "report")
     assert result.exit_code == 1
@@ -230,5 +230,5 @@ def test_progress_is_shown_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_an_image_of_a_mask_that_hides_all_is_not_read(save: Save) -> None:
-    with pytest.raises(ImageError, match="some pixel must be known"):
+    with pytest.raises(FileError, match="some pixel must be known"):
         read_pair(save("image.npy", WRONG), save("mask.png", MASK | 255))

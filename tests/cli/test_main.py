@@ -13,15 +13,16 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import click
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
 import clsco
 from clsco.cli import demo
-from clsco.cli.main import main
+from clsco.cli.main import MODULES, main
 from clsco.engine import batch
-from clsco.errors import ImageError
+from clsco.errors import FileError
 from clsco.files.images import read_image
 from clsco.frame.files import read_complete
 from clsco.frame.frame import FILE_NAMES, MOTION_NAMES, TRUTH_NAMES, Frame
@@ -67,6 +68,15 @@ def ball(tmp_path: Path) -> Path:
 
 def names(folder: Path) -> list[str]:
     return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
+
+
+def test_the_list_of_commands_says_what_each_says_of_itself() -> None:
+    context = click.Context(main)
+    assert set(MODULES) <= set(main.list_commands(context))
+    for name, text in MODULES.items():
+        command = main.get_command(context, name)
+        assert command is not None
+        assert str(command.help).replace("\n", " ").startswith(text.rstrip("."))
 
 
 def test_render_ends_with_what_it_wrote(ball: Path, tmp_path: Path) -> None:
@@ -207,7 +217,7 @@ def test_a_depth_map_lies_outside_the_frames(tmp_path: Path) -> None:
         }
     )
     np.savez(tmp_path / "frame_0000.npz", depth=np.full((3, 4), 280.0))
-    with pytest.raises(ImageError, match="a depth must not lie where frames are written"):
+    with pytest.raises(FileError, match="a depth must not lie where frames are written"):
         batch.prepare(prepare(scene), tmp_path, [0], (), False)
 
 

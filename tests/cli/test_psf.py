@@ -12,8 +12,9 @@ from click.testing import CliRunner
 
 import clsco
 from clsco.cli.main import main
-from clsco.cli.psf_sheet import CELL, GAP, LEFT, LINE, sheet
+from clsco.cli.psf_sheet import CELL, sheet
 from clsco.files.images import read_image
+from clsco.frame.contact_sheet import GAP
 
 SCENE = """
 [camera]
@@ -60,8 +61,8 @@ def test_a_picture_has_a_column_for_each_depth_with_the_same_scale(scene: Path, 
     picture = read_image(out).data
     stack = clsco.psf(clsco.load_scene(scene, ["camera.f_number=2"]), depths=[208.3333, 250.0, 312.5])
     np.testing.assert_array_equal(picture, sheet(stack))
-    top = 2 * LINE + GAP
-    cells = [picture[top : top + CELL, left : left + CELL] for left in range(LEFT, LEFT + 3 * (CELL + GAP), CELL + GAP)]
+    top = GAP + 18  # below the title
+    cells = [picture[top : top + CELL, left : left + CELL] for left in range(GAP, GAP + 3 * (CELL + GAP), CELL + GAP)]
     bright = [int((cell[..., 0] > 127).sum()) for cell in cells]
     assert bright[1] < 0.1 * bright[0]
     assert bright[0] == pytest.approx(bright[2], rel=0.05)

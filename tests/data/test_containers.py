@@ -15,7 +15,7 @@ import pytest
 from clsco.data.containers import CONTAINERS, container_named
 from clsco.data.containers.base import NESTED
 from clsco.data.record import Record, make_record
-from clsco.errors import ImageError, SceneError
+from clsco.errors import FileError, MissingDependencyError, SceneError
 from tests.data.samples import contents, drawn, frame, record, same
 
 EACH = pytest.mark.parametrize("form", CONTAINERS)
@@ -76,9 +76,9 @@ def test_one_shape_for_all_where_columns_need_it(tmp_path: Path) -> None:
     for form in ONE_SHAPE:
         for number, other in enumerate((record(2, (4, 6)), record(2, wanted=("depth",)))):
             path = tmp_path / f"{number}{form}"
-            with pytest.raises(ImageError, match="must have the same arrays in all samples, of one type and size; got"):
+            with pytest.raises(FileError, match="must have the same arrays in all samples, of one type and size; got"):
                 CONTAINERS[form].write(path, iter([record(1), other]))
-        with pytest.raises(ImageError, match="must have a sample; got none"):
+        with pytest.raises(FileError, match="must have a sample; got none"):
             CONTAINERS[form].write(tmp_path / f"empty{form}", iter([]))
 
 
@@ -142,6 +142,8 @@ def test_unknown_and_missing_formats(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(SceneError, match=r"format: must be one of webdataset, .*parquet; got tar"):
         container_named("tar")
     monkeypatch.setattr("clsco.data.containers.find_spec", lambda name: None)
-    with pytest.raises(ImageError, match=r"format: hdf5 needs h5py: pip install 'clsco\[data\]'; got no such module"):
+    with pytest.raises(
+        MissingDependencyError, match=r"format: hdf5 needs h5py: pip install 'clsco\[data\]'; got no such module"
+    ):
         container_named("hdf5")
     assert container_named("webdataset+raw").name == "webdataset+raw"  # needs nothing

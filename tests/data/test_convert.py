@@ -14,7 +14,7 @@ from clsco.cli.main import main
 from clsco.data.containers import CONTAINERS
 from clsco.data.sets import open_set
 from clsco.data.storage import open_storage
-from clsco.errors import ImageError
+from clsco.errors import FileError
 from tests.data.samples import contents, make_set, record, same
 
 
@@ -62,7 +62,7 @@ def failing(at: int) -> object:
             count += 1
             if count == at:
                 path.mkdir()  # half of it is there
-                raise ImageError("npz: no space")
+                raise FileError("npz: no space")
             CONTAINERS["npz"].write(path, records)  # type: ignore[arg-type]
 
     return Full()

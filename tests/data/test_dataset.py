@@ -22,7 +22,7 @@ import pytest
 import clsco.data
 from clsco.data.record import Record
 from clsco.data.storage import open_storage
-from clsco.errors import ImageError, SceneError
+from clsco.errors import FileError, MissingDependencyError, SceneError
 from tests.data.samples import make_set, record, same
 
 ORDER = [0, 1, 3, 2, 4, 6, 7, 9, 8]  # by shards of four, then by splits; 5 failed
@@ -67,7 +67,7 @@ def test_splits_and_arrays(folder: Path) -> None:
 
 
 def test_what_is_no_set(folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(ImageError, match=r"must hold a data set that clsco dataset make made; got no dataset\.json"):
+    with pytest.raises(FileError, match=r"must hold a data set that clsco dataset make made; got no dataset\.json"):
         clsco.data.open(tmp_path)
     with pytest.raises(AttributeError):
         clsco.data.load  # noqa: B018
@@ -219,14 +219,16 @@ def test_a_set_in_a_store_is_read_by_copies_of_its_shards(
     one.close()
     two.close()
     assert not list((open_storage("memory://bucket/one").scratch() / "read").glob("*/*/*"))
-    with pytest.raises(ImageError, match=r"must hold a data set that clsco dataset make made; got no dataset\.json"):
+    with pytest.raises(FileError, match=r"must hold a data set that clsco dataset make made; got no dataset\.json"):
         clsco.data.open("memory://bucket/three")
 
 
 def test_tensors(folder: Path) -> None:
     opened = clsco.data.open(folder)
     if find_spec("torch") is None:
-        with pytest.raises(ImageError, match="to_torch: needs PyTorch: pip install torch; got no such module"):
+        with pytest.raises(
+            MissingDependencyError, match="to_torch: needs PyTorch: pip install torch; got no such module"
+        ):
             opened.to_torch()
         return
     torch = import_module("torch")

@@ -21,7 +21,7 @@ import pytest
 import clsco.data
 from clsco.data.containers import CONTAINERS
 from clsco.data.containers.base import decoded, encoded, parsed_meta
-from clsco.errors import ImageError
+from clsco.errors import FileError
 from clsco.files.png import png_parts
 from tests.data.samples import make_set, record
 
@@ -70,7 +70,7 @@ def large_png() -> bytes:
 )
 def test_lies_about_sizes_take_no_memory(extension: str, content: bytes) -> None:
     tracemalloc.start()
-    with pytest.raises(Exception):  # noqa: B017, PT011, any: readers turn all of them into an ImageError
+    with pytest.raises(Exception):  # noqa: B017, PT011, any: readers turn all of them into a FileError
         decoded(HERE, extension, content, about("f4", 2, 2))
     assert tracemalloc.get_traced_memory()[1] < 2**20
     tracemalloc.stop()
@@ -102,7 +102,7 @@ def test_a_png_is_sized_by_what_describes_it() -> None:
     ],
 )
 def test_meta_that_no_record_has(meta: bytes) -> None:
-    with pytest.raises((ImageError, ValueError, RecursionError)):
+    with pytest.raises((FileError, ValueError, RecursionError)):
         parsed_meta(HERE, meta)
 
 
@@ -118,15 +118,15 @@ def test_members_that_a_tar_must_not_have(tmp_path: Path) -> None:
     link = tarfile.TarInfo("000000001.color.png")
     link.type, link.linkname = tarfile.SYMTYPE, "/etc/passwd"
     tar = tar_of(tmp_path / "link.tar", (link, b""))
-    with pytest.raises(ImageError, match=r"must hold whole, plain files alone; got '000000001\.color\.png'"):
+    with pytest.raises(FileError, match=r"must hold whole, plain files alone; got '000000001\.color\.png'"):
         CONTAINERS["webdataset"].read(tar)
     outside = tar_of(tmp_path / "outside.tar", (tarfile.TarInfo("../../evil.meta.json"), b"{}"))
     reader = CONTAINERS["webdataset"].read(outside)
-    with pytest.raises(ImageError, match=r"outside\.tar"):
+    with pytest.raises(FileError, match=r"outside\.tar"):
         list(reader)
     assert sorted(each.name for each in tmp_path.iterdir()) == ["link.tar", "outside.tar"]
     again = [(tarfile.TarInfo(f"00000000{n}.meta.json"), b"{}") for n in (1, 2, 1)]
-    with pytest.raises(ImageError, match="files of a sample must follow each other"):
+    with pytest.raises(FileError, match="files of a sample must follow each other"):
         CONTAINERS["webdataset"].read(tar_of(tmp_path / "again.tar", *again))
 
 
@@ -139,7 +139,7 @@ def test_a_tar_whose_headers_lie(tmp_path: Path) -> None:
     header[148:156] = b" " * 8
     header[148:156] = b"%06o\0 " % sum(header)
     path.write_bytes(header + content[512:])
-    with pytest.raises(ImageError, match=r"a\.tar: must "):
+    with pytest.raises(FileError, match=r"a\.tar: must "):
         CONTAINERS["webdataset"].read(path)
 
 
@@ -176,7 +176,7 @@ def test_hdf5_that_leads_elsewhere(change: Callable[[Any, Path], None], tmp_path
     with h5py.File(path, "r+") as file:
         change(file["000000001"], tmp_path)
     reader = CONTAINERS["hdf5"].read(path)
-    with pytest.raises(ImageError, match=r"a\.h5: (depth must be a dataset in the file itself|must be a whole HDF5)"):
+    with pytest.raises(FileError, match=r"a\.h5: (depth must be a dataset in the file itself|must be a whole HDF5)"):
         reader.record(0)
     assert list(reader.record(0, ("color",)).arrays) == ["color"]
     reader.close()
@@ -186,7 +186,7 @@ def test_what_json_cannot_hold_is_not_written(tmp_path: Path) -> None:
     wrong = record(1)
     wrong = replace(wrong, meta={**wrong.meta, "parameters": {"camera.focus_distance": np.inf}})
     for form, container in CONTAINERS.items():
-        with pytest.raises(ImageError, match="sample 000000001: must be values that JSON holds"):
+        with pytest.raises(FileError, match="sample 000000001: must be values that JSON holds"):
             container.write(tmp_path / form, iter([wrong]))
 
 
@@ -210,7 +210,7 @@ def changed_card(folder: Path, **values: Any) -> None:
 def test_cards_of_strangers(values: dict[str, Any], rule: str, tmp_path: Path) -> None:
     make_set(tmp_path / "set")
     changed_card(tmp_path / "set", **values)
-    with pytest.raises(ImageError, match=rule):
+    with pytest.raises(FileError, match=rule):
         clsco.data.open(tmp_path / "set")
 
 
@@ -218,5 +218,5 @@ def test_a_card_that_counts_wrong(tmp_path: Path) -> None:
     make_set(tmp_path / "set")
     changed_card(tmp_path / "set", files={"train": [["train/000000.tar", 2]]})
     opened = clsco.data.open(tmp_path / "set", "train")
-    with pytest.raises(ImageError, match=r"000000\.tar: must hold 2 samples, as dataset.json says; got 3"):
+    with pytest.raises(FileError, match=r"000000\.tar: must hold 2 samples, as dataset.json says; got 3"):
         opened[0]

@@ -22,7 +22,7 @@ from clsco.data.manifest import (
 )
 from clsco.data.sets import DataSet, finish
 from clsco.data.storage import Storage, _Folder, open_storage
-from clsco.errors import ImageError
+from clsco.errors import FileError
 
 IDENTITY = Identity("d", 1, 0, 4, "webdataset", ("color",), "double", (("train", 0.5), ("test", 0.5)), "1.0", "cpu")
 
@@ -58,10 +58,10 @@ def test_a_part_is_read_as_it_was_written_and_damage_is_found() -> None:
     part = parsed_part(data)
     assert (part.shard, part.numbers, part.made, part.failed) == (2, range(8, 12), 2, 2)
     assert rows_of(data) == (rows, failures)
-    with pytest.raises(ImageError, match="lines must have the SHA-256"):
+    with pytest.raises(FileError, match="lines must have the SHA-256"):
         rows_of(data.replace(b'"number":9', b'"number":7'))
     for row, failure in (({"number": 8}, failures[0]), (rows[0], {"number": 10}), ({**rows[0], "offset": -1}, {})):
-        with pytest.raises(ImageError, match="each line must be about a sample; got other values"):
+        with pytest.raises(FileError, match="each line must be about a sample; got other values"):
             rows_of(part_bytes(2, "id", range(8, 10), {}, [row], [failure]))
     for damaged in (
         b"",
@@ -71,7 +71,7 @@ def test_a_part_is_read_as_it_was_written_and_damage_is_found() -> None:
         data.replace(b"data/", b"../a/"),
         data[:20],
     ):
-        with pytest.raises(ImageError):
+        with pytest.raises(FileError):
             parsed_part(damaged)
 
 

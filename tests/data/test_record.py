@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from clsco.data.record import ABOUT, array_sha256, is_wanted, make_record, parse_stored
-from clsco.errors import ImageError, SceneError
+from clsco.errors import FileError, SceneError
 from clsco.files.images import read_image
 from clsco.files.transfer import encode
 from clsco.frame.frame import FILE_NAMES
@@ -84,7 +84,7 @@ def test_what_does_not_fit_is_refused(name: str, value: float, stored: dict[str,
     made = frame(1)
     array = getattr(made, name).copy()
     array[(2, 3, 0) if array.ndim == 3 else (2, 3)] = value
-    with pytest.raises(ImageError) as error:
+    with pytest.raises(FileError) as error:
         make_record(drawn(1), 0, [[replace(made, **{name: array})]], (name,), stored)
     assert rule in str(error.value)
 

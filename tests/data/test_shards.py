@@ -17,7 +17,7 @@ from clsco.data.sets import DataSet, check_resumable, finish, open_set, ranges, 
 from clsco.data.shards import SampleRenderer, SetJob, ShardMaker, prefetch
 from clsco.data.storage import open_storage
 from clsco.data.verify import verify_samples
-from clsco.errors import DeviceError, ImageError, SceneError
+from clsco.errors import DeviceError, FileError, SceneError
 from clsco.files.png import png_parts
 from clsco.opencl.device import choose
 from clsco.scene.sweep import parse_sweep
@@ -148,11 +148,11 @@ def test_other_files_and_damaged_cards_are_refused(tmp_path: Path) -> None:
     wanted = set_of(job_of(tmp_path, 8))
     with pytest.raises(SceneError, match="must be an empty folder, or hold a data set; got other files"):
         check_resumable(wanted, resumes=True)
-    with pytest.raises(ImageError, match=r"must hold a data set that clsco dataset make made; got no dataset\.json"):
+    with pytest.raises(FileError, match=r"must hold a data set that clsco dataset make made; got no dataset\.json"):
         open_set(wanted.storage)
     for text in ("", "[]", '{"identity": {}}', json.dumps({"identity": wanted.identity.record(), "samples": [5, 2]})):
         (tmp_path / "dataset.json").write_text(text)
-        with pytest.raises(ImageError, match=r"dataset\.json: must describe a data set; got"):
+        with pytest.raises(FileError, match=r"dataset\.json: must describe a data set; got"):
             open_set(wanted.storage)
 
 
@@ -221,7 +221,7 @@ def test_two_that_make_a_shard_otherwise_are_told_and_both_are_kept(tmp_path: Pa
     before = files(tmp_path)
     other: Any = Fake(unrenderable=frozenset({2}))
     maker = ShardMaker(replace(job, distribution=other), open_storage(job.where), choose(), False)
-    with pytest.raises(ImageError, match="all that make a shard must make the same bytes; got others, which are in"):
+    with pytest.raises(FileError, match="all that make a shard must make the same bytes; got others, which are in"):
         maker.deliver(maker.make(0), {})
     maker.storage.close()
     after = files(tmp_path)

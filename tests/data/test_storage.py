@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from clsco.data.storage import Storage, open_storage
-from clsco.errors import ImageError
+from clsco.errors import FileError
 
 
 @pytest.fixture(params=["folder", "memory"])
@@ -54,9 +54,9 @@ def test_files_and_folders_are_put_listed_read_and_removed(storage: Storage) -> 
 
 @pytest.mark.parametrize("key", ["../a", "/etc/passwd", "data//a", "data/../../a", "data/.", "", "a\\b", "a\nb"])
 def test_keys_of_strangers_stay_in_their_place(storage: Storage, key: str) -> None:
-    with pytest.raises(ImageError, match="a file of a data set must lie in its folder"):
+    with pytest.raises(FileError, match="a file of a data set must lie in its folder"):
         storage.read(key)
-    with pytest.raises(ImageError, match="a file of a data set must lie in its folder"):
+    with pytest.raises(FileError, match="a file of a data set must lie in its folder"):
         storage.local(key)
 
 
@@ -99,8 +99,8 @@ def test_a_process_that_nobody_has_waited_for_has_ended(tmp_path: Path) -> None:
 
 def test_a_store_that_cannot_be_had_is_named(tmp_path: Path) -> None:
     pytest.importorskip("fsspec")
-    with pytest.raises(ImageError, match="nosuch://a: must be an address that fsspec opens; got"):
+    with pytest.raises(FileError, match="nosuch://a: must be an address that fsspec opens; got"):
         open_storage("nosuch://a")
     (tmp_path / "file").write_bytes(b"")
-    with pytest.raises(ImageError, match="the data set must be writable and readable; got Not a directory"):
+    with pytest.raises(FileError, match="the data set must be writable and readable; got Not a directory"):
         open_storage(tmp_path / "file").write("a", b"")

@@ -23,7 +23,7 @@ def test_a_frame_of_another_writer_stays(tmp_path: Path) -> None:
     one, other = job(tmp_path, range(2)), job(tmp_path, range(2))
     assert len(list(batch.run([one], None))) == 2
     before = {path: (path.stat().st_mtime_ns, path.read_bytes()) for path in tmp_path.iterdir()}
-    with pytest.raises(clsco.ImageError, match=r"frame_0000.json: frames must have one writer at a time; got one that"):
+    with pytest.raises(clsco.FileError, match=r"frame_0000.json: frames must have one writer at a time; got one that"):
         list(batch.run([other], None))
     assert {path: (path.stat().st_mtime_ns, path.read_bytes()) for path in tmp_path.iterdir()} == before
 

@@ -90,7 +90,7 @@ def test_a_frame_without_color_says_so(tmp_path: Path) -> None:
     assert "img" not in frame._repr_html_()
     for use in (frame.image, lambda: frame.save(tmp_path / "frame.png"), lambda: frame.save(tmp_path / "frame.tif")):
         with pytest.raises(
-            clsco.ImageError, match="frame 0: must have color for an image; got one rendered with color"
+            clsco.ArgumentError, match="frame 0: must have color for an image; got one rendered with color"
         ):
             use()
     frame.save(tmp_path / "frame.npz")

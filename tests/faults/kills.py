@@ -185,7 +185,7 @@ def make_naive() -> None:
         return dict(batch_record)
 
     for module, name, value in (
-        (images, "whole_file", in_place), (framefiles, "together", in_folder), (batch, "read_complete", there),
+        (images, "atomic_write", in_place), (framefiles, "together", in_folder), (batch, "read_complete", there),
         (batch, "record", remembered),
     ):  # fmt: skip
         setattr(module, name, value)

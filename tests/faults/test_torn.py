@@ -18,7 +18,7 @@ import pytest
 from click.testing import CliRunner
 
 from clsco.cli.main import main
-from clsco.errors import DeviceError, ImageError
+from clsco.errors import DeviceError, FileError
 from clsco.files import atomic as files
 from clsco.files.images import write_exr
 from clsco.frame.files import read_complete
@@ -153,7 +153,7 @@ def test_the_last_write_of_an_exr_fails(tmp_path: Path) -> None:
         write_exr(tmp_path / "a.exr", plane)
     last = len(count.names) - 1 - count.names[::-1].index("write")
     for number in range(count.names.index("write"), last + 1):
-        with failing(Disk(number)), pytest.raises(ImageError, match="the file must be writable; got "):
+        with failing(Disk(number)), pytest.raises(FileError, match="the file must be writable; got "):
             write_exr(tmp_path / "b.exr", plane)
         assert [path.name for path in tmp_path.iterdir()] == ["a.exr"]
 

@@ -1,9 +1,10 @@
-"""Readers of ground truth as other packages have them, in a few lines each where these are large: the steps are
-theirs."""
+"""Readers and writers of ground truth as other packages have them, in a few lines each where these are large: the steps
+are theirs."""
 
 from __future__ import annotations
 
 import re
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -47,17 +48,7 @@ def torchvision_kitti_disparity(path: Path) -> Array:
     return np.asarray(np.asarray(Image.open(path)) / 256.0)
 
 
-def sintel_depth(path: Path) -> Array:
-    """(rows, columns), m: depth_read of Sintel's SDK."""
-    with path.open("rb") as file:
-        assert np.fromfile(file, np.float32, 1)[0] == np.float32(202021.25)
-        columns, rows = np.fromfile(file, np.int32, 2)
-        assert 1 < columns * rows < 100_000_000
-        return np.fromfile(file, np.float32, -1).reshape(rows, columns)
-
-
-def sintel_cam(path: Path) -> tuple[Array, Array]:
-    """M (3, 3) and N (3, 4): cam_read of Sintel's SDK."""
-    with path.open("rb") as file:
-        assert np.fromfile(file, np.float32, 1)[0] == np.float32(202021.25)
-        return np.fromfile(file, np.float64, 9).reshape(3, 3), np.fromfile(file, np.float64, 12).reshape(3, 4)
+def dpt_bytes(meters: Array) -> bytes:
+    """The file that depth_write of Sintel's SDK makes of a depth (rows, columns), m."""
+    rows, columns = meters.shape
+    return struct.pack("<4sii", b"PIEH", columns, rows) + meters.astype("<f4").tobytes()

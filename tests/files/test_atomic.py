@@ -18,15 +18,15 @@ import OpenEXR
 import pytest
 
 from clsco import resources
-from clsco.errors import ImageError
-from clsco.files.atomic import writable_folder
+from clsco.errors import FileError
+from clsco.files.atomic import make_writable_folder
 from clsco.files.images import read_image, write_exr, write_json, write_npz, write_png
 from clsco.files.transfer import encode
 from clsco.frame.channels import exr_channels
-from clsco.frame.files import frame_files, read_complete, truth_files, write_frame
+from clsco.frame.files import files_of, frame_files, read_complete, write_frame
 from clsco.frame.frame import FILE_NAMES, TRUTH_NAMES, Frame
 
-NPZ, BOTH = truth_files("npz"), truth_files("npz,exr")
+NPZ, BOTH = files_of("", "npz"), files_of("", "npz,exr")
 GRAY = np.arange(256, dtype=np.uint8).reshape(8, 32)
 COLOR = np.random.default_rng(7).integers(0, 65536, (300, 300, 3), "u2")
 LIGHT = np.random.default_rng(7).random((300, 300), "f4")
@@ -149,11 +149,11 @@ def test_a_pair_is_written_together_or_not_at_all(tmp_path: Path, monkeypatch: p
 
     def last_fails(path: Path, *given: object, **options: object) -> None:
         if path.name == name:
-            raise ImageError(f"{path}: the file must be writable; got No space left on device")
+            raise FileError(f"{path}: the file must be writable; got No space left on device")
         write(path, *given, **options)
 
     monkeypatch.setattr(framefiles, broken, last_fails)
-    with pytest.raises(ImageError) as caught:
+    with pytest.raises(FileError) as caught:
         write_frame(tmp_path, pair(), 8, "linear", BOTH)
     assert str(caught.value) == f"{tmp_path / name}: the file must be writable; got No space left on device"
     assert list(tmp_path.iterdir()) == []
@@ -176,12 +176,12 @@ def test_frame_is_complete_or_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
     content = write_frame(tmp_path, (shown,), 8, "srgb", NPZ)
     with monkeypatch.context() as patch:
-        patch.setattr("clsco.frame.files.write_npz", lambda *_: (_ for _ in ()).throw(ImageError("disk")))
-        with pytest.raises(ImageError, match="disk"):
+        patch.setattr("clsco.frame.files.write_npz", lambda *_: (_ for _ in ()).throw(FileError("disk")))
+        with pytest.raises(FileError, match="disk"):
             write_frame(tmp_path, (replace(shown, color=1 - shown.color),), 8, "srgb", NPZ)
     assert read_complete(tmp_path, 3) == content  # the older frame is still there
-    monkeypatch.setattr("clsco.frame.files.write_json", lambda *_: (_ for _ in ()).throw(ImageError("disk")))
-    with pytest.raises(ImageError, match="disk"):
+    monkeypatch.setattr("clsco.frame.files.write_json", lambda *_: (_ for _ in ()).throw(FileError("disk")))
+    with pytest.raises(FileError, match="disk"):
         write_frame(tmp_path, (shown,), 8, "srgb", NPZ)
     assert read_complete(tmp_path, 3) is None  # new files, and none that says they are whole
     (tmp_path / "frame_0003.json").write_text("[]")
@@ -222,7 +222,7 @@ def test_failed_writing_leaves_what_was_there(
     else:
         monkeypatch.setattr(Path if failure == "replace" else os, "replace" if failure == "replace" else "fsync", fail)
     try:
-        with pytest.raises(KeyboardInterrupt if failure == "interrupt" else ImageError) as caught:
+        with pytest.raises(KeyboardInterrupt if failure == "interrupt" else FileError) as caught:
             write(path)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limit)
@@ -255,17 +255,17 @@ def test_unwritable_places(tmp_path: Path) -> None:
         tmp_path / "folder",
         tmp_path / "a\0.png",
     ):
-        with pytest.raises(ImageError, match="the file must be writable; got "):
+        with pytest.raises(FileError, match="the file must be writable; got "):
             write_png(path, GRAY)
-    with pytest.raises(ImageError, match="the file must be writable; got Out of range float"):
+    with pytest.raises(FileError, match="the file must be writable; got Out of range float"):
         write_json(tmp_path / "a.json", {"x": float("nan")})
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder"]
 
-    assert writable_folder(tmp_path / "new" / "deep") == tmp_path / "new" / "deep"
+    assert make_writable_folder(tmp_path / "new" / "deep") == tmp_path / "new" / "deep"
     assert list((tmp_path / "new" / "deep").iterdir()) == []
     for path in (tmp_path / "file", tmp_path / "file" / "below", Path("/proc/nothing"), tmp_path / "a\0"):
-        with pytest.raises(ImageError, match="must be a folder that can be written; got "):
-            writable_folder(path)
+        with pytest.raises(FileError, match="must be a folder that can be written; got "):
+            make_writable_folder(path)
 
 
 def test_stale_temporary_files_are_removed(tmp_path: Path) -> None:
@@ -304,8 +304,8 @@ if naive:
     @contextlib.contextmanager
     def in_place(folder, name):
         yield folder
-    images.whole_file, framefiles.together, framefiles.sha256 = images_open, in_place, lambda path: path.name
-light, npz = np.random.default_rng(1).random((64, 64, 3), "f4"), framefiles.truth_files("npz")
+    images.atomic_write, framefiles.together, framefiles.sha256 = images_open, in_place, lambda path: path.name
+light, npz = np.random.default_rng(1).random((64, 64, 3), "f4"), framefiles.files_of("", "npz")
 framefiles.write_frame(folder, (Frame(0, light),), 16, "srgb")  # makes the tables, once for all children
 random.seed(2)
 damaged = complete = 0

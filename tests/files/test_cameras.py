@@ -1,47 +1,19 @@
-"""Cameras in the files of Sintel and COLMAP: every number comes back, and poses of any turn become quaternions."""
+"""Cameras in the files of COLMAP: every number comes back, and poses of any turn become quaternions."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-import pytest
 from scipy.spatial.transform import Rotation
 
-from clsco.errors import ImageError
-from clsco.files.atomic import write_whole
-from clsco.files.cameras import Pinhole, cam_bytes, colmap_texts, read_cam
-from tests.files.readers import sintel_cam
+from clsco.files.cameras import Pinhole, colmap_texts
 
 TURNS = [*Rotation.random(20, random_state=3), *Rotation.from_rotvec(np.pi * np.eye(3)), Rotation.identity()]
 
 
 def camera(turn: Rotation, columns: int = 64) -> Pinhole:
     return Pinhole(columns, 48, 2000.1, (31.5, 23.5), turn.as_matrix(), np.array([10.0, -0.3, 1e-9]))
-
-
-def test_sintels_sdk_reads_the_camera(tmp_path: Path) -> None:
-    shown = camera(TURNS[0])
-    write_whole(tmp_path / "a.cam", cam_bytes(shown))
-    intrinsic, extrinsic = sintel_cam(tmp_path / "a.cam")
-    assert intrinsic.tolist() == [[2000.1, 0, 31.5], [0, 2000.1, 23.5], [0, 0, 1]]
-    np.testing.assert_array_equal(extrinsic[:, :3], shown.rotation)
-    np.testing.assert_allclose(extrinsic[:, 3], [0.01, -0.0003, 1e-12], rtol=1e-15)  # m
-    own_intrinsic, own_extrinsic = read_cam(tmp_path / "a.cam")
-    np.testing.assert_array_equal(own_intrinsic, intrinsic)
-    np.testing.assert_allclose(own_extrinsic[:, 3], shown.translation, rtol=1e-15)
-
-
-@pytest.mark.parametrize(("content", "got"), [
-    (cam_bytes(camera(TURNS[0]))[:-1], "must be a whole CAM; got 171 bytes instead of 172"),
-    (cam_bytes(camera(TURNS[0])) + b"\0", "must be a whole CAM; got more bytes instead of 172"),
-    (b"\0" + cam_bytes(camera(TURNS[0])), "the content must be CAM, as the extension says"),
-])  # fmt: skip
-def test_damaged_cam_is_refused(tmp_path: Path, content: bytes, got: str) -> None:
-    (tmp_path / "a.cam").write_bytes(content)
-    with pytest.raises(ImageError, match=got):
-        read_cam(tmp_path / "a.cam")
 
 
 def test_colmaps_text_holds_every_pose() -> None:

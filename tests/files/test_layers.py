@@ -12,7 +12,7 @@ from click.testing import CliRunner, Result
 from numpy.typing import NDArray
 
 from clsco.cli.main import main
-from clsco.errors import ImageError
+from clsco.errors import FileError
 from clsco.files.images import image_size, read_image, write_png
 from clsco.files.layers import depth_channels, full_names, image_channels
 from clsco.inputs.depth_files import read_depth
@@ -63,20 +63,20 @@ def test_parts_may_have_channels_of_equal_names(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_image(path, layer="albedo").data, ALBEDO)
     np.testing.assert_array_equal(read_depth(path), DEPTH)
     save(path, *PARTS, names=("one", "two", "three"))
-    with pytest.raises(ImageError, match=r"must hold one image, or its layer must be named; got layers one two$"):
+    with pytest.raises(FileError, match=r"must hold one image, or its layer must be named; got layers one two$"):
         read_image(path)
     np.testing.assert_array_equal(read_image(path, layer="two").data, ALBEDO)
 
 
 def test_a_layer_that_is_not_there_is_refused(tmp_path: Path) -> None:
     path = save(tmp_path / "render.exr", BLENDER)
-    with pytest.raises(ImageError, match=r"must hold the channels R G B or Y in a layer Beauty; got ViewLayer\.Comb"):
+    with pytest.raises(FileError, match=r"must hold the channels R G B or Y in a layer Beauty; got ViewLayer\.Comb"):
         read_image(path, layer="Beauty")
-    with pytest.raises(ImageError, match=r"or Z or V of a layer 'De\\npth'; got ViewLayer\.Combined\.A "):
+    with pytest.raises(FileError, match=r"or Z or V of a layer 'De\\npth'; got ViewLayer\.Combined\.A "):
         read_depth(path, "De\npth")
     write_png(tmp_path / "a.png", np.zeros((2, 2), np.uint8))
     for read in (lambda: read_image(tmp_path / "a.png", layer="Z"), lambda: read_depth(tmp_path / "a.png", "Z")):
-        with pytest.raises(ImageError, match=r"only an EXR has layers, such as Z; got PNG$"):
+        with pytest.raises(FileError, match=r"only an EXR has layers, such as Z; got PNG$"):
             read()
 
 

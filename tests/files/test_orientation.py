@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
 from clsco.cli.main import main
-from clsco.errors import ImageError
+from clsco.errors import FileError
 from clsco.files.images import image_size, read_image, write_png, write_tiff
-from clsco.files.tags import upright
+from clsco.files.tags import turn_upright
 from clsco.inputs.depth_files import read_depth
 
 Array = NDArray[Any]
@@ -134,7 +134,7 @@ def test_a_tag_of_a_wrong_length_is_no_tag(tmp_path: Path) -> None:
     whole = png(UPRIGHT, chunk(b"eXIf", exif(6)))
     at = whole.index(b"eXIf") - 4
     (tmp_path / "a.png").write_bytes(whole[:at] + struct.pack(">I", 2**31) + whole[at + 4 :])
-    with pytest.raises(ImageError, match=r"must be a whole PNG; got the end of the file"):
+    with pytest.raises(FileError, match=r"must be a whole PNG; got the end of the file"):
         read_image(tmp_path / "a.png")
 
 
@@ -202,5 +202,5 @@ def test_turns_are_those_of_pillow() -> None:
         content = io.BytesIO()
         image.save(content, "PNG", exif=exif(orientation))
         wanted = np.asarray(ImageOps.exif_transpose(Image.open(content)))
-        np.testing.assert_array_equal(upright(stored(UPRIGHT), orientation), wanted)
+        np.testing.assert_array_equal(turn_upright(stored(UPRIGHT), orientation), wanted)
         np.testing.assert_array_equal(wanted, UPRIGHT)

@@ -33,7 +33,8 @@ def test_settings_of_others_do_not_count(tmp_path: Path, where: str) -> None:
 
 def test_settings_of_gnutls_are_not_read_from_the_temporary_folder() -> None:
     """Its constructor opens them, and would wait for a pipe; GnuTLS takes them from this variable if it is set."""
-    code = "import os; from clsco.files.decoders import codec; codec('clip', 'av', 'video'); "
+    code = "import os; from pathlib import Path; from clsco.files.video import require_video; "
+    code += "require_video(Path('clip')); "
     code += "print(os.environ['GNUTLS_SYSTEM_PRIORITY_FILE'])"
     printed = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert printed.stdout == f"{os.devnull}\n"

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from clsco.frame.contact_sheet import GAP, PAPER, contact_sheet, in_rows
+from clsco.frame.contact_sheet import GAP, PAPER, contact_sheet, split_into_rows
 
 
 def test_pictures_have_their_places_and_labels_below() -> None:
     tiles = [(np.full((20 + 10 * number, 30, 3), 40 * number, np.uint8), "label") for number in range(3)]
-    rows = in_rows(tiles, 2)
+    rows = split_into_rows(tiles, 2)
     assert [len(row) for row in rows] == [2, 1]
     sheet = contact_sheet(rows, text=12)
     assert sheet.shape == (GAP + (30 + 18 + GAP) + (40 + 18 + GAP), GAP + 2 * (30 + GAP), 3)

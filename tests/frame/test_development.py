@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from clsco.errors import ImageError, SceneError
+from clsco.errors import MissingDependencyError, SceneError
 from clsco.frame.demosaicing import demosaic
-from clsco.frame.development import check_development, developed, sensor_truth
+from clsco.frame.development import check_development, develop, sensor_truth
 from clsco.optics.sensor import SensorModel, sensor_model
 from clsco.scene.model import Plane, Scene, Sensor
 
@@ -23,21 +23,21 @@ def model_of(channels: int, **keys: Any) -> SensorModel:
 
 
 def test_codes_are_light_again() -> None:
-    assert developed(RAW, model_of(1)).tolist() == [[0.0, 1.0], [np.float32(-0.1), 0.5]]
+    assert develop(RAW, model_of(1)).tolist() == [[0.0, 1.0], [np.float32(-0.1), 0.5]]
     green = model_of(1, quantum_efficiency=(1.0, 0.5, 1.0))
-    assert developed(RAW, green).tolist() == [[0.0, 2.0], [np.float32(-0.2), 1.0]]
-    color = developed(np.concatenate([RAW, RAW, RAW], axis=2), model_of(3, quantum_efficiency=(1.0, 0.5, 0.25)))
+    assert develop(RAW, green).tolist() == [[0.0, 2.0], [np.float32(-0.2), 1.0]]
+    color = develop(np.concatenate([RAW, RAW, RAW], axis=2), model_of(3, quantum_efficiency=(1.0, 0.5, 0.25)))
     assert color[0, 1].tolist() == [1.0, 2.0, 4.0]
     assert color.dtype == np.float32
 
 
 def test_a_mosaic_that_is_not_demosaiced_has_what_was_measured() -> None:
-    found = developed(RAW, model_of(3, mosaic="gbrg", quantum_efficiency=(0.5, 1.0, 0.25)))
+    found = develop(RAW, model_of(3, mosaic="gbrg", quantum_efficiency=(0.5, 1.0, 0.25)))
     assert found.tolist() == [
         [[0, 0, 0], [0, 0, 4.0]],
         [[np.float32(-0.2), 0, 0], [0, 0.5, 0]],
     ]
-    gray = developed(RAW, model_of(1, mosaic="gbrg", quantum_efficiency=(0.5, 1.0, 0.25)))
+    gray = develop(RAW, model_of(1, mosaic="gbrg", quantum_efficiency=(0.5, 1.0, 0.25)))
     assert gray.tolist() == [[0.0, 4.0], [np.float32(-0.2), 0.5]]
 
 
@@ -50,7 +50,7 @@ def test_an_even_color_is_found_again(method: str, mosaic: str) -> None:
     light = np.array([0.2, 0.6, 0.4])
     filters = np.tile(np.array(known.filters[0]).reshape(2, 2), (5, 6))
     codes = np.round(100 + 0.5 * light[filters] * np.array(known.scale)[filters]).astype(np.uint16)
-    found = developed(codes[..., None], known)
+    found = develop(codes[..., None], known)
     np.testing.assert_allclose(found, np.broadcast_to(light, found.shape), atol=2e-6)
     assert found.dtype == np.float32
 
@@ -75,14 +75,14 @@ def test_gray_ramps_are_found_again(method: str) -> None:
 def test_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     known = model_of(3, mosaic="rggb", demosaic="menon")
     monkeypatch.setitem(sys.modules, "colour_demosaicing", None)
-    message = r"sensor.demosaic: menon needs colour-demosaicing: pip install 'clsco\[sensor\]'; got "
-    with pytest.raises(ImageError, match=message):
-        developed(RAW, known)
-    with pytest.raises(ImageError, match=message):
+    message = r"sensor.demosaic: needs colour_demosaicing: pip install 'clsco\[sensor\]'; got "
+    with pytest.raises(MissingDependencyError, match=message):
+        develop(RAW, known)
+    with pytest.raises(MissingDependencyError, match=message):
         check_development(known, 2, 2)
     gray = model_of(1, mosaic="rggb", demosaic="menon")
     check_development(gray, 1, 1)
-    assert developed(RAW, gray)[0, 1] == 1
+    assert develop(RAW, gray)[0, 1] == 1
 
 
 def test_frames_that_are_too_small() -> None:

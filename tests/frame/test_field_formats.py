@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import io
 import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import cv2
-import imagecodecs
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
@@ -17,18 +15,15 @@ from numpy.typing import NDArray
 
 import clsco
 from clsco.cli.main import main
-from clsco.errors import ImageError
-from clsco.files.cameras import read_cam
-from clsco.files.depth_codes import read_dpt, read_pfm
-from clsco.files.flow import read_flo
-from clsco.frame.files import TRUTH_FORMATS, frame_files, read_complete, require_truth_formats, truth_files, write_frame
+from clsco.errors import FileError, MissingDependencyError
+from clsco.frame.files import TRUTH_FORMATS, files_of, frame_files, read_complete, require_truth_formats, write_frame
 from clsco.frame.frame import FILE_NAMES, Frame
 from clsco.scene.file import parse_scene
-from tests.files.readers import torchvision_kitti_flow
+from tests.files.readers import torchvision_flo, torchvision_kitti_flow, torchvision_pfm
 from tests.scenes import scene_file
 from tests.slow import mostly_slow
 
-FIELD = "npy+zstd,pfm,flo,kitti_flow,kitti_disparity,kitti_depth,dpt,cam,colmap"
+FIELD = "npy,pfm,flo,kitti_flow,kitti_disparity,kitti_depth,colmap"
 # A ball before nothing, which moves: masks, flow forwards and backwards, and disparity.
 PAIR = """
 [camera]
@@ -64,9 +59,14 @@ def clsco_(*words: object) -> Result:
     return CliRunner().invoke(main, [str(word) for word in words])
 
 
-def npy(path: Path) -> NDArray[Any]:
-    found: NDArray[Any] = np.load(io.BytesIO(imagecodecs.zstd_decode(path.read_bytes())), allow_pickle=False)
-    return found
+def flo(path: Path | str) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Flow, and which of it is known."""
+    flow = torchvision_flo(Path(path))
+    return flow, np.asarray((np.abs(flow) < 1e9).all(axis=-1))
+
+
+def pfm(path: Path | str) -> NDArray[Any]:
+    return torchvision_pfm(Path(path), 2)
 
 
 def test_a_rendered_pair_is_read_by_everybody(tmp_path: Path) -> None:
@@ -81,8 +81,8 @@ def test_a_rendered_pair_is_read_by_everybody(tmp_path: Path) -> None:
         codes = {f"_kitti_{name}.png" for name in ("flow", "flow_backward", "disparity", "depth")}
         arrays = {in_file for name, in_file in FILE_NAMES.items() if getattr(frame, name) is not None}
         plain = {f"_{name}.pfm" for name in ("color", "sharp", "depth", "coc", "normal", "disparity")}
-        expected = flows | codes | plain | {f"_{name}.npy.zst" for name in arrays}
-        assert own == expected | {".png", ".cam", "_depth.dpt"}
+        expected = flows | codes | plain | {f"_{name}.npy" for name in arrays}
+        assert own == expected | {".png"}
 
         base = str(out / f"{stem}{frame.eye}")
         assert frame.mask is not None
@@ -93,12 +93,12 @@ def test_a_rendered_pair_is_read_by_everybody(tmp_path: Path) -> None:
         assert not there.all()
         for name, in_file in FILE_NAMES.items():
             if getattr(frame, name) is not None:
-                np.testing.assert_array_equal(npy(Path(f"{base}_{in_file}.npy.zst")), getattr(frame, name), strict=True)
+                np.testing.assert_array_equal(np.load(f"{base}_{in_file}.npy"), getattr(frame, name), strict=True)
         for name in ("flow", "flow_backward"):
             flow = getattr(frame, name)
-            found, valid = read_flo(f"{base}_{name}.flo")
+            found, valid = flo(f"{base}_{name}.flo")
             np.testing.assert_array_equal(valid, there)
-            for read in (found, cv2.readOpticalFlow(f"{base}_{name}.flo"), read_pfm(f"{base}_{name}.pfm")[..., :2]):
+            for read in (found, cv2.readOpticalFlow(f"{base}_{name}.flo"), pfm(f"{base}_{name}.pfm")):
                 np.testing.assert_array_equal(read[there], flow[there])
                 assert (read[~there] > 1e9).all()
             near, valid = torchvision_kitti_flow(Path(f"{base}_kitti_{name}.png"))
@@ -113,13 +113,11 @@ def test_a_rendered_pair_is_read_by_everybody(tmp_path: Path) -> None:
         stored = cv2.imread(f"{base}_disparity.pfm", cv2.IMREAD_UNCHANGED)
         np.testing.assert_array_equal(np.where(np.isinf(stored), 0, stored), frame.disparity)
         np.testing.assert_array_equal(cv2.imread(f"{base}_depth.pfm", cv2.IMREAD_UNCHANGED), depth)
-        np.testing.assert_allclose(read_dpt(f"{base}_depth.dpt"), depth, rtol=2.0**-23)
-        assert read_cam(f"{base}.cam")[1][0, 3] == (0 if frame.eye == "left" else -6.0)
     content = read_complete(out, 1)
     assert content is not None
     held = {in_file for name, in_file in FILE_NAMES.items() if getattr(frames[0], name) is not None}
-    assert set(content["files"]) == frame_files(1, True, truth_files(FIELD), 0, held)
-    assert content["truth"] == ["npy+zstd"]
+    assert set(content["files"]) == frame_files(1, True, files_of("", FIELD), 0, held)
+    assert "truth" not in content
 
 
 PLANE = '[[object]]\nshape = "plane"\n'
@@ -141,8 +139,8 @@ def test_frames_are_resumed_by_the_names_of_their_arrays(tmp_path: Path, more: s
         assert result.exit_code == 0, result.output
         return (out / "frame_0000.json").stat().st_mtime_ns != before
 
-    assert rendered("--format", "npy,flo,cam")
-    assert not rendered("--format", "npy,flo,cam")
+    assert rendered("--format", "npy,flo")
+    assert not rendered("--format", "npy,flo")
     assert not rendered("--format", "flo,colmap")
     assert " frame_0000.png\n" in (out / "sparse/0/images.txt").read_text()
     assert rendered("--truth", "depth,alpha", "--format", "npy", "--types", "all=float16")
@@ -174,22 +172,22 @@ NOWHERE = r"; got .* at row 3, column 2 \(1 in all\)$"
     ("kitti_depth", "depth", 3e5, "kitti_depth.png: must round to 1/256 to 65535/256 m, .*; got 300 at row 3"),
     ("kitti_depth", "depth", 1.9, "kitti_depth.png: must round to 1/256 to 65535/256 m, .*" + NOWHERE),
     ("kitti_depth", "depth", np.nan, "kitti_depth.png: must be greater than 0, .*" + NOWHERE),
-    ("dpt", "depth", -5.0, "depth.dpt: must be greater than 0, .*; got -5 at row 3"),
     ("kitti_disparity", "disparity", -0.5, "kitti_disparity.png: must round to 1/256 .* px, .*; got -0.5 at row 3"),
     ("kitti_disparity", "disparity", 0.001, "kitti_disparity.png: must round to 1/256 .* px, .*" + NOWHERE),
-    ("npy+float16", "depth", 7e4, "frame 4: depth: sizes must be at most 65504 in float16" + NOWHERE),
+    ("npy", "depth", 7e4, "frame 4: depth: sizes must be at most 65504 in float16" + NOWHERE),
 ])  # fmt: skip
 def test_what_does_not_fit_is_refused_and_nothing_is_left(
     tmp_path: Path, truth: str, name: str, value: float, message: str
 ) -> None:
-    wanted = truth_files(f"exr,flo,{truth},cam" if truth != "flo" else "exr,flo")
+    formats = "exr,flo" if truth == "flo" else f"exr,flo,{truth}"
+    wanted = files_of("", formats, "depth=float16" if truth == "npy" else "")
     write_frame(tmp_path, (FRAME,), 8, "srgb", wanted, scene=SCENE)
     before = {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
     array = getattr(FRAME, name).copy()
     array[3, 2] = value
     mask = MASK.copy()
     mask[3, 2] = True
-    with pytest.raises(ImageError, match=message) as caught:
+    with pytest.raises(FileError, match=message) as caught:
         write_frame(tmp_path, (replace(FRAME, mask=mask, **{name: array}),), 8, "srgb", wanted, scene=SCENE)
     assert ".part" not in str(caught.value)
     assert {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()} == before  # the older frame, whole
@@ -203,26 +201,20 @@ def test_a_failed_model_of_colmap_leaves_nothing(tmp_path: Path, monkeypatch: py
 
     def last_fails(path: Path, content: bytes) -> None:
         if path.name == "points3D.txt":
-            raise ImageError(f"{path}: the file must be writable; got No space left on device")
+            raise FileError(f"{path}: the file must be writable; got No space left on device")
         path.write_bytes(content)
 
-    monkeypatch.setattr(framefiles, "write_whole", last_fails)
-    with pytest.raises(ImageError, match=re.escape(f"{tmp_path}/sparse/0/points3D.txt: the file must be writable")):
-        framefiles.write_scene_files(tmp_path, SCENE, truth_files("colmap"))
+    monkeypatch.setattr(framefiles, "atomic_write_bytes", last_fails)
+    with pytest.raises(FileError, match=re.escape(f"{tmp_path}/sparse/0/points3D.txt: the file must be writable")):
+        framefiles.write_scene_files(tmp_path, SCENE, files_of("", "colmap"))
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
 
-def test_a_camera_needs_its_scene(tmp_path: Path) -> None:
-    with pytest.raises(ImageError, match=r"frame_0004\.cam: needs the scene of the frame; got none"):
-        write_frame(tmp_path, (FRAME,), 8, "srgb", truth_files("cam"))
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_the_extra_that_zstd_needs_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("clsco.frame.files.find_spec", lambda name: None)
-    require_truth_formats(truth_files("npy,pfm,flo,kitti_flow,cam"))
-    with pytest.raises(ImageError, match=r"format: npy\+zstd needs imagecodecs: pip install 'clsco\[formats\]'"):
-        require_truth_formats(truth_files("npy+zstd"))
+def test_the_extra_that_a_format_needs_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("clsco.errors.find_spec", lambda name: None)
+    require_truth_formats(files_of("", "npy,pfm,flo,kitti_flow,colmap"))
+    with pytest.raises(MissingDependencyError, match=r"format tiff: needs tifffile: pip install 'clsco\[formats\]'"):
+        require_truth_formats(files_of("", "tiff"))
 
 
 def test_the_help_names_every_format() -> None:
@@ -257,9 +249,9 @@ def test_what_gets_behind_the_lens_has_no_flow(tmp_path: Path) -> None:
     assert ball.sum() > 20
     assert not flow[ball].any()  # the arrays have 0 there
     assert not flow[15, 20].any()
-    _, valid = read_flo(tmp_path / "frame_0000_flow.flo")
+    _, valid = flo(tmp_path / "frame_0000_flow.flo")
     np.testing.assert_array_equal(valid, ~ball)
     np.testing.assert_array_equal(torchvision_kitti_flow(tmp_path / "frame_0000_kitti_flow.png")[1], ~ball)
-    np.testing.assert_array_equal(np.isinf(read_pfm(tmp_path / "frame_0000_flow.pfm")[..., 0]), ball)
-    _, valid = read_flo(tmp_path / "frame_0000_flow_backward.flo")
+    np.testing.assert_array_equal(np.isinf(pfm(tmp_path / "frame_0000_flow.pfm")[..., 0]), ball)
+    _, valid = flo(tmp_path / "frame_0000_flow_backward.flo")
     assert valid.all()  # a frame before, both were farther away

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from clsco.errors import ImageError, SceneError
+from clsco.errors import FileError, SceneError
 from clsco.frame.provenance import file_digests, record, scene_sha256, units
 from clsco.plan.prepare import prepare, prepare_sweep
 from clsco.plan.request import Request
@@ -144,7 +144,7 @@ def test_the_record_names_textures_that_are_files(tmp_path: Path) -> None:
     assert list(record(scene)["textures_sha256"]) == [str(path)]
     assert record(parse_scene({"object": [{"shape": "plane"}]}))["textures_sha256"] == {}
     path.unlink()
-    with pytest.raises(ImageError, match=r"texture.npy: must be a file that can be read; got No such file"):
+    with pytest.raises(FileError, match=r"texture.npy: must be a file that can be read; got No such file"):
         record(scene)
 
 
@@ -179,7 +179,7 @@ def test_the_hash_and_the_record_have_the_content_of_depths(tmp_path: Path) -> N
     assert found["textures_sha256"] == {}
     assert record(scene, file_digests([scene, scene])) == found
     (tmp_path / "z.npy").unlink()
-    with pytest.raises(ImageError, match=r"z.npy: must be a file that can be read"):
+    with pytest.raises(FileError, match=r"z.npy: must be a file that can be read"):
         record(scene)
 
 

@@ -13,8 +13,8 @@ import pytest
 from click.testing import CliRunner
 
 from clsco.cli.main import main
-from clsco.errors import ImageError, SceneError
-from clsco.frame.files import files_of, holds_truth, needed_truth, truth_files, write_frame
+from clsco.errors import FileError, SceneError
+from clsco.frame.files import files_of, holds_truth, needed_truth, write_frame
 from clsco.frame.frame import ALL_TRUTH, Frame
 from clsco.frame.truth_files import TruthFile
 from tests.scenes import PLANE, scene_file
@@ -33,59 +33,24 @@ FRAME = Frame(
 )
 
 
-def test_names_are_read() -> None:
-    assert truth_files("") == ()
-    assert truth_files("npz,exr,npz") == (TruthFile("npz"), TruthFile("exr"))
-    assert truth_files("npz:coc,depth,exr") == (TruthFile("npz", ("depth", "coc")), TruthFile("exr"))
-    assert truth_files("npz:blur_radius") == truth_files("npz:coc")
-    wanted = TruthFile("npz", ("color", "flow"), float16=("all",), compressed=True)
-    assert truth_files("npz+compressed+float16:flow,color") == (wanted,)
-    assert truth_files(str(wanted)) == (wanted,)
-    assert needed_truth(truth_files("npz:flow,color,exr:depth,coc")) == ("depth", "blur_radius", "flow")
-    assert needed_truth(truth_files("npz:flow,exr")) == ALL_TRUTH
-    assert needed_truth(truth_files("npz:color")) == ()
-    assert needed_truth(truth_files("npz:alpha,color,depth")) == ("depth", "alpha")
-    assert truth_files("npy+float16+zstd:depth,flo") == (
-        TruthFile("npy", ("depth",), ("all",), zstd=True),
-        TruthFile("flo"),
-    )
-    assert needed_truth(truth_files("flo,kitti_depth,cam,colmap")) == (
+def test_files_need_attributes_of_a_frame() -> None:
+    assert needed_truth(files_of("coc,depth", "npz,exr")) == ("depth", "blur_radius")
+    assert needed_truth(files_of("", "npz,exr")) == needed_truth(files_of("", "npy")) == ALL_TRUTH
+    assert needed_truth(files_of("color")) == ()
+    assert needed_truth(files_of("alpha,color,depth")) == ("depth", "alpha")
+    assert needed_truth(files_of("", "flo,kitti_depth,colmap")) == (
         "depth", "mask", "object_id", "flow", "flow_backward",
     )  # fmt: skip
-    assert needed_truth(truth_files("npy")) == ALL_TRUTH
-    assert needed_truth(truth_files("cam")) == ()
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("pdf", "must be some of npz,exr,npy,.*,colmap; got pdf"),
-        ("npz,depth", "must be some of npz,exr,.*; got npz,depth"),
-        ("npz:", "must name arrays after npz:, some of color, sharp, .*; got npz:$"),
-        ("npz:depht", "must name arrays after npz:, .*; got depht$"),
-        ("npz:depth,", "must name arrays after npz:, .*; got npz:depth,$"),
-        ("npz+zip", r"must be npz or npz\+compressed; got npz\+zip"),
-        ("exr+compressed", r"must be exr without options; got exr\+compressed"),
-        ("flo+float16:flow", r"must be flo without options; got flo\+float16"),
-        ("npz+zstd", r"must be npz or npz\+compressed; got npz\+zstd"),
-        ("flo:depth", "must name arrays after flo:, some of flow, flow_backward; got depth"),
-        ("pfm:mask", "must name arrays after pfm:, some of color, .*; got mask"),
-        ("cam:depth", "must be cam without names, as it holds no arrays; got cam:depth"),
-        ("npz:depth,npz:coc", "must name each format once; got npz:depth,npz:coc"),
-    ],
-)
-def test_other_names_are_refused(text: str, message: str) -> None:
-    with pytest.raises(SceneError, match=message):
-        truth_files(text)
 
 
 def test_arrays_go_to_the_formats_that_can_hold_them() -> None:
     assert files_of("", "", "") == ()
     assert files_of("depth,blur_radius") == (TruthFile("npz", ("depth", "coc")),)
     assert files_of("all") == files_of("", "npz") == (TruthFile("npz"),)
-    found = files_of("flow,depth", "npz+compressed,flo,cam,exr", "depth=float16")
+    assert files_of("", "npz,exr,npz") == (TruthFile("npz"), TruthFile("exr"))
+    found = files_of("flow,depth", "npz+compressed,flo,colmap,exr", "depth=float16")
     assert list(map(str, found[:2])) == ["npz+depth=float16+compressed:depth,flow", "flo:flow"]
-    assert list(map(str, found[2:])) == ["cam", "exr+depth=float16:depth,flow"]
+    assert list(map(str, found[2:])) == ["colmap", "exr+depth=float16:depth,flow"]
     assert files_of("", "npy", "all=float16,depth=float32")[0].float16[:3] == ("color", "sharp", "coc")
     assert files_of("coc", "exr", "all=float16") == (TruthFile("exr", ("coc",), ("all",)),)
 
@@ -98,6 +63,9 @@ def test_arrays_go_to_the_formats_that_can_hold_them() -> None:
         (("depth,flow", "flo"), "format: must be one that holds depth; got flo"),
         (("depth", "npz,tif"), "format: must be some of npz,exr,.*; got tif"),
         (("depth", "npz+float16"), r"format: must be npz, with types all=float16; got npz\+float16"),
+        (("", "npz+zip"), r"must be npz or npz\+compressed; got npz\+zip"),
+        (("", "exr+compressed"), r"must be exr without options; got exr\+compressed"),
+        (("mask", "pfm"), "format: pfm must hold some of mask; got color,.*"),
         (("depth", "npz,npz+compressed"), "format: must name each format once; got npz,npz"),
         (("depth", "", "depth=uint8"), "types: depth must be one of float32, float16; got depth=uint8"),
         (("", "", "depth=float16"), "types: are those of arrays in files, .*; got depth=float16 alone"),
@@ -114,18 +82,20 @@ def arrays(path: Path) -> dict[str, Any]:
 
 
 def test_a_file_holds_what_is_named(tmp_path: Path) -> None:
-    content = write_frame(tmp_path, (FRAME,), 8, "srgb", truth_files("npz:depth,coc,exr:flow,mask"))
+    content = write_frame(
+        tmp_path, (FRAME,), 8, "srgb", (TruthFile("npz", ("depth", "coc")), TruthFile("exr", ("mask", "flow")))
+    )
     found = arrays(tmp_path / "frame_0000.npz")
     assert found.keys() == {"depth", "coc"}
     np.testing.assert_array_equal(found["depth"], DEPTH, strict=True)
     channels = OpenEXR.File(str(tmp_path / "frame_0000.exr"), separate_channels=True).channels()
     assert channels.keys() == {"flow.u", "flow.v", "mask"}
     assert content["truth"] == ["npz:depth,coc", "exr:mask,flow"]
-    assert "truth" not in write_frame(tmp_path, (FRAME,), 8, "srgb", truth_files("npz,exr"))
+    assert "truth" not in write_frame(tmp_path, (FRAME,), 8, "srgb", files_of("", "npz,exr"))
 
 
 def test_floats_in_16_bits(tmp_path: Path) -> None:
-    write_frame(tmp_path, (FRAME,), 8, "srgb", truth_files("npz+float16,exr+float16"))
+    write_frame(tmp_path, (FRAME,), 8, "srgb", files_of("", "npz,exr", "all=float16"))
     found = arrays(tmp_path / "frame_0000.npz")
     for name in ("color", "depth", "coc", "flow"):
         exact = getattr(FRAME, "blur_radius" if name == "coc" else name)
@@ -144,13 +114,13 @@ def test_floats_in_16_bits(tmp_path: Path) -> None:
 def test_what_float16_cannot_hold_is_refused(tmp_path: Path, size: float, fits: bool) -> None:
     depth = np.full(SHAPE, 1.0, np.float32)
     depth[3, 2] = size
-    for text in ("npz+float16", "exr+float16:depth"):
+    for files in (files_of("", "npz", "all=float16"), files_of("depth", "exr", "all=float16")):
         if fits:
-            write_frame(tmp_path, (Frame(4, FRAME.color, depth=depth),), 8, "srgb", truth_files(text))
+            write_frame(tmp_path, (Frame(4, FRAME.color, depth=depth),), 8, "srgb", files)
             continue
         message = "frame 4: depth: sizes must be at most 65504 in float16; got .* at row 3, column 2 "
-        with pytest.raises(ImageError, match=message):
-            write_frame(tmp_path, (Frame(4, FRAME.color, depth=depth),), 8, "srgb", truth_files(text))
+        with pytest.raises(FileError, match=message):
+            write_frame(tmp_path, (Frame(4, FRAME.color, depth=depth),), 8, "srgb", files)
         assert list(tmp_path.iterdir()) == []
 
 
@@ -158,7 +128,7 @@ def test_floats_are_compressed_where_that_is_wanted(tmp_path: Path) -> None:
     even = Frame(0, np.zeros((64, 64), np.float32))
     sizes = []
     for text in ("npz", "npz+compressed"):
-        write_frame(tmp_path, (even,), 8, "srgb", truth_files(text))
+        write_frame(tmp_path, (even,), 8, "srgb", files_of("", text))
         sizes.append((tmp_path / "frame_0000.npz").stat().st_size)
         np.testing.assert_array_equal(arrays(tmp_path / "frame_0000.npz")["color"], even.color, strict=True)
     assert sizes[1] < sizes[0] / 10
@@ -167,13 +137,13 @@ def test_floats_are_compressed_where_that_is_wanted(tmp_path: Path) -> None:
 
 
 def test_what_files_hold_is_known_from_their_record() -> None:
-    named = {"truth": ["npz+float16:depth"]}
-    assert holds_truth({}, truth_files("npz,exr"))
-    assert holds_truth(named, truth_files("npz+float16:depth,exr"))
-    for text in ("npz", "npz:depth", "npz+float16", "npz+float16:depth,coc"):
-        assert not holds_truth(named, truth_files(text)), text
+    named, halves = {"truth": ["npz+float16:depth"]}, ("all",)
+    assert holds_truth({}, files_of("", "npz,exr"))
+    assert holds_truth(named, (TruthFile("npz", ("depth",), halves), TruthFile("exr")))
+    for names, float16 in (((), ()), (("depth",), ()), ((), halves), (("depth", "coc"), halves)):
+        assert not holds_truth(named, [TruthFile("npz", names, float16)])
     for odd in ("npz", 3, [4], None):
-        assert holds_truth({"truth": odd}, truth_files("npz"))
+        assert holds_truth({"truth": odd}, files_of("", "npz"))
 
 
 def test_render_writes_and_resumes_them(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import matplotlib
 import numpy as np
 import pytest
 
-from clsco.errors import ImageError
+from clsco.errors import FileError
 from clsco.frame.views import VIEWS, flow_colors, viridis
 
 
@@ -77,5 +77,5 @@ def test_a_clip_has_one_scale() -> None:
 def test_other_numbers_are_refused(name: str) -> None:
     shape = (2, 2, 2) if name == "flow" else (2, 2)
     for wrong in (np.nan, -np.inf):
-        with pytest.raises(ImageError, match=f"^view: {name} must be finite"):
+        with pytest.raises(FileError, match=f"^view: {name} must be finite"):
             VIEWS[name].scale([np.full(shape, wrong)])

@@ -20,7 +20,7 @@ import traceback
 from collections.abc import Callable
 from pathlib import Path
 
-from clsco.errors import ClscoError, ImageError, SceneError
+from clsco.errors import ClscoError, FileError, SceneError
 from clsco.files.images import read_image
 from clsco.inputs.depth_files import read_depth
 from clsco.plan.prepare import prepare_sweep
@@ -134,7 +134,7 @@ def picture_outcome(picture: tuple[str, str, bytes], folder: Path, tally: dict[s
             try:
                 read(path)
                 tally["valid"] += 1
-            except ImageError as error:
+            except FileError as error:
                 tally["refused"] += 1
                 faults += faults_of(error, str(path))
             except BaseException as error:

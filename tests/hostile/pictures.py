@@ -17,7 +17,7 @@ import tifffile
 from numpy.typing import NDArray
 from PIL import Image
 
-from clsco.files.depth_codes import dpt_bytes
+from tests.files.readers import dpt_bytes
 
 Array = NDArray[Any]
 

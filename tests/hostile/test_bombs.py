@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from clsco.data.containers.base import LARGEST_RECORD, parsed_meta
-from clsco.errors import ImageError
-from clsco.files import confined as confining
-from clsco.files.confined import confined
+from clsco.errors import FileError
+from clsco.files import decoder_process as confining
+from clsco.files.decoder_process import run_decoder
 from clsco.files.images import read_image
 from clsco.inputs.depth_files import read_depth
 from tests.hostile import bombs
@@ -37,7 +37,7 @@ def peak(reset: bool = False) -> int:
 def test_bombs_take_little(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(confining, "MEMORY", ALLOWED)
     file, read = bombs.BOMBS[name](tmp_path)
-    with pytest.raises(ImageError):
+    with pytest.raises(FileError):
         read_image(tmp_path / "none.png")
     before, start = peak(reset=True), time.process_time()
     said = bombs.read_all(tmp_path / file, read)
@@ -49,9 +49,7 @@ def test_bombs_take_little(name: str, tmp_path: Path, monkeypatch: pytest.Monkey
 def test_an_exr_whose_header_says_far_more_than_its_bytes(tmp_path: Path) -> None:
     path, small = tmp_path / "image.exr", exr(Y=np.zeros((4, 4), np.float32))
     path.write_bytes(small.replace(struct.pack("<4i", 0, 0, 3, 3), struct.pack("<4i", 0, 0, 11_000, 11_000)))
-    with pytest.raises(
-        ImageError, match=rf"must be a whole EXR; got {len(small)} bytes of 1 channels of 11001 x 11001"
-    ):
+    with pytest.raises(FileError, match=rf"must be a whole EXR; got {len(small)} bytes of 1 channels of 11001 x 11001"):
         read_image(path)
 
 
@@ -61,14 +59,14 @@ def test_an_exr_whose_display_window_is_huge(tmp_path: Path) -> None:
     at = small.index(window, small.index(b"displayWindow"))
     path.write_bytes(small[:at] + struct.pack("<4i", 0, -(2**24), 3, 3) + small[at + 16 :])
     for read in (read_image, read_depth):
-        with pytest.raises(ImageError, match="columns and rows must be from 1 to 65536"):
+        with pytest.raises(FileError, match="columns and rows must be from 1 to 65536"):
             read(path)
 
 
 def test_all_arrays_of_a_sample_have_a_limit() -> None:
     about = '{"dtype": "float32", "shape": [8192, 8192]}'
     several = ",".join(f'"v{k}.depth": {about}' for k in range(LARGEST_RECORD // 2**28 + 1))
-    with pytest.raises(ImageError, match="arrays of a sample must have at most 4294967296 bytes in all; got 456"):
+    with pytest.raises(FileError, match="arrays of a sample must have at most 4294967296 bytes in all; got 456"):
         parsed_meta(Path("shard"), f'{{"arrays": {{{several}}}}}')
 
 
@@ -109,7 +107,7 @@ class TestConfined:
 
     def call(self, path: Path, function: Callable[..., Any], most: int = 100, **options: Any) -> Any:
         with open(path, "rb") as file:
-            return confined(f"tests.hostile.test_bombs:{function.__name__}", file, most, **options)
+            return run_decoder(f"tests.hostile.test_bombs:{function.__name__}", file, most, **options)
 
     def test_gives_what_the_function_does(self, file: Path) -> None:
         for _ in range(2):
@@ -146,7 +144,7 @@ class TestConfined:
             (tmp_path / "other").write_text("other")
             (tmp_path / "other").replace(file)
             with pytest.raises(ValueError, match="another file than was opened first"):
-                confined("tests.hostile.test_bombs:echo", opened, 0)
+                run_decoder("tests.hostile.test_bombs:echo", opened, 0)
 
     def test_modules_of_the_current_folder_are_not_imported(
         self, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

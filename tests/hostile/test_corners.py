@@ -17,9 +17,9 @@ from click.testing import CliRunner, Result
 
 from clsco.cli.main import main
 from clsco.engine.batch import prepare
-from clsco.errors import ImageError, SceneError
+from clsco.errors import FileError, SceneError
 from clsco.files import decoders
-from clsco.files.atomic import same_place
+from clsco.files.atomic import is_same_place
 from clsco.files.images import read_image
 from clsco.frame.files import read_complete
 from clsco.inputs.depth_files import read_depth
@@ -113,8 +113,8 @@ def test_frames_stay_inside_their_folder_by_links_as_well(tmp_path: Path) -> Non
     assert f"frames must stay inside {out}; got {out / 'f_number_3'}" in refused.stderr
     assert list(elsewhere.iterdir()) == []
     (tmp_path / "loop").symlink_to("loop")
-    assert same_place(tmp_path / "loop", tmp_path / "loop")
-    assert not same_place(tmp_path / "loop", tmp_path)
+    assert is_same_place(tmp_path / "loop", tmp_path / "loop")
+    assert not is_same_place(tmp_path / "loop", tmp_path)
 
 
 def test_an_image_with_too_many_channels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -123,7 +123,7 @@ def test_an_image_with_too_many_channels(tmp_path: Path, monkeypatch: pytest.Mon
     assert read_image(path).data.shape == (9, 12, 3)
     monkeypatch.setattr(decoders, "LARGEST_EXR", 400)
     for read in (read_image, read_depth):
-        with pytest.raises(ImageError, match=r"must hold at most 400 values; got 4 channels of 12 x 9"):
+        with pytest.raises(FileError, match=r"must hold at most 400 values; got 4 channels of 12 x 9"):
             read(path)
 
 

@@ -17,10 +17,10 @@ from clsco.cli.main import main
 from clsco.cli.tables import print_tables, table
 from clsco.data.manifest import part_key
 from clsco.data.storage import open_storage
-from clsco.errors import ClscoError, ImageError, SceneError, visible
+from clsco.errors import ClscoError, FileError, SceneError, visible
 from clsco.files.array_cache import ArrayCache
-from clsco.files.bounded import MOST_DEEP, strict_json
 from clsco.files.images import read_image
+from clsco.files.strict_json import MOST_DEEP, strict_json
 from clsco.frame.files import frame_json, read_complete
 from clsco.scene.toml import toml_text
 from tests.data.samples import make_set
@@ -175,7 +175,7 @@ class TestNoRegularFiles:
             lambda: storage.put("train/file", storage.scratch() / "new"), lambda: storage.remove("train/file"),
             lambda: storage.digest("train/file"), lambda: storage.local("train/file"),
         ):  # fmt: skip
-            with pytest.raises(ImageError, match="must lie in the folder of the data set; got a link that leaves it"):
+            with pytest.raises(FileError, match="must lie in the folder of the data set; got a link that leaves it"):
                 call()
         assert (outside / "file").read_text() == "mine"
         storage.close()
@@ -196,6 +196,6 @@ class TestNoRegularFiles:
             image = tmp_path / "image.png"
             image.touch()
             self.replaced(image, kind)
-            with pytest.raises(ImageError):
+            with pytest.raises(FileError):
                 read_image(image)
             image.unlink()

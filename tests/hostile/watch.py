@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
-from clsco.errors import ClscoError, ImageError, SceneError
+from clsco.errors import ClscoError, FileError, SceneError
 
 LONGEST_S, LONGEST_WAIT_S = 5.0, 30.0  # of the processor's time, and of time in which others may have the processor
 WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
@@ -80,7 +80,7 @@ def faults_of(error: ClscoError, where: str) -> list[str]:
         if len(message) > MOST_CHARACTERS:
             found.append(f"{len(message)} characters: {ascii(message)[:300]}")
         rest = message.removeprefix(f"{where}: ")
-        form = OF_AN_IMAGE if isinstance(error, ImageError) else KEY
+        form = OF_AN_IMAGE if isinstance(error, FileError) else KEY
         if rest == message or not (form.fullmatch(rest) or OF_THE_FILE.fullmatch(rest)):
             found.append(f"no `where: key: rule; got value`: {ascii(message)[:300]}")
     return found

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 import clsco
-from clsco.errors import ClscoError, DeviceError, ImageError, SceneError
+from clsco.errors import ArgumentError, ClscoError, DeviceError, SceneError
 from clsco.files.images import read_image
 from clsco.inpainting.report import write_report
 from clsco.inpainting.rules import MeanMedian, as_stored, value_span
@@ -181,7 +181,7 @@ GRAY, NOTHING = np.zeros((4, 5), np.float32), np.zeros((4, 5), np.bool_)
 )  # fmt: skip
 def test_what_cannot_be_filled_is_refused(image: Array, missing: Array, options: dict[str, Any], message: str) -> None:
     before = image.copy()
-    with pytest.raises((ImageError, SceneError)) as caught:
+    with pytest.raises((ArgumentError, SceneError)) as caught:
         clsco.inpaint(image, missing, **options)
     assert str(caught.value).startswith(message)
     assert np.array_equal(image, before, equal_nan=image.dtype.kind == "f")
@@ -227,7 +227,7 @@ def test_the_report_leaves_out_what_was_turned_off(tmp_path: Path, monkeypatch: 
     names = write_report(tmp_path, report, image, missing, filled)
     assert names == ["1_filled.png", "before_mask_after.png", "report.json"]
     assert "mse" not in report.figures()
-    monkeypatch.setattr("clsco.files.plots.find_spec", lambda name: None)
+    monkeypatch.setattr("clsco.errors.find_spec", lambda name: None)
     with pytest.raises(ClscoError, match=r"report: needs matplotlib: pip install 'clsco\[report\]'"):
         write_report(tmp_path / "other", report, image, missing, filled)
     assert not (tmp_path / "other").exists()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clsco.errors import ImageError
+from clsco.errors import ArgumentError
 from clsco.inpainting import tiles
 from clsco.inpainting.biharmonic import fill_biharmonic
 from clsco.inpainting.choice import choose_method
@@ -103,5 +103,5 @@ def test_tiles_that_see_nothing_known_wait(session: Session, monkeypatch: pytest
 
 @pytest.mark.parametrize("fill", [fill_texture, fill_biharmonic])
 def test_nothing_known_is_an_error(session: Session, fill: Any) -> None:
-    with pytest.raises(ImageError, match=r"^missing: must leave a pixel known; got all 6 missing$"):
+    with pytest.raises(ArgumentError, match=r"^missing: must leave a pixel known; got all 6 missing$"):
         fill(session, np.zeros((2, 3, 1), np.float32), np.ones((2, 3), bool))

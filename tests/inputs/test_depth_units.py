@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from clsco.errors import ImageError
+from clsco.errors import FileError
 from clsco.inputs.depth_maps import FARTHEST, DepthValues, fill_depth, inverse_depth, map_values
 from clsco.optics.lens import LARGEST_BLUR, Lens, blur_radius
 from clsco.scene.model import Camera, DepthMap
@@ -198,7 +198,7 @@ def test_every_unit_tells_the_same_depth(
 
 
 def fault(raw: list[float], unit: str, **options: Any) -> str:
-    with pytest.raises(ImageError) as caught:
+    with pytest.raises(FileError) as caught:
         w_of(raw, unit, **options)
     return str(caught.value)
 
@@ -364,5 +364,5 @@ def test_the_sky_is_far_where_it_is_said() -> None:
 def test_a_sky_that_is_blurred_too_much_is_refused() -> None:
     camera = {"focal_length": 50.0, "f_number": 0.5, "pixel_pitch": 0.005, "focus_distance": 250.0}
     map_of([[0.0, 250.0]], camera)
-    with pytest.raises(ImageError, match=r"at most 512 px; got 2000 px at infinity, where no_depth puts 1 pixels"):
+    with pytest.raises(FileError, match=r"at most 512 px; got 2000 px at infinity, where no_depth puts 1 pixels"):
         map_of([[0.0, 250.0]], camera, no_depth="far")

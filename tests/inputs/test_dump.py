@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import clsco
-from clsco.errors import ImageError, SceneError
+from clsco.errors import FileError, SceneError
 from clsco.inputs.dump import dump_scene
 from clsco.scene.arrays import ArrayInput
 from clsco.scene.file import parse_scene
@@ -115,13 +115,13 @@ def test_relative_paths_become_absolute_in_a_file(tmp_path: Path, monkeypatch: p
 def test_all_files_or_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(SceneError, match=r"scene.json: a scene is written to a file that ends in .toml; got '.json'"):
         dump_scene(ARRAYS, tmp_path / "scene.json")
-    with pytest.raises(ImageError, match=r"none/scene.toml: the files must be writable"):
+    with pytest.raises(FileError, match=r"none/scene.toml: the files must be writable"):
         dump_scene(ARRAYS, tmp_path / "none" / "scene.toml")
 
     def fails(descriptor: int) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", fails)
-    with pytest.raises(ImageError, match=r"scene_object_0_texture.npy: the file must be writable; got No space left"):
+    with pytest.raises(FileError, match=r"scene_object_0_texture.npy: the file must be writable; got No space left"):
         dump_scene(ARRAYS, tmp_path / "scene.toml")
     assert list(tmp_path.iterdir()) == []

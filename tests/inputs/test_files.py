@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from clsco.errors import ImageError
+from clsco.errors import FileError
 from clsco.files import images
 from clsco.inputs import depth_files
 from clsco.inputs.files import InputFiles
@@ -87,5 +87,5 @@ def test_no_more_than_a_limit_is_kept(tmp_path: Path, reads: list[str]) -> None:
 def test_what_is_no_file_is_refused_as_ever(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.png")
     for name in ("none.png", "pipe.png"):
-        with pytest.raises(ImageError, match="must be a"):
+        with pytest.raises(FileError, match="must be a"):
             InputFiles().texture(str(tmp_path / name), "srgb")

@@ -9,7 +9,7 @@ import pytest
 
 from clsco.errors import SceneError
 from clsco.inputs.files import InputFiles
-from clsco.inputs.focus import Focus, focused, lens_line
+from clsco.inputs.focus import Focus, focus_scene, lens_line
 from clsco.scene.model import Background, Camera, DepthMap, Plane, Scene, Sphere
 from tests.scenes import scene_of
 
@@ -39,7 +39,7 @@ def test_a_line_says_what_the_lens_does(depths: list[list[float]], camera: Camer
 
 
 def focus_of(scene: Scene, on: tuple[int, int] | float) -> float | None:
-    return focused(scene, InputFiles(), Focus(on)).camera.focus_distance
+    return focus_scene(scene, InputFiles(), Focus(on)).camera.focus_distance
 
 
 def depth_map(**keys: Any) -> DepthMap:
@@ -54,7 +54,7 @@ def test_a_point_of_a_depth_map_is_in_focus() -> None:
     assert focus_of(scene, 0.0) == pytest.approx(300.0, rel=1e-12)
     assert focus_of(scene, 0.25) == pytest.approx(350.0, abs=0.1)  # depths are 0.065 mm apart
     assert focus_of(scene, 1.0) == pytest.approx(500.0, rel=1e-12)
-    assert focused(scene, InputFiles(), Focus((0, 0))).objects == scene.objects
+    assert focus_scene(scene, InputFiles(), Focus((0, 0))).objects == scene.objects
 
 
 def test_a_lens_that_would_blur_too_much_is_focused() -> None:
@@ -75,7 +75,7 @@ def test_the_nearest_surface_of_a_pixel_counts() -> None:
 def test_what_is_infinitely_far_has_the_detector_at_the_focal_length() -> None:
     for item in (Background(texture="bricks"), depth_map(depth=np.full((48, 64), np.inf))):
         scene = scene_of(Plane(distance=300.0, bounds=((-1, 1), (-1, 1), (-1, 1))), item)
-        camera = focused(scene, InputFiles(), Focus((0, 0))).camera
+        camera = focus_scene(scene, InputFiles(), Focus((0, 0))).camera
         assert (camera.focus_distance, camera.sensor_distance) == (None, camera.focal_length)
 
 
@@ -92,5 +92,5 @@ def test_what_is_infinitely_far_has_the_detector_at_the_focal_length() -> None:
 ])  # fmt: skip
 def test_what_cannot_be_in_focus_is_refused(scene: Scene, focus: Focus, message: str) -> None:
     with pytest.raises(SceneError) as caught:
-        focused(scene, InputFiles(), focus)
+        focus_scene(scene, InputFiles(), focus)
     assert str(caught.value) == message

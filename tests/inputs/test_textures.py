@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clsco.errors import ImageError
+from clsco.errors import FileError
 from clsco.files.images import write_png
 from clsco.files.transfer import decode, encode
 from clsco.inputs.resampling import resample
@@ -18,9 +18,9 @@ from clsco.inputs.textures import (
     PATTERNS,
     bricks,
     checkerboard,
+    find_stretched,
     load_scene_textures,
     load_texture,
-    stretched,
     texture_size,
 )
 from clsco.scene.model import BUILT_IN_TEXTURES, Background, Camera, DepthMap, Plane, Scene
@@ -270,11 +270,11 @@ def test_a_scene_gets_its_textures_and_its_size(tmp_path: Path) -> None:
 @pytest.mark.parametrize("load", [texture_size, lambda name: load_texture(name, "srgb")])
 def test_names_what_textures_there_are(load: Any, tmp_path: Path) -> None:
     names = "bricks, checkerboard, slanted_edge, siemens_star, a color #rrggbb"
-    with pytest.raises(ImageError, match=rf"texture: must be one of {names}, or an image file; got 'tiles'"):
+    with pytest.raises(FileError, match=rf"texture: must be one of {names}, or an image file; got 'tiles'"):
         load("tiles")
-    with pytest.raises(ImageError, match=r"image file \(did you mean bricks\?\); got 'Brick'"):
+    with pytest.raises(FileError, match=r"image file \(did you mean bricks\?\); got 'Brick'"):
         load(tmp_path / "Brick")
-    with pytest.raises(ImageError, match=r"none.png: must be a file that can be read; got No such file"):
+    with pytest.raises(FileError, match=r"none.png: must be a file that can be read; got No such file"):
         load(tmp_path / "none.png")
 
 
@@ -300,14 +300,14 @@ def test_a_projected_image_of_another_aspect_is_stretched(
     items["lying"] = Plane(distance=300.0, texture=array, texture_mapping="surface", texture_size=(9.0, 3.0))
     names = ("pattern", "projected", "lying", "projected")  # the same image again is one
     scene = Scene(camera=Camera(resolution=frame), objects=tuple(items[name] for name in names))
-    found = stretched([scene, scene])
+    found = find_stretched([scene, scene])
     assert found == ([f"{line} from {size} to the frame's {other} px"] if is_stretched else [])
 
 
 def test_backgrounds_and_depth_maps_are_stretched_as_well() -> None:
     array = np.zeros((480, 640), np.float32)
     items = Background(texture=array), DepthMap(depth=np.full((8, 8), 300.0), texture=array[:, :600])
-    found = stretched([Scene(camera=Camera(resolution=(8, 8)), objects=items)])
+    found = find_stretched([Scene(camera=Camera(resolution=(8, 8)), objects=items)])
     assert [line[: line.index(" to")] for line in found] == [
         "object[0].texture: is stretched from 640 x 480",
         "object[1].texture: is stretched from 600 x 480",

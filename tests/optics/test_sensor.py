@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from clsco.frame.development import of_sites
+from clsco.frame.development import values_at_sites
 from clsco.optics.sensor import camera_word, noise_variance, sensor_model, sensor_values
 from clsco.reference.sensor.sensor import sense
 from clsco.scene.model import Plane, Scene, Sensor, Sequence
@@ -41,7 +41,7 @@ def test_filters_of_planes() -> None:
     assert sensor_model(scene_of(), 1).filters == ((1, 1, 1, 1),)
     assert sensor_model(scene_of(), 3).filters == ((0,) * 4, (1,) * 4, (2,) * 4)
     mosaic = sensor_model(scene_of(mosaic="grbg"), 3)
-    assert of_sites((0, 1, 2), mosaic, (2, 4))[..., 0].tolist() == [[1, 0, 1, 0], [2, 1, 2, 1]]
+    assert values_at_sites((0, 1, 2), mosaic, (2, 4))[..., 0].tolist() == [[1, 0, 1, 0], [2, 1, 2, 1]]
 
 
 def test_a_pattern_is_there_only_where_pixels_differ() -> None:

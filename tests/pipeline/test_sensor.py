@@ -262,7 +262,7 @@ def test_a_scene_without_a_sensor_has_nothing_of_it(monkeypatch: pytest.MonkeyPa
 
     scene = named("still").replace("sensor", None)
     monkeypatch.setattr("clsco.passes.sensor.FrameSensor", never)
-    monkeypatch.setattr("clsco.frame.development.developed", never)
+    monkeypatch.setattr("clsco.frame.development.develop", never)
     frame = clsco.render_frame(scene)
     assert "sense" not in frame.metadata["seconds"]
     plan = prepare(scene, Request(ALL_TRUTH)).plan

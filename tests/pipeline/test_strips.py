@@ -16,7 +16,7 @@ from clsco.constants import BAND
 from clsco.engine.sequence import render_sweep
 from clsco.errors import SceneError
 from clsco.frame.frame import ALL_TRUTH, Frame
-from clsco.frame.strips import cut
+from clsco.frame.strips import cut_strips
 from clsco.opencl.device import choose
 from clsco.opencl.session import session_for
 from clsco.plan.memory import buffer_bytes, device_bytes
@@ -237,7 +237,7 @@ def test_too_little_memory() -> None:
 @pytest.mark.parametrize(("rows", "tallest"), [(1, 1), (64, 64), (65, 64), (500, 128), (500, 500)])
 @pytest.mark.parametrize(("guard", "reach", "step"), [(0, 7, 1), (9, 7, 1), (200, 190, 1), (9, 7, 8), (0, 77, 128)])
 def test_strips_cover_the_frame(rows: int, tallest: int, guard: int, reach: int, step: int) -> None:
-    strips = cut(rows, tallest, guard, reach, step)
+    strips = cut_strips(rows, tallest, guard, reach, step)
     assert [row for strip in strips for row in range(strip.top, strip.top + strip.rows)] == list(range(rows))
     for strip in strips:
         first, last = strip.top - strip.above, strip.top + strip.rows + strip.below

@@ -14,7 +14,7 @@ import pytest
 from click.testing import CliRunner
 
 import clsco
-from clsco import ImageError, SceneError
+from clsco import FileError, SceneError
 from clsco.cli.main import main
 from clsco.files.images import read_image, write_png
 from clsco.studio.inpainting import FILLERS, Inpainting
@@ -59,7 +59,7 @@ def test_a_mask_comes_back_from_its_runs(inpainting: Inpainting, share: float) -
 def test_what_is_no_mask_is_refused(
     inpainting: Inpainting, columns: int, rows: int, runs: list[int], rule: str
 ) -> None:
-    with pytest.raises(ImageError, match=rule):
+    with pytest.raises(FileError, match=rule):
         inpainting.paint(columns, rows, runs)
     assert not inpainting.mask.any()
 
@@ -78,12 +78,12 @@ def test_letters_of_one_color_are_found(inpainting: Inpainting) -> None:
     inpainting.add_color(4, 4, 0.0, erase=True)
     assert inpainting.mask.sum() == 20
     assert not inpainting.mask[4, 4]
-    with pytest.raises(ImageError, match="must be that of a pixel"):
+    with pytest.raises(FileError, match="must be that of a pixel"):
         inpainting.add_color(16, 3, 0.0)
 
 
 def test_methods_side_by_side_are_those_of_the_command(inpainting: Inpainting) -> None:
-    with pytest.raises(ImageError, match="some pixel must be missing"):
+    with pytest.raises(FileError, match="some pixel must be missing"):
         inpainting.fill("mean-median")
     with pytest.raises(SceneError, match="must be one of mean-median"):
         inpainting.fill("magic")
@@ -127,7 +127,7 @@ def test_what_is_being_filled_is_canceled(inpainting: Inpainting) -> None:
     until = time.monotonic() + 60.0
     while not (0.0 < inpainting.filler.share < 1.0) and time.monotonic() < until:
         time.sleep(0.01)
-    with pytest.raises(ImageError, match="must wait for what is being filled"):
+    with pytest.raises(FileError, match="must wait for what is being filled"):
         inpainting.fill("texture")
     inpainting.filler.cancel()
     work.join(10.0)
@@ -150,7 +150,7 @@ def test_masks_are_written_and_read(inpainting: Inpainting) -> None:
         ("m.jpg", r"ends in \.png"),
         ("small.png", "place of the image"),
     ):
-        with pytest.raises(ImageError, match=rule):
+        with pytest.raises(FileError, match=rule):
             inpainting.save_mask(name)
 
 
@@ -189,7 +189,7 @@ def test_nothing_elsewhere_is_read(inpainting: Inpainting, tmp_path_factory: pyt
     shutil.copy(EXAMPLES / "damaged.png", outside)
     (inpainting.root / "link.png").symlink_to(outside)
     for action in (inpainting.open, inpainting.load_mask):
-        with pytest.raises(ImageError, match="must be a file below the folder of the studio"):
+        with pytest.raises(FileError, match="must be a file below the folder of the studio"):
             action(name)
-    with pytest.raises(ImageError, match="must be below the folder of the studio"):
+    with pytest.raises(FileError, match="must be below the folder of the studio"):
         inpainting.save("../out")

@@ -42,12 +42,12 @@ from clsco.studio.session import Document
 SLOW = """
 import json, sys, time
 from pathlib import Path
-from clsco.files.atomic import whole_file
+from clsco.files.atomic import atomic_write
 _, folder, count, seconds, *_ = sys.argv[1:]
 if count == "none":
     sys.exit("error: it cannot be")
 for k in range(int(count)):
-    with whole_file(Path(folder) / f"frame_{k:04d}.json") as file:
+    with atomic_write(Path(folder) / f"frame_{k:04d}.json") as file:
         file.write(b"begun")
         file.flush()
         time.sleep(float(seconds))

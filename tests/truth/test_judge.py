@@ -218,8 +218,8 @@ def test_scenes_without_rays_say_so() -> None:
 
 def test_an_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     clsco.truth.require_rays()
-    monkeypatch.setattr(clsco.truth, "find_spec", lambda name: None)
-    with pytest.raises(ClscoError, match=r"check: the lens needs numba: pip install 'clsco\[check\]'"):
+    monkeypatch.setattr("clsco.errors.find_spec", lambda name: None)
+    with pytest.raises(ClscoError, match=r"check: needs numba: pip install 'clsco\[check\]'"):
         clsco.truth.require_rays()
 
 

@@ -9,7 +9,7 @@ from clsco.data.containers import folders, hdf5, parquet, webdataset, zarr3
 from clsco.data.containers.base import NEEDS
 from clsco.data.containers.base import Container as Container
 from clsco.data.containers.base import ShardReader as ShardReader
-from clsco.errors import ImageError, SceneError
+from clsco.errors import MissingDependencyError, SceneError
 
 DEFAULT = "webdataset"
 # One row for each format: the commands take their names from here. With "+raw" nothing is compressed.
@@ -34,12 +34,12 @@ CONTAINERS = {
 def container_named(name: str) -> Container:
     """The container of a name, which can be used.
 
-    Raises SceneError: there is none of this name; ImageError: the extra that it needs is not installed.
+    Raises SceneError: there is none of this name; MissingDependencyError: the extra that it needs is not installed.
     """
     if name not in CONTAINERS:
         raise SceneError(f"format: must be one of {', '.join(CONTAINERS)}; got {name}")
     container = CONTAINERS[name]
     if container.needs is not None and find_spec(container.needs[0]) is None:
         module, extra = container.needs
-        raise ImageError(f"format: {name} needs {module}: pip install 'clsco[{extra}]'; got no such module")
+        raise MissingDependencyError(f"format: {name} needs {module}: pip install 'clsco[{extra}]'; got no such module")
     return container

@@ -16,16 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.data.record import Record, is_wanted
-from clsco.errors import ClscoError, ImageError
-from clsco.files.atomic import refuse
-from clsco.files.bounded import npy_array as npy_array
-from clsco.files.bounded import npy_size as npy_size
-from clsco.files.bounded import strict_json
-from clsco.files.confined import confined
-from clsco.files.decoders import codec, unzstd
-from clsco.files.npy import ZSTD
-from clsco.files.npy import npy_bytes as npy_bytes
+from clsco.errors import ClscoError, FileError, import_extra
+from clsco.files.archives import npy_array as npy_array
+from clsco.files.archives import npy_bytes as npy_bytes
+from clsco.files.archives import npy_size as npy_size
+from clsco.files.atomic import raise_file_error
+from clsco.files.decoder_process import run_decoder
+from clsco.files.decoders import unzstd
 from clsco.files.png import GRAY, RGB, SIGNATURE, png_parts
+from clsco.files.strict_json import strict_json
 
 
 class ShardReader(ABC):
@@ -41,7 +40,7 @@ class ShardReader(ABC):
 
     @abstractmethod
     def record(self, index: int, wanted: Collection[str] | None = None) -> Record:
-        """Read one record. Raises ImageError where the shard is damaged.
+        """Read one record. Raises FileError where the shard is damaged.
 
         wanted: names of arrays, whole ones or what they hold; nothing else is read where the format has it apart.
         """
@@ -64,7 +63,7 @@ class Container:
     """A format that holds the records of a shard in one file, or in one folder.
 
     suffix: end of a shard's name, "" for a folder without one. write: takes a new local path and records, few of which
-    are in memory at a time; the same records give the same bytes. read: takes a local path, and raises ImageError where
+    are in memory at a time; the same records give the same bytes. read: takes a local path, and raises FileError where
     it is no whole shard. needs: a module, and the extra of clsco that brings it.
     """
 
@@ -77,16 +76,16 @@ class Container:
 
 @contextlib.contextmanager
 def whole(path: Path, kind: str) -> Iterator[None]:
-    """Turn any error of a codec into an ImageError: each has its own exceptions for damage, and none lists them."""
+    """Turn any error of a codec into a FileError: each has its own exceptions for damage, and none lists them."""
     try:
         yield
     except ClscoError:
         raise
     except OSError as error:
         rule = f"must be a {kind} that can be read" if error.errno else f"must be a whole {kind}"
-        refuse(path, rule, error, error)
+        raise_file_error(path, rule, error, error)
     except Exception as error:
-        refuse(path, f"must be a whole {kind}", error, error)
+        raise_file_error(path, f"must be a whole {kind}", error, error)
 
 
 Layout = dict[str, tuple["np.dtype[Any]", tuple[int, ...]]]
@@ -106,7 +105,7 @@ def record_bytes(layout: Layout) -> int:
 def blocks(path: Path, records: Iterable[Record], kind: str) -> Iterator[tuple[Layout, list[Record]]]:
     """The layout of all records, and up to `block_size` of them at a time.
 
-    Raises ImageError: two records differ in their layout, or there is none.
+    Raises FileError: two records differ in their layout, or there is none.
     """
     layout: Layout | None = None
     block: list[Record] = []
@@ -115,13 +114,13 @@ def blocks(path: Path, records: Iterable[Record], kind: str) -> Iterator[tuple[L
         layout = own if layout is None else layout
         if own != layout:
             rule = f"{kind} must have the same arrays in all samples, of one type and size"
-            refuse(path, rule, f"{_differing(layout, own)} in sample {record.key}")
+            raise_file_error(path, rule, f"{_differing(layout, own)} in sample {record.key}")
         block.append(record)
         if len(block) == block_size(layout):
             yield layout, block
             block = []
     if layout is None:
-        refuse(path, f"{kind} must have a sample", "none")
+        raise_file_error(path, f"{kind} must have a sample", "none")
     if block:
         yield layout, block
 
@@ -133,10 +132,11 @@ def _differing(layout: Layout, own: Layout) -> str:
     return f"{name} {own[name][0]} {own[name][1]}"
 
 
-NEEDS = ZSTD  # the one package with both Zstandard and PNG of 16 bits in color
+NEEDS = ("imagecodecs", "formats")  # the one package with both Zstandard and PNG of 16 bits in color
 EXTENSIONS = ("npy.zst", "npy", "png")
 LARGEST = 2**31  # bytes of an array
 LARGEST_RECORD = 2**32  # and of all arrays of a record
+LEVEL = 3  # of Zstandard: 0.29 of the size at 500 MB/s
 LARGEST_META = 2**26
 NESTED = ("parameters", "labels", "scene", "arrays", "frames")  # in what describes a record
 _NAME = re.compile(r"[a-z0-9_]+(\.[a-z0-9_]+)*")
@@ -146,20 +146,20 @@ _DTYPES = {np.dtype(name).name: np.dtype(name) for name in ("?", "u1", "u2", "i4
 def encoded(path: Path, array: NDArray[Any], raw: bool = False) -> tuple[str, bytes]:
     """Extension, one of `EXTENSIONS`, and content of an array; path: for messages.
 
-    The same array gives the same bytes. Raises ImageError: the extra `formats` is missing.
+    The same array gives the same bytes. Raises FileError: the extra `formats` is missing.
     """
     if raw:
         return "npy", npy_bytes(array)
     if is_png(array.dtype.name, array.shape):
         return "png", png_bytes(array)
-    return "npy.zst", npy_bytes(array, zstd=True, where=str(path))
+    return "npy.zst", import_extra(path, *NEEDS).zstd_encode(npy_bytes(array), LEVEL)
 
 
 def decoded(path: Path, extension: str, content: bytes, about: Mapping[str, Any]) -> NDArray[Any]:
     """Decode an array that can be written to; the inverse of `encoded` bit by bit.
 
     about: `dtype` and `shape` that it must have, as `described` gives them; memory for no more is allocated. Damage
-    raises any error of a codec, which readers turn into an ImageError.
+    raises any error of a codec, which readers turn into a FileError.
     """
     dtype, shape = about["dtype"], tuple(about["shape"])
     if extension == "png":
@@ -192,14 +192,14 @@ def _from_png(path: Path, content: bytes, dtype: np.dtype[Any], shape: tuple[int
     wanted = (shape[1], shape[0], 16 if dtype == np.uint16 else 8, RGB if len(shape) == 3 else GRAY)
     if (columns, rows, bits, color) != wanted or not is_png(dtype.name, shape):
         raise ValueError(f"a PNG of {columns} x {rows}, {bits} bits, color type {color} for {dtype} {shape}")
-    data = codec(path, *NEEDS).png_decode(content)
+    data = import_extra(path, *NEEDS).png_decode(content)
     if data.shape != shape:
         raise ValueError(f"pixels of shape {data.shape} for {shape}")
     return data != 0 if dtype == np.bool_ else data
 
 
 def meta_bytes(record: Record, flat: bool = False) -> bytes:
-    """JSON of what describes a record, in one line. Raises ImageError where JSON cannot hold it.
+    """JSON of what describes a record, in one line. Raises FileError where JSON cannot hold it.
 
     flat: nested tables are text, again JSON: `datasets` needs one type for each key, and scenes differ in theirs.
     """
@@ -207,7 +207,7 @@ def meta_bytes(record: Record, flat: bool = False) -> bytes:
         nested = {name: _json(value) for name, value in record.meta.items() if isinstance(value, (dict, list, tuple))}
         return _json({**record.meta, **(nested if flat else {})}).encode()
     except (TypeError, ValueError) as error:
-        raise ImageError(f"sample {record.key}: must be values that JSON holds; got {error}") from error
+        raise FileError(f"sample {record.key}: must be values that JSON holds; got {error}") from error
 
 
 def _json(value: Any) -> str:
@@ -215,32 +215,34 @@ def _json(value: Any) -> str:
 
 
 def parsed_meta(path: Path, content: bytes | str) -> dict[str, Any]:
-    """Parse the meta.json of a record, whose arrays are such as `described` takes. Raises ImageError, or ValueError
+    """Parse the meta.json of a record, whose arrays are such as `described` takes. Raises FileError, or ValueError
     for no JSON."""
     if len(content) > LARGEST_META:
-        refuse(path, f"meta.json must have at most {LARGEST_META} bytes", len(content))
+        raise_file_error(path, f"meta.json must have at most {LARGEST_META} bytes", len(content))
     meta = strict_json(content)
     if isinstance(meta, dict) and isinstance(meta.get("arrays"), str):  # flat
         meta |= {name: strict_json(meta[name]) for name in NESTED if isinstance(meta.get(name), str)}
     if not isinstance(meta, dict) or not isinstance(meta.get("arrays"), dict):
-        refuse(path, "meta.json must be an object with arrays", type(meta).__name__)
+        raise_file_error(path, "meta.json must be an object with arrays", type(meta).__name__)
     known = [described(path, meta, name) for name in meta["arrays"]]
     if (total := sum(prod(each["shape"]) * each["dtype"].itemsize for each in known)) > LARGEST_RECORD:
-        refuse(path, f"arrays of a sample must have at most {LARGEST_RECORD} bytes in all", total)
+        raise_file_error(path, f"arrays of a sample must have at most {LARGEST_RECORD} bytes in all", total)
     return meta
 
 
 def described(path: Path, meta: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """`dtype` and `shape` of an array of a record. Raises ImageError for none, or for what no record has."""
+    """`dtype` and `shape` of an array of a record. Raises FileError for none, or for what no record has."""
     about = meta["arrays"].get(name)
     if not isinstance(about, dict) or not _NAME.fullmatch(name):
-        refuse(path, "arrays must have plain names and be described in meta.json", repr(name))
+        raise_file_error(path, "arrays must have plain names and be described in meta.json", repr(name))
     dtype, shape = _DTYPES.get(str(about.get("dtype"))), list[Any](about["shape"] if _is_list(about) else [])
     if dtype is None:
-        refuse(path, f"dtype of {name} must be one of {', '.join(_DTYPES)}", repr(about.get("dtype")))
+        raise_file_error(path, f"dtype of {name} must be one of {', '.join(_DTYPES)}", repr(about.get("dtype")))
     plain = 1 <= len(shape) <= 5 and all(type(size) is int and size > 0 for size in shape)
     if not plain or prod(shape) * dtype.itemsize > LARGEST:
-        refuse(path, f"shape of {name} must be 1 to 5 sizes of at most {LARGEST} bytes in all", about.get("shape"))
+        raise_file_error(
+            path, f"shape of {name} must be 1 to 5 sizes of at most {LARGEST} bytes in all", about.get("shape")
+        )
     return {"dtype": dtype, "shape": tuple(shape)}
 
 
@@ -251,7 +253,7 @@ def confined_arrays(
     `meta` describes, and of no more bytes. Raises ValueError for any others."""
     known = {name: described(Path(file.name), meta, name) for name in meta["arrays"] if is_wanted(name, wanted)}
     most = sum(prod(about["shape"]) * about["dtype"].itemsize for about in known.values())
-    _, arrays = confined(function, file, most, names=list(known), **options)
+    _, arrays = run_decoder(function, file, most, names=list(known), **options)
     for (name, about), array in zip(known.items(), arrays, strict=True):
         if (array.dtype, array.shape) != (about["dtype"], about["shape"]):
             raise ValueError(f"{name} of {array.dtype} {array.shape}")

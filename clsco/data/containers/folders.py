@@ -26,7 +26,7 @@ from clsco.data.containers.base import (
     whole,
 )
 from clsco.data.record import Record, is_wanted
-from clsco.files.bounded import member_bytes, open_archive
+from clsco.files.archives import member_bytes, open_archive
 from clsco.resources import open_regular, read_regular
 
 

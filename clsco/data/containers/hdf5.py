@@ -10,8 +10,8 @@ from pathlib import Path
 
 from clsco.data.containers.base import LARGEST_META, ShardReader, confined_arrays, meta_bytes, parsed_meta, whole
 from clsco.data.record import Record
-from clsco.files.confined import confined
-from clsco.files.decoders import codec, require
+from clsco.errors import import_extra, require_extra
+from clsco.files.decoder_process import run_decoder
 from clsco.resources import open_regular
 
 NEEDS = ("h5py", "data")
@@ -21,7 +21,7 @@ _FILE = "clsco.data.containers.hdf5_file"
 def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
     """Write records to a new file: bytes are shuffled and deflated (gzip 4), which every build of HDF5 reads, or
     `raw`."""
-    h5py = codec(path, *NEEDS)
+    h5py = import_extra(path, *NEEDS)
     options = {} if raw else {"shuffle": True, "compression": "gzip", "compression_opts": 4}
     with h5py.File(path, "x", track_order=False) as file:
         for record in records:
@@ -40,16 +40,16 @@ class Hdf5Reader(ShardReader):
     """Records of an HDF5 file."""
 
     def __init__(self, path: Path) -> None:
-        require(path, *NEEDS)
+        require_extra(path, *NEEDS)
         with whole(path, "HDF5 file"), open_regular(path) as file:
-            about, _ = confined(f"{_FILE}:keys", file, 0)
+            about, _ = run_decoder(f"{_FILE}:keys", file, 0)
         super().__init__(path, about["keys"])
 
     def record(self, index: int, wanted: Collection[str] | None = None) -> Record:
         """Read the datasets that are wanted."""
         key = self.keys[index]
         with whole(self.path, "HDF5 file"), open_regular(self.path) as file:
-            _, (text,) = confined(f"{_FILE}:meta", file, LARGEST_META, key=key)
+            _, (text,) = run_decoder(f"{_FILE}:meta", file, LARGEST_META, key=key)
             meta = parsed_meta(self.path, text.tobytes())
             arrays = confined_arrays(f"{_FILE}:arrays", file, meta, wanted, key=key)
         return Record(key, arrays, meta)

@@ -1,4 +1,4 @@
-"""Records of HDF5 files, by h5py: called in a process with limits (`confined`), as no header bounds them."""
+"""Records of HDF5 files, by h5py: called in a process with limits (`run_decoder`), as no header bounds them."""
 
 from __future__ import annotations
 

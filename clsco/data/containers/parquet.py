@@ -30,9 +30,9 @@ from clsco.data.containers.base import (
     whole,
 )
 from clsco.data.record import Record, is_wanted
-from clsco.files.atomic import refuse
-from clsco.files.confined import confined
-from clsco.files.decoders import codec, require
+from clsco.errors import import_extra, require_extra
+from clsco.files.atomic import raise_file_error
+from clsco.files.decoder_process import run_decoder
 from clsco.resources import open_regular
 
 NEEDS = ("pyarrow", "data")
@@ -45,7 +45,7 @@ _FILE = "clsco.data.containers.parquet_file"
 
 def write(path: Path, records: Iterable[Record]) -> None:
     """Write records with the same arrays, each of one type and size, to a new file."""
-    parquet, writer = codec(path, "pyarrow.parquet", "data"), None
+    parquet, writer = import_extra(path, "pyarrow.parquet", "data"), None
     try:
         for layout, block in blocks(path, records, "parquet"):
             schema = _schema(path, layout)
@@ -63,7 +63,7 @@ def write(path: Path, records: Iterable[Record]) -> None:
 
 def _schema(path: Path, layout: Layout) -> Any:
     """Columns, and what `datasets` makes of them."""
-    pyarrow = codec(path, *NEEDS)
+    pyarrow = import_extra(path, *NEEDS)
     fields: list[Any] = [("key", pyarrow.string())]
     features: dict[str, Any] = {"key": {"dtype": "string", "_type": "Value"}}
     for name, (dtype, shape) in layout.items():
@@ -84,7 +84,7 @@ def _schema(path: Path, layout: Layout) -> Any:
 
 
 def _table(path: Path, schema: Any, layout: Layout, block: list[Record]) -> Any:
-    pyarrow = codec(path, *NEEDS)
+    pyarrow = import_extra(path, *NEEDS)
     columns: list[Any] = [pyarrow.array([record.key for record in block])]
     for name, (dtype, shape) in layout.items():
         arrays = [record.arrays[name] for record in block]
@@ -124,17 +124,17 @@ class ParquetReader(ShardReader):
     def __init__(self, path: Path) -> None:
         self._kept: tuple[int, dict[str, _Column]] | None = None
         self._places: list[tuple[int, int]] = []
-        require(path, *NEEDS)
+        require_extra(path, *NEEDS)
         with whole(path, "Parquet file"), open_regular(path) as file:
-            about, _ = confined(f"{_FILE}:layout", file, MOST_KEYS)
+            about, _ = run_decoder(f"{_FILE}:layout", file, MOST_KEYS)
             for number, (size, rows) in enumerate(about["groups"]):
                 if size > LARGEST or rows > MOST_ROWS:
                     rule = f"row groups must have at most {LARGEST} bytes and {MOST_ROWS} rows"
-                    refuse(path, rule, f"{size} and {rows}")
+                    raise_file_error(path, rule, f"{size} and {rows}")
                 self._places += [(number, row) for row in range(rows)]
         self._names, keys = tuple(map(str, about["names"])), about["keys"]
         if len(keys) != len(self._places) or not all(isinstance(key, str) for key in keys):
-            refuse(path, "must have a key in each row", f"{len(keys)} of {len(self._places)}")
+            raise_file_error(path, "must have a key in each row", f"{len(keys)} of {len(self._places)}")
         super().__init__(path, keys)
 
     def record(self, index: int, wanted: Collection[str] | None = None) -> Record:
@@ -158,7 +158,7 @@ class ParquetReader(ShardReader):
 
     def _columns(self, group: int, names: Sequence[str], most: int) -> dict[str, _Column]:
         with open_regular(self.path) as file:
-            _, arrays = confined(f"{_FILE}:columns", file, most, group=group, names=list(names))
+            _, arrays = run_decoder(f"{_FILE}:columns", file, most, group=group, names=list(names))
         pairs = zip(names, arrays[::2], arrays[1::2], strict=True)
         return {name: _Column(places, values) for name, places, values in pairs}
 

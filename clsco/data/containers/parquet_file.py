@@ -1,4 +1,4 @@
-"""Columns of Parquet files, by pyarrow: called in a process with limits (`confined`), as no header bounds them."""
+"""Columns of Parquet files, by pyarrow: called in a process with limits (`run_decoder`), as no header bounds them."""
 
 from __future__ import annotations
 

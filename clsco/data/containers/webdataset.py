@@ -27,7 +27,7 @@ from clsco.data.containers.base import (
     whole,
 )
 from clsco.data.record import Record, is_wanted
-from clsco.files.atomic import refuse
+from clsco.files.atomic import raise_file_error
 from clsco.resources import open_regular, read_at
 
 MOST_EXTENDED = 2**12  # bytes of a header before a file
@@ -62,7 +62,7 @@ def _members(path: Path, file: BinaryIO) -> Iterator[tuple[str, int, int]]:
         extended = read_at(file, min(size, MOST_EXTENDED), place) if kind in (b"x", b"g") else b""
         plain = kind in (b"0", b"\0") or (0 < len(extended) == size and not _RENAMES.search(extended))
         if not plain or not 0 <= size <= end - place:
-            refuse(path, "must hold whole, plain files alone", repr(member))
+            raise_file_error(path, "must hold whole, plain files alone", repr(member))
         if not extended:
             yield member, place, size
         place += -(-size // 512) * 512
@@ -85,7 +85,7 @@ class TarReader(ShardReader):
                 self._places.append(place)
                 self._sizes.append(size)
         if len(set(keys)) < len(keys):
-            refuse(path, "files of a sample must follow each other", "the key of another one")
+            raise_file_error(path, "files of a sample must follow each other", "the key of another one")
         self._starts.append(len(self._names))
         super().__init__(path, keys)
 
@@ -104,7 +104,7 @@ class TarReader(ShardReader):
                 return found
 
             if "meta.json" not in slots:
-                refuse(self.path, f"sample {self.keys[index]} must have a meta.json", "none")
+                raise_file_error(self.path, f"sample {self.keys[index]} must have a meta.json", "none")
             meta = parsed_meta(self.path, content("meta.json", LARGEST_META))
             arrays = {}
             for name in slots:

@@ -22,8 +22,8 @@ from clsco.data.containers.base import (
     whole,
 )
 from clsco.data.record import Record
-from clsco.files.confined import confined
-from clsco.files.decoders import codec, require
+from clsco.errors import import_extra, require_extra
+from clsco.files.decoder_process import run_decoder
 from clsco.resources import open_regular
 
 NEEDS = ("zarr", "data")
@@ -33,7 +33,7 @@ _FILE = "clsco.data.containers.zarr_file"
 
 def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
     """Write records with the same arrays, each of one type and size, to a new folder: by Zstandard 3, or `raw`."""
-    zarr = codec(path, *NEEDS)
+    zarr = import_extra(path, *NEEDS)
     compressors = None if raw else zarr.codecs.ZstdCodec(level=3)
     texts: list[bytes] = []
     keys: list[str] = []
@@ -64,14 +64,14 @@ class ZarrReader(ShardReader):
     """Records of a Zarr group as `write` makes it."""
 
     def __init__(self, path: Path) -> None:
-        require(path, *NEEDS)
+        require_extra(path, *NEEDS)
         with whole(path, "Zarr group"):
             for folder, folders, names in os.walk(path):
                 for each in (Path(folder, name) for name in (*folders, *names)):
                     if each.is_symlink() or not (each.is_file() or each.is_dir()):
                         raise ValueError(f"a link or a device at {each.relative_to(path)}")
             with open_regular(path / "zarr.json") as file:
-                _, (numbers, ends, texts) = confined(f"{_FILE}:index", file, LARGEST_TEXTS)
+                _, (numbers, ends, texts) = run_decoder(f"{_FILE}:index", file, LARGEST_TEXTS)
             within = numbers.ndim == ends.ndim == texts.ndim == 1 and numbers.dtype == ends.dtype == np.int64
             if not within or len(ends) != len(numbers) + 1 or not (np.diff(ends, prepend=0) >= 0).all():
                 raise ValueError("meta_ends that do not fit meta")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.constants import PATTERN_STREAM, SHOT_STREAM, STREAMS
-from clsco.frame.development import developed, sensor_truth
+from clsco.frame.development import develop, sensor_truth
 from clsco.optics.sensor import SensorModel, reciprocals_of_counts, sensor_values
 from clsco.records import filled
 from clsco.reference.sensor.noise import Floats, Words, normal_of, philox, poisson, uniform_of
@@ -33,7 +33,7 @@ def sensor_outputs(
 ) -> dict[str, Any]:
     """Image and outputs of a sensor, by their names in `Frame`, for the light (m, n, C) of a frame; else as `sense`."""
     raw, saturated = sense(sensor_model, light, camera)
-    return {"color": developed(raw, sensor_model)} | sensor_truth(names, raw, saturated, light, sensor_model)
+    return {"color": develop(raw, sensor_model)} | sensor_truth(names, raw, saturated, light, sensor_model)
 
 
 def sense(

@@ -32,7 +32,7 @@ FACTOR = 4  # and so many times what it may give
 SECONDS, RATE = 20.0, 2**25  # of the processor's time that a decoder may take, and bytes that it gives in one more
 PATIENCE = 6  # times that, by the clock: the processor may have other work
 _ROOT = Path(__file__).resolve().parents[2]  # the folder of this very package, whatever the current folder has
-_COMMAND = "from clsco.files.confined import serve; serve()"
+_COMMAND = "from clsco.files.decoder_process import serve; serve()"
 _PIPE = 2**20  # bytes, where the system lets a user choose
 _MOST_LINE = 2**24  # bytes of a reply beside its arrays
 
@@ -84,7 +84,7 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_serving.forget)
 
 
-def confined(function: str, file: BinaryIO, most: int, **options: Any) -> Found:
+def run_decoder(function: str, file: BinaryIO, most: int, **options: Any) -> Found:
     """Call a function on a file in the process with limits.
 
     Parameters
@@ -120,7 +120,7 @@ def confined(function: str, file: BinaryIO, most: int, **options: Any) -> Found:
         killer.daemon = True
         killer.start()
         try:
-            found = _answer(process, json.dumps(request).encode(), most)
+            answer = _answer(process, json.dumps(request).encode(), most)
         except (EOFError, OSError):
             status = _serving.end()
             limits = f"{memory >> 20} MiB and {seconds:.0f} s"
@@ -131,9 +131,9 @@ def confined(function: str, file: BinaryIO, most: int, **options: Any) -> Found:
             raise
         finally:
             killer.cancel()
-    if isinstance(found, str):
-        raise ValueError(found)
-    return found
+    if isinstance(answer, str):
+        raise ValueError(answer)
+    return answer
 
 
 def _answer(process: subprocess.Popen[bytes], request: bytes, most: int) -> Found | str:
@@ -148,10 +148,10 @@ def _answer(process: subprocess.Popen[bytes], request: bytes, most: int) -> Foun
     line = process.stdout.readline(_MOST_LINE)
     if not line:
         raise EOFError
-    told = json.loads(line)
-    if "error" in told:
-        return str(told["error"])
-    kinds = [(np.dtype(kind), tuple(map(int, shape))) for kind, shape in told["arrays"]]
+    reply = json.loads(line)
+    if "error" in reply:
+        return str(reply["error"])
+    kinds = [(np.dtype(kind), tuple(map(int, shape))) for kind, shape in reply["arrays"]]
     if sum(kind.itemsize * math.prod(shape) for kind, shape in kinds) > most:
         raise ValueError(f"arrays of more than {most} bytes")
     arrays = [np.empty(shape, kind) for kind, shape in kinds]
@@ -161,7 +161,7 @@ def _answer(process: subprocess.Popen[bytes], request: bytes, most: int) -> Foun
             if not (count := process.stdout.readinto(left)):  # type: ignore[attr-defined]
                 raise EOFError
             left = left[count:]
-    return told["found"], arrays
+    return reply["found"], arrays
 
 
 def _bytes(array: NDArray[Any]) -> memoryview:
@@ -174,14 +174,14 @@ def serve() -> None:
     calls, answers = sys.stdin.buffer, sys.stdout.buffer
     while line := calls.readline():
         try:
-            found, arrays = _called(json.loads(line))
+            reply, arrays = _called(json.loads(line))
         except MemoryError:
-            found, arrays = {"error": "more memory than its size allows"}, []
+            reply, arrays = {"error": "more memory than its size allows"}, []
         except Exception as error:
-            found, arrays = {"error": " ".join(str(error).split()) or type(error).__name__}, []
+            reply, arrays = {"error": " ".join(str(error).split()) or type(error).__name__}, []
         else:
-            found = {"found": found, "arrays": [(array.dtype.str, array.shape) for array in arrays]}
-        answers.write(json.dumps(found).encode() + b"\n")
+            reply = {"found": reply, "arrays": [(array.dtype.str, array.shape) for array in arrays]}
+        answers.write(json.dumps(reply).encode() + b"\n")
         for array in arrays:
             answers.write(_bytes(np.ascontiguousarray(array)))
         answers.flush()
@@ -197,8 +197,8 @@ def _called(call: Mapping[str, Any]) -> Found:
         about = os.fstat(file.fileno())
         if [about.st_dev, about.st_ino] != call["file"]:
             raise ValueError("another file than was opened first")
-        found: tuple[dict[str, Any], Sequence[NDArray[Any]]] = function(file, **call["options"])
-        return found[0], list(found[1])
+        result: tuple[dict[str, Any], Sequence[NDArray[Any]]] = function(file, **call["options"])
+        return result[0], list(result[1])
 
 
 def _limit(memory: int, seconds: float) -> None:

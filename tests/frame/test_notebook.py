@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clsco.errors import ImageError
+from clsco.errors import FileError
 from clsco.files.images import read_image
 from clsco.files.transfer import encode
 from clsco.frame.frame import Frame
-from clsco.frame.shown import LARGEST_SHOWN, png_to_show
+from clsco.frame.notebook import LARGEST_SHOWN, png_to_show
 
 
 def made(color: tuple[int, ...] = (6, 8, 3), **more: object) -> Frame:
@@ -59,8 +59,8 @@ def test_the_extension_says_what_is_saved(ending: str, tmp_path: Path) -> None:
 
 
 def test_other_extensions_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ImageError, match=r"the extension must be one of .png, .tif, .tiff, .exr, .npz; got .gif"):
+    with pytest.raises(FileError, match=r"the extension must be one of .png, .tif, .tiff, .exr, .npz; got .gif"):
         made().save(tmp_path / "frame.gif")
-    with pytest.raises(ImageError, match="got none"):
+    with pytest.raises(FileError, match="got none"):
         made().save(tmp_path / "frame")
     assert list(tmp_path.iterdir()) == []

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.errors import ImageError, SceneError
+from clsco.errors import FileError, SceneError
 from clsco.files.arrays import read_exr, read_npz
-from clsco.files.atomic import refuse
+from clsco.files.atomic import raise_file_error
 from clsco.files.images import read_image
 from clsco.files.transfer import TRANSFERS
 from clsco.frame.files import LARGEST_JSON, frame_json
@@ -31,7 +31,7 @@ _COMPONENTS = {"color": ((), (3,)), "sharp": ((), (3,)), "coc": ((), (3,)), "flo
 
 
 @dataclass(frozen=True)
-class WrittenFrames:
+class FrameFolder:
     """Frames of one scene.
 
     Attributes
@@ -60,18 +60,18 @@ class WrittenFrames:
     scenes: frozenset[str]
 
     def images(self, eye: str = "") -> Iterator[NDArray[Any]]:
-        """Codes of the PNG of each frame, (rows, columns[, 3]). Raises ImageError as `read_image`."""
+        """Codes of the PNG of each frame, (rows, columns[, 3]). Raises FileError as `read_image`."""
         for number in self.numbers:
             yield read_image(self._file(number, "png", eye)).data
 
-    def arrays(self, name: str, eye: str = "", only: str = "") -> Iterator[NDArray[np.floating]]:
-        """An array of each frame, from its NPZ or else its EXR; `only`: from this kind of file.
+    def arrays(self, name: str, eye: str = "") -> Iterator[NDArray[np.floating]]:
+        """An array of each frame, from its NPZ or else its EXR.
 
-        Raises ImageError where a frame has neither, or it does not hold the array with its channels.
+        Raises FileError where a frame has neither, or it does not hold the array with its channels.
         """
         for number in self.numbers:
             npz, exr = self._file(number, "npz", eye), self._file(number, "exr", "")
-            if only != "exr" and npz.exists():
+            if npz.exists():
                 array = read_npz(npz, [name])[name]
                 where = npz
             elif exr.exists():
@@ -79,18 +79,16 @@ class WrittenFrames:
                 array = np.stack(planes, axis=-1) if len(planes) > 1 else planes[0]
                 where = exr
             else:
-                files = exr.name if only == "exr" else f"{npz.name} or {exr.name}"
-                rule = f"must hold {files}, with {name}"
-                refuse(self.folder, rule, "neither" if not only else "none")
+                raise_file_error(self.folder, f"must hold {npz.name} or {exr.name}, with {name}", "neither")
             if array.shape[2:] not in _COMPONENTS.get(name, ((),)):
-                refuse(where, f"{name} must have its channels", f"shape {array.shape}")
+                raise_file_error(where, f"{name} must have its channels", f"shape {array.shape}")
             yield array.astype(np.float32, copy=False)
 
     def has(self, name: str, eye: str = "") -> bool:
         """True where the first frame has an array."""
         try:
             next(self.arrays(name, eye))
-        except ImageError:
+        except FileError:
             return False
         return True
 
@@ -99,19 +97,19 @@ class WrittenFrames:
 
 
 def _exr_planes(path: Path, name: str, eye: str) -> list[NDArray[Any]]:
-    """Channels of an array; of blur radii those of three colors where there are these. Raises ImageError."""
+    """Channels of an array; of blur radii those of three colors where there are these. Raises FileError."""
     try:
         return read_exr(path, _CHANNELS[name].split(), eye)
-    except ImageError as error:
+    except FileError as error:
         if name != "coc":
             raise
         try:
             return read_exr(path, ["coc.R", "coc.G", "coc.B"], eye)
-        except ImageError:
+        except FileError:
             raise error from None
 
 
-def written_frames(folder: Path, only: range | None = None) -> WrittenFrames:
+def read_frame_folder(folder: Path, only: range | None = None) -> FrameFolder:
     """Find the frames of a folder by their JSON files, and read these.
 
     Parameters
@@ -129,7 +127,7 @@ def written_frames(folder: Path, only: range | None = None) -> WrittenFrames:
     try:
         numbers = sorted(number for number in _numbers(folder) if only is None or number in only)
     except OSError as error:
-        refuse(folder, "must be a folder of frames", error, error)
+        raise_file_error(folder, "must be a folder of frames", error, error)
     if not numbers:
         raise SceneError(f"{folder}: must hold frames from clsco render, frame_0000.json and so on; got none")
     faults = [
@@ -137,7 +135,7 @@ def written_frames(folder: Path, only: range | None = None) -> WrittenFrames:
         for one, other in pairwise(numbers)
         if other != one + 1
     ]
-    found: dict[int, tuple[float, str, bool, int]] = {}
+    facts: dict[int, tuple[float, str, bool, int]] = {}
     scenes = set()
     for number in numbers:
         path = frame_json(folder, number)
@@ -145,10 +143,10 @@ def written_frames(folder: Path, only: range | None = None) -> WrittenFrames:
         if content is None:
             continue
         scenes.add(str(content.get("scene_sha256")))
-        found[number] = known = _known(content, path, faults)
-        first = found[min(found)]
+        facts[number] = known = _known(content, path, faults)
+        first = facts[min(facts)]
         if known[:3] != first[:3]:
-            rule = f"must have the interval, transfer and views of frame {min(found)}, {_said(first)}"
+            rule = f"must have the interval, transfer and views of frame {min(facts)}, {_said(first)}"
             faults.append(f"{path}: {rule}; got {_said(known)}")
         stem = path.with_suffix("").name
         for name in (f"{stem}_left.png", f"{stem}_right.png") if known[2] else (f"{stem}.png",):
@@ -157,16 +155,16 @@ def written_frames(folder: Path, only: range | None = None) -> WrittenFrames:
     if faults:
         more = [f"{folder}: and {len(faults) - MOST_FAULTS} more faults"] if len(faults) > MOST_FAULTS else []
         raise SceneError(faults[:MOST_FAULTS] + more)
-    interval, transfer, is_stereo, count = found[numbers[0]]
+    interval, transfer, is_stereo, count = facts[numbers[0]]
     eyes = ("left", "right") if is_stereo else ("",)
     whole = range(numbers[0], numbers[-1] + 1)
-    return WrittenFrames(folder, whole, eyes, interval, transfer, count, frozenset(scenes))
+    return FrameFolder(folder, whole, eyes, interval, transfer, count, frozenset(scenes))
 
 
 def _numbers(folder: Path) -> Iterator[int]:
     """Numbers of the frames whose JSON file or PNG is there."""
-    found = (re.fullmatch(r"frame_([0-9]{4,9})(_left|_right)?\.(?:json|png)", path.name) for path in folder.iterdir())
-    numbers = {match[1] for match in found if match}
+    matches = (re.fullmatch(r"frame_([0-9]{4,9})(_left|_right)?\.(?:json|png)", path.name) for path in folder.iterdir())
+    numbers = {match[1] for match in matches if match}
     return (int(text) for text in numbers if text == f"{int(text):04d}")
 
 
@@ -190,24 +188,30 @@ def _known(content: Mapping[str, Any], path: Path, faults: list[str]) -> tuple[f
 
     def value(table: str, key: str, default: Any, is_right: Any) -> Any:
         inner = scene.get(table, {})
-        given = inner.get(key, default) if isinstance(inner, dict) else None
-        if is_right(given):
-            return given
-        faults.append(f"{path}: scene.{table}.{key}: must be one of a scene; got {str(given)[:40]}")
+        value_of_key = inner.get(key, default) if isinstance(inner, dict) else None
+        if is_right(value_of_key):
+            return value_of_key
+        faults.append(f"{path}: scene.{table}.{key}: must be one of a scene; got {str(value_of_key)[:40]}")
         return default
 
-    def is_count(given: Any) -> bool:
-        return isinstance(given, int) and 0 < given <= 1_000_000
+    def is_count(value_of_key: Any) -> bool:
+        return isinstance(value_of_key, int) and 0 < value_of_key <= 1_000_000
 
-    def is_time(given: Any) -> bool:
-        return isinstance(given, (int, float)) and not isinstance(given, bool) and 0 < given < math.inf
+    def is_time(value_of_key: Any) -> bool:
+        return (
+            isinstance(value_of_key, (int, float))
+            and not isinstance(value_of_key, bool)
+            and 0 < value_of_key < math.inf
+        )
 
-    given = content.get("scene")
-    if not isinstance(given, dict):
-        faults.append(f"{path}: scene: must be a table, as clsco render writes it; got {type(given).__name__}")
-    scene = given if isinstance(given, dict) else {}
+    value_of_key = content.get("scene")
+    if not isinstance(value_of_key, dict):
+        faults.append(f"{path}: scene: must be a table, as clsco render writes it; got {type(value_of_key).__name__}")
+    scene = value_of_key if isinstance(value_of_key, dict) else {}
     interval = float(min(value("sequence", "interval", 1.0, is_time), 1e300))
-    transfer = value("image", "transfer", "srgb", lambda given: isinstance(given, str) and given in TRANSFERS)
+    transfer = value(
+        "image", "transfer", "srgb", lambda value_of_key: isinstance(value_of_key, str) and value_of_key in TRANSFERS
+    )
     return interval, transfer, scene.get("stereo") is not None, value("sequence", "frames", 1, is_count)
 
 

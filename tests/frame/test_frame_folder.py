@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from clsco.errors import ImageError, SceneError
+from clsco.errors import FileError, SceneError
 from clsco.files.arrays import read_exr, read_npz
 from clsco.files.images import write_exr, write_npz
-from clsco.frame.files import truth_files, write_frame
+from clsco.frame.files import files_of, write_frame
 from clsco.frame.frame import Frame
-from clsco.frame.written import written_frames
+from clsco.frame.frame_folder import read_frame_folder
 
 SCENE = {"sequence": {"interval": 0.04, "frames": 9}, "image": {"transfer": "linear"}}
 
@@ -35,12 +35,12 @@ def frames(folder: Path, numbers: Sequence[int], truth: str = "", stereo: bool =
         )
         views = [replace(one, eye="left"), replace(one, eye="right", color=1 - one.color)] if stereo else [one]
         about = {"scene": {**scene, "stereo": {}} if stereo else scene, "scene_sha256": "abc"}
-        write_frame(folder, views, 8, "linear", truth_files(truth), about)
+        write_frame(folder, views, 8, "linear", files_of("", truth), about)
 
 
 def test_frames_are_found_with_what_a_clip_needs(tmp_path: Path) -> None:
     frames(tmp_path, range(3, 7), "npz")
-    found = written_frames(tmp_path)
+    found = read_frame_folder(tmp_path)
     assert (found.numbers, found.eyes, found.of) == (range(3, 7), ("",), 9)
     assert (found.interval, found.transfer) == (0.04, "linear")
     assert found.scenes == {"abc"}
@@ -48,28 +48,32 @@ def test_frames_are_found_with_what_a_clip_needs(tmp_path: Path) -> None:
     with np.load(tmp_path / "frame_0004.npz") as arrays:
         for name in ("color", "sharp", "depth", "flow"):
             np.testing.assert_array_equal(list(found.arrays(name))[1], arrays[name], strict=True)
-    assert written_frames(tmp_path, range(4, 6)).numbers == range(4, 6)
+    assert read_frame_folder(tmp_path, range(4, 6)).numbers == range(4, 6)
 
 
 def test_arrays_come_from_exr_too(tmp_path: Path) -> None:
     frames(tmp_path, [0], "npz,exr", stereo=True)
-    found = written_frames(tmp_path)
+    found = read_frame_folder(tmp_path)
     assert found.eyes == ("left", "right")
     for eye in found.eyes:
         for name in ("color", "sharp", "depth", "flow"):
-            (one,), (other,) = found.arrays(name, eye), found.arrays(name, eye, "exr")
+            (one,) = found.arrays(name, eye)
+            npz = tmp_path / f"frame_0000_{eye}.npz"
+            away = npz.rename(tmp_path / "away.npz")
+            (other,) = found.arrays(name, eye)
             np.testing.assert_array_equal(one, other, strict=True)
-    with pytest.raises(ImageError, match=r"frame_0000.exr: must hold the channel coc; got none of this name"):
-        list(found.arrays("coc", "left", "exr"))
-    (tmp_path / "frame_0000.exr").unlink()
+            away.rename(npz)
     (tmp_path / "frame_0000_left.npz").unlink()
-    with pytest.raises(ImageError, match=r"must hold frame_0000_left.npz or frame_0000.exr, with"):
+    with pytest.raises(FileError, match=r"frame_0000.exr: must hold the channel coc; got none of this name"):
+        list(found.arrays("coc", "left"))
+    (tmp_path / "frame_0000.exr").unlink()
+    with pytest.raises(FileError, match=r"must hold frame_0000_left.npz or frame_0000.exr, with"):
         list(found.arrays("depth", "left"))
 
 
 def faults(folder: Path) -> list[str]:
     with pytest.raises(SceneError) as caught:
-        written_frames(folder)
+        read_frame_folder(folder)
     return [message.removeprefix(f"{folder}{os.sep}") for message in caught.value.messages]
 
 
@@ -89,8 +93,8 @@ def test_a_folder_without_frames_is_refused(tmp_path: Path) -> None:
     assert faults(tmp_path) == [f"{tmp_path}: must hold frames from clsco render, frame_0000.json and so on; got none"]
     for place in (tmp_path / "none", tmp_path / "file"):
         (tmp_path / "file").touch()
-        with pytest.raises(ImageError, match="must be a folder of frames; got N"):
-            written_frames(place)
+        with pytest.raises(FileError, match="must be a folder of frames; got N"):
+            read_frame_folder(place)
 
 
 def test_frames_of_different_scenes_are_refused(tmp_path: Path) -> None:
@@ -141,7 +145,7 @@ def test_an_interval_of_many_digits(tmp_path: Path) -> None:
     frames(tmp_path, [0])
     text = json.dumps({"scene": SCENE}).replace("0.04", "1" + "0" * 400)
     (tmp_path / "frame_0000.json").write_text(text)
-    assert written_frames(tmp_path).interval == 1e300
+    assert read_frame_folder(tmp_path).interval == 1e300
 
 
 def test_npz_of_a_stranger(tmp_path: Path) -> None:
@@ -153,17 +157,17 @@ def test_npz_of_a_stranger(tmp_path: Path) -> None:
     ]
     for array, message in wrong:
         write_npz(path, {"depth": array})
-        with pytest.raises(ImageError, match=message):
+        with pytest.raises(FileError, match=message):
             read_npz(path, ["depth"])
-    with pytest.raises(ImageError, match="must hold the array coc; got none of this name"):
+    with pytest.raises(FileError, match="must hold the array coc; got none of this name"):
         read_npz(path, ["coc"])
     with zipfile.ZipFile(path, "w") as archive, archive.open("depth.npy", "w") as member:
         header = {"descr": "<f4", "fortran_order": False, "shape": (60000, 60000)}
         np.lib.format.write_array_header_1_0(member, header)
-    with pytest.raises(ImageError, match=r"at most 134217728 pixels; got 60000 x 60000"):
+    with pytest.raises(FileError, match=r"at most 134217728 pixels; got 60000 x 60000"):
         read_npz(path, ["depth"])
     path.write_bytes(b"PK\x03\x04 no archive")
-    with pytest.raises(ImageError, match="must be a whole NPZ"):
+    with pytest.raises(FileError, match="must be a whole NPZ"):
         read_npz(path, ["depth"])
 
 
@@ -171,8 +175,8 @@ def test_exr_of_a_stranger(tmp_path: Path) -> None:
     path = tmp_path / "a.exr"
     write_exr(path, {"Z": np.zeros((2, 3), "f4")})
     assert read_exr(path, ["Z"])[0].shape == (2, 3)
-    with pytest.raises(ImageError, match=r"must hold one view left; got 0 of 1 parts"):
+    with pytest.raises(FileError, match=r"must hold the channel Z; got none of this name in the view left"):
         read_exr(path, ["Z"], "left")
     path.write_bytes(path.read_bytes()[:300])
-    with pytest.raises(ImageError, match="must be a whole EXR"):
+    with pytest.raises(FileError, match="must be a whole EXR"):
         read_exr(path, ["Z"])

@@ -1,12 +1,11 @@
-"""NPY arrays, members of ZIP archives, and JSON of strangers: no more is unpacked than is asked for."""
+"""NPY arrays, and members of ZIP archives, of strangers: no more is unpacked than is asked for."""
 
 from __future__ import annotations
 
 import io
-import json
 import math
 import os
-from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +49,13 @@ def image_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
     return shape
 
 
+def npy_bytes(array: NDArray[Any]) -> bytes:
+    """An NPY file of numbers or bools of any shape; the same for the same array."""
+    stream = io.BytesIO()
+    np.lib.format.write_array(stream, np.ascontiguousarray(array), allow_pickle=False)
+    return stream.getvalue()
+
+
 def npy_size(dtype: np.dtype[Any], shape: tuple[int, ...]) -> int:
     """Bytes that an NPY file of such an array has at most."""
     return math.prod(shape) * dtype.itemsize + HEADER
@@ -60,13 +66,13 @@ def npy_array(content: bytes | bytearray | memoryview, dtype: np.dtype[Any], sha
 
     It is in the memory of what can be written to.
     """
-    found = npy_header(io.BytesIO(content[:HEADER]))
-    if found.dtype.hasobject or (found.dtype.newbyteorder("="), found.shape) != (dtype, shape):
-        raise ValueError(f"{found.dtype} of shape {found.shape} for {dtype} {shape}")
-    if len(content) != found.start + math.prod(shape) * dtype.itemsize:
-        raise ValueError(f"{len(content)} bytes of {found.dtype} of shape {found.shape}")
-    plain = np.frombuffer(content, found.dtype, math.prod(shape), found.start)
-    array = plain.reshape(shape, order="F" if found.fortran else "C")
+    header = npy_header(io.BytesIO(content[:HEADER]))
+    if header.dtype.hasobject or (header.dtype.newbyteorder("="), header.shape) != (dtype, shape):
+        raise ValueError(f"{header.dtype} of shape {header.shape} for {dtype} {shape}")
+    if len(content) != header.start + math.prod(shape) * dtype.itemsize:
+        raise ValueError(f"{len(content)} bytes of {header.dtype} of shape {header.shape}")
+    plain = np.frombuffer(content, header.dtype, math.prod(shape), header.start)
+    array = plain.reshape(shape, order="F" if header.fortran else "C")
     return np.array(array, dtype, order="C", copy=None if plain.flags.writeable else True)
 
 
@@ -111,32 +117,3 @@ def member_array(archive: zipfile.ZipFile, name: str, header: NpyHeader) -> NDAr
     if archive.getinfo(name).file_size > needed:
         raise ValueError("bytes after the array")
     return npy_array(member_bytes(archive, name, needed), header.dtype.newbyteorder("="), header.shape)
-
-
-MOST_DEEP = 64
-
-
-def strict_json(content: bytes | str) -> Any:
-    """Parse JSON. Raises ValueError for other texts, for NaN and infinity, and beyond `MOST_DEEP` levels."""
-    try:
-        found = json.loads(content, parse_constant=_refuse_number)
-    except RecursionError:
-        raise ValueError("nested too deeply") from None
-    text = content if isinstance(content, bytes) else content.encode(errors="replace")
-    if text.count(b"[") + text.count(b"{") > MOST_DEEP and _is_deep(found):  # most have fewer, which is soon counted
-        raise ValueError("nested too deeply")
-    return found
-
-
-def _refuse_number(text: str) -> NoReturn:
-    raise ValueError(f"{text}, which is no number in JSON")
-
-
-def _is_deep(value: Any) -> bool:
-    level = [value]
-    for _ in range(MOST_DEEP):
-        holders = [item for item in level if isinstance(item, (dict, list))]
-        level = [inner for item in holders for inner in (item.values() if isinstance(item, dict) else item)]
-        if not level:
-            return False
-    return True

@@ -1,0 +1,61 @@
+"""The public names of clsco and their modules. The package reads them from here when they are first used."""
+
+from clsco import reference as reference
+from clsco.engine.defocus import defocus as defocus
+from clsco.engine.inpaint import inpaint as inpaint
+from clsco.engine.live import Live as Live
+from clsco.engine.response import response as response
+from clsco.engine.sequence import render as render
+from clsco.engine.sequence import render_frame as render_frame
+from clsco.engine.sequence import render_sweep as render_sweep
+from clsco.errors import ArgumentError as ArgumentError
+from clsco.errors import CanceledError as CanceledError
+from clsco.errors import ClscoError as ClscoError
+from clsco.errors import DeviceError as DeviceError
+from clsco.errors import FileError as FileError
+from clsco.errors import KernelError as KernelError
+from clsco.errors import MissingDependencyError as MissingDependencyError
+from clsco.errors import SceneError as SceneError
+from clsco.frame.frame import Frame as Frame
+from clsco.frame.video import write_video as write_video
+from clsco.inpainting.rules import MeanMedian as MeanMedian
+from clsco.inputs.dump import dump_scene as dump_scene
+from clsco.opencl.device import list_devices as list_devices
+from clsco.reference.spreads import PsfStack as PsfStack
+from clsco.reference.spreads import psf as psf
+from clsco.scene.file import load_scene as load_scene
+from clsco.scene.file import parse_scene as parse_scene
+from clsco.scene.model import Aperture as Aperture
+from clsco.scene.model import Background as Background
+from clsco.scene.model import Box as Box
+from clsco.scene.model import Camera as Camera
+from clsco.scene.model import CameraMotion as CameraMotion
+from clsco.scene.model import CameraShake as CameraShake
+from clsco.scene.model import Cone as Cone
+from clsco.scene.model import Cylinder as Cylinder
+from clsco.scene.model import DepthMap as DepthMap
+from clsco.scene.model import Disc as Disc
+from clsco.scene.model import Ellipsoid as Ellipsoid
+from clsco.scene.model import Fill as Fill
+from clsco.scene.model import Group as Group
+from clsco.scene.model import ImageOptions as ImageOptions
+from clsco.scene.model import Keyframe as Keyframe
+from clsco.scene.model import Lens as Lens
+from clsco.scene.model import LensKeyframe as LensKeyframe
+from clsco.scene.model import Light as Light
+from clsco.scene.model import Motion as Motion
+from clsco.scene.model import ObjectMotion as ObjectMotion
+from clsco.scene.model import Plane as Plane
+from clsco.scene.model import Psf as Psf
+from clsco.scene.model import Quadric as Quadric
+from clsco.scene.model import Rectangle as Rectangle
+from clsco.scene.model import Scene as Scene
+from clsco.scene.model import Sensor as Sensor
+from clsco.scene.model import Sequence as Sequence
+from clsco.scene.model import Sphere as Sphere
+from clsco.scene.model import Stereo as Stereo
+from clsco.scene.sweep import load_sweep as load_sweep
+from clsco.scene.sweep import parse_sweep as parse_sweep
+
+__version__: str
+__all__: list[str]

@@ -1,0 +1,34 @@
+"""JSON of strangers: of finite numbers, and not nested deeply."""
+
+from __future__ import annotations
+
+import json
+from typing import Any, NoReturn
+
+MOST_DEEP = 64
+
+
+def strict_json(content: bytes | str) -> Any:
+    """Parse JSON. Raises ValueError for other texts, for NaN and infinity, and beyond `MOST_DEEP` levels."""
+    try:
+        value = json.loads(content, parse_constant=_refuse_number)
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
+    text = content if isinstance(content, bytes) else content.encode(errors="replace")
+    if text.count(b"[") + text.count(b"{") > MOST_DEEP and _is_deep(value):  # most have fewer, which is soon counted
+        raise ValueError("nested too deeply")
+    return value
+
+
+def _refuse_number(text: str) -> NoReturn:
+    raise ValueError(f"{text}, which is no number in JSON")
+
+
+def _is_deep(value: Any) -> bool:
+    level = [value]
+    for _ in range(MOST_DEEP):
+        holders = [item for item in level if isinstance(item, (dict, list))]
+        level = [inner for item in holders for inner in (item.values() if isinstance(item, dict) else item)]
+        if not level:
+            return False
+    return True
