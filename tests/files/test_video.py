@@ -377,13 +377,6 @@ def test_what_a_killed_writer_leaves_the_next_one_removes(tmp_path: Path) -> Non
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "av", None)
-    with pytest.raises(ImageError, match=r"clip.mkv: needs av: pip install 'clsco\[video\]'; got "):
-        write(tmp_path / "clip", smooth(), "ffv1")
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_names_are_never_addresses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """FFmpeg opens http://..., pipe:1 and the like; a path is a path."""
     monkeypatch.chdir(tmp_path)
