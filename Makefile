@@ -3,7 +3,7 @@ PYTHON ?= $(shell for python in python3 python3.14 python3.13 python3.12 python3
 	"$$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo "$$python" && break; done)
 BIN := .venv/bin
 
-.PHONY: demo nightly test test-kernels test-slow test-browser laws fuzz soak oclgrind mutation stability docs lint lint-python lint-javascript bench clean
+.PHONY: demo nightly test test-kernels test-slow test-browser laws fuzz soak oclgrind mutation mutation-host stability docs lint lint-python lint-javascript bench clean
 
 demo: .venv/pocl.stamp
 	$(BIN)/clsco demo -o demo
@@ -31,7 +31,7 @@ test-browser: .venv/dev.stamp .venv/browser.stamp
 
 # Random bad scenes, damaged images and frames of random scenes, CASES of the first; and faults at every place, with KILLS of a batch.
 CASES ?= 1000000
-KILLS ?= 1000
+KILLS ?= 100
 
 fuzz: .venv/dev.stamp
 	$(BIN)/python -m tests.hostile.fuzz --cases $(CASES)
@@ -41,8 +41,6 @@ fuzz: .venv/dev.stamp
 soak: .venv/dev.stamp
 	$(BIN)/python -m pytest -q $(PARALLEL) -m soak
 	$(BIN)/python -m tests.faults.kills --kills $(KILLS)
-	$(BIN)/python -m tests.faults.kills --kills 100 --naive
-	$(BIN)/python -m tests.faults.batch_kills --kills $$(( $(KILLS) / 10 ))
 
 # All that takes too long for each change: hours.
 nightly: docs test test-kernels test-slow laws fuzz soak test-browser oclgrind stability
@@ -64,10 +62,16 @@ oclgrind: .venv/dev.stamp
 		{ echo "oclgrind: must be installed, on Debian and Ubuntu by apt-get install oclgrind" >&2; exit 1; }
 	CLSCO_EVERY=$(EVERY) $(BIN)/python -m pytest -q -n 0 -m oclgrind tests/oclgrind
 
-# Small faults in kernels and in the host's arithmetic, which the tests have to kill: one of SHARE of them.
+# Small faults in kernels, which the tests have to kill: one of SHARE of them.
 SHARE ?= 100
 mutation: .venv/dev.stamp
 	$(BIN)/python -m tests.mutation --against quick slow --share $(SHARE)
+
+# Small faults in the host's formulas and plan, by mutmut; MUTANTS: a pattern of their names.
+MUTANTS ?= clsco.optics.*
+mutation-host: .venv/dev.stamp .venv/mutation.stamp
+	$(BIN)/python -m mutmut run "$(MUTANTS)"
+	$(BIN)/python -m mutmut results
 
 # The documentation as a site in build/site; fails where a link leads nowhere or a page is left out.
 docs: .venv/docs.stamp
@@ -111,4 +115,4 @@ bench: .venv/bench.stamp
 comma := ,
 
 clean:
-	rm -rf .venv .mutation $(JAVASCRIPT)/node_modules build dist clsco.egg-info
+	rm -rf .venv mutants $(JAVASCRIPT)/node_modules build dist clsco.egg-info

@@ -14,7 +14,8 @@ import pytest
 import clsco
 import clsco.data
 from clsco import reference
-from tests.architecture.test_language import ROOT, sources
+from tests.architecture.test_language import sources
+from tests.architecture.trees import ROOT
 from tests.data.samples import make_set
 
 PUBLIC = {

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import importlib.util
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -87,23 +85,6 @@ def steps() -> list[int]:
 @pytest.fixture(scope="module")
 def measured(session: Session, steps: list[int]) -> Bench:
     return measure.run(SMALL, session.device, [], lambda: steps.append(1))
-
-
-@pytest.mark.slow
-def test_plots_show_the_largest_size_that_is_whole(measured: Bench) -> None:
-    assert report._size(measured) == 40
-    rows = [row for row in measured.rows if row.size == 24]
-    others = [replace(row, radius=9.0) for row in rows]
-    assert report._size(replace(measured, rows=[*measured.rows, *others])) == 24
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("precision", get_args(Precision))
-def test_gray_images_as_well(session: Session, precision: Precision) -> None:
-    found = measure.run(replace(SMALL, channels=(1,), precisions=(precision,)), session.device, [], lambda: None)
-    assert len(found.rows) == len(grid_cases(SMALL, has_fp64=True))
-    test_every_method_is_close_to_the_reference(found)
-    test_figures_of_a_row_belong_together(found)
 
 
 @pytest.mark.slow
@@ -202,17 +183,6 @@ def test_what_is_slow_on_its_crop_is_left_out() -> None:
     assert paces.objection(replace(scatter, size=1024)) == why
 
 
-@pytest.mark.slow
-def test_light_beyond_the_crop_counts(session: Session) -> None:
-    """A call in full size would take 18 times as long as the crop has it by its pixels alone: up to a minute."""
-    case = Case(512, 60.0, "varying", "gaussian", 1, "double", "clsco", "scatter")
-    first = measure._first(case, session, None)
-    by_pixels = first.warm_s * (case.size / first.crop_px) ** 2
-    why = measure._ready(case, session, 4.0 * by_pixels, Paces(SMALL))  # measured twice, on machines that are noisy
-    assert isinstance(why, str)
-    assert "by its crop" in why
-
-
 def test_light_beyond_the_crop_costs_those_who_blur_it() -> None:
     """A crop of 39 px with R to 60 px is all border: what is blurred there is four times as wide and high."""
     first = measure._FirstCall(first_call_s=0.1, crop_px=39, rms=0.0, largest=0.0, warm_s=1e-3)
@@ -261,14 +231,6 @@ def test_the_front_is_what_nothing_beats() -> None:
             assert any(expected) == (count > 0)
 
 
-@pytest.mark.slow
-def test_each_task_has_a_front_of_its_own(measured: Bench) -> None:
-    tasks = {row.task for row in measured.rows}
-    assert len(tasks) == 2 * 2 * len(PSFS)
-    assert {row.task for row in measured.rows if row.on_front} == tasks
-    assert not all(row.on_front for row in measured.rows)
-
-
 def test_rates_of_known_times() -> None:
     assert triad_rate(1000, 100.0) == 30.0  # 3000 bytes in 100 ns
     assert multiply_add_rate(items=4, count=5, nanoseconds=100.0) == 32.0  # 4 x 5 steps of 10 x 8 x 2 flop
@@ -297,24 +259,6 @@ def test_the_crop_lies_in_the_image_and_holds_an_edge() -> None:
     crop = crop_of(2048, 60.0, PSFS["gaussian"])
     radii = radius_map(2048, 60.0)[crop]
     assert np.abs(np.diff(radii, axis=1)).max() > 10.0
-
-
-@pytest.mark.slow
-def test_files_hold_all_rows(measured: Bench, tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib")
-    report.write(tmp_path, measured)
-    assert sorted(path.name for path in tmp_path.iterdir()) == FILES
-    content = json.loads((tmp_path / "bench.json").read_text())
-    assert content["device"]["name"] == measured.device["name"]
-    assert {"clsco", "numpy", "pyopencl", "python"} <= content["versions"].keys()
-    assert content["settings"]["sizes"] == [24, 40]
-    assert content["roof"].keys() == {"gb_per_s", "gflop_per_s"}
-    with open(tmp_path / "bench.csv", newline="") as file:
-        lines = list(csv.DictReader(file))
-    assert len(lines) == len(content["rows"]) == len(measured.rows)
-    for line, row, wanted in zip(lines, content["rows"], measured.rows, strict=True):
-        assert row["cost_ns"] == float(line["cost_ns"]) == pytest.approx(wanted.cost_ns, rel=1e-5)
-        assert (line["method"], line["psf"]) == (wanted.method, wanted.psf)
 
 
 @pytest.mark.slow
@@ -363,23 +307,6 @@ def test_the_command_writes_and_shows(tmp_path: Path, monkeypatch: pytest.Monkey
 )
 def test_bad_options_give_one_message(words: tuple[object, ...], message: str, tmp_path: Path) -> None:
     result = bench_("-o", tmp_path / "out", *words)
-    assert (result.exit_code, result.stdout, result.stderr.splitlines()) == (1, "", [message])
-    assert not (tmp_path / "out").exists()
-
-
-def without(monkeypatch: pytest.MonkeyPatch, *missing: str) -> None:
-    there = importlib.util.find_spec
-
-    def find_spec(name: str, package: str | None = None) -> Any:
-        return None if name in missing else there(name, package)
-
-    monkeypatch.setattr("clsco.errors.find_spec", find_spec)
-
-
-def test_a_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    without(monkeypatch, "matplotlib")
-    result = bench_("-o", tmp_path / "out", "--quick")
-    message = "error: blur: needs matplotlib: pip install 'clsco[bench]'; got no such module"
     assert (result.exit_code, result.stdout, result.stderr.splitlines()) == (1, "", [message])
     assert not (tmp_path / "out").exists()
 

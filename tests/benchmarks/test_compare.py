@@ -169,19 +169,6 @@ def test_a_copy_of_neighborhoods() -> None:
         assert np.array_equal(copy, np.where(near, plane, 0.0))
 
 
-@pytest.mark.slow  # numba compiles for threads
-def test_rows_of_the_forward_warp(session: Session) -> None:
-    pytest.importorskip("numba")
-    steps: list[int] = []
-    rows = warp.run(session.device, 64, lambda: steps.append(1))
-    assert len(steps) == warp.steps()
-    assert [(row.scene, row.stage) for row in rows] == [(s, t) for s in warp.SCENES for t in ("depth test", "filling")]
-    for row in rows:
-        assert row.times == pytest.approx(row.peer_ns / row.cpu_ns)
-        assert row.peer.startswith("numba" if row.stage == "depth test" else "copy")
-        assert min(row.cpu_ns, row.peer_ns, row.missing_share) > 0.0
-
-
 def test_the_report_has_frames_and_warps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("matplotlib")
     row = BenchRow(

@@ -9,94 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import clsco
 from benchmarks.truth.occlusion import EXAMPLES, MODES, Judged, compare, markdown, near_edges, scene_of
-from benchmarks.truth.traced import decibels, pinhole_view, rms, update
-from clsco.truth.judge import trace_frame
-from clsco.truth.problem import make_problem
+from benchmarks.truth.traced import decibels, pinhole_view, update
 
-Array = NDArray[np.float64]
 FOLDER = Path(__file__).resolve().parents[2] / "examples"
-SIZE, RAYS = 8, 20_000
-# The view of the examples on 8 x 8 px; through a lens of 60 mm R is up to 3 px, and much of every flank is seen.
-SMALL = (f"camera.resolution=[{SIZE}, {SIZE}]", "camera.pixel_pitch=0.64", "camera.aperture_diameter=60.0")
-
-
-def _roots(a: Array, b: Array, c: Array) -> list[Array]:
-    """Both roots of a t^2 + 2 b t + c, no number where there are none."""
-    with np.errstate(invalid="ignore"):
-        root = np.sqrt(b * b - a * c)
-    return [(-b - root) / a, (-b + root) / a]
-
-
-def _meetings(item: Any, start: Array, direction: Array) -> list[Array]:
-    """Places where lines meet a surface at rest, as multiples of `direction` (rays, 3) from `start`; vector algebra."""
-    if item.shape == "plane":
-        normal = np.array([item.slope_x, item.slope_y, -1.0])
-        return [-(start @ normal + item.distance) / (direction @ normal)]
-    across, along = start - item.center, direction
-    if item.shape == "cylinder":
-        axis = np.asarray(item.axis) / np.linalg.norm(item.axis)
-        across, along = np.cross(across, axis), np.cross(along, axis)
-    a, b = (along**2).sum(-1), (across * along).sum(-1)
-    return _roots(a, b, (across**2).sum(-1) - item.radius**2)
-
-
-def _brute_force(scene: Any, textures: list[Array], seed: int) -> tuple[Array, Array]:
-    """Mean and its standard deviation, (SIZE, SIZE): independent random rays, one object after the other."""
-    camera, random = scene.camera, np.random.default_rng(seed)
-    focus = 1 / (1 / camera.focal_length - 1 / camera.sensor_distance)
-    pitch, s0 = camera.pixel_pitch, camera.normalization_distance
-    mirrored = np.concatenate([np.arange(SIZE), np.arange(SIZE)[::-1]])
-    mean, deviation = np.zeros((2, SIZE, SIZE))
-    for row, column in np.ndindex(SIZE, SIZE):
-        # From a point of the lens through the point in focus that the detector's point is the image of.
-        x = (column - SIZE / 2 + random.random(RAYS)) * pitch
-        y = (SIZE / 2 - row - random.random(RAYS)) * pitch
-        radius = camera.aperture_diameter / 2 * np.sqrt(random.random(RAYS))
-        turn = 2 * math.pi * random.random(RAYS)
-        lens = np.stack([radius * np.cos(turn), radius * np.sin(turn), np.zeros(RAYS)], -1)
-        direction = np.stack([x / s0 * focus, y / s0 * focus, np.full(RAYS, focus)], -1) - lens
-        drift = scene.sequence.shutter * random.random((RAYS, 1))
-        nearest, light = np.full(RAYS, np.inf), np.zeros(RAYS)
-        for item, texture in zip(scene.objects, textures, strict=True):
-            start = lens - drift * np.asarray(item.motion.velocity)
-            origin = (0.0, 0.0, item.distance) if item.shape == "plane" else item.center
-            for t in _meetings(item, start, direction):
-                point = start + t[:, None] * direction
-                box = ((-np.inf, np.inf),) * 3 if item.bounds is None else item.bounds
-                low, high = np.transpose(box)
-                with np.errstate(invalid="ignore"):
-                    inside = ((point - origin >= low) & (point - origin <= high)).all(-1)
-                    better = inside & (t > 0) & (t < nearest)
-                X, Y, Z = point[better].T
-                j = np.floor(s0 * X / Z / pitch + SIZE / 2).astype(int) % (2 * SIZE)
-                i = np.floor(SIZE / 2 - s0 * Y / Z / pitch).astype(int) % (2 * SIZE)
-                nearest[better], light[better] = t[better], texture[mirrored[i], mirrored[j]]
-        mean[row, column], deviation[row, column] = light.mean(), light.std() / math.sqrt(RAYS)
-    return mean, deviation
-
-
-OCCLUDED = [stem for stem in EXAMPLES.values() if stem != "sphere"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("example", OCCLUDED)
-def test_the_judge_sees_the_nearest_of_all_objects_with_its_own_texture(example: str) -> None:
-    scene, random = clsco.load_scene(FOLDER / f"{example}.toml", SMALL), np.random.default_rng(11)
-    textures = [random.random((SIZE, SIZE)) + index for index in range(len(scene.objects))]
-    painted = [item.model_copy(update={"texture": each}) for item, each in zip(scene.objects, textures, strict=True)]
-    scene = scene.model_copy(update={"objects": tuple(painted)})
-    judged, noise = trace_frame(make_problem(scene), 1e-3, 16384)
-    mean, deviation = _brute_force(scene, textures, seed=5)
-    # Differences of 64 independent pixels, nearly normal: none beyond 5 deviations, and their mean square is 1 within
-    # five times sqrt(2 / 64). One ray in fifty that met the wrong object would make 0.02, 3 deviations.
-    relative = (judged - mean) / np.hypot(deviation, noise)
-    assert rms(deviation) < 6e-3
-    assert abs(relative).max() < 5
-    assert 0.3 < np.mean(relative**2) < 1 + 5 * math.sqrt(2 / SIZE**2)
 
 
 def test_every_example_of_occlusion_is_measured() -> None:

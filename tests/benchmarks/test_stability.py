@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import json
-import sys
 from dataclasses import replace
 from math import inf, nan
 from pathlib import Path
@@ -70,43 +67,11 @@ def test_distinct_cases_are_neither_turned_nor_scaled() -> None:
     assert 200 <= len(degenerate.distinct(targets)) < len(targets)
 
 
-@pytest.mark.slow
-def test_a_degenerate_scene_is_rendered(session: Session) -> None:
-    targets = degenerate.cases()
-    names = ("sphere with the lens on it", "plane almost along the axis, 1 mm away")
-    found = degenerate.rendered({name: targets[name] for name in names}, session.device)
-    assert len(found) == 4
-    for one in found:
-        assert (one.not_finite, one.other_class) == (0, 0), one
-        assert bool(one.refused) == (one.name == names[1])
-        assert "the blur radius must be at most 512 px" in one.refused or not one.refused
-        assert one.refused or one.rays == degenerate.ACROSS**2
-
-
 def test_what_needs_no_device(session: Session) -> None:
     for make in (large_angles, near_objects):
         case = make(session)
         assert case.reached, case
         assert case.worst("naive") > 100 * case.worst("single")
-
-
-def test_files_and_tables(measured: Stability, tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib")
-    measured = replace(measured, cases=measured.cases[:2])
-    stabilityreport.write(tmp_path, measured)
-    names = ["degenerate.csv", "rays.csv", "stability.csv", "stability.json", "stability.png"]
-    assert sorted(path.name for path in tmp_path.iterdir()) == names
-    content = json.loads((tmp_path / "stability.json").read_text())
-    assert [case["name"] for case in content["cases"]] == [case.name for case in measured.cases]
-    with open(tmp_path / "stability.csv", newline="") as file:
-        lines = list(csv.DictReader(file))
-    for line, case in zip(lines, measured.cases, strict=True):
-        assert line["case"] == case.name
-        assert float(line["double"]) == pytest.approx(case.worst("double"), rel=1e-5)
-        assert (line["reached"], line["ns_naive"]) == ("True", "")
-    with open(tmp_path / "degenerate.csv", newline="") as file:
-        assert len(list(csv.DictReader(file))) == len(measured.degenerate)
-    assert len(stabilityreport.tables(measured)) == 3
 
 
 def test_what_is_beyond_its_bound_is_reported(measured: Stability) -> None:
@@ -144,11 +109,3 @@ def test_a_shortfall_ends_the_command(measured: Stability, tmp_path: Path, monke
     assert result.stderr.splitlines() == [message]
     assert "SHORT" in result.stdout
     assert (tmp_path / "out/stability.csv").is_file()
-
-
-def test_the_extra_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib")
-    monkeypatch.setitem(sys.modules, "benchmarks.stability.report", None)
-    result = CliRunner().invoke(main, ["stability", "-o", str(tmp_path), "--device", "pocl"])
-    assert result.exit_code == 1
-    assert result.stderr.startswith("error: stability.report: needs benchmarks.stability.report: pip install 'clsco[b")

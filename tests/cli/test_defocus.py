@@ -16,10 +16,9 @@ from click.testing import CliRunner, Result
 
 from clsco.cli.defocus import check_pair, is_image_file, prepare_image, scenes_from_files, write_color
 from clsco.cli.main import main
-from clsco.errors import ClscoError, FileError, MissingDependencyError, SceneError
+from clsco.errors import FileError, MissingDependencyError, SceneError
 from clsco.files.images import read_image, write_png
 from clsco.frame.frame import Frame
-from clsco.scene.changes import dump
 from clsco.scene.file import parse_scene
 from clsco.scene.model import DepthMap, Scene, Stereo
 
@@ -98,30 +97,6 @@ def test_paths_are_absolute_and_a_pattern_is_none(files: tuple[Path, Path], monk
     assert (item.texture, item.depth) == (str(image.parent / "bricks"), str(depth))
 
 
-@pytest.mark.parametrize(("options", "overrides", "message"), [
-    ({"unit": "feet"}, [],
-     "defocus: object[0].unit: must be mm, m, inverse_mm, inverse_m, disparity or coc; got "),
-    ({"unit": "disparity"}, [],
-     'defocus: object[0].baseline: must be given with unit = "disparity"; got nothing'),
-    ({"baseline": 6.0}, [],
-     'defocus: object[0].baseline: belongs to unit = "disparity", not "mm"; got 6.0'),
-    ({"scale": 0.0}, [], "defocus: object[0].scale: must be at least 1e-12 in size; got 0.0"),
-    ({"f_number": 2.0, "aperture_diameter": 5.0}, [],
-     "defocus: camera.aperture_diameter: give f_number or aperture_diameter, not both; got 5.0"),
-    ({"focal_length": float("nan")}, [], "defocus: camera.focal_length: must be a finite number; got nan"),
-    ({"occlusion": "visibility"}, [], "defocus: psf.occlusion: "),
-    ({}, ["f_number"], "defocus: override must be KEY=VALUE, like camera.f_number=4; got "),
-    ({}, ["camera.zoom=2"], "defocus: camera.zoom: unknown key; got 2"),
-])  # fmt: skip
-def test_faults_name_the_key(
-    files: tuple[Path, Path], options: dict[str, Any], overrides: list[str], message: str
-) -> None:
-    with pytest.raises(SceneError) as caught:
-        scene_of(*files, options, overrides)
-    (recorded,) = caught.value.messages
-    assert recorded.startswith(message)
-
-
 def test_all_faults_are_reported_at_once(files: tuple[Path, Path]) -> None:
     with pytest.raises(SceneError) as caught:
         scene_of(*files, {"focal_length": -1.0, "scale": 0.0, "edge": "soft"})
@@ -134,14 +109,6 @@ def test_sizes_must_agree(files: tuple[Path, Path]) -> None:
     with pytest.raises(FileError) as caught:
         check_pair(scene_of(image, depth))
     assert str(caught.value) == f"{depth}: the size must be that of {image}, 12 x 9 pixels; got 12 x 8"
-
-
-@pytest.mark.parametrize("broken", [0, 1])
-def test_missing_files_are_named(files: tuple[Path, Path], broken: int) -> None:
-    files[broken].unlink()
-    with pytest.raises(FileError) as caught:
-        check_pair(scene_of(*files))
-    assert str(caught.value) == f"{files[broken]}: must be a file that can be read; got No such file or directory"
 
 
 def test_an_image_file_is_distinguished_from_a_folder(tmp_path: Path) -> None:
@@ -216,22 +183,6 @@ def test_codes_have_the_transfer_of_the_image(tmp_path: Path) -> None:
     for name in ("a.png", "a.tif"):
         write_color(tmp_path / name, Frame(index=0, color=color, metadata={}), 8, "srgb")
         np.testing.assert_array_equal(read_image(tmp_path / name).data, np.full((2, 2), 128))
-
-
-def test_a_file_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
-    for suffix in (".png", ".tif", ".exr"):
-        with pytest.raises(ClscoError, match="the file must be writable; got No such file or directory"):
-            write_color(
-                tmp_path / "none" / f"a{suffix}",
-                Frame(index=0, color=np.ones((2, 2), np.float32), metadata={}),
-                8,
-                "srgb",
-            )
-
-
-def test_the_scene_can_be_written_down(files: tuple[Path, Path]) -> None:
-    scene = scene_of(*files, {"unit": "m", "f_number": 4.0})
-    assert parse_scene(dump(scene)) == scene
 
 
 def test_a_focal_stack_has_a_scene_per_distance(files: tuple[Path, Path]) -> None:

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 import clsco
 from clsco.cli.inpaint import read_pair
 from clsco.cli.main import main
-from clsco.errors import FileError
 from clsco.files.images import read_image, write_exr, write_png, write_tiff
 
 ROWS, COLUMNS = 20, 24
@@ -181,15 +180,6 @@ def test_files_that_cannot_be_are_refused(
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
-def test_files_that_cannot_be_read_are_refused(save: Save, tmp_path: Path) -> None:
-    image, mask = save("image.png", CODES), save("mask.png", MASK)
-    (tmp_path / "broken.png").write_bytes(mask.read_bytes()[:60])
-    for words in ((tmp_path / "none.png", mask), (image, tmp_path / "none.png"), (image, tmp_path / "broken.png")):
-        result = run(*words, "-o", tmp_path / "out.png")
-        assert (result.exit_code, result.stderr.count("\n")) == (1, 1)
-        assert not (tmp_path / "out.png").exists()
-
-
 def test_a_report_needs_matplotlib_before_anything_is_done(
     save: Save, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -227,8 +217,3 @@ def test_progress_is_shown_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> Non
         for share in (0.0, 0.005, 0.3, 0.3, 0.999):
             progress(share)
     assert "99/100" in terminal.getvalue()
-
-
-def test_an_image_of_a_mask_that_hides_all_is_not_read(save: Save) -> None:
-    with pytest.raises(FileError, match="some pixel must be known"):
-        read_pair(save("image.npy", WRONG), save("mask.png", MASK | 255))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import signal
 import subprocess
 import sys
 import time
@@ -140,13 +139,6 @@ def test_the_json_tells_every_parameter_and_what_became_of_it(ball: Path, tmp_pa
     assert read_complete(tmp_path, 2) == recorded
 
 
-def test_several_scenes_have_folders(ball: Path, tmp_path: Path) -> None:
-    plane, out = scene_file(tmp_path / "plane.toml", PLANE), tmp_path / "out"
-    assert clsco_("render", ball, plane, "-o", out).exit_code == 0
-    wanted = [f"ball/frame_000{n}.{suffix}" for n in range(3) for suffix in ("json", "png")]
-    assert names(out) == [*wanted, "plane/frame_0000.json", "plane/frame_0000.png"]
-
-
 def test_frames_stay_inside_the_folder(ball: Path, tmp_path: Path) -> None:
     out = tmp_path / "a" / "out"
     for name in ("...toml", "..toml", "ball.toml"):
@@ -249,17 +241,6 @@ def bad(tmp_path: Path) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("name", BAD_SCENES)
-def test_a_bad_scene_is_reported_in_one_line(name: str, bad: Path) -> None:
-    before = names(bad)
-    for command in (["render", bad / name, "-o", bad / "out"], ["plan", bad / name], ["check", bad / name]):
-        (line,) = messages(clsco_(*command), 1)
-        assert line.startswith(f"error: {bad / name}: ")
-        assert BAD_SCENES[name][1] in line
-    assert names(bad) == before
-    assert not (bad / "out").exists()
-
-
 def test_validate_tells_all_faults_of_all_files(bad: Path, ball: Path) -> None:
     result = clsco_("validate", ball, *(bad / name for name in BAD_SCENES), ball)
     assert (result.exit_code, result.stdout) == (1, f"{ball}: valid\n" * 2)
@@ -268,40 +249,6 @@ def test_validate_tells_all_faults_of_all_files(bad: Path, ball: Path) -> None:
         assert rule in line
     result = clsco_("validate", ball, ball)
     assert (result.exit_code, result.output) == (0, f"{ball}: valid\n" * 2)
-
-
-@pytest.mark.parametrize(
-    ("words", "status", "rule"),
-    [
-        (["--set", "camera.f_numer=4"], 1, "camera.f_numer: unknown key (did you mean f_number?)"),
-        (["--set", "nonsense"], 1, 'override must be KEY=VALUE, like camera.f_number=4; got "nonsense"'),
-        (["--set", "object.0.radius=nan"], 1, "object[0].radius: must be a finite number; got nan"),
-        (["--set", "object.7.radius=3"], 1, "object has 1 entries, counted from 0; got 7"),
-        (["--frames", "2:9"], 1, "frames: must lie within 0:3 and hold a frame; got 2:9"),
-        (["--frames", "2:2"], 1, "frames: must lie within 0:3 and hold a frame; got 2:2"),
-        (["--frames", "3:"], 1, "frames: must lie within 0:3 and hold a frame; got 3:3"),
-        (["--frames", "-1:2"], 2, "must be A:B, frames A to B - 1 counted from 0; got -1:2"),
-        (["--frames", "9" * 5000 + ":"], 2, "must be A:B"),
-        (["--format", "npz,pdf"], 2, "must be some of npz,exr,npy,pfm,flo,"),
-        (["--precision", "half"], 2, "is not one of 'single', 'double'"),
-        (["--device", "abacus"], 3, '--device: must be a part of the name of one of'),
-        (["--nonsense"], 2, "No such option"),
-    ],
-)  # fmt: skip
-def test_wrong_words(words: list[str], status: int, rule: str, ball: Path, tmp_path: Path) -> None:
-    lines = messages(clsco_("render", ball, "-o", tmp_path / "out", *words), status)
-    assert rule in lines[-1]
-    assert (len(lines) == 1) == (status != 2)  # click says how it is used, too
-    assert not (tmp_path / "out").exists()
-
-
-def test_folders_that_cannot_be_written(ball: Path, tmp_path: Path) -> None:
-    for folder in (ball, ball / "under", tmp_path / ("x" * 300), Path("/proc/none")):
-        for command in (["render", ball, "-o", folder], ["demo", "-o", folder]):
-            (line,) = messages(clsco_(*command), 1)
-            assert "must be a folder that can be written" in line
-    assert "Missing option '-o'" in clsco_("render", ball).stderr
-    assert clsco_("render", "-o", tmp_path).exit_code == 2
 
 
 def test_without_a_device_it_says_what_to_install(ball: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -434,37 +381,6 @@ def test_too_little_memory(ball: Path, tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setattr(batch, "run", too_large)
     (line,) = messages(clsco_("render", ball, "-o", tmp_path), 1)
     assert line.startswith("error: memory: ")
-
-
-@pytest.mark.slow  # tests/faults kills runs as well
-@pytest.mark.parametrize("kill", [signal.SIGINT, signal.SIGKILL])
-def test_a_killed_run_leaves_whole_frames_and_is_resumed(kill: signal.Signals, ball: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    code = "import sys; from clsco.cli.main import main; main(sys.argv[1:])"
-    options = ["--set", "sequence.frames=100000", "--format", "npz", "--resume"]
-    command = [sys.executable, "-c", code, "render", str(ball), "-o", str(out), *options]
-    process = subprocess.Popen(command, env=os.environ | {"PYTHONPATH": str(ROOT)}, stderr=subprocess.PIPE)
-    try:
-        deadline = time.monotonic() + 60
-        while not (out / "frame_0003.json").exists():
-            assert time.monotonic() < deadline
-            assert process.poll() is None
-            time.sleep(0.02)
-        process.send_signal(kill)
-        _, errors = process.communicate(timeout=60)
-    finally:
-        process.kill()
-    if kill is signal.SIGINT:
-        assert (process.returncode, errors) == (130, b"interrupted\n")
-        assert list(out.glob(".*")) == []
-    done = len(list(out.glob("*.json")))
-    assert done >= 4
-    assert all(read_complete(out, index) is not None for index in range(done))
-    kept = {name: mark for name, mark in marks(out).items() if name.endswith(".json")}
-    assert clsco_("render", ball, "-o", out, *options, "--frames", f":{done + 2}").exit_code == 0
-    assert list(out.glob(".*")) == []
-    assert read_complete(out, done + 1) is not None
-    assert {name: mark for name, mark in marks(out).items() if name in kept} == kept
 
 
 @pytest.mark.parametrize("command", ["render", "defocus", "inpaint"])

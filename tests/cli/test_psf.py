@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -93,13 +91,6 @@ def test_what_is_refused(
     found, text = run(scene, *words)
     assert (found, message in text) == (code, True), text
     assert list(tmp_path.iterdir()) == [scene]
-
-
-def test_it_needs_no_opencl(scene: Path, tmp_path: Path) -> None:
-    code = "import sys; sys.modules['pyopencl'] = None; from clsco.cli.main import main; main(sys.argv[1:])"
-    words = ["psf", str(scene), "-o", str(tmp_path / "psf.png")]
-    subprocess.run([sys.executable, "-W", "error", "-c", code, *words], check=True, timeout=60, cwd=Path.cwd())
-    assert (tmp_path / "psf.png").is_file()
 
 
 def test_wavelengths_are_channels(scene: Path, tmp_path: Path) -> None:

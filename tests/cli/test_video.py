@@ -237,21 +237,3 @@ def test_frames_and_arrays_become_a_file(scene: Path, ball: Path, tmp_path: Path
             clsco.write_video(tmp_path / "d.mkv", **given)
         assert str(caught.value).startswith(message)
     assert not (tmp_path / "d.mkv").exists()
-
-
-@pytest.mark.slow
-def test_sixty_frames_come_back_bit_by_bit(tmp_path: Path) -> None:
-    sets = ("frames=60", f"interval={1001 / 30000}", "samples=1")
-    keys = [word for each in sets for word in ("--set", f"sequence.{each}")]
-    assert (
-        clsco_("render", ROOT / "examples/sphere_moving.toml", "-o", tmp_path, *keys, "--video", "ffv1").exit_code == 0
-    )
-    for preset in ("ffv1-16", "h264-lossless"):
-        clip = tmp_path / f"{preset}{PRESETS[preset].suffix}"
-        assert clsco_("video", tmp_path, "-o", clip, "--preset", preset).exit_code == 0
-    for name, form in (("clip.mkv", "gray"), ("ffv1-16.mkv", "gray16le"), ("h264-lossless.mp4", "rgb24")):
-        _, rate, pictures = decoded(tmp_path / name, form)
-        assert (rate, len(pictures)) == (Fraction(30000, 1001), 60)
-        for found, frame in zip(pictures, codes(tmp_path), strict=True):
-            wanted = {"gray": frame, "gray16le": frame * np.uint16(257)}
-            np.testing.assert_array_equal(found, wanted.get(form, np.repeat(frame[..., None], 3, axis=2)))

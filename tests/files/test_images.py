@@ -239,38 +239,6 @@ def test_only_opaque_alpha_is_dropped(tmp_path: Path, kind: str, channels: int) 
     assert refusal(path) == "alpha must be opaque everywhere; got 1 other pixels"
 
 
-@pytest.mark.parametrize("orientation", range(9))
-@pytest.mark.parametrize("mode", ["L", "RGB"])
-def test_jpeg_is_turned_upright(tmp_path: Path, mode: str, orientation: int) -> None:
-    upright = np.zeros((32, 48), np.uint8)
-    upright[:16, :16] = 250  # three marks tell all eight cases apart
-    upright[:16, 32:] = 170
-    upright[16:, :16] = 80
-    # How each orientation stores an upright image: the tag says how to undo it.
-    turns: list[Callable[[Array], Array]] = [
-        np.array,
-        np.array,
-        np.fliplr,
-        lambda image: np.rot90(image, 2),
-        np.flipud,
-        np.transpose,
-        np.rot90,
-        lambda image: np.rot90(image, 2).T,
-        lambda image: np.rot90(image, 3),
-    ]
-    exif = Image.Exif()
-    if orientation:
-        exif[274] = orientation
-    path = tmp_path / "image.jpg"
-    Image.fromarray(turns[orientation](upright)).convert(mode).save(path, exif=exif, quality=95)
-    picture = read_image(path)
-    assert picture.bits == 8
-    assert image_size(path) == (48, 32)
-    assert picture.data.shape == ((32, 48) if mode == "L" else (32, 48, 3))
-    # The marks are whole blocks of 8 x 8: a flat one is off by half a step of its mean and rounding.
-    np.testing.assert_allclose(picture.data.reshape(32, 48, -1)[..., 0], upright, atol=2)
-
-
 def test_jpeg_markers_may_be_padded(tmp_path: Path) -> None:
     (tmp_path / "image.jpg").write_bytes(JPEG[:2] + b"\xff\xff\xff" + JPEG[2:])
     assert image_size(tmp_path / "image.jpg") == (30, 40)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import struct
 import zlib
 from collections.abc import Callable
@@ -20,7 +19,6 @@ from PIL import Image, ImageOps
 from clsco.cli.main import main
 from clsco.errors import FileError
 from clsco.files.images import image_size, read_image, write_png, write_tiff
-from clsco.files.tags import turn_upright
 from clsco.inputs.depth_files import read_depth
 
 Array = NDArray[Any]
@@ -194,13 +192,3 @@ def test_writers_keep_no_orientation(tmp_path: Path) -> None:
     write_tiff(tmp_path / "a.tif", UPRIGHT)
     with Image.open(tmp_path / "a.tif") as written:
         assert 274 not in written.getexif()
-
-
-def test_turns_are_those_of_pillow() -> None:
-    for orientation, stored in STORED.items():
-        image = Image.fromarray(np.ascontiguousarray(stored(UPRIGHT)))
-        content = io.BytesIO()
-        image.save(content, "PNG", exif=exif(orientation))
-        wanted = np.asarray(ImageOps.exif_transpose(Image.open(content)))
-        np.testing.assert_array_equal(turn_upright(stored(UPRIGHT), orientation), wanted)
-        np.testing.assert_array_equal(wanted, UPRIGHT)

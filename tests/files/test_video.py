@@ -17,7 +17,7 @@ import pytest
 from numpy.typing import NDArray
 
 import clsco
-from clsco.errors import ArgumentError, FileError, MissingDependencyError
+from clsco.errors import ArgumentError, FileError
 from clsco.files import video
 from clsco.files.transfer import encode
 from clsco.files.video import PRESETS, parse_rate, preset_for, rate_of, write_clip
@@ -354,13 +354,6 @@ def test_what_a_killed_writer_leaves_the_next_one_removes(tmp_path: Path) -> Non
     assert left.name.startswith(".clip.mp4.")
     write(path, smooth(), "mp4")
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "av", None)
-    with pytest.raises(MissingDependencyError, match=r"clip.mkv: needs av: pip install 'clsco\[video\]'; got "):
-        write(tmp_path / "clip", smooth(), "ffv1")
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_names_are_never_addresses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -173,14 +173,3 @@ def test_render_writes_and_resumes_them(tmp_path: Path) -> None:
     assert render("--truth", "alpha", "--format", "npz,exr")
     assert (arrays(out / "frame_0000.npz")["alpha"] > 0.9).any()
     assert OpenEXR.File(str(out / "frame_0000.exr"), separate_channels=True).channels().keys() == {"A"}
-
-
-def test_arrays_that_a_scene_does_not_have_are_refused(tmp_path: Path) -> None:
-    scene = scene_file(tmp_path / "plane.toml", PLANE)
-    result = CliRunner().invoke(
-        main, ["render", str(scene), "-o", str(tmp_path / "out"), "--truth", "depth,disparity", "--format", "npz"]
-    )
-    assert result.exit_code == 1
-    message = f"error: {scene}: truth: the scene must have disparity; got npz:depth,disparity\n"
-    assert result.stderr == message
-    assert not (tmp_path / "out").exists()

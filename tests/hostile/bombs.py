@@ -1,4 +1,4 @@
-"""Files that are small and say that they are large, or take long."""
+"""Files that are small and say that they are large, or take long, and what reads each."""
 
 from __future__ import annotations
 
@@ -37,11 +37,6 @@ Made = tuple[str, Callable[[Path], object]]
 
 
 pyarrow, parquet = (importlib.import_module(name) for name in ("pyarrow", "pyarrow.parquet"))
-
-
-def png_chunk(kind: bytes, body: bytes) -> bytes:
-    """A chunk of a PNG with its checksum."""
-    return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
 
 
 def packed_zeros(count: int, kind: str) -> bytes:

@@ -2,19 +2,14 @@
 
 A case draws every key that changes what is computed (`drawn.py`), and the method; keys that do not go together make it
 one of those that are refused. Its first frame has to agree with the reference as `clsco check` asks, in double
-precision. A case that does not, or that ends the process, is
-reported with its number, which repeats it: --first N --cases 1.
+precision. A case that does not is reported with its number, which repeats it: --first N --cases 1; of one that ends
+the process, the number is the last word.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import subprocess
 import sys
-import tempfile
-import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -68,49 +63,20 @@ def _removed(content: dict[str, Any], key: str) -> bool:
     return isinstance(at, dict) and at.pop(last, None) is not None
 
 
-def work(first: int, cases: int, stop: float, path: Path) -> None:
-    """Run cases one after the other; the file has their number and what was found so far."""
-    tally = {"cases": 0, "refused": 0, "failures": 0}
-    for number in range(first, first + cases):
-        if time.time() > stop:
-            return
-        path.write_text(json.dumps({"number": number, **tally}))
-        faults = outcome(number, tally)
-        tally["failures"] += bool(faults)
-        for fault in faults:
-            print(f"case {number}: {fault}", flush=True)
-        path.write_text(json.dumps({"number": number, **tally}))
-
-
 def main() -> int:
-    """Run cases, a new process after each that ends one; 1 where something is wrong."""
+    """Run cases, tell of each that is wrong; 1 where there are any."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cases", type=int, default=1000)
     parser.add_argument("--first", type=int, default=0, help="number of the first case")
-    parser.add_argument("--seconds", type=float, default=1e6, help="stop after so many")
-    parser.add_argument("--worker", type=Path, help=argparse.SUPPRESS)
-    parser.add_argument("--stop", type=float, help=argparse.SUPPRESS)
-    given = parser.parse_args()
-    if given.worker:
-        work(given.first, given.cases, given.stop, given.worker)
-        return 0
-    total, first, end = {"cases": 0, "refused": 0, "failures": 0}, given.first, given.first + given.cases
-    stop = time.time() + given.seconds
-    with tempfile.TemporaryDirectory(prefix="clsco-frames-") as folder:
-        path = Path(folder, "tally.json")
-        while first < end and time.time() < stop:
-            words = ["--first", first, "--cases", end - first, "--stop", stop, "--worker", path]
-            done = subprocess.run([sys.executable, "-m", "tests.hostile.frames", *map(str, words)], check=False)
-            tally = json.loads(path.read_text())
-            first = tally.pop("number") + 1
-            total = {name: count + tally[name] for name, count in total.items()}
-            if done.returncode == 0:
-                break
-            total["cases"] += 1
-            total["failures"] += 1
-            print(f"case {first - 1}: ended the process with status {done.returncode}", flush=True)
-    print(", ".join(f"{count} {name}" for name, count in total.items()))
-    return int(total["failures"] > 0)
+    asked = parser.parse_args()
+    tally, failures = {"cases": 0, "refused": 0}, 0
+    for number in range(asked.first, asked.first + asked.cases):
+        print(f"case {number}", end="\r", flush=True)
+        if faults := outcome(number, tally):
+            failures += 1
+            print(*(f"case {number}: {fault}" for fault in faults), sep="\n")
+    print(f"{tally['cases']} cases, {tally['refused']} refused, {failures} failures")
+    return int(failures > 0)
 
 
 if __name__ == "__main__":

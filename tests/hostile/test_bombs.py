@@ -1,4 +1,4 @@
-"""Small files that say they are large, or take long: refused with little memory."""
+"""Small files that say they are large, or take long: refused with little memory, and soon."""
 
 from __future__ import annotations
 

@@ -23,7 +23,6 @@ from clsco.files.atomic import is_same_place
 from clsco.files.images import read_image
 from clsco.frame.files import read_complete
 from clsco.inputs.depth_files import read_depth
-from clsco.plan.memory import parse_size
 from clsco.plan.prepare import prepare as planned
 from clsco.plan.prepare import prepare_sweep
 from clsco.scene.sweep import parse_sweep
@@ -125,11 +124,6 @@ def test_an_image_with_too_many_channels(tmp_path: Path, monkeypatch: pytest.Mon
     for read in (read_image, read_depth):
         with pytest.raises(FileError, match=r"must hold at most 400 values; got 4 channels of 12 x 9"):
             read(path)
-
-
-def test_a_size_of_memory_beyond_all_measure() -> None:
-    assert parse_size(10**40) == 10**40
-    assert parse_size("999999999999999TiB") == 999999999999999 * 2**40
 
 
 def test_an_output_that_cannot_be_written(monkeypatch: pytest.MonkeyPatch) -> None:

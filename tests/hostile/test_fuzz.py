@@ -10,7 +10,6 @@ import pytest
 from clsco.errors import SceneError
 from clsco.scene import faults
 from tests.hostile import fuzz
-from tests.hostile.commands import bomb
 from tests.hostile.mutate import Case, make_case
 from tests.hostile.pictures import damaged, samples
 from tests.hostile.watch import faults_of, start_watching, watched
@@ -40,13 +39,6 @@ def test_damaged_pictures(tmp_path: Path) -> None:
     assert tally["valid"] >= len(samples())  # as an image, as depths, or as both
     assert [line for number in range(150) for line in fuzz.picture_outcome(damaged(2, number), tmp_path, tally)] == []
     assert tally["refused"] > 150
-
-
-def test_a_bomb_is_refused_soon_and_small(tmp_path: Path) -> None:
-    assert len(bomb()) < 170_000
-    tally = dict.fromkeys(fuzz.TALLY, 0)
-    assert fuzz.picture_outcome(("bomb", ".png", bomb()), tmp_path, tally) == []
-    assert tally["refused"] == 2
 
 
 def test_cases_are_the_same_on_every_run() -> None:

@@ -266,12 +266,7 @@ ONLY_NUMBERS = "array depth must hold numbers of shape (rows, columns); got "
 
 # fmt: off
 REFUSED: dict[str, tuple[str, bytes, str]] = {
-    "JPEG": ("a.jpg", b"\xff\xd8\xff", "must be a whole JPEG; got "),
-    "WebP": ("a.webp", b"RIFF", "the extension must be one of .png .jpg .jpeg .tif .tiff .exr .pfm .npy .npz "),
     "no NPZ": ("a.npz", NPY, "the content must be NPZ, as the extension says; got NPY"),
-    "empty": ("a.npz", b"", "the content must be NPZ, as the extension says; got an empty file"),
-    "big PNG": ("a.png", stored(Image.new("L", (13000, 13000)).save, "PNG"), f"{LIMIT}13000 x 13000"),
-    "big PFM": ("a.pfm", b"Pf\n13000 13000\n-1\n", f"{LIMIT}13000 x 13000"),
     "big NPY": ("a.npy", BIG_NPY, f"{LIMIT}13000 x 13000"),
     "big NPZ": ("a.npz", archive(depth=BIG_NPY), f"{LIMIT}13000 x 13000"),
     "long NPZ": ("a.npz", archive(depth=LONG_NPY), f"{LIMIT}70000 x 1"),
@@ -279,7 +274,6 @@ REFUSED: dict[str, tuple[str, bytes, str]] = {
     "many channels": ("a.exr", MANY_CHANNELS,
                       "an EXR must hold at most 536870912 values; got 5 channels of 12000 x 11000"),
     "objects": ("a.npz", archive(depth=OBJECTS), f"{ONLY_NUMBERS}object of shape (1, 1)"),
-    "objects in an NPY": ("a.npy", OBJECTS, "an NPY must hold numbers of shape "),
     "complex": ("a.npz", archive(depth=stored(np.save, np.ones((2, 2), "c8"))), f"{ONLY_NUMBERS}complex64 of shape"),
     "complex TIFF": ("a.tif", stored(tifffile.imwrite, np.ones((2, 2), "c8")),
                      "values must be integers or floats; got complex64"),
@@ -294,10 +288,6 @@ REFUSED: dict[str, tuple[str, bytes, str]] = {
     "long array": ("a.npz", archive(depth=NPY + b"1234"), "must be a whole NPZ; got bytes after the array"),
     "no header": ("a.npz", archive(depth=b"hello"), "must be a whole NPZ; got "),
     "encrypted": ("a.npz", encrypted(NPZ), "must be a whole NPZ; got "),
-    "few bytes": ("a.pfm", b"Pf 2 1 -1 1234", "must be a whole PFM; got 4 bytes of 2 x 1 x 1 float32 pixels"),
-    "seen through": ("a.png", bytes(imagecodecs.png_encode(np.full((2, 2, 2), 9, np.uint8))),
-                     "alpha must be opaque everywhere; got 4 other pixels"),
-    "pages": ("a.tif", stored(tifffile.imwrite, np.zeros((2, 8, 9), "f4")), "must be a single image; got 2 pages"),
 }
 # fmt: on
 
@@ -315,11 +305,10 @@ def test_refuses_in_one_line_soon_and_small(tmp_path: Path, name: str, content: 
     assert peak < 2**24  # the first import of a codec takes some 10 MB, the smallest map over the limit 128 MB
 
 
-@pytest.mark.parametrize(("suffix", "content"), [("npz", NPZ), ("npy", NPY)])
-def test_refuses_every_truncation(tmp_path: Path, suffix: str, content: bytes) -> None:
-    path = tmp_path / f"depth.{suffix}"
-    for length in range(0, len(content), 3):
-        path.write_bytes(content[:length])
+def test_refuses_every_truncation(tmp_path: Path) -> None:
+    path = tmp_path / "depth.npz"
+    for length in range(0, len(NPZ), 3):
+        path.write_bytes(NPZ[:length])
         refusal(path)
 
 

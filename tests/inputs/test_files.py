@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from clsco.errors import FileError
 from clsco.files import images
 from clsco.inputs import depth_files
 from clsco.inputs.files import InputFiles
@@ -82,10 +81,3 @@ def test_no_more_than_a_limit_is_kept(tmp_path: Path, reads: list[str]) -> None:
         files.texture(path, "srgb", (6, 8))
     assert len(reads) >= 2
     assert files.cache.bytes <= 100
-
-
-def test_what_is_no_file_is_refused_as_ever(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "pipe.png")
-    for name in ("none.png", "pipe.png"):
-        with pytest.raises(FileError, match="must be a"):
-            InputFiles().texture(str(tmp_path / name), "srgb")

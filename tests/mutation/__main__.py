@@ -1,11 +1,10 @@
-"""Mutation test: each mutant of a file, a small fault, is run against the tests that reach it, which have to kill it.
+"""Mutation test of the kernels: each mutant, a small fault, is run against the tests of its file, which must kill it.
 
-    python -m tests.mutation --against quick slow simulator --share 20 -o mutation.json
+    python -m tests.mutation --share 100 -o mutation.json
 
-Works in copies of the tree, which are gone at the end, whatever ends it. Of the tests of a kernel file those run that
-have the mutant in what they launch. Fails where a mutant survives that survivors.toml does not give a reason for. All
-of them take hours: `.mutation`, outside of git, keeps which were killed for as long as the code of their function stays
-the same, and --new leaves these out, and those with a reason.
+Works in copies of the tree, which are removed at the end. Fails where a mutant survives that survivors.toml has no
+reason for. A mutant takes seconds to minutes, most of them of compilation, so a share of all is drawn at random. The
+formulas of the host are for mutmut (`make mutation-host`).
 """
 
 from __future__ import annotations
@@ -14,185 +13,208 @@ import argparse
 import json
 import os
 import random
+import re
 import shutil
+import subprocess
 import sys
-import threading
-import time
+import tempfile
+import tomllib
 from collections import Counter
-from collections.abc import Generator, Sequence
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import closing
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
 from clsco.resources import processors
-from tests.mutation import simulated
-from tests.mutation.copies import Copy, copies
-from tests.mutation.memory import Killed, reason, reasons
 from tests.mutation.mutants import ROOT, Mutant, mutants
-from tests.mutation.switched import Switches
-from tests.mutation.tests import Tests, files, tests_of
-from tests.oclgrind import simulator
 
-AGAINST = {"quick": "not slow", "slow": "slow", "simulator": ""}  # pytest's -m; the cases of `make oclgrind`
-SECONDS = 10.0  # between two times that results are written
-COMPILING = 60.0  # seconds more for a mutant whose programs are not built yet
+REASONS = Path(__file__).with_name("survivors.toml")
+COPIED = ("clsco", "kernels", "tests", "examples", "benchmarks", "docs", "pyproject.toml", "README.md", "Makefile")
+NOT_BUILT = ("must build on", "SyntaxError")  # what says that a mutant is no program
+# Kernels of a few pixels take longer to optimize than to run; the device `basic` has no threads beside those of jobs.
+ENVIRONMENT = {"PYOPENCL_BUILD_OPTIONS": "-cl-opt-disable", "POCL_DEVICES": "basic"}
+OPTIONS = ["-x", "-q", "--tb=line", "-rf", "-n", "0", "-p", "no:cacheprovider"]
+MARKS = {"quick": "not slow", "slow": "slow"}
+TESTS = {
+    "blur/accumulate.cl": "kernels/test_accumulate pipeline/test_scenes",
+    "blur/vignetting.cl": "pipeline/test_real_lens",
+    "blur/blur.cl": "kernels/test_blur_amid kernels/test_blur engine/test_defocus kernels/test_layered "
+    "kernels/test_visibility pipeline/test_occlusion",
+    "blur/convolve.cl": "kernels/test_convolve",
+    "blur/tiles.cl": "kernels/test_tiles",
+    "blur/cpu/spans.clh": "pipeline/test_occlusion kernels/test_visibility kernels/test_rims",
+    "common/cpu/blocks.clh": "kernels/test_visibility_test kernels/test_visibility pipeline/test_occlusion "
+    "kernels/test_rims",
+    "blur/cpu/columns.clh": "kernels/test_blur_quadrants kernels/test_blur engine/test_defocus kernels/test_layered",
+    "blur/cpu/discs.clh": "kernels/test_blur_tiles kernels/test_blur_columns kernels/test_blur engine/test_defocus",
+    "blur/cpu/gather.cl": "kernels/test_blur_amid kernels/test_blur engine/test_defocus pipeline/test_occlusion",
+    "blur/cpu/gaussians.clh": "kernels/test_blur_columns kernels/test_blur engine/test_defocus",
+    "blur/cpu/many.clh": "kernels/test_blur_columns kernels/test_blur engine/test_defocus",
+    "blur/cpu/quadrants.clh": "kernels/test_blur_quadrants kernels/test_blur engine/test_defocus kernels/test_layered",
+    "blur/cpu/ellipses.clh": "pipeline/test_distortion kernels/test_rims",
+    "common/chords.clh": "kernels/test_rims pipeline/test_distortion",
+    "blur/cpu/shapes.clh": "kernels/test_blur_shapes kernels/test_pupils",
+    "blur/cpu/vectors.clh": "kernels/test_blur_columns kernels/test_blur engine/test_defocus",
+    "common/builtins.clh": "kernels/test_tiles",
+    "common/cpu/builtins.clh": "kernels/test_blur kernels/test_trace",
+    "common/cpu/pocl.clh": "kernels/test_tiles",
+    "common/cpu/lanes.clh": "kernels/test_convolve kernels/test_layered",
+    "common/distortion.clh": "kernels/test_geometry pipeline/test_distortion",
+    "common/geometry.clh": "kernels/test_geometry kernels/test_bounds kernels/test_ray_surface kernels/test_trace "
+    "kernels/test_trace_hidden pipeline/test_views pipeline/test_strips",
+    "common/lanes.clh": "kernels/test_tiles",
+    "common/occluder.clh": "kernels/test_visibility_occluders kernels/test_visibility pipeline/test_occlusion",
+    "common/rims.clh": "kernels/test_rims",
+    "common/source_visibility.clh": "kernels/test_visibility pipeline/test_occlusion pipeline/test_occlusion_lenses",
+    "common/psf.clh": "kernels/test_blur kernels/test_pupils kernels/test_tiles engine/test_defocus",
+    "common/sources.clh": "kernels/test_blur kernels/test_trace kernels/test_visibility pipeline/test_occlusion",
+    "common/visibility.clh": "kernels/test_visibility_occluders kernels/test_visibility kernels/test_blur "
+    "pipeline/test_occlusion kernels/test_rims",
+    "common/visibility_test.clh": "kernels/test_visibility_test kernels/test_visibility pipeline/test_occlusion "
+    "kernels/test_rims",
+    "common/angles.clh": "kernels/test_angles",
+    "inpainting/biharmonic.cl": "kernels/test_biharmonic",
+    "inpainting/cpu/lanes.clh": "kernels/test_fill kernels/test_mean_median",
+    "inpainting/estimate.clh": "kernels/test_fill kernels/test_mean_median",
+    "inpainting/fill.cl": "kernels/test_fill kernels/test_warp",
+    "inpainting/fill_mean_median.cl": "kernels/test_fill kernels/test_warp",
+    "inpainting/fse.cl": "kernels/test_fse",
+    "inpainting/lanes.clh": "kernels/test_fill",
+    "inpainting/mean_median.cl": "kernels/test_mean_median inpainting/test_inpaint",
+    "inpainting/score.cl": "kernels/test_mean_median kernels/test_fill",
+    "layered/layered.cl": "kernels/test_layered engine/test_defocus",
+    "sensor/noise.clh": "kernels/test_sensor",
+    "sensor/sensor.cl": "kernels/test_sensor pipeline/test_sensor",
+    "trace/light.clh": "pipeline/test_light",
+    "trace/mapping.clh": "pipeline/test_surface_textures",
+    "trace/footprint.clh": "pipeline/test_surface_textures",
+    "trace/detail.clh": "pipeline/test_surface_textures",
+    "trace/outline.clh": "kernels/test_trace kernels/test_trace_hidden pipeline/test_outlines",
+    "trace/small.cl": "pipeline/test_small_objects",
+    "trace/small.clh": "pipeline/test_small_objects",
+    "trace/still.clh": "pipeline/test_still_sources kernels/test_trace",
+    "trace/texture.clh": "kernels/test_trace kernels/test_trace_hidden",
+    "trace/bend.cl": "pipeline/test_distortion pipeline/test_real_lens",
+    "trace/merge.cl": "plan/test_approximation",
+    "trace/truth.cl": "kernels/test_trace kernels/test_trace_bounds kernels/test_trace_hidden",
+    "trace/trace.cl": "kernels/test_silhouettes kernels/test_trace_hidden kernels/test_trace_bounds "
+    "kernels/test_trace kernels/test_geometry pipeline/test_views pipeline/test_scenes",
+    "warp/warp.cl": "kernels/test_warp_kernels kernels/test_warp pipeline/test_scenes",
+}
+"""Kernel file -> tests that reach it, the quickest first."""
 Result = dict[str, Any]
 
 
-def chosen(names: list[str], share: int, part: int) -> list[Mutant]:
-    """Every share-th mutant of the files, from all over them; parts 0 to share - 1 are all of them, each once."""
-    all_of_them = [mutant for name in names for mutant in mutants(ROOT, name)]
-    random.Random(1).shuffle(all_of_them)
-    return all_of_them[part::share]
+def kernel_files() -> list[str]:
+    """All kernel files, each of which must have tests."""
+    names = sorted(path.relative_to(ROOT / "kernels").as_posix() for path in (ROOT / "kernels").rglob("*.cl*"))
+    assert set(names) == TESTS.keys(), "a kernel file without tests"
+    return [f"kernels/{name}" for name in names]
 
 
-def asked() -> argparse.Namespace:
-    """Options of the command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--files", nargs="+", default=files(), metavar="FILE", help="by default all of them")
-    parser.add_argument("--share", type=int, default=1, metavar="N", help="one of N mutants")
-    parser.add_argument("--part", type=int, default=0, metavar="K", help="which ones: 0 to N - 1")
-    parser.add_argument("--jobs", type=int, default=processors())
-    parser.add_argument("--timeout", type=float, default=60.0, metavar="SECONDS", help="of a mutant, at least")
-    parser.add_argument(
-        "--against", nargs="+", choices=AGAINST, default=["quick"], help="which tests, by default quick"
-    )
-    parser.add_argument("--until", type=float, default=float("inf"), metavar="MINUTES", help="begin no mutant later")
-    parser.add_argument("--new", action="store_true", help="only those that nothing is known of yet")
-    parser.add_argument("--survivors", type=Path, metavar="FILE", help="only those of an earlier output")
-    parser.add_argument("-o", "--output", type=Path, default=Path("mutation.json"))
-    options = parser.parse_args()
-    if shutil.which("cpp") is None:
-        parser.error("cpp: must be installed, the preprocessor of C; on Debian and Ubuntu by apt-get install cpp")
-    if "simulator" in options.against and not simulator.LIBRARIES:
-        parser.error(simulator.INSTALL)
-    return options
+def kernel_mutants(files: Iterable[str]) -> list[Mutant]:
+    return [mutant for file in files for mutant in mutants((ROOT / file).read_text("utf-8"), file)]
 
 
-def selected(options: argparse.Namespace, killed: Killed) -> list[Mutant]:
-    """Mutants that the options ask for, those of a file together."""
-    found = chosen(options.files, options.share, options.part)
-    if options.survivors:
-        earlier = json.loads(options.survivors.read_text("utf-8"))["results"]
-        survived = {result["mutant"] for result in earlier if result["outcome"] == "survived"}
-        found = [mutant for mutant in found if mutant.name in survived]
-    if options.new:
-        known = reasons()
-        found = [mutant for mutant in found if not killed.has(mutant) and reason(mutant, known) is None]
-    return sorted(found, key=lambda mutant: options.files.index(mutant.file))  # tests are collected once for each
+def reasons() -> dict[str, dict[str, str]]:
+    """Function -> mutant of it -> why it is no gap of the tests that it survives."""
+    return tomllib.loads(REASONS.read_text("utf-8"))
 
 
-class Trial:
-    """Tries mutants, as many at a time as there are copies of the tree."""
+def reason(mutant: Mutant, known: dict[str, dict[str, str]]) -> str | None:
+    return known.get(mutant.owner.name, {}).get(mutant.change)
 
-    def __init__(self, made: Sequence[Copy], against: Sequence[str], switches: Switches, timeout: float) -> None:
-        self.made, self.against, self.timeout = made, against, timeout
-        self.tests, self.reasons, self.stopped = Tests(switches), reasons(), threading.Event()
-        self.free: SimpleQueue[Copy] = SimpleQueue()
-        for copy in made:
-            self.free.put(copy)
 
-    def results(self, wanted: Sequence[Mutant], end: float) -> Generator[tuple[Mutant, Result], None, None]:
-        """Results of the mutants, as they end; none begins after `end`, of time.monotonic()."""
-        if {"quick", "slow"} & set(self.against):
-            self.tests.record({mutant.file for mutant in wanted}, self.made)
-            wanted = sorted(wanted, key=self.tests.switches.has, reverse=True)  # the others have texts of their own
-        pool = ThreadPoolExecutor(len(self.made))
-        try:
-            futures = {pool.submit(self.tried, mutant, end): mutant for mutant in wanted}
-            for future in as_completed(futures):
-                if (result := future.result()) is not None:
-                    yield futures[future], result
-        except BaseException:
-            self.stopped.set()
-            pool.shutdown(wait=False, cancel_futures=True)
-            for copy in self.made:
-                copy.stop()
-            raise
-        pool.shutdown()
+def unmatched(every: Iterable[Mutant], known: dict[str, dict[str, str]]) -> list[str]:
+    """Reasons of which there is no mutant any more, by their names."""
+    names = {mutant.name for mutant in every}
+    explained = [f"{owner}: {change}" for owner, changes in known.items() for change in changes]
+    return [name for name in explained if name not in names]
 
-    def tried(self, mutant: Mutant, end: float) -> Result | None:
-        """Result of one mutant: `outcome` is killed, survived, timeout or not built; `by`: the test that killed it."""
-        if self.stopped.is_set() or time.monotonic() > end:
-            return None
-        copy, begun = self.free.get(), time.monotonic()
-        try:
-            seeing = self.tests.seeing(mutant) if {"quick", "slow"} & set(self.against) else []
-            most = max(self.timeout, 3 * sum(self.tests.seconds[test] for test in seeing))
-            most += 0.0 if self.tests.switches.has(mutant) else COMPILING
-            outcome, test = copy.tried(mutant, tests_of(mutant.file), seeing, most)
-        finally:
-            self.free.put(copy)
-        if outcome == "survived" and "simulator" in self.against and mutant.file.startswith("kernels/"):
-            cases = self.tests.cases(mutant)
-            seeing = [*seeing, *cases]
-            outcome, test = simulated.tried(mutant, cases, self.timeout) if cases else (outcome, "")
-        if test:
-            self.tests.killers[mutant.file][test] += 1
-        return {
-            "mutant": mutant.name, "file": mutant.file, "row": mutant.row, "outcome": outcome, "by": test,
-            "tests": len(seeing), "seconds": round(time.monotonic() - begun, 1),
-            "reason": reason(mutant, self.reasons) if outcome == "survived" else None,
-        }  # fmt: skip
+
+def copy_tree(target: Path) -> Path:
+    """A copy of what tests read."""
+    for name in COPIED:
+        if (ROOT / name).is_dir():
+            shutil.copytree(ROOT / name, target / name, ignore=shutil.ignore_patterns("__pycache__", "results"))
+        else:
+            shutil.copy2(ROOT / name, target / name)
+    return target
+
+
+def try_mutant(tree: Path, mutant: Mutant, marks: str, timeout: float) -> Result:
+    """Result of a mutant: `outcome` is killed, survived, timeout or not built; `by`: the test that killed it."""
+    path, cache = tree / mutant.file, tree / "cache"
+    text = path.read_text("utf-8")
+    path.write_text(mutant.apply(text), "utf-8")
+    tests = [f"tests/{name}.py" for name in TESTS[mutant.file.removeprefix("kernels/")].split()]
+    environment = os.environ | ENVIRONMENT | {"POCL_CACHE_DIR": str(cache), "PYTHONPATH": str(tree)}
+    try:
+        command = [sys.executable, "-m", "pytest", *OPTIONS, "-m", marks, *tests]
+        done = subprocess.run(command, cwd=tree, env=environment, capture_output=True, text=True, timeout=timeout)
+        outcome = {0: "survived", 5: "survived"}.get(done.returncode, "killed")  # 5: there are no such tests
+        output = done.stdout + done.stderr
+    except subprocess.TimeoutExpired:
+        outcome, output = "timeout", ""
+    finally:
+        path.write_text(text, "utf-8")
+        shutil.rmtree(cache, ignore_errors=True)  # no other mutant has these programs
+    if outcome == "killed" and any(words in output for words in NOT_BUILT):
+        outcome = "not built"
+    failed = re.search(r"^FAILED (tests/.+?::.+?)(?: - .*)?$", output, re.MULTILINE)
+    return {
+        "mutant": mutant.name, "file": mutant.file, "row": mutant.row, "outcome": outcome,
+        "by": failed[1] if failed else "", "reason": reason(mutant, reasons()) if outcome == "survived" else None,
+    }  # fmt: skip
+
+
+def try_all(chosen: Iterable[Mutant], jobs: int, marks: str, timeout: float) -> list[Result]:
+    """Results of mutants, in as many copies of the tree at a time as there are jobs."""
+    results: list[Result] = []
+    with tempfile.TemporaryDirectory(prefix="clsco-mutation-", ignore_cleanup_errors=True) as folder:
+        trees: SimpleQueue[Path] = SimpleQueue()
+        for number in range(jobs):
+            (place := Path(folder, str(number))).mkdir()
+            trees.put(copy_tree(place))
+
+        def try_in_a_copy(mutant: Mutant) -> Result:
+            tree = trees.get()
+            try:
+                return try_mutant(tree, mutant, marks, timeout)
+            finally:
+                trees.put(tree)
+
+        with ThreadPoolExecutor(jobs) as pool:
+            for future in as_completed([pool.submit(try_in_a_copy, mutant) for mutant in chosen]):
+                results.append(future.result())
+                print(f"{results[-1]['outcome']:9}  {results[-1]['mutant']}", flush=True)
+    return results
 
 
 def main() -> int:
-    options, killed = asked(), Killed()
-    # Kernels of a few pixels take longer to optimize than to run.
-    os.environ["PYOPENCL_BUILD_OPTIONS"] = "-cl-opt-disable"
-    wanted, end = selected(options, killed), time.monotonic() + 60 * options.until
-    marked = " or ".join(AGAINST[name] for name in options.against if AGAINST[name])
-    found: list[Result] = []
-    written = time.monotonic()
-    try:
-        switches = Switches(ROOT, [mutant for mutant in wanted if mutant.file.startswith("kernels/")])
-        with copies(options.jobs, f"({marked}) and not soak and not laws and not oclgrind", switches) as made:
-            trial = Trial(made, options.against, switches, options.timeout)
-            with closing(trial.results(wanted, end)) as results:
-                for mutant, result in results:
-                    if result["outcome"] != "survived":
-                        killed.keep(mutant)
-                    found.append(result)
-                    print(f"{result['outcome']:9} {result['seconds']:6} s  {result['mutant']}", flush=True)
-                    if time.monotonic() > written + SECONDS:
-                        write(options, found)
-                        killed.write()
-                        written = time.monotonic()
-    finally:
-        write(options, found)
-        killed.write()
-    return report(found, killed)
-
-
-def report(found: Sequence[Result], killed: Killed) -> int:
-    """Prints what came of all; exit status, 1 where some survive without a reason."""
-    unexplained = [result for result in found if result["outcome"] == "survived" and result["reason"] is None]
-    print(dict(Counter(result["outcome"] for result in found)), f"{len(unexplained)} survive without a reason")
-    everything, known = [mutant for name in files() for mutant in mutants(ROOT, name)], reasons()
-    others = [mutant for mutant in everything if not killed.has(mutant)]
-    dead, explained = len(everything) - len(others), sum(reason(mutant, known) is not None for mutant in others)
-    print(f"of all {len(everything)} mutants {dead} are known to be killed, and {explained} others have a reason")
+    """Try mutants; 1 where some survive without a reason."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--files", nargs="+", default=kernel_files(), metavar="FILE", help="by default all kernels")
+    parser.add_argument("--share", type=int, default=1, metavar="N", help="one of N mutants")
+    parser.add_argument("--part", type=int, default=0, metavar="K", help="which ones: 0 to N - 1")
+    parser.add_argument("--jobs", type=int, default=processors())
+    parser.add_argument("--timeout", type=float, default=600.0, metavar="SECONDS", help="of a mutant")
+    parser.add_argument("--against", nargs="+", choices=MARKS, default=["quick"], help="which tests, by default quick")
+    parser.add_argument("-o", "--output", type=Path, default=Path("mutation.json"))
+    options = parser.parse_args()
+    every = kernel_mutants(options.files)
+    random.Random(1).shuffle(every)
+    marks = " or ".join(MARKS[name] for name in options.against)
+    marks = f"({marks}) and not soak and not laws and not oclgrind"
+    results = try_all(every[options.part :: options.share], options.jobs, marks, options.timeout)
+    results.sort(key=lambda result: str(result["mutant"]))
+    options.output.write_text(json.dumps(results, indent=1) + "\n", "utf-8")
+    unexplained = [result for result in results if result["outcome"] == "survived" and result["reason"] is None]
+    print(dict(Counter(result["outcome"] for result in results)), f"{len(unexplained)} survive without a reason")
     for result in unexplained:
         print(f"{result['file']}, row {result['row']}: {result['mutant']}")
     return 1 if unexplained else 0
-
-
-def write(options: argparse.Namespace, found: Sequence[Result]) -> None:
-    by_file: dict[str, Counter[str]] = {}
-    for result in found:
-        by_file.setdefault(result["file"], Counter())[result["outcome"]] += 1
-    table = {
-        "share": options.share,
-        "part": options.part,
-        "mutants": {name: len(mutants(ROOT, name)) for name in options.files},
-        "files": by_file,
-        "results": sorted(found, key=lambda result: str(result["mutant"])),
-    }
-    partial = options.output.with_suffix(".part")
-    partial.write_text(json.dumps(table, indent=1) + "\n", "utf-8")
-    partial.replace(options.output)
 
 
 if __name__ == "__main__":

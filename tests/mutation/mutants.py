@@ -1,22 +1,17 @@
-"""Small faults in source text, one at a time: another operator, another number, another function."""
+"""Small faults in the text of kernels, one at a time: another operator, another number, another function."""
 
 from __future__ import annotations
 
-import ast
-import io
-import keyword
 import re
-import tokenize
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
-from hashlib import sha256
 from itertools import pairwise
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 OPERATORS = {
-    "+": "-", "-": "+", "*": "/", "/": "*", "//": "*", "%": "*", "**": "*", "<<": ">>", ">>": "<<",
+    "+": "-", "-": "+", "*": "/", "/": "*", "%": "*", "<<": ">>", ">>": "<<",
     "<": "<=", "<=": "<", ">": ">=", ">=": ">", "==": "!=", "!=": "==", "&": "|", "|": "&", "^": "|",
     "&&": "||", "||": "&&", "+=": "-=", "-=": "+=", "*=": "/=", "/=": "*=", "|=": "&=", "&=": "|=",
     "<<=": ">>=", ">>=": "<<=",
@@ -24,8 +19,7 @@ OPERATORS = {
 NAMES = {
     "min": "max", "max": "min", "MIN": "MAX", "MAX": "MIN", "fmin": "fmax", "fmax": "fmin", "floor": "ceil",
     "ceil": "floor", "sin": "cos", "cos": "sin", "atomic_min": "atomic_max", "atomic_max": "atomic_min",
-    "minimum": "maximum", "maximum": "minimum", "argmin": "argmax", "argmax": "argmin", "sqrt": "abs", "any": "all",
-    "all": "any", "and": "or", "or": "and",
+    "any": "all", "all": "any",
 }  # fmt: skip
 C_TYPE = re.compile(r"(?:(?:u?char|u?short|u?int|u?long|float|double|real|bool|size_t|void)\d*|\w+_t|const|restrict)$")
 C_TOKEN = re.compile(
@@ -44,12 +38,11 @@ DEFINED = re.compile(r"\s*#\s*define\s+(\w+)(?:\([^)]*\))?")
 
 @dataclass(frozen=True)
 class Owner:
-    """A definition of a file: a function, a macro or a constant. code: a hash of its tokens."""
+    """A definition of a file: a function, a macro or a constant."""
 
     name: str
     start: int
     stop: int
-    code: str
 
 
 @dataclass(frozen=True)
@@ -78,59 +71,31 @@ class Mutant:
     def name(self) -> str:
         return f"{self.owner.name}: {self.change}"
 
-    def of(self, text: str) -> str:
+    def apply(self, text: str) -> str:
         """The text with the change."""
         return text[: self.start] + self.new + text[self.start + len(self.old) :]
 
 
-def mutants(root: Path, file: str) -> list[Mutant]:
-    """All changes of a file, each operator, number and function once."""
-    text = (root / file).read_text("utf-8")
-    python = file.endswith(".py")
-    lines, owners, found = text.split("\n"), list(_owners(text, python)), []
+def mutants(text: str, file: str) -> list[Mutant]:
+    """All changes of a kernel file's text, each operator, number and function once."""
+    lines, owners, changes = text.split("\n"), list(owners_of(text)), list[Mutant]()
     seen: Counter[tuple[str, str, str]] = Counter()
-    for start, old, new in _python(text) if python else _opencl(text):
+    for start, old, new in _changes(text):
         row = text.count("\n", 0, start)
-        owner = next((owner for owner in owners if owner.start <= start < owner.stop), Owner("", 0, 0, ""))
-        line = _joined(_tokens(lines[row], python))
-        found.append(Mutant(file, start, row + 1, owner, line, old, new, seen[owner.name, line, old]))
+        owner = next((owner for owner in owners if owner.start <= start < owner.stop), Owner("", 0, 0))
+        line = _joined(_tokens(lines[row]))
+        changes.append(Mutant(file, start, row + 1, owner, line, old, new, seen[owner.name, line, old]))
         seen[owner.name, line, old] += 1
-    return found
+    return changes
 
 
-def owners_of(root: Path, file: str) -> list[Owner]:
-    """The functions, macros and constants of a file, in their order."""
-    return list(_owners((root / file).read_text("utf-8"), file.endswith(".py")))
-
-
-def _owners(text: str, python: bool) -> Iterator[Owner]:
-    for name, start, stop in _python_owners(text) if python else _opencl_owners(text):
-        code = sha256(" ".join(_tokens(text[start:stop], python)).encode()).hexdigest()
-        yield Owner(name, start, stop, code)
-
-
-def _python_owners(text: str) -> Iterator[tuple[str, int, int]]:
-    starts = _starts(text)
-
-    def inside(body: list[ast.stmt], prefix: str) -> Iterator[tuple[str, int, int]]:
-        for node in body:
-            first = min([node.lineno, *(one.lineno for one in getattr(node, "decorator_list", ()))])
-            if isinstance(node, ast.ClassDef):
-                yield from inside(node.body, f"{node.name}.")
-            else:
-                targets = [node.target] if isinstance(node, ast.AnnAssign) else getattr(node, "targets", ())
-                name = getattr(node, "name", ", ".join(map(ast.unparse, targets)))
-                yield prefix + name, starts[first - 1], starts[node.end_lineno or first]
-
-    yield from inside(ast.parse(text).body, "")
-
-
-def _opencl_owners(text: str) -> Iterator[tuple[str, int, int]]:
+def owners_of(text: str) -> Iterator[Owner]:
+    """The functions, macros and constants of a text, in their order."""
     depth, begin, tokens, is_function = 0, 0, list[str](), False
     for line in LINE.finditer(text):
         if line[0].lstrip().startswith("#"):
             if head := DEFINED.match(line[0]):
-                yield head[1], line.start(), line.end()
+                yield Owner(head[1], line.start(), line.end())
             continue
         for match in C_TOKEN.finditer(text, line.start(), line.end()):
             if match.lastgroup in (None, "space"):
@@ -142,37 +107,20 @@ def _opencl_owners(text: str) -> Iterator[tuple[str, int, int]]:
             tokens.append(match[0])
             depth += {"(": 1, "{": 1, ")": -1, "}": -1}.get(match[0], 0)
             if depth == 0 and (match[0] == ";" or (match[0] == "}" and is_function)):
-                yield _named(tokens), begin, match.end()
+                yield Owner(_defined_name(tokens), begin, match.end())
                 tokens = []
 
 
-def _named(tokens: list[str]) -> str:
+def _defined_name(tokens: list[str]) -> str:
     """Name that a definition defines: before its arguments, its lengths or its value, attributes apart."""
     words = " ".join(tokens)
     words = re.sub(r"__attribute__ \( \( (?:[^()]|\( [^()]* \))*\) \)", "", words)
-    found = re.search(r"(\w+) (?:[(\[=]|;)", words)
-    return found[1] if found else ""
+    name = re.search(r"(\w+) (?:[(\[=]|;)", words)
+    return name[1] if name else ""
 
 
-def _tokens(text: str, python: bool) -> list[str]:
-    """Without comments, and without what a line ends with."""
-    found = list[str]()
-    if python:
-        left_out = (
-            tokenize.COMMENT,
-            tokenize.NL,
-            tokenize.NEWLINE,
-            tokenize.INDENT,
-            tokenize.DEDENT,
-            tokenize.ENDMARKER,
-        )
-        try:
-            for token in tokenize.generate_tokens(io.StringIO(text).readline):
-                if token.type not in left_out:
-                    found.append(token.string)
-        except tokenize.TokenError:  # a line that goes on, which ends within brackets
-            pass
-        return found
+def _tokens(text: str) -> list[str]:
+    """Tokens without comments."""
     matches = C_TOKEN.finditer(text)
     return [m[0] for m in matches if m.lastgroup != "space" and not m[0].startswith(("//", "/*"))]
 
@@ -181,14 +129,6 @@ def _joined(tokens: list[str]) -> str:
     """Tokens as one text, with spaces between words alone."""
     words = [" " if re.match(r"\w{2}", before[-1] + after) else "" for before, after in pairwise([";", *tokens])]
     return "".join(space + token for space, token in zip(words, tokens, strict=True))
-
-
-def _starts(text: str) -> list[int]:
-    """Positions at which lines begin, and the text ends."""
-    starts = [0]
-    for line in text.splitlines(keepends=True):
-        starts.append(starts[-1] + len(line))
-    return starts
 
 
 def _number(text: str) -> str:
@@ -202,7 +142,7 @@ def _number(text: str) -> str:
     return f"(2 * {text})" if re.search(r"[1-9a-fA-F]", mantissa) else f"({text} + 1)"
 
 
-def _changed(kind: str, old: str, closes: bool) -> str | None:
+def _replacement(kind: str, old: str, closes: bool) -> str | None:
     """Replacement of a token; closes: the one before it ends an operand."""
     if kind == "number":
         return _number(old)
@@ -213,7 +153,7 @@ def _changed(kind: str, old: str, closes: bool) -> str | None:
     return OPERATORS.get(old)
 
 
-def _opencl(text: str) -> Iterator[tuple[int, str, str]]:
+def _changes(text: str) -> Iterator[tuple[int, str, str]]:
     skipped: list[range] = []
     for match in LINE.finditer(text):
         if NOT_TEXT.match(match[0]) or "__attribute__" in match[0] or "typedef" in match[0]:
@@ -232,7 +172,7 @@ def _opencl(text: str) -> Iterator[tuple[int, str, str]]:
             closes = False
         pointed = old == "*" and (C_TYPE.match(before) or before == ",")
         field = kind == "name" and before in (".", "->")
-        new = None if inside or pointed or field else _changed(kind, old, closes)
+        new = None if inside or pointed or field else _replacement(kind, old, closes)
         if new is not None:
             yield match.start(), old, new
         before = "" if inside and match.end() in {one.stop for one in skipped} else old
@@ -242,18 +182,3 @@ def _casts(text: str, end: int) -> bool:
     """True if the parenthesis that ends before `end` names a type."""
     named = re.search(r"\((?:__global |__constant |const )*(\w+)\s*\**\)\s*$", text[max(0, end - 80) : end])
     return named is not None and C_TYPE.match(named[1]) is not None
-
-
-def _python(text: str) -> Iterator[tuple[int, str, str]]:
-    starts, before = _starts(text), ""
-    for token in tokenize.generate_tokens(io.StringIO(text).readline):
-        at, old = starts[token.start[0] - 1] + token.start[1], token.string
-        if token.type not in (tokenize.NUMBER, tokenize.NAME, tokenize.OP):
-            continue
-        closes = before in (")", "]", "}") or (bool(re.match(r"[\w.]", before)) and not keyword.iskeyword(before))
-        kind = {tokenize.NUMBER: "number", tokenize.NAME: "name"}.get(token.type, "operator")
-        annotation = old == "|" and re.search(r"\bNone\b|:\s*\w+ \||->", token.line) is not None
-        new = None if annotation else _changed(kind, old, closes)
-        if new is not None:
-            yield at, old, new
-        before = old

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from math import cos, pi, sin
 from typing import Any
 
 import numpy as np
@@ -98,22 +97,6 @@ def test_constant_velocity_by_keys_has_the_bits_of_velocity(interpolation: Any, 
         found, expected = pose_at(motion, time, rotation), pose_at(even, time, rotation)
         assert np.array_equal(found.shift, expected.shift)
         assert np.array_equal(found.rotation, expected.rotation)
-
-
-def test_positions_against_closed_forms() -> None:
-    line = keyed([0.0, 0.7, 2.0], [(0.0, 0.0, 0.0), (7.0, -1.4, 0.07), (20.0, -4.0, 0.2)])
-    for time in np.linspace(0.0, 2.0, 33).tolist():
-        np.testing.assert_allclose(pose_at(line, time, "euler").shift, np.multiply((10.0, -2.0, 0.1), time), atol=1e-9)
-    # The natural spline through 0, 1, 0 at 0, 1, 2 is (3 t - t^3) / 2 up to the middle.
-    hill = keyed([0.0, 1.0, 2.0], [(0.0, 0.0, 0.0), (8.0, 0.0, 0.0), (0.0, 0.0, 0.0)])
-    for time in np.linspace(0.0, 1.0, 33).tolist():
-        expected = 8.0 * (3.0 * time - time**3) / 2.0
-        for place in (time, 2.0 - time):
-            assert pose_at(hill, place, "euler").shift[0] == pytest.approx(expected, abs=1e-9)
-    # A uniform B-spline of second degree data is the parabola lowered by its second difference / 6, within the keys.
-    fall = keyed(EVEN, [(0.0, 3.0 * t**2, 0.0) for t in EVEN], interpolation="bspline")
-    for time in np.linspace(0.0, 3.0, 31).tolist():
-        assert pose_at(fall, time, "euler").shift[1] == pytest.approx(3.0 * time**2 + 1.0, abs=1e-9)
 
 
 def test_angles_about_one_axis_count_whole_turns() -> None:
@@ -223,14 +206,6 @@ def test_the_kind_of_rotation_says_what_angles_of_keys_mean() -> None:
     np.testing.assert_allclose(euler, in_camera_axes((90.0, 90.0, 0.0), "euler").as_matrix(), rtol=0, atol=1e-15)
     np.testing.assert_allclose(axis, in_camera_axes((90.0, 90.0, 0.0), "axis").as_matrix(), rtol=0, atol=1e-15)
     assert np.abs(euler - axis).max() > 0.3
-
-
-def test_an_orbit_by_dense_keys_is_a_circle() -> None:
-    angles = np.linspace(0.0, 2 * pi, 49)
-    motion = keyed(angles / (2 * pi), [(20 * cos(a) - 20, 20 * sin(a), 0.0) for a in angles])
-    for time in (0.11, 0.37, 0.68):
-        expected = np.array([20 * cos(2 * pi * time) - 20, 20 * sin(2 * pi * time), 0.0])
-        np.testing.assert_allclose(pose_at(motion, time, "euler").shift, expected, rtol=0, atol=1e-4)
 
 
 @pytest.mark.parametrize("rotation", ["euler", "axis"])

@@ -68,23 +68,6 @@ def test_the_thesis_camera_focuses_at_a_quarter_of_a_meter() -> None:
     assert float(blur_radius(camera, 1.0 / 292.0)) == pytest.approx(1e4 * (1 / 250.0172 - 1 / 292.0), abs=1e-4)
 
 
-def test_sign_tells_the_side_of_the_focus_and_infinity_is_finite() -> None:
-    camera = Camera(focus_distance=250.0)
-    radius = blur_radius(camera, 1.0 / np.array([200.0, 300.0, np.inf]))
-    assert radius[0] < 0 < radius[1] < radius[2]
-    assert radius[2] == Lens.of(camera).blur_scale * Lens.of(camera).focus_power
-    assert radius.dtype == np.float64
-
-
-def test_radius_is_linear_in_inverse_depth() -> None:
-    w = np.random.default_rng(1).uniform(0.0, 0.1, (2, 50))
-    camera = Camera()
-    mean = blur_radius(camera, w.mean(axis=0))
-    scale = Lens.of(camera).blur_scale * 0.1
-    np.testing.assert_allclose(blur_radius(camera, w).mean(axis=0), mean, rtol=0, atol=4 * EPS * scale)
-    assert np.ptp(mean) > 1.0
-
-
 def test_focus_at_infinity() -> None:
     camera = Camera(sensor_distance=20.0)
     assert Lens.of(camera).focus_power == 0.0
@@ -109,10 +92,6 @@ def test_ray_step_is_the_pixel_seen_from_the_lens() -> None:
     assert ray_step(Camera(normalization_distance=21.739)) == 0.01 / 21.739
     # 10 mm at 250 mm: 80 px (thesis, 4.3.3).
     assert 10.0 / 250.0 / ray_step(Camera()) == pytest.approx(80.0, rel=4 * EPS)
-
-
-def test_half_the_aperture_is_the_lens_radius() -> None:
-    assert Lens.of(Camera(aperture_diameter=10.0)).radius == 5.0
 
 
 def squared_slope(camera: Camera, r: float) -> float:

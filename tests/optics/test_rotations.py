@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 from clsco.optics.motion import TOWARDS_CAMERA, pose_at, rotation_matrix, static_rotation
 from clsco.optics.quadrics import place, predict_inverse_depth
 from clsco.optics.texture_mapping import texture_map
-from clsco.optics.visibility import extent
 from clsco.reference.common.geometry import solve_quadric, surface_normal
 from clsco.scene.model import AnyShape, Cone, Cylinder, Disc, Ellipsoid, ObjectMotion, Plane, Quadric, Rectangle, Sphere
 from clsco.scene.rotations import AxisAngle, UnitQuaternion
@@ -180,22 +179,6 @@ SOLIDS: list[AnyShape] = [
     Plane(distance=280.0, bounds=((-20.0, 35.0), (-9.0, 15.0), (-1.0, 1.0)), rotation=(60.0, 20.0, 130.0)),
     Cone(apex=(9.0, 0.0, 280.0), bounds=((-20.0, 20.0), (-20.0, 20.0), (0.0, 35.0)), rotation=(100.0, 20.0, 130.0)),
 ]
-
-
-@pytest.mark.parametrize("item", SOLIDS, ids=lambda item: item.shape)
-def test_the_extent_of_a_rotated_object_holds_it(item: AnyShape) -> None:
-    poses = [pose_at(MOTION, time, "euler") for time in (0.0, 0.6)]
-    found = extent(item, poses, np.zeros(1))
-    assert found.x[1] - found.x[0] < 1.0
-    for pose in poses:
-        w = solve_quadric(place(item, pose), item.bounds, rays())[0]
-        hit = w > 0
-        assert hit.sum() > 20
-        for axis, (low, high) in enumerate((found.x, found.y)):
-            assert (rays()[hit, axis] >= low).all()
-            assert (rays()[hit, axis] <= high).all()
-        assert (w[hit] >= found.w[0]).all()
-        assert (w[hit] <= found.w[1]).all()
 
 
 @pytest.mark.parametrize("item", SOLIDS, ids=lambda item: item.shape)

@@ -8,15 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from clsco.errors import SceneError
-from clsco.inputs.dump import dump_scene
 from clsco.scene.changes import dump
 from clsco.scene.faults import MAX_MESSAGES
 from clsco.scene.file import MAX_DOTS, MAX_FILE_BYTES, load_scene, parse_scene
-from clsco.scene.model import AnyShape, Cone, Cylinder, DepthMap, Ellipsoid, Plane, Quadric, Scene, Sphere
+from clsco.scene.model import DepthMap, Sphere
 from clsco.scene.schema import scene_schema
 from clsco.scene.shapes import SHAPES
 from clsco.scene.sweep import load_sweep
@@ -140,21 +137,10 @@ def test_overrides(ball: Path, overrides: list[str], path: str, expected: Any) -
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("camera", 'override must be KEY=VALUE, like camera.f_number=4; got "camera"'),
-        ("=3", 'override must be KEY=VALUE, like camera.f_number=4; got "=3"'),
-        (
-            "camera..f_number=3",
-            'override must be KEY=VALUE, like camera.f_number=4; got "camera..f_number=3"',
-        ),
+        ("camera..f_number=3", 'override must be KEY=VALUE, like camera.f_number=4; got "camera..f_number=3"'),
         ("object.1.radius=3", "override object.1.radius=3: object has 1 entries, counted from 0; got 1"),
-        ("object.x.radius=3", "override object.x.radius=3: object has 1 entries, counted from 0; got x"),
         ("title.x=3", 'override title.x=3: title must be a table; got "Turning ball"'),
-        ("camera.f_number=4mm", 'camera.f_number: must be a number; got "4mm"'),
-        ("camera.f_number=", 'camera.f_number: must be a number; got ""'),
         ("camera.resolution=[64,", 'camera.resolution: must be a list of 2 integers; got "[64,"'),
-        ("camera.fnumber=4", "camera.fnumber: unknown key (did you mean f_number?); got 4"),
-        ("psf.tilt=1\n[camera]", 'psf.tilt: must be true or false; got "1\\n[camera]"'),
-        ("object=3", "object: must be an array of tables, [[object]]; got 3"),
     ],
 )
 def test_bad_overrides(ball: Path, override: str, message: str) -> None:
@@ -257,35 +243,6 @@ def test_parsing_leaves_the_mapping_as_it_was() -> None:
     assert mapping == {"object": [{"shape": "sphere", "center": [0, 0, 300]}]}
 
 
-@pytest.mark.parametrize(
-    "item",
-    [
-        Plane(distance=230.0, slope_y=0.7, bounds=((-1.0, 1.0), (-2.0, 2.0), (-3.0, 3.0))),
-        Cylinder(axis=(0.0, 1.0, 1.0)),
-        Sphere(texture="/textures/wall.png"),
-        Cone(half_angle=50.0, nappe="towards"),
-        Ellipsoid(semi_axes=(1.0, 2.0, 3.0), name="egg"),
-        Quadric(coefficients=(1.0, 1.0, -1.0, 0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0 / 3.0)),
-        DepthMap(depth="z.exr", unit="disparity", baseline=193.001, scale=0.5, center=(0.0, 0.0, 300.0)),
-    ],
-)
-@pytest.mark.parametrize(
-    "rest",
-    [
-        {},
-        {"camera": {"f_number": 3.7, "focus_distance": 333.3, "resolution": [3, 5]}},
-        {"camera": {"focus_distance": float("inf")}, "lens": {"keyframe": [{"time": 0.0, "focus_distance": "inf"}]}},
-        {"camera": {"focus_distance": 100.0, "normalization_distance": "sensor"}},
-        {"psf": {"model": "gaussian", "edge": "sampled"}, "motion": {"texture_filter": "nearest"}},
-        {"motion": {"warp": "forward"}, "fill": {"method": "none"}, "sequence": {"samples": "auto"}},
-        {"camera": {"motion": {"velocity": [0.0, 0.0, 9.0]}}, "stereo": {"baseline": 65.0, "toe_in": 1.5}},
-    ],
-)
-def test_dump_is_the_way_back(item: AnyShape, rest: dict[str, Any]) -> None:
-    scene = parse_scene({**rest, "object": [item, {"shape": "plane"}, {"shape": "plane"}]})
-    assert parse_scene(json.loads(json.dumps(dump(scene), allow_nan=False))) == scene
-
-
 def test_dump_spells_out_what_applies() -> None:
     data = dump(parse_scene({"object": [SPHERE]}))
     assert data["camera"] == {
@@ -363,79 +320,6 @@ def test_there_are_examples() -> None:
     assert figures >= {"3_03", *(f"4_{number:02d}" for number in (8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19))}
     shapes = {item.shape for path in EXAMPLES for item in load_sweep(path).scenes[0].objects}
     assert shapes == SHAPES.keys() - {"box"}  # which is six rectangles
-
-
-KEYS = sorted(
-    {"object", "objects", "", "a b"}
-    | {
-        key
-        for name, model in Scene.model_fields.items()
-        for key in (name, *getattr(model.annotation, "model_fields", ()))
-    }
-    | {key for shape in SHAPES.values() for key in shape.model_fields}
-)
-WORDS = [
-    "plane",
-    "sphere",
-    "cone",
-    "quadric",
-    "depth_map",
-    "gaussian",
-    "pillbox",
-    "forward",
-    "inverse",
-    "auto",
-]
-leaves = (
-    st.none()
-    | st.booleans()
-    | st.integers()
-    | st.integers(0, 10)
-    | st.floats()
-    | st.text(max_size=5)
-    | st.sampled_from(WORDS)
-    | st.datetimes()
-)
-trees = st.recursive(
-    leaves,
-    lambda inner: st.lists(inner, max_size=10) | st.dictionaries(st.sampled_from(KEYS) | st.text(max_size=3), inner),
-    max_leaves=20,
-)
-tables = st.dictionaries(st.sampled_from(KEYS), trees, max_size=6)
-objects = st.builds(lambda shape, rest: {**rest, "shape": shape}, st.sampled_from(WORDS[:5]), tables)
-scenes = st.builds(
-    lambda top, sections, item: {**top, **sections, **item},
-    st.dictionaries(st.sampled_from(KEYS) | st.text(max_size=3), trees, max_size=4),
-    st.dictionaries(st.sampled_from(list(Scene.model_fields)), tables | trees, max_size=4),
-    st.just({}) | st.fixed_dictionaries({"object": st.lists(objects | trees, min_size=1, max_size=2)}),
-)
-
-
-@settings(max_examples=100, deadline=None)
-@given(scenes)
-def test_any_mapping_is_a_scene_or_a_scene_error(mapping: dict[str, Any]) -> None:
-    messages: tuple[str, ...] = ()
-    try:
-        scene = parse_scene(mapping)
-    except SceneError as error:
-        messages = error.messages
-    else:
-        assert parse_scene(dump(scene)) == parse_scene(dump_scene(scene)) == scene
-        return
-    assert messages
-    assert all(len(message.splitlines()) == 1 for message in messages)
-    assert "\n".join(messages).encode("utf-8")
-
-
-@settings(max_examples=100, deadline=None)
-@given(st.text(max_size=60) | st.binary(max_size=60), st.sampled_from([".toml", ".json"]))
-def test_any_file_is_a_scene_or_a_scene_error(
-    tmp_path_factory: pytest.TempPathFactory, content: str | bytes, kind: str
-) -> None:
-    path = tmp_path_factory.getbasetemp() / f"any{kind}"
-    path.write_bytes(content.encode("utf-8", "surrogatepass") if isinstance(content, str) else content)
-    with pytest.raises(SceneError):
-        load_scene(path)
 
 
 def test_files_of_a_depth_map_lie_beside_the_scene(tmp_path: Path) -> None:

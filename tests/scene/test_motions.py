@@ -6,7 +6,6 @@ import json
 import tomllib
 from typing import Any
 
-import numpy as np
 import pytest
 
 import clsco
@@ -35,20 +34,9 @@ BAD = [
     ("keyframe = [1]", "keyframe[0]: must be a table; got 1"),
     ("keyframe = [{}]", "keyframe[0].time: must be given; got nothing"),
     ("keyframe = [{time = 2e9}]", "keyframe[0].time: must be between -1e+09 and 1e+09 s; got 2000000000.0"),
-    ("keyframe = [{time = inf}]", "keyframe[0].time: must be a finite number; got inf"),
     (
         "keyframe = [{time = 1}, {time = 1.0}]",
         "keyframe[1].time: must be later than that of the keyframe before; got 1.0",
-    ),
-    ("keyframe = [{time = 0, position = [0, 0]}]", "keyframe[0].position: must be a list of 3 numbers; got [0, 0]"),
-    (
-        "keyframe = [{time = 0, position = [0, 0, 2e9]}]",
-        "keyframe[0].position[2]: must be between -1e+09 and 1e+09 mm; got 2000000000.0",
-    ),
-    ("keyframe = [{time = 0, rotation = 5}]", "keyframe[0].rotation: must be a list of 3 numbers; got 5"),
-    (
-        "keyframe = [{time = 0, rotation = [0, 0, nan]}]",
-        "keyframe[0].rotation[2]: must be a finite number; got nan",
     ),
     (
         "keyframe = [{time = 0, positon = [0, 0, 0]}]",
@@ -79,12 +67,11 @@ BAD_SHAKES = [
     ("shake.rotation_rms = -1", ".rotation_rms: must be between 0 and 45 deg; got -1"),
     ("shake.rotation_rms = inf", ".rotation_rms: must be a finite number; got inf"),
     ("shake.translation_rms = 2e6", ".translation_rms: must be between 0 and 1000000 mm; got 2000000.0"),
+    ("shake.band = [1, 2e6]", ".band[1]: must be between 1e-06 and 1000000 Hz; got 2000000.0"),
     ("shake.band = 3", ".band: must be a list of 2 numbers; got 3"),
     ("shake.band = [5, 5]", ".band: lower bound must be less than the upper bound; got [5, 5]"),
     ("shake.band = [0, 5]", ".band[0]: must be greater than 0 Hz; got 0"),
-    ("shake.band = [1, 2e6]", ".band[1]: must be between 1e-06 and 1000000 Hz; got 2000000.0"),
     ("shake.seed = 1.5", ".seed: must be an integer; got 1.5"),
-    ("shake.seed = -1", ".seed: must be between 0 and 9.223372e+18; got -1"),
     ("shake.sed = 1", ".sed: unknown key (did you mean seed?); got 1"),
 ]
 BAD_LENSES = [
@@ -238,13 +225,6 @@ def load(text: str, overrides: list[str]) -> dict[str, Any]:
 def test_scenes_without_keyframes_are_recorded_as_before() -> None:
     text = json.dumps(dump(clsco.parse_scene(PLANE)))
     assert not any(key in text for key in ("keyframe", "interpolation", "outside", "acceleration"))
-
-
-def test_arrays_stand_for_lists() -> None:
-    frame = {"time": np.float32(1.0), "position": np.array([1.0, 2.0, 3.0])}
-    motion = clsco.ObjectMotion(keyframe=[{"time": 0.0}, frame])  # type: ignore[arg-type]
-    assert motion.keyframe is not None
-    assert motion.keyframe[1] == clsco.Keyframe(time=1.0, position=(1.0, 2.0, 3.0))
 
 
 def test_a_motion_with_keyframes_moves_where_one_is_off_the_reference_pose() -> None:

@@ -54,22 +54,13 @@ def test_shapes_take_them() -> None:
 
 WRONG: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
     ("camera", {"f_number": -4.0}, {"f_number": np.float32(-4)}),
-    ("camera", {"f_number": float("nan")}, {"f_number": np.float64("nan")}),
     ("camera", {"f_number": [4.0]}, {"f_number": np.array([4.0])}),
-    ("camera", {"f_number": True}, {"f_number": np.bool_(True)}),
     ("camera", {"resolution": [64.0, 48]}, {"resolution": (np.float64(64), 48)}),
-    ("camera", {"resolution": [64, 48, 3]}, {"resolution": np.array([64, 48, 3])}),
     ("psf", {"tilt": 1, "silhouette_samples": 2.0}, {"tilt": np.int8(1), "silhouette_samples": np.float32(2)}),
-    ("sequence", {"samples": 7.0}, {"samples": np.float64(7)}),
     ("sphere", {"center": [0.0, 1.0]}, {"center": np.array([0.0, 1.0])}),
     ("sphere", {"center": 3}, {"center": np.array(3)}),
-    ("sphere", {"center": [0.0, 1.0, float("inf")]}, {"center": np.array([0.0, 1.0, np.inf])}),
     ("sphere", {"center": [[0, 1, 2]] * 3}, {"center": np.array([[0, 1, 2]] * 3)}),
-    ("sphere", {"bounds": [[-1, 1], [2, -2], [-3, 3]]}, {"bounds": np.array([[-1, 1], [2, -2], [-3, 3]])}),
-    ("sphere", {"bounds": [[-1, 1], [-3, 3]]}, {"bounds": np.array([[-1, 1], [-3, 3]])}),
-    ("cylinder", {"axis": [0.0, 0.0, 0.0]}, {"axis": np.zeros(3)}),
     ("quadric", {"coefficients": [0.0] * 10}, {"coefficients": np.zeros(10)}),
-    ("quadric", {"coefficients": [0.0] * 11}, {"coefficients": np.zeros(11)}),
     ("plane", {"distance": None}, {"distance": np.array(None)}),
 ]
 

@@ -9,7 +9,6 @@ import pytest
 
 import clsco
 from clsco.scene.changes import dump
-from clsco.scene.examples import EXAMPLES, example
 from clsco.scene.file import parse_scene
 
 DEEP: Any = 4.0
@@ -119,10 +118,3 @@ def test_every_key_is_checked_as_in_a_file(name: str) -> None:
 def test_what_cannot_be_is_refused(path: str, value: object, message: str) -> None:
     with pytest.raises(clsco.SceneError, match=message):
         SCENE.replace(path, value)
-
-
-@pytest.mark.parametrize("name", list(EXAMPLES))
-def test_a_dump_parses_again(name: str) -> None:
-    scene = example(name)
-    assert parse_scene(dump(scene)) == scene
-    assert scene.replace("title", scene.title) == scene

@@ -41,6 +41,7 @@ SHUTTERS: list[tuple[str, str]] = [
         "sequence.readout: must be at least 0 s; for the other order of the rows change scan; got -0.1",
     ),
     ("sequence.readout = 2e9", "sequence.readout: must be between 0 and 1e+09 s; got 2000000000.0"),
+    ("sequence.shutter_start = 2e9", "sequence.shutter_start: must be between -1e+09 and 1e+09 s; got 2000000000.0"),
     ("sequence.readout = nan", "sequence.readout: must be a finite number; got nan"),
     ('sequence.readout = "slow"', 'sequence.readout: must be a number; got "slow"'),
     (
@@ -51,8 +52,6 @@ SHUTTERS: list[tuple[str, str]] = [
         'sequence.scan = "upwards"',
         'sequence.scan: must be top_to_bottom, bottom_to_top, left_to_right or right_to_left; got "upwards"',
     ),
-    ("sequence.shutter_start = inf", "sequence.shutter_start: must be a finite number; got inf"),
-    ("sequence.shutter_start = 2e9", "sequence.shutter_start: must be between -1e+09 and 1e+09 s; got 2000000000.0"),
 ]
 
 

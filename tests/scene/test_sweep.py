@@ -9,14 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 import clsco
 from clsco.errors import SceneError
-from clsco.scene.changes import dump
 from clsco.scene.file import MAX_FILE_BYTES, MAX_OUTPUTS, load_scene, parse_scene, swept_keys
-from clsco.scene.model import Camera, Motion, ObjectMotion, Scene, Sequence
+from clsco.scene.model import Camera, Motion, ObjectMotion, Sequence
 from clsco.scene.schema import scene_schema
 from clsco.scene.sweep import load_sweep, parse_sweep
 from tests.scenes import scene_file
@@ -233,35 +230,3 @@ def test_the_schema_allows_what_can_have_several_values() -> None:
             assert several == (key not in ("motion", "keyframe", "shake")), key
     assert "anyOf" not in definitions["Sphere"]["properties"]["radius"]
     assert json.dumps(definitions["Range"]["required"]) == '["from", "to", "steps"]'
-
-
-leaves = st.none() | st.booleans() | st.integers(-3, 300) | st.floats() | st.text(max_size=3) | st.just("auto")
-lists = st.lists(leaves | st.lists(leaves, max_size=3), max_size=3)
-ranges = st.dictionaries(st.sampled_from(["from", "to", "steps", "x"]), leaves | lists, max_size=4)
-motions = st.dictionaries(st.sampled_from(["velocity", "angular_velocity", "x"]), leaves | lists | ranges, max_size=2)
-sections = {
-    name: st.dictionaries(st.sampled_from([*model.model_fields]), leaves | lists | ranges | motions, max_size=3)
-    for name, model in (("camera", Camera), ("sequence", Sequence), ("motion", Motion))
-}
-sweeps = st.fixed_dictionaries(
-    {"object": st.lists(st.fixed_dictionaries({"shape": st.just("sphere"), "motion": motions}), min_size=1)},
-    optional=sections,
-)
-
-
-@settings(max_examples=250, deadline=None)
-@given(sweeps)
-def test_any_mapping_is_a_sweep_or_a_scene_error(data: dict[str, Any]) -> None:
-    before, messages = repr(data), None
-    try:
-        sweep = parse_sweep(data)
-    except SceneError as error:
-        messages = error.messages
-    else:
-        assert len(set(sweep.labels)) == len(sweep.scenes) >= 1
-        assert all(isinstance(scene, Scene) and parse_scene(dump(scene)) == scene for scene in sweep.scenes)
-    assert repr(data) == before
-    if messages is not None:
-        assert messages
-        assert all(len(message.splitlines()) == 1 for message in messages)
-        assert "\n".join(messages).encode("utf-8")

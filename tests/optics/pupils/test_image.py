@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 from clsco.optics.point_spread import PointSpread, point_spread
-from clsco.optics.psf_grid import table_radius
-from clsco.optics.psf_tables import psf_table, table_bytes
 from clsco.optics.pupils.image import Image, image_pupil
 from clsco.optics.pupils.polygon import Polygon
 from clsco.scene.model import Psf
@@ -57,21 +55,6 @@ def test_a_heart_stands_upright_behind_the_focus_and_on_its_tip_before_it() -> N
     assert widths[0] > 3 * widths[-1]  # lobes above, the tip below
 
 
-@pytest.mark.parametrize("tent", [True, False])
-def test_weights_are_areas_by_brute_force(tent: bool) -> None:
-    """Points of the pupil, each seen from points of the pixel: 1 / 200 px apart."""
-    pupil, radius = image_pupil(np.random.default_rng(5).uniform(size=(7, 7))), -2.6
-    step = (np.arange(-600, 600) + 0.5) / 200
-    u, v = np.meshgrid(step, step)
-    light = pupil.transmission(u / radius, v / radius)
-    psf = PointSpread(pupil, "integrated" if tent else "area")
-    for dx, dy in ((0, 0), (2, 1), (-2, 0), (1, -2), (-1, 2)):
-        a, b = np.abs(u - dx), np.abs(v - dy)
-        seen = np.maximum(1 - a, 0) * np.maximum(1 - b, 0) if tent else (a < 0.5) & (b < 0.5)
-        found = psf.weights(np.asarray(float(dx)), np.asarray(float(dy)), np.asarray(radius))
-        assert found == pytest.approx((light * seen).sum() / light.sum(), abs=4e-4)
-
-
 def test_an_image_of_a_polygon_is_the_polygon() -> None:
     """Cells across the rim are wrong by half of them: 2 / count of the radius along it."""
     count, polygon = 512, Polygon(6, 20.0)
@@ -90,28 +73,6 @@ def test_what_lies_outside_of_the_rim_is_dark() -> None:
     assert whole.second_moment == pytest.approx(0.25, rel=2e-3)
     assert whole.image[0, 0] == 0.0
     assert whole.image[32, 2] == 1.0
-
-
-@pytest.mark.parametrize("samples", [0, 2])
-def test_tables_hold_the_weights(samples: int) -> None:
-    """At most 2e-4 of the light is elsewhere, at any radius of either sign."""
-    psf = PointSpread(heart(64))
-    table = psf_table(psf, 0.0, 4.0, samples)
-    arrays = (table.intervals, table.coefficients, table.taps, table.outlines)
-    assert table_bytes(psf, 0.0, 4.0, samples) == sum(array.nbytes for array in arrays)
-    middle = table.count // 2
-    for sign in (1, -1):
-        start, half = table.intervals[middle + (0 if sign > 0 else table.count)]
-        size, lanes = 2 * half + 1, (2 * half // 8 + 1) * 8
-        block = table.coefficients[start : start + max(samples, 1) ** 2 * size * 4 * lanes].reshape(-1, 4, lanes)
-        found = block[:size, :, :size].astype(float)
-        radius = float(table_radius(psf, np.asarray(table.first + middle + 0.4), samples > 0))
-        weights = np.tensordot(0.4 ** np.arange(4), found, axes=(0, 1))
-        x, y = grid(int(half))
-        exact = psf.weights(x, y, np.asarray(sign * radius))
-        if samples:
-            exact = psf.subpixel_weights(x + 0.25, y + 0.25, np.asarray(sign * radius))
-        assert np.abs(weights - exact).sum() < 2e-4
 
 
 def test_pupils_of_other_cells_are_others() -> None:
