@@ -108,6 +108,7 @@ def test_device_against_reference(name: str) -> None:
     assert_agree(rendered(SCENES[name], precision="double"), reference_frames(SCENES[name]))
 
 
+@pytest.mark.slow
 def test_parts_of_a_pixel_see_the_lens_as_its_middle(monkeypatch: pytest.MonkeyPatch) -> None:
     """Edges of what is far in front move little from part to part: to look for them once is off by 1e-3 at most."""
     wanted = SCENES["roof behind wires"]
