@@ -204,9 +204,9 @@ async def _end(process: asyncio.subprocess.Process) -> None:
     """Interrupt a command that runs, and kill what is left of it after GRACE."""
     if process.returncode is not None:
         return
+    ended = asyncio.ensure_future(process.wait())
     for number, patience in ((signal.SIGINT, GRACE), (signal.SIGKILL, None)):
         with suppress(ProcessLookupError):
             os.killpg(process.pid, number)
-        with suppress(TimeoutError):
-            async with asyncio.timeout(patience):
-                await process.wait()
+        # In a task that is being canceled, `asyncio.timeout` of Python 3.11.2 ends it instead.
+        await asyncio.wait([ended], timeout=patience)

@@ -226,9 +226,7 @@ def test_what_does_not_listen_is_killed(tmp_path: Path, monkeypatch: pytest.Monk
         await until(lambda: len(list((tmp_path / "a").iterdir())) > 1)
         jobs.cancel(job)
         await finish(jobs)
-        await until(
-            lambda: not is_alive(int((tmp_path / "a" / "pid").read_text()))
-        )  # once the system has taken it away
+        await until(lambda: not is_alive(int((tmp_path / "a" / "pid").read_text())))
         return job
 
     assert asyncio.run(run()).status == "canceled"
