@@ -8,6 +8,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -23,10 +24,10 @@ if "PYTEST_XDIST_WORKER" not in os.environ:  # workers inherit it
         if not name.startswith("PYTEST_"):
             del os.environ[name]
 
-# Before the first query of the platforms, hence not a fixture; workers inherit it. In a folder that is not its own,
-# clsco does not check the files of all tests before.
-if not os.environ.get("POCL_CACHE_DIR"):
-    os.environ["POCL_CACHE_DIR"] = str(kernel_cache.cache_folder())
+# Before the first query of the platforms, hence not a fixture. In a folder that is not its own, clsco does not check
+# the files of all tests before. Workers inherit the folder of the process that starts them.
+if Path(os.environ.get("POCL_CACHE_DIR") or kernel_cache.WORKER).name.startswith(kernel_cache.WORKER):
+    os.environ["POCL_CACHE_DIR"] = str(kernel_cache.worker_folder())
 if "PYTEST_XDIST_WORKER" not in os.environ:  # tables, textures and studios of all workers, and none of the user's
     for place in ("XDG_CACHE_HOME", "XDG_STATE_HOME"):
         os.environ[place] = tempfile.mkdtemp(prefix="clsco-cache-")
@@ -45,6 +46,15 @@ def pytest_collection_finish() -> None:
     """The tests themselves are never garbage: not to be looked at each time that something is collected."""
     gc.collect()
     gc.freeze()
+
+
+def pytest_unconfigure() -> None:
+    """Leave the compiled kernels to later runs."""
+    folder = Path(os.environ["POCL_CACHE_DIR"])
+    if folder.name.startswith(kernel_cache.WORKER):
+        kernel_cache.keep_programs(folder)
+        if "PYTEST_XDIST_WORKER" not in os.environ:
+            kernel_cache.remove_old()
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

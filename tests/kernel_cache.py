@@ -1,41 +1,57 @@
 """Compiled kernels that one run of the tests leaves to the next ones: compiling is most of their time.
 
-Processes and runs share a folder: PoCL 3.0, which tests run on, writes each file under another name and renames it
-where it is whole, so that a run that is killed leaves nothing that might be damaged. What users have may do otherwise,
-against which `clsco.opencl.pocl_cache` keeps a lock.
+clsco holds a lock of PoCL's folder while PoCL compiles, for which workers in one folder would wait. So each worker has
+a folder of links to what earlier runs have compiled, and what it compiles itself is linked back where it ends.
 """
 
 from __future__ import annotations
 
-import atexit
 import os
 import shutil
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 
 KEPT = Path(__file__).resolve().parents[1] / ".pytest_cache" / "kernels"
-LARGEST = 2**30
-"""Bytes; programs beyond, of those that were used last, are removed. A whole run has some 100 MB."""
+WORKER = "clsco-worker-"
+LARGEST = 2**29
+"""Bytes; programs beyond, of those that were used last, are removed. A whole run has some 150 MB."""
 
 
-def cache_folder(kept: Path = KEPT) -> Path:
-    """The folder, from which old programs are removed where this process ends; a temporary one if it is read-only."""
+def worker_folder(kept: Path = KEPT) -> Path:
+    """A folder of this process alone, with links to all that earlier runs have left."""
     try:
         kept.mkdir(parents=True, exist_ok=True)
-        writable = os.access(kept, os.W_OK)
-    except OSError:
-        writable = False
-    if writable:
-        atexit.register(remove_old, kept)
-        return kept
-    temporary = Path(tempfile.mkdtemp(prefix="clsco-tests-"))
-    atexit.register(shutil.rmtree, temporary, ignore_errors=True)
-    return temporary
+        folder = Path(tempfile.mkdtemp(prefix=WORKER, dir=kept.parent))
+    except OSError:  # a checkout that is read-only
+        return Path(tempfile.mkdtemp(prefix=WORKER))
+    link_files(kept, folder)
+    return folder
 
 
-def remove_old(kept: Path, largest: int = LARGEST) -> None:
+def keep_programs(folder: Path, kept: Path = KEPT) -> None:
+    """Link what a worker has compiled to where later runs look for it, and remove the folder of the worker."""
+    if kept.is_dir():
+        link_files(folder, kept)
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def link_files(source: Path, target: Path) -> None:
+    """Link each compiled file below a folder into another, unless it has one of that name."""
+    for place, _, names in os.walk(source):
+        copy = target / os.path.relpath(place, source)
+        copy.mkdir(parents=True, exist_ok=True)
+        for name in names if copy != target else ():  # all but the lock of the folder itself
+            with suppress(OSError):  # it is there, or another process has removed it
+                os.link(f"{place}/{name}", copy / name)
+
+
+def remove_old(kept: Path = KEPT, largest: int = LARGEST) -> None:
     """Remove the programs that were not used for the longest time, of which PoCL writes a file at each use."""
-    programs = {file.parent: file.stat().st_mtime for file in kept.glob("??/*/last_accessed")}
+    programs = {}
+    for program in kept.glob("??/*"):
+        used = program / "last_accessed"
+        programs[program] = (used if used.exists() else program).stat().st_mtime
     size = 0
     for program in sorted(programs, key=lambda each: programs[each], reverse=True):
         size += sum(path.stat().st_size for path in program.rglob("*"))
