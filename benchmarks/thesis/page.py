@@ -49,8 +49,8 @@ size. `--only 4.9` renders some of them, and writes thesis_only.
 NUMBERS_HEAD = """\
 ## Numbers
 
-A number agrees if it equals the stated one in all its digits, or is within a stated bound; "(around) 6 pixels" counts as
-at most 6.5. Numbers of figures 4.13, 4.16 and 4.17 depend on sizes that the thesis does not state.
+A number agrees if it equals the stated one in all its digits, or is within a stated bound; "(around) 6 pixels" counts
+as at most 6.5. Numbers of figures 4.13, 4.16 and 4.17 depend on sizes that the thesis does not state.
 
 """
 COLUMNS = ("figure", "what", "stated", "got", "verdict", "note")

@@ -152,7 +152,7 @@ def make(
     Raises
     ------
     SceneError, DeviceError
-        For arguments that cannot be; nothing is written then.
+        An argument is invalid; nothing is written.
     FailedSamplesError
         More samples failed than may. What was made stays, as after any error from here on, and may be resumed.
     ClscoError

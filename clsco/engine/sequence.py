@@ -56,23 +56,23 @@ def render(
         A scene, the content of a scene file, or the file.
     truth : str or iterable of str
         Names of the outputs besides color, which are attributes of `Frame`; by default, and by "all", all of them.
-        Those that are left out cost nothing.
+        Outputs that you omit cost nothing.
     color : bool
-        True by default; False for the truth alone: `Frame.color` is None, and nothing is blurred, which is most of the
-        work.
+        True by default. False renders ground truth only: `Frame.color` is None, and the blur, most of the work, is
+        skipped.
     device : str, pyopencl.Device, Context or CommandQueue, optional
-        Part of a device's name, "cpu" or "gpu", or where to work.
+        Part of a device's name, "cpu" or "gpu", or a pyopencl object to render with.
     precision : {"double", "single"}, optional
         Precision of the geometry; by default double where the device has it.
     method : str
         Method of the blur: "auto", the default, or "gather", "scatter", "tiles" or "convolve" where it can blur the
         scene.
     tolerance : float, optional
-        RMS error of white up to which fewer time samples and silhouette samples are taken, and hidden sources of wide
-        blur merged, as it is estimated; None for all that the scene says. `Frame.metadata["approximation"]` has the
-        numbers and the estimated error.
+        Largest estimated RMS error, 1 = white: fewer time samples and silhouette samples are taken, and hidden sources
+        of wide blur merged. By default all samples of the scene. `Frame.metadata["approximation"]` has the numbers and
+        the estimated error.
     frames : iterable of int, optional
-        Numbers of the wanted frames, from 0; by default all.
+        Numbers of the frames to render, from 0; by default all.
     memory : int or str, optional
         Most that buffers on the device take, in bytes or like "1.5GiB"; by default half of what is free.
 
@@ -84,9 +84,9 @@ def render(
     Raises
     ------
     SceneError, DeviceError
-        At the call, for arguments that cannot be.
+        At the call, for invalid arguments.
     FileError, SceneError, DeviceError, KernelError
-        From the iterator, for files that cannot be read and what a device or a method cannot do.
+        From the iterator, for unreadable files, and for work that a device or a method cannot do.
 
     Notes
     -----
@@ -119,7 +119,7 @@ def render_frame(
     Parameters
     ----------
     scene : Scene, mapping or path
-        As for `render`; no stereo pair, of which a frame has two views.
+        As for `render`, but no stereo pair, whose frames are two views.
     index : int
         Number of the frame, from 0.
     truth, color, device, precision, method, tolerance, memory
@@ -132,7 +132,7 @@ def render_frame(
     Raises
     ------
     SceneError, FileError, DeviceError, KernelError
-        As `render`, all at the call.
+        As `render`, but all at the call.
 
     Examples
     --------

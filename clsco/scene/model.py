@@ -95,7 +95,7 @@ __all__ = [
 
 
 class Motion(Strict):
-    """Method that finds the radiance of a moved surface, and meaning of an angular velocity."""
+    """Method by which moved surfaces are rendered, and the meaning of an angular velocity."""
 
     warp: Literal["inverse", "forward"] = "inverse"
     """Cast rays at the moved surface, or move the pixels of the reference pose."""
@@ -131,14 +131,14 @@ class Stereo(Strict):
 
 
 class Light(Strict):
-    """A light that stands still, by which surfaces are shaded: Lambert's law, without shadows or fall-off."""
+    """Static light that shades surfaces by Lambert's law, without shadows or fall-off."""
 
     direction: Direction | None = None
-    """Towards a light that is far away: right, up, towards the camera; of any length."""
+    """Direction towards a far light: right, up, towards the camera; of any length."""
     position: Point | None = None
-    """Position of a light that is near, in the camera's frame in the reference pose, mm; instead of direction."""
+    """Position of a near light in the camera's frame at t = 0, mm; instead of direction."""
     ambient: Annotated[float, Within(0.0, 1.0)] = 0.0
-    """Share of the texture that is seen without the light."""
+    """Share of the texture that is visible without the light."""
 
     @field_validator("position")
     @classmethod
@@ -155,7 +155,7 @@ class Light(Strict):
 
 
 class ImageOptions(Strict):
-    """Reading and writing of images."""
+    """Transfer curve of image files."""
 
     transfer: Literal["srgb", "linear"] = "srgb"
     """Transfer of 8- and 16-bit files: linear, or sRGB or what a file's color profile says; float files are linear."""
@@ -340,7 +340,7 @@ class Scene(Strict):
 
     @property
     def inputs(self) -> tuple[tuple[Place, HasInputs], ...]:
-        """Tables that name files or arrays, with their places in a scene file."""
+        """Sections and objects that name files or arrays, each with its position in a scene file."""
         objects = ((("object", index), item) for index, item in enumerate(self.objects))
         return (("aperture",), self.aperture), *objects
 
@@ -356,28 +356,27 @@ class Scene(Strict):
 
     @property
     def blurs_unevenly(self) -> bool:
-        """True if the lens does not blur equal depths alike all over the frame."""
+        """True if the blur of a depth depends on its position in the frame."""
         return self.lens is not None and self.lens.blurs_unevenly
 
     @property
     def darkens(self) -> bool:
-        """True if not all of the frame gets the light of its middle."""
+        """True if the lens darkens parts of the frame, as by vignetting."""
         return self.lens is not None and self.lens.darkens
 
     @property
     def shifts_colors(self) -> bool:
-        """True if colors are not of one size."""
+        """True if the magnification differs between colors."""
         return self.lens is not None and self.lens.shifts_colors
 
     @property
     def separates_colors(self) -> bool:
-        """True if the lens does not blur all colors alike."""
+        """True if the blur differs between colors."""
         return self.lens is not None and self.lens.separates_colors
 
     @property
     def is_displaced(self) -> bool:
-        """True if the image of a point changes its place: an object, its group or the camera moves, or the lens
-        zooms."""
+        """True if points move in the image: an object, its group or the camera moves, or the lens zooms."""
         motions = (motion for item in self.objects for motion in self.motions(item))
         return self.zooms or self.camera.moves or any(motion.moves for motion in motions)
 
@@ -397,7 +396,7 @@ class Scene(Strict):
 
     @property
     def rolls(self) -> bool:
-        """True if rows or columns show what moves one after another."""
+        """True if the scene moves under a rolling shutter."""
         return self.sequence.rolls and self.moves
 
     def motions(self, item: AnyShape) -> tuple[ObjectMotion, ...]:
@@ -411,7 +410,7 @@ class Scene(Strict):
 
     @property
     def has_mapped_textures(self) -> bool:
-        """True if a texture lies on a surface, and is not projected."""
+        """True if any texture is mapped on its surface, not projected."""
         return any(item.mapped is not None for item in self.objects)
 
     @property
