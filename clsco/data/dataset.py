@@ -107,8 +107,8 @@ class _Shards:
 class Dataset(Sequence[Record]):
     """The samples of a data set, or of a part of it, in the order of its shards.
 
-    An index gives a `Record`, a slice a Dataset that is a view. It can be pickled, and serves DataLoaders with workers
-    that are forked or spawned; shards are opened when they are read.
+    An index returns a `Record`, a slice a Dataset that is a view. A Dataset can be pickled, and used by forked and
+    spawned workers of a DataLoader; shards are opened when they are read.
 
     Attributes
     ----------

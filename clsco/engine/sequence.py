@@ -63,9 +63,9 @@ def render(
     device : str, pyopencl.Device, Context or CommandQueue, optional
         Part of a device's name, "cpu" or "gpu", or a pyopencl object to render with.
     precision : {"double", "single"}, optional
-        Precision of the geometry; by default double where the device has it.
+        Precision of the geometry; by default double if the device has it.
     method : str
-        Method of the blur: "auto", the default, or "gather", "scatter", "tiles" or "convolve" where it can blur the
+        Method of the blur: "auto", the default, or "gather", "scatter", "tiles" or "convolve" if it can blur the
         scene.
     tolerance : float, optional
         Largest estimated RMS error, 1 = white: fewer time samples and silhouette samples are taken, and hidden sources
@@ -74,7 +74,7 @@ def render(
     frames : iterable of int, optional
         Numbers of the frames to render, from 0; by default all.
     memory : int or str, optional
-        Most that buffers on the device take, in bytes or like "1.5GiB"; by default half of what is free.
+        Limit of the buffers on the device, in bytes or like "1.5GiB"; by default half of what is free.
 
     Returns
     -------
@@ -162,14 +162,14 @@ def render_sweep(
     Parameters
     ----------
     scenes : Sweep or iterable of Scene, mapping or path
-        Scenes have the noise of their `noise_seed`, which those of a Sweep count up.
+        Each scene has the noise of its `noise_seed`; in a Sweep this increases by 1 from scene to scene.
     truth, color, device, precision, method, tolerance, frames, memory
-        As for `render`; `frames` of every scene.
+        As for `render`, for each scene.
 
     Returns
     -------
     iterator of (int, Frame)
-        Number of the scene and a frame of it: scene by scene, and where rays are shared frame by frame.
+        Number of a scene and one of its frames: scene by scene, but frame by frame if scenes share rays.
 
     Raises
     ------
@@ -178,8 +178,8 @@ def render_sweep(
 
     Notes
     -----
-    Where scenes that follow each other differ in nothing but the lens, rays are cast at their surfaces once for all of
-    them (at sub-pixels near silhouettes once for each). Validated: the same bits as from `render` for each scene
+    If consecutive scenes differ only in the lens, rays are cast at their surfaces once for all of them (at sub-pixels
+    near silhouettes once for each). Validated: the same bits as from `render` for each scene
     (tests/cli/test_sweep.py).
 
     Examples

@@ -47,7 +47,7 @@ class PsfStack:
     at : ndarray of float64, (places, 2)
         Column and row of the source in the frame, px.
     channels : tuple of str
-        "red", "green" and "blue"; "all", where all colors are blurred alike; or wavelengths, as "550 nm".
+        "red", "green" and "blue"; "all", if all colors blur equally; or wavelengths, as "550 nm".
     name : str
         Name of the pupil, and how it is evaluated on pixels.
     """

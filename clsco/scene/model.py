@@ -122,7 +122,7 @@ class Fill(Strict):
 
 
 class Stereo(Strict):
-    """A second camera: the scene's is the left one, and the right one is moved along x."""
+    """Right camera of a stereo pair, moved along x; the scene's camera is the left one."""
 
     baseline: Length
     """Distance of the right camera from the left one, mm."""
@@ -307,14 +307,16 @@ class Scene(Strict):
         return self
 
     def replace(self, path: str, value: Any) -> Self:
-        """The scene with another value of one key, without what contradicts it: "camera.f_number" removes an aperture.
+        """Copy with another value of one key, without keys that contradict it.
+
+        A new "camera.f_number", for example, removes `camera.aperture_diameter`.
 
         Parameters
         ----------
         path : str
             Key of the scene file, such as "camera.f_number" or "object.0.radius".
         value
-            Value of the key; tables as mappings, or as objects of this package.
+            Value of the key; a table as a mapping, or as an object of this package.
 
         Returns
         -------
@@ -323,11 +325,11 @@ class Scene(Strict):
         Raises
         ------
         SceneError
-            There is no such key, or the value cannot be.
+            The key does not exist, or the value is invalid.
 
         Notes
         -----
-        `model_copy(update=...)` of pydantic checks nothing, and leaves what was derived from the old value.
+        `model_copy(update=...)` of pydantic checks nothing, and keeps defaults that depend on the old value.
 
         Examples
         --------
@@ -382,8 +384,7 @@ class Scene(Strict):
 
     @property
     def zooms(self) -> bool:
-        """True if the size of the image changes: the focal length of the lens does, or the sensor distance that it
-        follows."""
+        """True if the magnification changes over time: the focal length does, or the sensor distance that sets it."""
         keys = () if self.lens is None else self.lens.keyframe or ()
         follows = isinstance(self.camera.normalization_distance, FollowedDistance)
         return any(key.focal_length is not None or (follows and key.focus_distance is not None) for key in keys)
