@@ -309,7 +309,7 @@ class Scene(Strict):
     def replace(self, path: str, value: Any) -> Self:
         """Copy with another value of one key, without keys that contradict it.
 
-        A new "camera.f_number", for example, removes `camera.aperture_diameter`.
+        A new "camera.f_number", for example, removes "camera.aperture_diameter".
 
         Parameters
         ----------
