@@ -31,7 +31,7 @@ def remake(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> list[str]:
-    """Make a data set again by what its card says, and compare.
+    """Make a data set again from its card, and compare the bytes.
 
     Parameters
     ----------
@@ -40,24 +40,24 @@ def remake(
     out : path, optional
         Folder or address of the new one; by default a temporary folder that is removed.
     distribution : path, mapping or callable, optional
-        As for `clsco.data.make`; by default the one on the card. A set of a function needs the function, as code of a
-        stranger's set is not run.
+        As for `clsco.data.make`; by default that of the card. If a function made the set, give the function, as code in
+        a set is never run.
     folder : path, optional
-        Folder in which the distribution file was, with its textures; by default the current one.
+        Folder of the distribution file's textures; by default the current one.
     devices, workers, progress
         As for `clsco.data.make`.
 
     Returns
     -------
     list of str
-        A line for each difference; none where all bytes are the same.
+        A line for each difference; empty if all bytes are the same.
 
     Raises
     ------
     SceneError
-        A function made the set, and none is given; or as `clsco.data.make`.
+        A function made the set, and `distribution` is missing; or as `clsco.data.make`.
     FileError
-        There is no set, or it is damaged.
+        The set does not exist, or is damaged.
 
     Examples
     --------

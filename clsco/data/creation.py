@@ -37,7 +37,7 @@ Progress = Callable[[int], AbstractContextManager[Callable[[int], object]]]
 
 
 class FailedSamplesError(ClscoError):
-    """More samples of a set failed than may; `status` says how far it is."""
+    """More samples of a set failed than allowed; `status` has the progress of the set."""
 
     def __init__(self, message: str, status: Status) -> None:
         super().__init__(message)
@@ -98,9 +98,9 @@ def make(
     Parameters
     ----------
     distribution : path, mapping or callable
-        A distribution file, the content of one, or a function `draw(rng, sample)` that gives the scene of a sample as
-        `clsco.render` takes it. It is handed a `numpy.random.Generator` of the seed and the number of the sample alone,
-        and must stand at the top of a module or script, as other processes import it.
+        A distribution file, its content, or a function `draw(rng, sample)` that returns the scene of a sample, as for
+        `clsco.render`. `rng` is a `numpy.random.Generator` seeded by `seed` and the number of the sample. Define the
+        function at the top of a module or script, as other processes import it.
     data : path
         Folder of the set, or an address like "s3://bucket/set".
     count : int
@@ -108,9 +108,9 @@ def make(
     seed : int
         0 to 2^63 - 1.
     truth : str or iterable of str
-        Names of the arrays besides color, as they are called in files.
+        Names of the arrays besides color, as in files.
     color : bool
-        False for these arrays alone: no image is made, which is most of the work.
+        True by default. False makes only the arrays of `truth`: the image, most of the work, is skipped.
     types : str or mapping
         Such as {"color": "float32"}, linear instead of codes of 16 bits, or "depth=float16".
     splits : str or mapping, optional
@@ -120,7 +120,7 @@ def make(
     shard_size : int
         Samples of a shard, which is one file.
     devices : str or sequence of str
-        Devices that render, by parts of their names, or "all" of the best kind; by default the best one.
+        Devices that render, as parts of their names, or "all" devices of the best kind; by default the best device.
     workers : int, optional
         Processes; by default one for each graphics card, or for each core of a processor.
     scheduler : str
@@ -128,21 +128,22 @@ def make(
     precision : {"double", "single"}, optional
         Precision of the geometry; by default double where the devices have it.
     resume : bool
-        Go on with the set in `data`.
+        Continue the set in `data`.
     only : range, optional
         Numbers of the samples, instead of `count`.
     part : (int, int), optional
-        (I, N): every N-th shard from I on alone, for array jobs.
+        (I, N): make only every N-th shard from I on, for array jobs.
     overrides : sequence of str
-        Keys and values as for `clsco.load_scene`, of a distribution that is no function.
+        Keys and values as for `clsco.load_scene`; not for a function.
     folder : path, optional
-        Start of the paths of textures, where the distribution is no file; by default the current folder.
+        Folder of relative paths of textures, unless the distribution is a file; by default the current folder.
     license : str
         Text for the data card.
     allow_failures : int
         Samples that may fail without an error.
     progress : callable, optional
-        Takes the number of samples to be made, and opens what takes numbers of samples that are done.
+        Called with the number of samples to make; returns a context manager of a function that takes the number of
+        samples just made.
 
     Returns
     -------
@@ -152,16 +153,16 @@ def make(
     Raises
     ------
     SceneError, DeviceError
-        For arguments that cannot be; nothing is written then.
+        An argument is invalid; nothing is written.
     FailedSamplesError
-        More samples failed than may. What was made stays, as after any error from here on, and may be resumed.
+        More than `allow_failures` samples failed. Finished shards stay, as after the next error, and can be resumed.
     ClscoError
         The set cannot be written, or devices fail.
 
     Notes
     -----
-    The same distribution, seed and version give the same bytes on devices of a family, whatever makes them. Processes
-    are spawned: a script that calls this does so under `if __name__ == "__main__":`.
+    The same distribution, seed and version give the same bytes on all devices of a family. Processes are spawned: call
+    this function under `if __name__ == "__main__":` in a script.
 
     Examples
     --------

@@ -73,8 +73,8 @@ class Record(Mapping[str, NDArray[Any]]):
         several variants "v01.color", of all three "v01.f0003.left.color". Images are codes, uint8 or uint16, or linear
         floats.
     meta : mapping
-        Content of its JSON: number, seed, split, attempts, version, parameters, scene, labels; `arrays`, by name dtype,
-        shape, unit, convention, of codes the transfer curve and the share of values that were `clipped`; and `frames`.
+        Content of its JSON: number, seed, split, attempts, version, parameters, scene, labels; `arrays`, with dtype,
+        shape, unit and convention of each, for codes also transfer curve and `clipped` share; and `frames`.
 
     Examples
     --------
@@ -177,7 +177,7 @@ class Record(Mapping[str, NDArray[Any]]):
         return decode(self[name], self.meta["arrays"][name].get("transfer", "linear")).astype(np.float32)
 
     def sha256(self) -> dict[str, str]:
-        """SHA-256 of each array's dtype, shape and bytes, whatever holds it."""
+        """SHA-256 of each array's dtype, shape and bytes, which do not depend on the format."""
         return {name: array_sha256(array) for name, array in self.arrays.items()}
 
 
