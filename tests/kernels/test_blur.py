@@ -25,7 +25,6 @@ from clsco.scene.model import Psf
 from tests.kernels.conftest import download_sources
 from tests.kernels.sources import (
     FIGURE,
-    PSFS,
     RNG,
     ROUNDING,
     SMOOTH,
@@ -34,12 +33,11 @@ from tests.kernels.sources import (
     blurred,
     features,
     light,
-    name_of,
     records,
     renormalized,
 )
 from tests.slow import combined, mostly_slow
-from tests.spreads import spec_of
+from tests.spreads import PSFS, name_of, spec_of
 
 
 @pytest.mark.parametrize("method", ["gather", "scatter"])

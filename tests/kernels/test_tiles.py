@@ -20,9 +20,9 @@ from clsco.reference.layered.layered import layered
 from clsco.scene.file import parse_scene
 from clsco.scene.model import Psf
 from tests.engine.test_defocus import reference as blurred_by_reference
-from tests.kernels.sources import FIGURE, PSFS, ROUNDING, assert_close, blurred, light
+from tests.kernels.sources import FIGURE, ROUNDING, assert_close, blurred, light
 from tests.slow import combined, mostly_slow
-from tests.spreads import spec_of
+from tests.spreads import PSFS, spec_of
 
 KEPT = [(PSFS[5], True)]
 
