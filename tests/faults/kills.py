@@ -198,7 +198,8 @@ class Trial:
 
     def check_parts(self) -> None:
         """No frame and no part of a set may name what is not whole."""
-        from clsco.data.sets import CARD, open_set, status_of
+        from clsco.data.card import CARD
+        from clsco.data.sets import open_set, status_of
         from clsco.data.storage import open_storage
         from clsco.frame.files import read_complete
 
