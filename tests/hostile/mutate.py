@@ -49,7 +49,7 @@ TOKENS: tuple[bytes, ...] = (
     b"[[object]]", b"[object]",
     b"[camera]", b"[[camera]]", b"object = 3\n", b"camera.camera.camera = 1\n", b"a" + b".a" * 99 + b" = 1\n",
     b"a" + b".a" * 200 + b" = 1\n",
-    b'"""', b"'''", b'"', b"'", b"\\", b"\\u0000", b"\\uD800", b"\\U00110000", b"\0", b"\x01", b"\x1b[2J", b"\x7f",
+    3 * b'"', b"'''", b'"', b"'", b"\\", b"\\u0000", b"\\uD800", b"\\U00110000", b"\0", b"\x01", b"\x1b[2J", b"\x7f",
     b"\xff", b"\xc3", b"\xed\xa0\x80",
     b"\xef\xbb\xbf", b"\r", b"\r\n", b"\n", b"=", b",", b".", b"#", b"[", b"]", b"{", b"}", b"1979-05-27T07:32:00Z",
     b"25:00:00", b"0000-00-00",

@@ -141,7 +141,7 @@ def copied(session: Session, array: Array) -> Any:
 def features(
     psf: Psf, channels: int, samples: int, largest: float = 0.0, aperture: Aperture | None = None
 ) -> dict[str, int]:
-    """All kernels in one program, so that few have to be compiled; tests/architecture builds them one by one."""
+    """All kernels in one program, so that few have to be compiled; test_programs_build.py builds them one by one."""
     spec = spec_of(psf, largest, aperture=aperture, subpixels=samples, border="lose")
     kernels = spread.blur_features(spec, channels, True, "wide")
     return kernels | dict.fromkeys(("GATHER", "SCATTER", "RENORMALIZE", "PREPARE"), 1)
