@@ -126,7 +126,7 @@ class Uniform(Form):
 
     @classmethod
     def parse(cls, table: Table, _: FormContext) -> Form:
-        """Of a table of the file. Raises RefusedError."""
+        """Read a table of the file. Raises RefusedError."""
         return cls(_size(table), *_at("uniform", table, _range))
 
     def _numbers(self, words: Words) -> NDArray[Any]:

@@ -194,7 +194,7 @@ def search(item: AnyShape, pose: Pose, rest: Array, ray: Array) -> float:
 @pytest.mark.parametrize("name", SHAPES)
 @pytest.mark.parametrize("time", [0.0, 0.4])
 def test_depths_are_what_a_search_finds(name: str, time: float) -> None:
-    """Those that the plan predicts, and those of the reference."""
+    """Depths that the plan predicts, and those of the reference."""
     item = SHAPES[name]
     pose = pose_at(MOTION, time, "euler")
     surface: PlacedSurface = place(item, pose)
