@@ -141,7 +141,7 @@ def _blur_noted(launched: list[str], blur: Any) -> Any:
 
 def test_what_is_kept_is_bounded() -> None:
     with Live(keep="400kB") as live:
-        for distance in np.linspace(230.0, 330.0, 8):
+        for distance in np.linspace(230.0, 330.0, 4):
             live.render(SCENES["moving"].replace("object[1].distance", float(distance + 60)))
             assert live.session.cache.bytes <= 400_000
             assert live.files.cache.bytes <= 400_000

@@ -127,7 +127,9 @@ def test_a_session_can_build_whatever_the_processor(session: Session) -> None:
 
 
 @pytest.mark.skipif(pocl_cpu.known_name(pocl_cpu._flags()) is None, reason="no name of PoCL's fits this processor")
-@pytest.mark.parametrize(("asked", "lines"), [({}, 1), ({pocl_cpu.VARIABLE: "1"}, 0)])
+@pytest.mark.parametrize(
+    ("asked", "lines"), [({}, 1), pytest.param({pocl_cpu.VARIABLE: "1"}, 0, marks=pytest.mark.slow)]
+)
 def test_pocl_builds_for_a_processor_that_it_does_not_know(
     session: Session, tmp_path: Path, asked: dict[str, str], lines: int
 ) -> None:

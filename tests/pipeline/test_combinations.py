@@ -16,9 +16,8 @@ from clsco.scene.model import Scene
 from tests.kernels.test_pupils import heart
 from tests.pipeline.test_strips import memory_for
 from tests.scenes import reference_frames, rendered, scene_from
-from tests.slow import mostly_slow
 
-COUNT, SOME = 60, (3,)  # of the scenes; those that `make test` looks at
+COUNT = 60  # of the scenes
 FIGURE = 1e-5  # of white
 ROOM = 1 << 20  # bytes for a plan that has to be widened
 ON_EDGES = 0.01  # pixels by edges without sub-pixel sources, which in single precision are on the other side in places
@@ -167,7 +166,8 @@ def limit_of(wanted: Scene) -> float:
     return 4 * FIGURE if wanted.psf.border == "renormalize" else FIGURE
 
 
-@pytest.mark.parametrize("number", mostly_slow(range(COUNT), SOME))
+@pytest.mark.slow
+@pytest.mark.parametrize("number", range(COUNT))
 def test_device_against_reference(number: int) -> None:
     """Every output, by each method in turn, in both precisions."""
     wanted = drawn(number)

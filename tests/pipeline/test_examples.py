@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -33,74 +34,9 @@ SMALL_SEVERAL = (*SMALL[:2], "camera.aperture_diameter=20.0")
 LENSES = {"lens_fast_prime", "lens_coded_aperture", "lens_heart", "microscope_objective", "phone_camera", "star_field"}
 # A few sub-frames, which take the reference seconds each.
 BRIEF = dict.fromkeys(("rolling_fan", "rolling_train"), ("sequence.readout=0.004", "sequence.samples=1"))
-# What takes the reference many seconds, and is looked at in parts by tests/pipeline/test_occlusion.py.
-LONG = {
-    f"occlusion_{stem}"
-    for stem in (
-        "passing",
-        "tube",
-        "sharp_near",
-        "sharp_far",
-        "interpenetrating",
-        "three",
-        "wire",
-        "ground",
-        "card",
-        "near_sphere",
-    )
-}
-LONG |= {
-    "bowl",
-    "tube",
-    "focal_stack",
-    "camera_motion",
-    "sphere_moving",
-    "stereo",
-    "cart",
-    "cone_turning",
-    "sphere_turning",
-    "cylinder_turning",
-}
-# Shapes and PSFs that the scatter method, tests of kernels and the stability report look at, and figures with them.
-LONG |= {
-    "cylinder",
-    "cone",
-    "saddle",
-    "plane_tilted",
-    "plane_tilted_both",
-    "plane_gaussian",
-    "road",
-    "fig_3_04_right",
-    "fig_3_05_right",
-    "fig_3_08_right",
-}
-LONG |= {"fig_3_15_right", "fig_4_03", "fig_4_06", "fig_4_17", "fig_4_19", "chromatic_ruler", "plane_approaching"}
-LONG |= {"rolling_fan", "rolling_train"}  # see tests/pipeline/test_rolling_shutter.py and test_line_truth.py
-LONG |= {"vignetted"}  # see tests/pipeline/test_real_lens.py
-LONG |= {"background"}  # see tests/pipeline/test_background.py
-LONG |= {"night"}  # see tests/pipeline/test_sensor.py
-LONG |= {"focus_pull", "hand_held"}  # see tests/pipeline/test_lens_path.py and test_keyframes.py
-LONG |= {"dolly_zoom"}  # see tests/pipeline/test_zoom.py
-LONG |= {"wide_angle"}  # see tests/pipeline/test_distortion.py
-LONG |= {"disc"}  # see tests/pipeline/test_rotated.py
-LONG |= {"lens_fast_prime", "lens_coded_aperture", "lens_heart"}  # see tests/pipeline/test_apertures.py
-LONG |= {"lit"}  # see tests/pipeline/test_surface_textures.py and test_light.py
-LONG |= {"card", "ellipsoid"}  # see tests/pipeline/test_occlusion.py
-LONG |= {"microscope_objective", "newtonian", "phone_camera", "star_field"}  # see tests/pipeline/test_waves.py
-LONG |= {"slide_upside_down", "tilted_mirror"}  # see there
-LONG |= {"plane_moving", "plane_turning"}  # as plane_approaching moves
-# Figures of the thesis that vary others by their numbers alone.
-LONG |= {
-    f"fig_{number}" for number in ("3_04_left", "3_05_left", "3_08_left", "3_12_left", "3_15_left", "4_02", "4_14")
-}
-LONG |= {f"fig_{number}" for number in ("3_03", "4_08", "4_09", "4_10", "4_11", "4_12", "4_18")} | {"section_4_3_3"}
-LONG |= {f"fig_{number}" for number in ("3_09_a", "3_09_b", "3_09_c", "3_13_a", "3_13_b", "4_13", "4_15", "3_17_left")}
-SINGLE = ("quadric",)
+# Of each way to make a frame one; the reference takes many seconds for some of the others.
+QUICK = {"depth_map", "siemens_star", "plane_defocused", "quadric", "fig_3_12_right", "thesis_pipeline"}
 SEVERAL = ("cone_turning", "cylinder_turning", "plane_gaussian", "quadric", "road", "fig_3_12_right")
-
-
-def name(path: Path) -> str:
-    return path.stem
 
 
 @pytest.fixture(scope="module")
@@ -144,9 +80,11 @@ def worst(frames: list[Frame], exacts: tuple[Frame, ...]) -> list[Difference]:
     return [found for pair in zip(frames, exacts, strict=True) for found in compare(*pair)]
 
 
-@pytest.mark.parametrize(
-    "path", [pytest.param(p, marks=[pytest.mark.slow] * (p.stem in LONG)) for p in PATHS], ids=name
-)
+def paths(kept: Collection[str]) -> list[Any]:
+    return [pytest.param(path, marks=[pytest.mark.slow] * (path.stem not in kept), id=path.stem) for path in PATHS]
+
+
+@pytest.mark.parametrize("path", paths(QUICK))
 def test_every_output_agrees_in_double_precision(path: Path, small: Small, exact: Exact) -> None:
     # Geometry is the same arithmetic in float64, and a hit or a miss is decided alike; color is summed in
     # float32 from at most a few hundred weights, each good to 6e-8, of PSF tables good to 1e-6 of their sum.
@@ -159,7 +97,7 @@ def test_every_output_agrees_in_double_precision(path: Path, small: Small, exact
 @pytest.mark.parametrize("method", ["gather", "scatter", "convolve"])
 def test_methods_agree_where_they_can_do_the_scene(method: str, small: Small, exact: Exact) -> None:
     # Each adds the same weights in another order: float32 in a row, fixed point, or one PSF for all pixels.
-    path = EXAMPLES / "plane_approaching.toml"
+    path = EXAMPLES / "plane_defocused.toml"
     frames = list(clsco.render(small(path), method=method))
     assert frames[0].metadata["blur_method"] == method
     assert [found for found in worst(frames, exact(path)) if not found.agrees] == []
@@ -175,11 +113,7 @@ def test_scatter_agrees(stem: str, small: Small, exact: Exact) -> None:
         assert color.count == 0, color
 
 
-@pytest.mark.parametrize(
-    "path",
-    [pytest.param(p, marks=[pytest.mark.slow] * (p.stem not in SINGLE)) for p in PATHS],
-    ids=name,
-)
+@pytest.mark.parametrize("path", paths({"quadric"}))
 def test_every_output_agrees_in_single_precision(path: Path, small: Small, exact: Exact) -> None:
     frames = list(clsco.render(small(path), precision="single"))
     assert frames[0].metadata["precision"] == "single"

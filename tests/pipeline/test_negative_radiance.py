@@ -18,7 +18,7 @@ from clsco.files.depth_codes import pfm_bytes
 from clsco.files.images import read_image, write_exr_image, write_png
 from clsco.inputs.textures import load_texture
 from tests.scenes import assert_agree, reference_frames, rendered, scene_from
-from tests.slow import mostly_slow
+from tests.slow import combined
 
 Array = NDArray[Any]
 RINGING = (np.random.default_rng(8).random((24, 32, 3)) * 1.4 - 0.3).astype(np.float32)
@@ -51,9 +51,13 @@ def test_every_float_file_may_hold_it(tmp_path: Path, suffix: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "method", mostly_slow(["gather", "scatter", "tiles", "convolve"], ["gather", "scatter", "convolve"])
+    ("method", "occlusion"),
+    combined(
+        ("gather", "scatter", "tiles", "convolve"),
+        ("none", "layered"),
+        kept=[("gather", "layered"), ("scatter", "none"), ("convolve", "none")],
+    ),
 )
-@pytest.mark.parametrize("occlusion", ["none", "layered"])
 def test_blur_is_linear_below_0_as_well(method: str, occlusion: str) -> None:
     """That of a difference is the difference of two: of what is never below 0."""
     radius = np.full((24, 32), 5.0) if method == "convolve" else np.linspace(-6, 6, 24 * 32).reshape(24, 32)
@@ -81,10 +85,10 @@ FORWARD: Any = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", [
-    pytest.param(walls(), marks=pytest.mark.slow), walls(psf={"occlusion": "layered"}),
-    pytest.param(scene_from(FORWARD | {"fill": {"method": "ait"}}), marks=pytest.mark.slow),
-    pytest.param(scene_from(FORWARD | {"fill": {"method": "mean_median"}}), marks=pytest.mark.slow),
+    walls(), walls(psf={"occlusion": "layered"}), scene_from(FORWARD | {"fill": {"method": "ait"}}),
+    scene_from(FORWARD | {"fill": {"method": "mean_median"}}),
 ], ids=["visibility", "layered", "ait", "mean and median"])  # fmt: skip
 def test_scenes_agree_with_the_reference(scene: clsco.Scene) -> None:
     frames = rendered(scene)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import permutations
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ from clsco.files.images import write_png
 from clsco.frame.frame import Frame
 from clsco.plan.plan import make_plan
 from clsco.scene.model import Scene
+from tests.pipeline.common import PLAIN
 from tests.scenes import scene_from
 from tests.slow import mostly_slow
 
@@ -30,8 +30,6 @@ TUBE = {"shape": "cylinder", "center": [6.0, 3.0, 220.0], "radius": 10.0, "axis"
 TUBE |= {"bounds": [[-60.0, 60.0], [-60.0, 60.0], [-25.0, 25.0]], "texture": "bricks"}
 WALL = {"shape": "plane", "distance": 380.0, "texture": "checkerboard"}
 GOING = {"velocity": [6.0, -4.0, 12.0], "angular_velocity": [5.0, 20.0, -10.0]}
-# Where something else than the PSF is looked at, or the blurred image is not: compiled in a third of the time.
-PLAIN = {"silhouette_samples": 1, "tilt": False, "edge": "sampled"}
 TRUTH_ONLY = {**PLAIN, "occlusion": "none"}
 SCENES: dict[str, dict[str, Any]] = {
     "row": {"object": [BALL, COLUMN, WALL]},
@@ -39,19 +37,17 @@ SCENES: dict[str, dict[str, Any]] = {
     "card in a ball, area": {"object": [BALL | {"center": [0.0, 0.0, 205.0]}, CARD, WALL], "psf": {"edge": "area"}},
     "row, sampled": {"object": [BALL, COLUMN, WALL], "psf": {"edge": "sampled", "silhouette_samples": 2}},
     "tube": {"object": [TUBE, WALL], "psf": {"silhouette_samples": 2}},
-    "no tilt, no silhouettes": {"object": [BALL, CARD, WALL], "psf": {"tilt": False, "silhouette_samples": 1}},
     "renormalize": {
         "object": [BALL | {"center": [0.0, 0.0, 205.0]}, CARD, WALL],
         "psf": {"border": "renormalize", "silhouette_samples": 2},
     },
     "bowl": {"object": [BALL | {"bounds": [[-30.0, 30.0], [-30.0, 30.0], [-3.0, 30.0]]}]},
     "moving": {"object": [BALL | {"motion": GOING}, COLUMN, WALL], "sequence": {"samples": 2}},
-    "camera": {"object": [BALL, CARD, WALL], "sequence": {"samples": 2}, "camera": CAMERA | {"motion": GOING}},
 }
 VARIANTS = [(name, "visibility") for name in SCENES]
 VARIANTS += [(name, "layered") for name in ("card, gaussian", "moving", "renormalize", "bowl")]
-VARIANTS += [(name, "none") for name in ("row", "camera")]
-SOME = [("row, sampled", "visibility"), ("bowl", "layered")]
+VARIANTS += [("row", "none")]
+SOME = [("row, sampled", "visibility")]
 
 
 def scene(sections: dict[str, Any], **psf: Any) -> Scene:
@@ -77,41 +73,28 @@ def test_device_against_reference(name: str, occlusion: str) -> None:
         assert [found for found in compare(frame, exact) if found.count] == []
 
 
-@pytest.mark.slow
-def test_blur_of_many_vectors_behind_a_ball() -> None:
-    """Rows of taps longer than what is decided about at once: gather, which does so, and scatter give the same."""
-    camera = CAMERA | {"resolution": [12, 9], "aperture_diameter": 200.0}
-    items = [BALL | {"center": [0.0, 3.0, 300.0], "radius": 6.0}, WALL | {"distance": 420.0}]
-    wanted = scene({"camera": camera, "object": items}, edge="sampled", tilt=False, silhouette_samples=2)
-    assert make_plan(wanted, 1).largest_blur > 4 * 8
-    gathered, scattered = (image(wanted, method=method).color for method in ("gather", "scatter"))
-    np.testing.assert_allclose(gathered, scattered, rtol=0, atol=1.5e-6)
-
-
 WIDE = CAMERA | {"resolution": [56, 70], "aperture_diameter": 130.0}
 SMALL = BALL | {"center": [-3.0, 4.0, 300.0], "radius": 5.0}
 POST = {"shape": "cylinder", "center": [9.0, 0.0, 290.0], "radius": 3.0, "axis": [0.2, 1.0, 0.0]}
 CAN = POST | {"bounds": [[-30.0, 30.0], [-6.0, 9.0], [-30.0, 30.0]], "texture": "bricks"}
 SIGN = {"shape": "rectangle", "center": [2.0, -6.0, 280.0], "size": [14.0, 8.0], "rotation": [10.0, 30.0, 20.0]}
 SLOPE = WALL | {"slope_x": 0.6, "slope_y": -0.4}
-HOLE = {"shape": "disc", "center": [-4.0, 2.0, 285.0], "radius": 6.0, "rotation": [40.0, 10.0, 0.0]}
 SPANS: dict[str, dict[str, Any]] = {
     "all": {"object": [SMALL, CAN, SIGN, WALL], "psf": {"silhouette_samples": 2}},
-    "tilted wall": {"object": [SMALL, HOLE, SLOPE]},
     "wire": {"object": [POST | {"radius": 0.2}, SLOPE]},
-    "nested and touching": {"object": [CAN, SMALL | {"center": [9.0, 0.0, 290.0], "radius": 3.0}, SIGN, WALL]},
     "hexagon": {"object": [SMALL, CAN, SLOPE], "aperture": {"shape": "polygon", "blades": 6, "rotation": 11.0}},
-    "ring": {"object": [SIGN, WALL], "aperture": {"shape": "ring", "obstruction": 0.4}},
     "sampled": {"object": [SMALL, SIGN, SLOPE], "psf": {"edge": "sampled", "silhouette_samples": 2}},
-    "area": {"object": [SMALL, CAN, SLOPE], "psf": {"edge": "area", "silhouette_samples": 3}},
+    # Rows of taps longer than what is decided about at once.
+    "widest": {"object": [SMALL, WALL], "camera": WIDE | {"resolution": [12, 9], "aperture_diameter": 200.0}},
 }
 
 
-@pytest.mark.parametrize("name", mostly_slow(list(SPANS), []))
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SPANS)
 def test_runs_of_taps_give_the_sum_of_taps(name: str) -> None:
     """Wide blur behind several occluders, in two bands of rows: by runs between edges, and tap by tap (scatter)."""
     wanted = scene({"camera": WIDE} | SPANS[name])
-    assert make_plan(wanted, 1).largest_blur > 24
+    assert make_plan(wanted, 1).largest_blur > (32 if name == "widest" else 24)
     gathered, scattered = (image(wanted, method=method).color for method in ("gather", "scatter"))
     assert np.ptp(gathered) > 0.03
     np.testing.assert_allclose(gathered, scattered, rtol=0, atol=3e-6)
@@ -123,63 +106,6 @@ def test_an_occluder_that_covers_everything_or_nothing(x: float, share: float) -
     card = {"shape": "rectangle", "center": [x, 0.0, 270.0], "size": [400.0, 400.0], "texture": "#000000"}
     wanted, alone = (scene({"camera": WIDE, "object": items}) for items in ([card, WALL], [WALL]))
     np.testing.assert_allclose(image(wanted).color, share * image(alone).color, rtol=0, atol=1e-6)
-
-
-@pytest.mark.slow
-def test_colors_in_several_bands(tmp_path: Path) -> None:
-    """Gather and scatter give the same of a wall in focus, and of one so steep that light ends at 0; a ball passes."""
-    write_png(tmp_path / "color.png", np.random.default_rng(5).integers(0, 256, (44, 60, 3)).astype(np.uint8))
-    painted = {"texture": str(tmp_path / "color.png")}
-    ball = BALL | painted | {"center": [-4.0, 3.0, 160.0], "radius": 8.0, "motion": {"velocity": [1.0, 0.0, 0.0]}}
-    camera = CAMERA | {"resolution": [40, 80], "aperture_diameter": 60.0}
-    for wall in ({"distance": 250.0}, {"distance": 300.0, "slope_x": 6.0}):
-        items = [ball, {"shape": "plane"} | wall | painted]
-        sections = {"camera": camera, "object": items, "sequence": {"samples": 2}}
-        wanted = scene(sections, edge="sampled", silhouette_samples=3)
-        gathered, scattered = (image(wanted, method=method).color for method in ("gather", "scatter"))
-        assert np.ptp(scattered) > 0.5
-        np.testing.assert_allclose(gathered, scattered, rtol=0, atol=1.5e-6)
-
-
-@pytest.mark.slow
-def test_color_textures(tmp_path: Path) -> None:
-    """Gray and color together, one texture for two objects."""
-    codes = np.random.default_rng(5).integers(0, 256, (44, 60, 3)).astype(np.uint8)
-    codes[..., 2] //= 3
-    write_png(tmp_path / "color.png", codes)
-    painted = {"texture": str(tmp_path / "color.png")}
-    wanted = scene({"object": [BALL | painted, COLUMN, WALL | painted]})
-    (exact,) = reference.render(wanted)
-    frame = image(wanted)
-    assert frame.color.shape == (44, 60, 3)
-    assert [found for found in compare(frame, exact) if found.count] == []
-    assert frame.color[..., 0].mean() > 1.3 * frame.color[..., 2].mean()
-
-
-@pytest.mark.slow
-def test_occlusion_is_seen() -> None:
-    """The three kinds differ where they should: around the near ball, by several steps of 8 bits."""
-    frames = {kind: image(scene(SCENES["row"], occlusion=kind)).color for kind in ("visibility", "layered", "none")}
-    for one, other in permutations(frames.values(), 2):
-        assert np.abs(one - other).max() > 0.04
-    # Layers know nothing of what is behind the ball, but are nearer to the truth than no occlusion is.
-    error = {kind: np.sqrt(np.mean((frames[kind] - frames["visibility"]) ** 2)) for kind in ("layered", "none")}
-    assert error["layered"] < 0.7 * error["none"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("method", ["gather", "scatter"])
-@pytest.mark.parametrize("name", ["row", "row, sampled", "card in a ball, area", "tube"])
-def test_order_in_the_file_does_not_matter(name: str, method: str) -> None:
-    items = SCENES[name]["object"]
-    first = image(scene(SCENES[name]), method=method, truth=("depth",))
-    for order in list(permutations(range(len(items))))[1:]:
-        wanted = scene(SCENES[name] | {"object": [items[k] for k in order]})
-        other = image(wanted, method=method, truth=("depth",))
-        # Sums of some hundred float32 in another order: as a random walk below 1e-6.
-        np.testing.assert_allclose(other.color, first.color, rtol=0, atol=1e-6)
-        assert other.depth is not None
-        np.testing.assert_array_equal(other.depth, first.depth)
 
 
 @pytest.mark.slow
@@ -278,8 +204,8 @@ def test_white_is_not_white_without_occlusion(tmp_path: Path) -> None:
 
 def test_every_pixel_belongs_to_the_nearest_object() -> None:
     items = SCENES["row"]["object"]
-    whole = image(scene(SCENES["row"], **TRUTH_ONLY))
-    alone = [image(scene({"object": [item]}, **TRUTH_ONLY), method="gather") for item in items]
+    whole = image(scene(SCENES["row"], **TRUTH_ONLY), color=False)
+    alone = [image(scene({"object": [item]}, **TRUTH_ONLY), color=False) for item in items]
     assert whole.object_id is not None
     assert set(np.unique(whole.object_id)) == {0, 1, 2}
     depths = np.stack([frame.depth for frame in alone if frame.depth is not None])
@@ -288,49 +214,6 @@ def test_every_pixel_belongs_to_the_nearest_object() -> None:
         planes = np.stack([getattr(frame, name) for frame in alone])
         row, column = np.indices(whole.object_id.shape)
         np.testing.assert_array_equal(getattr(whole, name), planes[whole.object_id, row, column])
-
-
-def test_nothing_has_no_object() -> None:
-    frame = image(scene({"object": [BALL, COLUMN]}, **TRUTH_ONLY))
-    assert frame.object_id is not None
-    assert frame.mask is not None
-    assert (frame.object_id == -1).any()
-    np.testing.assert_array_equal(frame.object_id == -1, ~frame.mask)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("warp", ["inverse", "forward"])
-def test_each_object_flows_by_itself(warp: str) -> None:
-    """The ball goes 10 mm to the right before the wall stands still: by 10 s0 / (p Z) px each pixel of it."""
-    going = {"motion": {"velocity": [10.0, 0.0, 0.0]}}
-    wanted = scene(
-        {"object": [WALL, CARD | {"slope_x": 0.0} | going], "motion": {"warp": warp}, "sequence": {"samples": 3}},
-        **TRUTH_ONLY,
-    )
-    frame = image(wanted)
-    assert frame.flow is not None
-    assert frame.object_id is not None
-    card = frame.object_id == 1
-    assert 0.1 < card.mean() < 0.9
-    # float32 of up to 13 px, of columns up to 60.
-    np.testing.assert_allclose(
-        frame.flow[card], np.broadcast_to([10.0 * 20.0 / (0.08 * 200.0), 0.0], (card.sum(), 2)), atol=1e-5
-    )
-    np.testing.assert_allclose(frame.flow[~card], 0.0, atol=1e-5)
-
-
-@pytest.mark.slow
-def test_a_moving_camera_is_everything_moving_the_other_way() -> None:
-    """Turned about the lens, and moved, against objects that do the opposite: the same image and truth."""
-    velocity = (7.0, -5.0, 9.0)
-    forth = scene(SCENES["row"] | {"camera": CAMERA | {"motion": {"velocity": velocity}}, "sequence": {"samples": 3}})
-    back = {"motion": {"velocity": [-v for v in velocity]}}
-    items = [item | back for item in SCENES["row"]["object"]]
-    wanted = scene({"object": items, "sequence": {"samples": 3}})
-    found, expected = image(forth), image(wanted)
-    assert np.abs(found.color - image(scene(SCENES["row"])).color).max() > 0.1
-    for name in ("color", "depth", "flow", "object_id", "normal", "hidden"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 
 
 @pytest.mark.slow

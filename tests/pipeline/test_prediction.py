@@ -52,7 +52,7 @@ CROSSING: dict[str, Any] = {
 }
 
 
-@pytest.mark.parametrize("number", [0, 1])
+@pytest.mark.parametrize("number", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_objects_that_are_not_where_they_were_predicted(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
     """A plan that takes the ball for far, or the wall for near, has no occluders of the wall: it is made again."""
     scene = parse_scene(CROSSING)

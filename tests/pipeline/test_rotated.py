@@ -11,12 +11,10 @@ import pytest
 import clsco
 from clsco.frame.frame import TRUTH_NAMES
 from clsco.scene.model import Scene
+from tests.pipeline.common import CAMERA, PLAIN
 from tests.scenes import assert_agree, plan_of, reference_frames, rendered, scene_from
 from tests.slow import mostly_slow
 
-CAMERA = {"resolution": [48, 36], "pixel_pitch": 0.1, "aperture_diameter": 20.0, "focus_distance": 250.0}
-# Where the blurred image is not looked at: compiled in a third of the time.
-PLAIN = {"silhouette_samples": 1, "tilt": False, "edge": "sampled"}
 ANY = [35.0, -50.0, 110.0]
 GOING = {"velocity": [6.0, -4.0, 12.0], "angular_velocity": [5.0, 20.0, -10.0]}
 WALL = {"shape": "plane", "distance": 380.0, "texture": "checkerboard", "rotation": [0.0, 0.0, 30.0]}
@@ -26,15 +24,6 @@ CARD = {"shape": "plane", "distance": 240.0, "bounds": [[-22.0, 18.0], [-9.0, 14
 CARD |= {"rotation": {"axis": [1.0, 2.0, -0.5], "angle": 40.0}, "texture": "siemens_star"}
 HAT = {"shape": "cone", "apex": [3.0, 12.0, 240.0], "half_angle": 25.0, "rotation": [-70.0, 20.0, 10.0]}
 HAT |= {"bounds": [[-30.0, 30.0], [-30.0, 30.0], [0.0, 30.0]]}
-TUBE = {
-    "shape": "cylinder",
-    "center": [4.0, 0.0, 250.0],
-    "radius": 12.0,
-    "rotation": {"quaternion": [0.9, 0.4, 0.1, 0.3]},
-}
-TUBE |= {"bounds": [[-20.0, 20.0], [-18.0, 18.0], [-20.0, 20.0]]}
-SADDLE = {"shape": "quadric", "coefficients": [1, -1, 0, 0, 0, 0, 0, 0, -40, 0], "center": [0.0, 0.0, 260.0]}
-SADDLE |= {"rotation": [15.0, -20.0, 70.0]}
 SHEET = {"shape": "rectangle", "center": [-4.0, 3.0, 255.0], "size": [26.0, 18.0], "rotation": [40.0, 30.0, 20.0]}
 COIN = {"shape": "disc", "center": [-4.0, 3.0, 235.0], "radius": 12.0, "rotation": [40.0, 30.0, 20.0]}
 CRATE = {"shape": "box", "center": [2.0, -3.0, 262.0], "size": [24.0, 18.0, 20.0], "rotation": [25.0, 35.0, 10.0]}
@@ -43,41 +32,19 @@ SCENES: dict[str, Scene] = {
     "card": scene(CARD),
     "hat": scene(HAT, WALL, psf={"silhouette_samples": 2}),
     "half egg behind a card": scene(CARD, HALF_EGG, WALL, psf={"silhouette_samples": 2}),
-    "tube": scene(TUBE, WALL, psf=PLAIN),
-    "saddle": scene(SADDLE, psf=PLAIN),
     "moving": scene(HALF_EGG | {"motion": GOING}, psf=PLAIN, sequence={"samples": 2}),
-    "moving, several": scene(
-        CARD | {"motion": GOING}, HAT | {"motion": GOING}, WALL, psf=PLAIN, sequence={"samples": 2}
-    ),
     "forward": scene(HALF_EGG | {"motion": GOING}, psf=PLAIN, sequence={"samples": 2}, motion={"warp": "forward"}),
-    "forward, several": scene(
-        CARD | {"motion": GOING}, EGG, WALL, psf=PLAIN, sequence={"samples": 2}, motion={"warp": "forward"}
-    ),
-    "rectangles": scene(SHEET, SHEET | {"center": [6.0, -4.0, 290.0], "texture": "siemens_star"}, WALL),
-    "disc": scene(COIN),
-    "discs": scene(COIN, EGG, COIN | {"center": [6.0, -4.0, 290.0], "texture": "siemens_star"}, WALL),
     "disc, mapped": scene(COIN | {"texture_mapping": "surface", "texture": "siemens_star"}, WALL, psf=PLAIN),
     "disc, moving": scene(COIN | {"motion": GOING}, WALL, psf=PLAIN, sequence={"samples": 2}),
-    "disc, forward": scene(
-        COIN | {"motion": GOING}, WALL, psf=PLAIN, sequence={"samples": 2}, motion={"warp": "forward"}
-    ),
     "box": scene(CRATE, WALL, psf={"silhouette_samples": 2}),
-    "box, moving": scene(CRATE | {"motion": GOING}, WALL, psf=PLAIN, sequence={"samples": 2}),
-    "layered": scene(CARD, WALL, psf=PLAIN | {"occlusion": "layered"}),
     "stereo": scene(CARD, EGG, psf=PLAIN, stereo={"baseline": 20.0, "toe_in": 1.0}),
 }
-SOME = ("disc", "moving")
+SOME = ("disc, moving", "moving")
 
 
 @pytest.mark.parametrize("name", mostly_slow(SCENES, SOME))
 def test_device_against_reference(name: str) -> None:
     assert_agree(rendered(SCENES[name], precision="double"), reference_frames(SCENES[name]))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", SCENES)
-def test_single_precision_against_reference(name: str) -> None:
-    assert_agree(rendered(SCENES[name], precision="single"), reference_frames(SCENES[name]))
 
 
 def test_a_rectangle_has_the_bits_of_a_card() -> None:
@@ -91,11 +58,11 @@ def test_a_rectangle_has_the_bits_of_a_card() -> None:
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 
 
-@pytest.mark.parametrize("motion", [{}, {"velocity": [6.0, -4.0, 12.0], "angular_velocity": [0.0, 20.0, 0.0]}])
-def test_a_card_upside_down_shows_the_same_texture(motion: dict[str, Any]) -> None:
+def test_a_card_upside_down_shows_the_same_texture() -> None:
     """The texture is the image of the rotated object: half a turn of a symmetric card about z changes nothing."""
+    motion = {"velocity": [6.0, -4.0, 12.0], "angular_velocity": [0.0, 20.0, 0.0]}
     card = CARD | {"bounds": [[-20.0, 20.0], [-9.0, 9.0], [-1.0, 1.0]], "motion": motion}
-    options: dict[str, Any] = {"psf": PLAIN, "sequence": {"samples": 3}}
+    options: dict[str, Any] = {"psf": PLAIN, "sequence": {"samples": 2}}
     (straight,) = rendered(scene(card | {"rotation": [0.0, 0.0, 0.0]}, **options))
     (turned,) = rendered(scene(card | {"rotation": [0.0, 0.0, 180.0]}, **options))
     (plain,) = rendered(scene({k: v for k, v in card.items() if k != "rotation"}, **options))

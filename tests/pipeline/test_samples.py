@@ -12,13 +12,12 @@ from clsco import reference
 from clsco.engine.renderer import Renderer
 from clsco.frame.channels import exr_channels
 from clsco.frame.frame import Frame
-from clsco.opencl.device import choose
 from clsco.passes.warp import ForwardWarp
-from clsco.plan.memory import device_bytes
 from clsco.plan.prepare import prepare
 from clsco.plan.request import Request
 from clsco.scene.model import Scene
-from tests.pipeline.test_scenes import BALL, GOING, PLAIN
+from tests.pipeline.common import PLAIN, assert_strips_agree
+from tests.pipeline.test_scenes import BALL, GOING
 from tests.scenes import scene_from
 from tests.slow import mostly_slow
 
@@ -142,30 +141,39 @@ def test_who_does_not_ask_for_them_pays_nothing(monkeypatch: pytest.MonkeyPatch)
     assert with_them.taps == without.taps > 0
 
 
-@pytest.mark.parametrize("truth", [("subframes",), pytest.param(("subframes", "alpha"), marks=pytest.mark.slow)])
-def test_in_strips(truth: tuple[str, ...]) -> None:
-    high = CAMERA | {"resolution": [56, 200]}
-    wanted = scene({"camera": high, "sequence": TIMES | {"frames": 1}}, MOVING, NEAR)
-    (whole,) = rendered(wanted, *truth)
-    (tight,) = rendered(wanted, *truth, memory=device_bytes(prepare(wanted, Request(truth), choose()).plan) - 1)
-    assert tight.metadata["strips"] > whole.metadata["strips"] == 1
+@pytest.mark.parametrize("occlusion", mostly_slow(["visibility", "layered"], ["visibility"]))
+def test_in_strips(occlusion: str) -> None:
+    """With layers too, which are those of the whole frame."""
+    high = {"camera": CAMERA | {"resolution": [56, 100]}, "psf": PLAIN | {"occlusion": occlusion}}
+    whole = assert_strips_agree(scene(high | {"sequence": TIMES | {"frames": 1}}, MOVING, NEAR), ("alpha", "subframes"))
     assert whole.subframes is not None
-    assert whole.subframes.shape == (3, 200, 56, 3)
-    np.testing.assert_array_equal(tight.subframes, whole.subframes)
+    assert whole.subframes.shape == (3, 100, 56, 3)
 
 
-@pytest.mark.slow
-def test_layered_occlusion_in_strips() -> None:
-    """Depth layers of a time sample are those of the whole frame."""
-    high = CAMERA | {"resolution": [56, 200]}
-    layered = {"psf": PLAIN | {"occlusion": "layered"}, "sequence": TIMES | {"frames": 1}}
-    wanted = scene({"camera": high} | layered, MOVING, NEAR)
-    (whole,) = rendered(wanted, "subframes")
-    (tight,) = rendered(
-        wanted, "subframes", memory=device_bytes(prepare(wanted, Request(("subframes",)), choose()).plan) - 1
-    )
-    assert tight.metadata["strips"] > 1
-    np.testing.assert_array_equal(tight.subframes, whole.subframes)
+def test_a_shutter_with_a_curve_is_the_weighted_mean_of_its_subframes() -> None:
+    """The ground truth belongs to the middle of its shutter, from wherever it opens."""
+    sequence = {"samples": 3, "shutter": 0.6, "shutter_start": -0.3}
+    wanted = scene({"sequence": sequence | {"shutter_curve": [0.0, 1.0, 0.5]}}, MOVING)
+    (frame,), (exact,) = rendered(wanted, "subframes", "depth"), reference.render(wanted)
+    np.testing.assert_allclose(frame.color, exact.color, atol=1e-5)
+    weights = [sample["weight"] for sample in frame.metadata["intermediate"]]
+    assert sum(weights) == 1.0
+    assert weights == pytest.approx([8 / 45, 7 / 15, 16 / 45])
+    assert frame.subframes is not None
+    summed = np.einsum("t,trc->rc", weights, frame.subframes.astype(np.float64))
+    np.testing.assert_allclose(frame.color, summed, atol=1.2e-7)
+    (reposed,) = rendered(CASES["still"], "depth")
+    np.testing.assert_array_equal(frame.depth, reposed.depth)
+
+
+def test_one_image_is_not_summed() -> None:
+    """A frame of a single time sample runs no pass more and has no buffer more; one of several has these two."""
+    once = {"sequence": {"samples": 1}}
+    for sections, item, summed in (({}, BALL, False), (once, MOVING, False), ({}, MOVING, True)):
+        plan = prepare(scene(sections, item)).plan
+        found = {name: size for each in plan.passes for name, size in each.buffers.items() if name.startswith("frame")}
+        assert any(each.kind == "accumulate" for each in plan.passes) == summed
+        assert found == ({"frame sum": 4 * 56 * 40, "frame lost": 4 * 56 * 40} if summed else {})
 
 
 def test_an_exr_has_them_as_layers() -> None:

@@ -9,6 +9,7 @@ from scipy import ndimage
 
 import clsco
 from clsco.scene.model import Camera, Plane, Rectangle, Scene
+from tests.slow import mostly_slow
 
 Array = NDArray[np.float64]
 WALL = Plane(distance=360.0, texture="#ffffff")
@@ -22,7 +23,9 @@ def rendered(focus: float, *items: Rectangle) -> tuple[Array, Array]:
 
 
 # Blurred by 2 px, in focus, and blurred by 11 px. Without the union of both cards 0.09, 0.136 and 0.019.
-@pytest.mark.parametrize(("focus", "limit"), [(250.0, 0.02), (276.0, 0.045), (190.0, 0.003)])
+@pytest.mark.parametrize(
+    ("focus", "limit"), mostly_slow([(250.0, 0.02), (276.0, 0.045), (190.0, 0.003)], [(250.0, 0.02)])
+)
 def test_a_card_that_is_cut_in_two_hides_as_much(focus: float, limit: float) -> None:
     """Black before white, turned by 20 degrees: the columns in the middle, which hold the cut."""
     turn = np.radians(20.0)
@@ -38,7 +41,9 @@ def test_a_card_that_is_cut_in_two_hides_as_much(focus: float, limit: float) -> 
 
 
 # Without both the union and edges at the tilt of the source 0.026, 0.047 and 0.0099.
-@pytest.mark.parametrize(("focus", "limit"), [(250.0, 0.0095), (272.0, 0.03), (195.0, 0.002)])
+@pytest.mark.parametrize(
+    ("focus", "limit"), mostly_slow([(250.0, 0.0095), (272.0, 0.03), (195.0, 0.002)], [(272.0, 0.03)])
+)
 def test_a_box_of_one_color_has_no_lines_along_its_near_edges(focus: float, limit: float) -> None:
     """Gray before white, 6 px and more from its outline."""
     keys = {"center": (0.0, 0.0, 280.0), "size": (26.0, 20.0, 22.0), "rotation": (24.0, 35.0, 10.0)}

@@ -9,9 +9,11 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+import clsco
 from clsco.optics.motion import poses_at
 from clsco.scene.model import Scene
 from clsco.scene.rotations import rotation_rows
+from tests.pipeline.common import PLAIN
 from tests.scenes import assert_agree, reference_frames, rendered, scene_from
 
 # Turns that bring a side to the front: about y the right side comes nearer, about x the top goes away (scene_files.md).
@@ -33,8 +35,7 @@ AXES = {
     "bottom": ((0, -1, 0), (1, 0, 0), (0, 0, -1)),
 }
 CAMERA: dict[str, Any] = {"resolution": [40, 40], "pixel_pitch": 0.1, "f_number": 4.0, "focus_distance": 262.0}
-PLAIN = {"silhouette_samples": 1, "tilt": False, "edge": "sampled"}  # compiled in a third of the time
-TRUTH = ("uv", "depth", "object_id")
+TRUTH = ("uv", "depth", "object_id", "sharp")
 SIZE, CENTER = [30.0, 24.0, 20.0], [0.0, 0.0, 280.0]
 
 
@@ -79,12 +80,14 @@ def test_letters_have_no_mirror_images() -> None:
 
 @pytest.mark.parametrize("side", SHOWN)
 def test_a_side_of_a_box_is_a_card_with_its_letter(side: str) -> None:
-    (found,) = rendered(scene(box(rotation=SHOWN[side])), truth=TRUTH)
-    (wanted,) = rendered(scene(card(side, texture_mapping="surface")), truth=TRUTH)
-    # Beside its edges the lens sees the next sides of a box.
+    given = scene(box(rotation=SHOWN[side])), scene(card(side, texture_mapping="surface"))
+    found, wanted = (clsco.render_frame(each, truth=TRUTH, color=False) for each in given)
+    # Beside its edges a pixel shows the next sides of a box.
     inner = (slice(14, 26),) * 2
-    np.testing.assert_allclose(found.color[inner], wanted.color[inner], rtol=0, atol=2e-6)
-    assert np.ptp(found.color[inner]) > 0.3
+    assert found.sharp is not None
+    assert wanted.sharp is not None
+    np.testing.assert_allclose(found.sharp[inner], wanted.sharp[inner], rtol=0, atol=2e-6)
+    assert np.ptp(found.sharp[inner]) > 0.3
     assert found.uv is not None
     assert wanted.uv is not None
     np.testing.assert_allclose(found.uv, wanted.uv, rtol=0, atol=1e-6)
@@ -108,7 +111,7 @@ def test_uv_of_a_box_is_right_and_up_from_the_corner_of_each_side(rotation: list
     wanted = scene(
         box(rotation=rotation, motion=motion), sequence={"frames": 2, "interval": 1.0, "shutter": 1e-9, "samples": 1}
     )
-    frame = rendered(wanted, frames=[1], truth=TRUTH)[0]
+    frame = clsco.render_frame(wanted, 1, truth=TRUTH, color=False)
     assert frame.uv is not None
     assert frame.depth is not None
     assert frame.object_id is not None
@@ -131,13 +134,14 @@ def test_uv_of_a_box_is_right_and_up_from_the_corner_of_each_side(rotation: list
 @pytest.mark.parametrize("side", SHOWN)
 def test_a_side_of_a_cube_map_reads_as_the_front_does(side: str) -> None:
     ball = {"shape": "sphere", "radius": 14.0, "texture_mapping": "cube"}
-    (found,) = rendered(scene(lettered(rotation=SHOWN[side]) | ball), truth=TRUTH)
-    alone = {"center": CENTER, "texture": letter(side)} | ball
-    (wanted,) = rendered(scene(alone), truth=TRUTH)
+    given = lettered(rotation=SHOWN[side]) | ball, {"center": CENTER, "texture": letter(side)} | ball
+    found, wanted = (clsco.render_frame(scene(item), truth=TRUTH, color=False).sharp for item in given)
+    assert found is not None
+    assert wanted is not None
     # Other sides differ, which begin 45 degrees off the middle.
     middle = np.hypot(*np.indices((40, 40)) - 19.5) < 6.0
-    np.testing.assert_allclose(found.color[middle], wanted.color[middle], rtol=0, atol=1e-3)
-    assert np.ptp(found.color[middle]) > 0.3
+    np.testing.assert_allclose(found[middle], wanted[middle], rtol=0, atol=1e-3)
+    assert np.ptp(found[middle]) > 0.3
 
 
 @pytest.mark.slow

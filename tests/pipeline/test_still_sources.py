@@ -11,10 +11,8 @@ import pytest
 
 import clsco
 from clsco.constants import BAND
-from clsco.engine.sequence import render_sweep
 from clsco.frame.frame import Frame
 from clsco.opencl.device import choose
-from clsco.optics.exposure import Exposure, frame_exposure
 from clsco.optics.still import Exposed
 from clsco.plan import decisions
 from clsco.plan.choice import Choice
@@ -43,7 +41,6 @@ TUBE: dict[str, Any] = {
     **TURNING,
 }
 TUBE |= {"bounds": [[-10.0, 10.0], [-12.0, 12.0], [-10.0, 10.0]]}
-FLOOR = {"shape": "plane", "distance": 300.0, "slope_y": 1.2, "texture": "checkerboard"}
 WIRE = {"shape": "cylinder", "center": [0.0, 0.0, 190.0], "radius": 0.25, "axis": [0.3, 1.0, 0.0]}
 WIRE |= {"bounds": [[-20.0, 20.0], [-20.0, 20.0], [-9.0, 9.0]], "motion": {"velocity": [15.0, 0.0, 0.0]}}
 # Between the card and the lens at the middle of the exposure alone.
@@ -61,18 +58,12 @@ SPINNING |= {"motion": {"angular_velocity": [0.0, 0.0, 70.0]}}
 SCENES: dict[str, tuple[dict[str, Any], list[dict[str, Any]]]] = {
     "ball before a card, a tube and a photo": ({}, [CARD, TUBE, BALL, PHOTO]),
     "ball that passes": ({}, [CARD, PASSING, WALL]),
-    "turning ball": ({}, [{**BALL, **TURNING}, WALL]),
     "spinning disc": ({}, [SPINNING, CARD, WALL]),
     "card beside a card": ({}, [CARD, ASIDE, WALL]),
     "wire": ({}, [WIRE, CARD, WALL]),
-    "floor": ({}, [BALL, FLOOR]),
     "texture on a card": ({}, [{**CARD, "texture_mapping": "surface", "texture_size": 9.0}, BALL, WALL]),
-    "nothing hidden": ({"psf": {"occlusion": "none"}}, [CARD, BALL, WALL]),
-    "whole pixels": ({"psf": {"silhouette_samples": 1}}, [CARD, BALL, WALL]),
     "sampled discs": ({"psf": {"edge": "sampled", "tilt": False}}, [CARD, BALL, WALL]),
     "light given back": ({"psf": {"border": "renormalize"}}, [CARD, BALL, WALL]),
-    "blades": ({"aperture": {"shape": "polygon", "blades": 5}}, [CARD, BALL, WALL]),
-    "lit": ({"light": {"direction": [1.0, 1.0, 1.0], "ambient": 0.2}}, [CARD, BALL, WALL]),
     "two views": ({"stereo": {"baseline": 6.0}}, [CARD, BALL, WALL]),
 }
 
@@ -171,33 +162,6 @@ def test_strips_have_the_bits_of_the_whole_frame() -> None:
     (whole,), (found,) = (rendered(wanted, truth=(), **options) for options in ({}, {"memory": little}))
     assert whole.metadata["strips"] == 1 < found.metadata["strips"]
     np.testing.assert_array_equal(found.color, whole.color)
-
-
-def test_lenses_that_share_their_rays() -> None:
-    wanted = [scene("ball that passes", camera={"aperture_diameter": size}) for size in (6.0, 14.0)]
-    together = [frame.color for _, frame in render_sweep(wanted, truth=())]
-    for one, found in zip(wanted, together, strict=True):
-        np.testing.assert_array_equal(found, rendered(one, truth=())[0].color)
-
-
-def test_live_frames_have_the_same_bits() -> None:
-    wanted = scene("ball that passes")
-    with clsco.Live() as live:
-        for size in (10.0, 14.0):
-            changed = wanted.replace("camera.aperture_diameter", size)
-            np.testing.assert_array_equal(live.render(changed, truth=()).color, rendered(changed, truth=())[0].color)
-
-
-def test_rows_with_weights_of_their_own(monkeypatch: pytest.MonkeyPatch, plainly: Make) -> None:
-    def rolling(given: Scene, frame: int, samples: int) -> Exposure:
-        later = np.linspace(-1.0, 1.0, samples)[:, None] * np.linspace(-1.0, 1.0, 48)
-        return Exposure(frame_exposure(given, frame, samples).times, (1.0 + later) / samples)
-
-    for module in ("clsco.engine.film", "clsco.plan.plan"):
-        monkeypatch.setattr(f"{module}.frame_exposure", rolling)
-    wanted = scene("ball that passes")
-    assert divided(wanted)
-    assert_alike(rendered(wanted, truth=()), plainly(wanted))
 
 
 @pytest.mark.parametrize("window", [None, (0, 0, 40, 70)])

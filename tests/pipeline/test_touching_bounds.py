@@ -40,7 +40,7 @@ def scene(item: dict[str, Any], bounds: Any) -> Scene:
     return scene_from({"camera": CAMERA, "psf": {"silhouette_samples": 2}}, bounded, WALL)
 
 
-@pytest.mark.parametrize("name", mostly_slow(CASES, ("plane",)))
+@pytest.mark.parametrize("name", mostly_slow(CASES, ("tube",)))
 @pytest.mark.parametrize("precision", ["double", pytest.param("single", marks=pytest.mark.slow)])
 def test_no_slit(name: str, precision: str) -> None:
     item, touching, free = CASES[name]

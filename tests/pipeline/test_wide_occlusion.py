@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import clsco
-from clsco import reference
 from clsco.cli.check import compare
 from clsco.constants import BAND
 from clsco.opencl.device import choose
@@ -19,10 +18,10 @@ from clsco.plan.plan import make_plan
 from clsco.plan.prepare import prepare
 from clsco.plan.request import Request
 from clsco.scene.model import Scene
-from tests.scenes import scene_from
-from tests.slow import mostly_slow
+from tests.scenes import reference_frames, scene_from
+from tests.slow import combined, mostly_slow
 
-COUNT, SOME = 40, (8,)  # of the scenes; those that `make test` looks at
+COUNT, SOME = 40, 8  # of the scenes; the one that `make test` looks at
 WIDEST = 11  # px that the largest blur radius has at least
 
 
@@ -83,19 +82,18 @@ def drawn(number: int) -> Scene:
     )
 
 
-@pytest.mark.parametrize("number", mostly_slow(range(COUNT), SOME))
-def test_device_against_reference(number: int) -> None:
-    """Every pixel, in both precisions."""
+@pytest.mark.parametrize(("number", "precision"), combined(range(COUNT), ("double", "single"), kept=[(SOME, "double")]))
+def test_device_against_reference(number: int, precision: Any) -> None:
+    """Every pixel."""
     wanted = drawn(number)
     assert make_plan(wanted, 1).largest_blur > WIDEST
-    (exact,) = reference.render(wanted)
+    (exact,) = reference_frames(wanted)
     assert np.ptp(exact.color) > 0.02
-    for precision in ("double", "single"):
-        (frame,) = clsco.render(wanted, truth=(), method="gather", precision=precision)
-        assert [found for found in compare(frame, exact) if not (found.agrees or found.largest <= 1e-5)] == []
+    (frame,) = clsco.render(wanted, truth=(), method="gather", precision=precision)
+    assert [found for found in compare(frame, exact) if not (found.agrees or found.largest <= 1e-5)] == []
 
 
-@pytest.mark.parametrize("number", mostly_slow(range(0, COUNT, 8), SOME[:1]))
+@pytest.mark.parametrize("number", mostly_slow(range(0, COUNT, 8), [SOME]))
 def test_strips_have_the_bits_of_the_whole_frame(number: int) -> None:
     """Runs that begin above a strip, or end below it; objects are in the middle one of three."""
     wanted = drawn(number).replace("camera.resolution", [30, 2 * BAND + 20])

@@ -47,7 +47,6 @@ STEP = 0.01 / 20.0  # slope between the rays of neighbors: pixel pitch over norm
 RIGHT = ObjectMotion(velocity=(10.0, 0.0, 0.0))
 MAP = DepthMap(depth="map.npy")
 SIDES = [("slope_x", 1), ("slope_x", -1), ("slope_y", 1), ("slope_y", -1)]
-ONCE = Sequence(frames=1)
 LENS = PointSpread(Circle())
 
 

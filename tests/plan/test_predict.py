@@ -20,8 +20,6 @@ from clsco.scene.model import DepthMap, Lens, ObjectMotion, Plane, Psf, Scene, S
 from tests.scenes import plan_of, scene_of
 
 STEP = 0.01 / 20.0  # slope between the rays of neighbors: pixel pitch over normalization distance
-RIGHT = ObjectMotion(velocity=(10.0, 0.0, 0.0))
-MAP = DepthMap(depth="map.npy")
 SIDES = [("slope_x", 1), ("slope_x", -1), ("slope_y", 1), ("slope_y", -1)]
 
 

@@ -20,7 +20,6 @@ from clsco.plan.predict import displaced, guard_band, is_forward
 from clsco.scene.model import (
     Camera,
     CameraMotion,
-    Cone,
     DepthMap,
     ObjectMotion,
     Plane,
@@ -37,21 +36,6 @@ BALL = Sphere()
 CARD = Plane(distance=230.0, bounds=((-2.0, 2.0), (-2.0, 2.0), (-1.0, 1.0)))
 MOVING = Plane(distance=280.0, motion=ObjectMotion(velocity=(0.5, 0.0, 0.0)))
 MODELS = [(model, edge) for model in ("pillbox", "gaussian") for edge in ("sampled", "area", "integrated")]
-
-
-@pytest.mark.parametrize(
-    ("items", "needed"),
-    [
-        ((STILL,), set()),
-        ((STILL, BALL), {"SEVERAL", "QUADRATIC", "LINEAR"}),
-        ((BALL, Cone(half_angle=40.0)), {"SEVERAL", "QUADRATIC", "LINEAR", "NAPPE"}),
-        ((BALL, CARD), {"SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED"}),
-    ],
-    ids=["plane", "plane and ball", "ball and cone", "ball and card"],
-)
-def test_what_one_of_several_objects_needs_is_compiled(items: tuple[Any, ...], needed: set[str]) -> None:
-    features = plan_of(*items).features()
-    assert {name for name in ("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED") if features[name]} == needed
 
 
 def test_rays_are_asked_for_motion_where_something_moves_or_is_seen_twice() -> None:

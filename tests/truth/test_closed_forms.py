@@ -207,20 +207,20 @@ def _implicit(item: Any, x: Any, y: Any, z: Any) -> Any:
 
 @pytest.mark.parametrize("name", SOLIDS)
 def test_hits_lie_on_the_surface(name: str) -> None:
-    size = 512
-    given = scene(SOLIDS[name], size=(size, size))
+    size = 256
+    given = scene(SOLIDS[name], size=(size, size)).replace("camera.pixel_pitch", 2 * PITCH)
     item, depth = given.objects[0], depth_of(given)
-    offset = (np.arange(size) - (size - 1) / 2) * PITCH / S0
+    offset = (np.arange(size) - (size - 1) / 2) * 2 * PITCH / S0
     seen = np.isfinite(depth)
     rows, columns = np.nonzero(seen)
     z = depth[seen]
     x, y = offset[columns] * z, -offset[rows] * z
-    assert seen.sum() > 50_000
+    assert seen.sum() > 12_500
     # Depths near 300 round by 1e-13; at the limb the root of a discriminant that rounds by 1e-16 of b^2 gives
     # 1e-8 of the depth, along a ray that touches the surface: second order in its distance again.
     assert abs(_implicit(item, x, y, z)).max() < 1e-9
     if isinstance(item, clsco.Disc):
-        assert 23.9 < np.hypot(x, y).max() <= item.radius
+        assert 23.7 < np.hypot(x, y).max() <= item.radius
     if isinstance(item, clsco.Sphere | clsco.Ellipsoid):
         assert z.max() < item.center[2]  # the near side, before the center
 
