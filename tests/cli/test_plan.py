@@ -7,9 +7,8 @@ import re
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
 
-from clsco.cli.main import main
+from tests.command import clsco_
 from tests.scenes import scene_file
 
 CAMERA = "[camera]\nresolution = [40, 24]\npixel_pitch = 0.1\nnormalization_distance = 20.0\n"
@@ -22,10 +21,6 @@ shape = "sphere"
 [object.motion]
 velocity = [3.0, 0.0, 0.0]
 """
-
-
-def clsco_(*words: object) -> Result:
-    return CliRunner().invoke(main, [str(word) for word in words])
 
 
 @pytest.fixture

@@ -249,12 +249,7 @@ def test_writing_shows_nothing_unfinished(tmp_path: Path, monkeypatch: pytest.Mo
 def test_unwritable_places(tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(b"")
     (tmp_path / "folder" / "inner").mkdir(parents=True)
-    for path in (
-        tmp_path / "none" / "a.png",
-        tmp_path / "file" / "a.png",
-        tmp_path / "folder",
-        tmp_path / "a\0.png",
-    ):
+    for path in (tmp_path / "none" / "a.png", tmp_path / "file" / "a.png", tmp_path / "folder", tmp_path / "a\0.png"):
         with pytest.raises(FileError, match="the file must be writable; got "):
             write_png(path, GRAY)
     with pytest.raises(FileError, match="the file must be writable; got Out of range float"):

@@ -10,11 +10,7 @@ import pytest
 
 from clsco.errors import FileError
 from clsco.files.atomic import atomic_write_bytes
-from clsco.files.depth_codes import (
-    kitti_depth_codes,
-    kitti_disparity_codes,
-    pfm_bytes,
-)
+from clsco.files.depth_codes import kitti_depth_codes, kitti_disparity_codes, pfm_bytes
 from clsco.files.images import read_image, write_png
 from tests.files.readers import torchvision_kitti_disparity, torchvision_pfm
 

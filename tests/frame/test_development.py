@@ -33,10 +33,7 @@ def test_codes_are_light_again() -> None:
 
 def test_a_mosaic_that_is_not_demosaiced_has_what_was_measured() -> None:
     found = develop(RAW, model_of(3, mosaic="gbrg", quantum_efficiency=(0.5, 1.0, 0.25)))
-    assert found.tolist() == [
-        [[0, 0, 0], [0, 0, 4.0]],
-        [[np.float32(-0.2), 0, 0], [0, 0.5, 0]],
-    ]
+    assert found.tolist() == [[[0, 0, 0], [0, 0, 4.0]], [[np.float32(-0.2), 0, 0], [0, 0.5, 0]]]
     gray = develop(RAW, model_of(1, mosaic="gbrg", quantum_efficiency=(0.5, 1.0, 0.25)))
     assert gray.tolist() == [[0.0, 4.0], [np.float32(-0.2), 0.5]]
 

@@ -10,15 +10,14 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 from numpy.typing import NDArray
 
 import clsco
-from clsco.cli.main import main
 from clsco.errors import FileError, MissingDependencyError
 from clsco.frame.files import TRUTH_FORMATS, files_of, frame_files, read_complete, require_truth_formats, write_frame
 from clsco.frame.frame import FILE_NAMES, Frame
 from clsco.scene.file import parse_scene
+from tests.command import clsco_
 from tests.files.readers import torchvision_flo, torchvision_kitti_flow, torchvision_pfm
 from tests.scenes import scene_file
 from tests.slow import mostly_slow
@@ -53,10 +52,6 @@ FRAME = Frame(
     disparity=np.where(MASK, 20 * RNG.random(SHAPE) + 1, 0).astype(np.float32),
 )
 SCENE = parse_scene({"camera": {"resolution": [8, 6]}, "object": [{"shape": "plane"}]})
-
-
-def clsco_(*words: object) -> Result:
-    return CliRunner().invoke(main, [str(word) for word in words])
 
 
 def flo(path: Path | str) -> tuple[NDArray[Any], NDArray[Any]]:

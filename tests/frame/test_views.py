@@ -42,8 +42,8 @@ def test_flow_has_the_color_wheel_of_middlebury() -> None:
     turns = np.linspace(0, 2 * np.pi, 97)
     flow = np.stack([np.cos(turns), np.sin(turns)], axis=-1)[None] * np.array([0.0, 0.3, 0.7, 1.0])[:, None, None] * 8
     found = flow_colors(flow, 8.0)
-    wanted = np.array([[color_of(x / 8, y / 8) for x, y in row] for row in flow.tolist()])
-    assert abs(found - wanted).max() <= 1
+    expected = np.array([[color_of(x / 8, y / 8) for x, y in row] for row in flow.tolist()])
+    assert abs(found - expected).max() <= 1
     right, down = flow_colors(np.array([[[8.0, 0.0], [0.0, 8.0]]]), 8.0)[0]
     assert right.tolist() == [255, 0, 0]
     assert (down > [240, 200, -1]).all()

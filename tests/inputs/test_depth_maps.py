@@ -111,14 +111,6 @@ def test_reads_the_numbers_that_a_file_stores(
     assert read.flags.c_contiguous
 
 
-def test_a_pfm_begins_with_its_lowest_row(tmp_path: Path) -> None:
-    path = tmp_path / "depth.pfm"
-    path.write_bytes(b"Pf\n2 2\n-1.0\n" + struct.pack("<4f", 1, 2, 3, 4))
-    np.testing.assert_array_equal(read_depth(path), [[3, 4], [1, 2]])
-    path.write_bytes(b"Pf\n2 2\n1.0\n" + struct.pack(">4f", 1, 2, 3, 4))
-    np.testing.assert_array_equal(read_depth(path), [[3, 4], [1, 2]])
-
-
 @pytest.mark.parametrize("kind", ["png u1", "png u2", "tif u2", "tif f4", "pfm f4", "npy f8", "npz f4"])
 def test_three_equal_channels_are_one_depth(tmp_path: Path, kind: str) -> None:
     suffix, dtype = kind.split()

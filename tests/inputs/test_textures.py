@@ -41,9 +41,9 @@ def test_every_code_is_decoded_by_the_standard_and_comes_back(bits: int, transfe
     codes = np.arange(2**bits, dtype=f"u{bits // 8}")
     light = decode(codes, transfer)
     top = 2**bits - 1
-    wanted = [srgb_light(code / top) if transfer == "srgb" else code / top for code in range(2**bits)]
+    expected = [srgb_light(code / top) if transfer == "srgb" else code / top for code in range(2**bits)]
     # The same formula in two implementations of the power, each right to an ULP or two.
-    np.testing.assert_allclose(light, wanted, rtol=1e-15, strict=True)
+    np.testing.assert_allclose(light, expected, rtol=1e-15, strict=True)
     for dtype in (np.float32, np.float64):
         np.testing.assert_array_equal(encode(light.astype(dtype), bits, transfer), codes, strict=True)
 
@@ -61,9 +61,9 @@ def test_codes_change_halfway_between_them(bits: int, transfer: str, dtype: type
     np.testing.assert_array_equal(encode(below, bits, transfer), np.arange(top))
     generator = np.random.default_rng(5)
     light: Array = generator.random((50, 40, 3)).astype(dtype) ** 3
-    wanted = np.searchsorted(start, light.astype(np.float64), side="right")
-    assert 0.5 * top < np.ptp(wanted)
-    np.testing.assert_array_equal(encode(light, bits, transfer), wanted)
+    expected = np.searchsorted(start, light.astype(np.float64), side="right")
+    assert 0.5 * top < np.ptp(expected)
+    np.testing.assert_array_equal(encode(light, bits, transfer), expected)
 
 
 @BITS_AND_TRANSFERS
@@ -216,8 +216,8 @@ def test_siemens_star_has_exact_areas_and_grey_in_the_center() -> None:
 
     chosen = np.random.default_rng(4).permutation(i.size)[:4000]
     share = area_by_samples(bright, i[chosen], j[chosen])
-    wanted = 0.05 + 0.75 * share
-    error = np.abs(decode(codes, "srgb").ravel()[chosen] - wanted)
+    expected = 0.05 + 0.75 * share
+    error = np.abs(decode(codes, "srgb").ravel()[chosen] - expected)
     near = np.hypot(i[chosen], j[chosen]) < 20
     # Half a code 0.0045, 1 / 64 of 0.75 for a line among the samples; near the center 1 / 16, for up to three
     # lines.
