@@ -30,14 +30,14 @@ def test_differences() -> None:
     got = expected.astype(np.float32)
     assert check.difference("depth", got, expected).largest == 0.0
     got[0, 2] = 201.0
-    found = check.difference("depth", got, expected)
+    measured = check.difference("depth", got, expected)
     # One of six pixels is off by 1/200: RMS 0.005 / sqrt(6).
-    assert (found.row, found.column, found.count) == (0, 2, 1)
-    assert found.largest == pytest.approx(0.005)
-    assert found.rms == pytest.approx(0.005 / np.sqrt(6))
+    assert (measured.row, measured.column, measured.count) == (0, 2, 1)
+    assert measured.largest == pytest.approx(0.005)
+    assert measured.rms == pytest.approx(0.005 / np.sqrt(6))
     got[1, 2] = 7.0
-    found = check.difference("depth", got, expected)
-    assert (found.largest, found.row, found.column, found.count) == (np.inf, 1, 2, 2)
+    measured = check.difference("depth", got, expected)
+    assert (measured.largest, measured.row, measured.column, measured.count) == (np.inf, 1, 2, 2)
     mask = np.array([[True, False]])
     assert check.difference("mask", ~mask, mask).count == 2
 

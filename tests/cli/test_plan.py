@@ -32,11 +32,11 @@ def test_plan_predicts_seconds(ball: Path) -> None:
     words = " ".join(clsco_("plan", ball).output.split())
     assert re.search(r"predicted time [\d.]+ m?s per frame on \d+ cores?, \d+% of it in the pass \w+", words)
     result = clsco_("plan", ball, "--json", "--truth", "depth")
-    found = json.loads(result.stdout)
-    (view,) = found["views"]
+    values = json.loads(result.stdout)
+    (view,) = values["views"]
     assert [each["pass"] for each in view["passes"]] == ["trace", "silhouettes", "blur", "accumulate", "ground truth"]
-    assert 0.0 < sum(each["seconds"] for each in view["passes"]) < found["seconds"]
-    assert found["frames"] == 3
+    assert 0.0 < sum(each["seconds"] for each in view["passes"]) < values["seconds"]
+    assert values["frames"] == 3
     assert "not known" in clsco_("plan", ball, "--gpu").output
     assert json.loads(clsco_("plan", ball, "--gpu", "--json").stdout)["seconds"] is None
     several = clsco_("plan", ball, "--json", "--set", "camera.f_number=[2,4]")
@@ -45,8 +45,8 @@ def test_plan_predicts_seconds(ball: Path) -> None:
 
 
 def test_a_sensor_and_ground_truth_are_run_once_a_frame(ball: Path) -> None:
-    found = json.loads(clsco_("plan", ball, "--json", "--truth", "depth", "--set", "sensor.bits=10").stdout)
-    times = {each["pass"]: each["times"] for each in found["views"][0]["passes"]}
+    values = json.loads(clsco_("plan", ball, "--json", "--truth", "depth", "--set", "sensor.bits=10").stdout)
+    times = {each["pass"]: each["times"] for each in values["views"][0]["passes"]}
     assert (times["sensor"], times["ground truth"], times["blur"], times["accumulate"]) == (1, 1, 400, 400)
 
 

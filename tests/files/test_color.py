@@ -279,8 +279,8 @@ def test_kept_pixels_look_the_same(tmp_path: Path, out: str) -> None:
         assert result.exit_code == 0, result.output
         assert "profile" not in result.output
         assert icc_in(tmp_path / out) == icc
-        kept = hole == 0 if "inpaint" in words else np.ones_like(hole, np.bool_)
-        np.testing.assert_array_equal(read_image(tmp_path / out).data[kept], codes[kept])
+        unchanged = hole == 0 if "inpaint" in words else np.ones_like(hole, np.bool_)
+        np.testing.assert_array_equal(read_image(tmp_path / out).data[unchanged], codes[unchanged])
 
 
 def test_frames_in_a_folder_have_the_profile(tmp_path: Path) -> None:

@@ -98,14 +98,14 @@ def test_every_reader_turns_pixels_upright(tmp_path: Path, name: str, orientatio
         path = tmp_path / f"image.{name}"
         SAVERS[name](path, np.stack([STORED[orientation](plane) for plane in np.atleast_3d(data).T.swapaxes(1, 2)], -1)
                      if data.ndim == 3 else STORED[orientation](data), orientation)  # fmt: skip
-        found = read_image(path).data
+        picture = read_image(path).data
         assert image_size(path) == (9, 6)
         if not name.endswith("jpg"):
-            np.testing.assert_array_equal(found, data, strict=True)
+            np.testing.assert_array_equal(picture, data, strict=True)
         else:  # which compresses
             expected = np.asarray(ImageOps.exif_transpose(Image.open(path)))
-            np.testing.assert_array_equal(found, expected, strict=True)
-    assert found.flags.c_contiguous
+            np.testing.assert_array_equal(picture, expected, strict=True)
+    assert picture.flags.c_contiguous
 
 
 def test_16_bits_and_depths_are_turned_as_well(tmp_path: Path) -> None:

@@ -56,10 +56,10 @@ def test_a_file_that_grows_while_it_is_read(tmp_path: Path, monkeypatch: pytest.
     about = os.fstat
 
     def grown(handle: int) -> os.stat_result:
-        found = about(handle)
+        state = about(handle)
         with open(tmp_path / "a", "ab") as file:
             file.write(b"4567")
-        return found
+        return state
 
     monkeypatch.setattr(os, "fstat", grown)
     assert got(tmp_path / "a", 5) == "6 bytes, more than 5"

@@ -68,8 +68,8 @@ def codes_of(picture: Any) -> Codes:
     if picture.format.name == "bgr0":
         plane = picture.planes[0]
         return np.frombuffer(plane, np.uint8).reshape(plane.height, -1, 4)[:, : plane.width, 2::-1]
-    found = planes(picture)
-    return found[0] if len(found) == 1 else np.stack([found[2], found[0], found[1]], axis=-1)
+    decoded = planes(picture)
+    return decoded[0] if len(decoded) == 1 else np.stack([decoded[2], decoded[0], decoded[1]], axis=-1)
 
 
 def rgb_of(picture: Any) -> NDArray[np.float64]:
@@ -87,14 +87,14 @@ def rgb_of(picture: Any) -> NDArray[np.float64]:
 def test_lossless_presets_give_the_codes_back(tmp_path: Path, preset: str, kind: str, gray: bool) -> None:
     frames = noise(kind, gray, 33, 17)
     path = write(tmp_path / "clip", frames, preset)
-    stream, found = read(path)
+    stream, decoded = read(path)
     assert stream.average_rate == NTSC
-    for picture, frame in zip(found, frames, strict=True):
+    for picture, frame in zip(decoded, frames, strict=True):
         got = codes_of(picture)
         expected = frame if got.ndim == frame.ndim else np.repeat(frame[..., None], 3, axis=2)
         np.testing.assert_array_equal(got, expected, strict=True)
     assert write(tmp_path / "again", frames, preset).read_bytes() == path.read_bytes()
-    assert found[0].format.name == {("ffv1", True): "gray", ("ffv1-16", True): "gray16le"}.get(
+    assert decoded[0].format.name == {("ffv1", True): "gray", ("ffv1-16", True): "gray16le"}.get(
         (preset, gray), {"ffv1": "bgr0", "h264-lossless": "gbrp", "ffv1-16": "gbrp16le"}[preset]
     )
 
@@ -107,13 +107,13 @@ LARGEST = {"mp4": 16, "mp4-444": 9, "hevc10": 18, "av1": 19, "webm": 11, "prores
 def test_lossy_presets_keep_colors_rate_and_tags(tmp_path: Path, preset: str) -> None:
     frames = smooth()
     path = write(tmp_path / "clip", frames, preset)
-    stream, found = read(path)
-    assert (stream.average_rate, len(found)) == (NTSC, len(frames))
-    assert [round(picture.pts * stream.time_base * NTSC) for picture in found] == list(range(len(frames)))
-    error = max(float(abs(rgb_of(p) - f).max()) for p, f in zip(found, frames, strict=True))
+    stream, decoded = read(path)
+    assert (stream.average_rate, len(decoded)) == (NTSC, len(frames))
+    assert [round(picture.pts * stream.time_base * NTSC) for picture in decoded] == list(range(len(frames)))
+    error = max(float(abs(rgb_of(p) - f).max()) for p, f in zip(decoded, frames, strict=True))
     assert error <= LARGEST[preset]
     expected = (2, 2, 2, 1) if preset == "y4m" else (1, 13, 1, 1)  # y4m has a place for the range alone
-    for one in (stream.codec_context, found[0]):
+    for one in (stream.codec_context, decoded[0]):
         assert (one.color_primaries, one.color_trc, int(one.colorspace), int(one.color_range)) == expected
     assert write(tmp_path / "again", frames, preset).read_bytes() == path.read_bytes()
 
@@ -126,8 +126,8 @@ def test_tags_of_lossless_presets(
 ) -> None:
     stream, (first, *_) = read(write(tmp_path / "clip", noise("u1", bool(gray)), preset, NTSC, transfer=transfer))
     for one in (stream.codec_context, first):
-        found = (one.color_primaries, one.color_trc, int(one.colorspace), int(one.color_range))
-        assert found == (1, code, matrix, 2)
+        tags = (one.color_primaries, one.color_trc, int(one.colorspace), int(one.color_range))
+        assert tags == (1, code, matrix, 2)
 
 
 @pytest.mark.parametrize("blocks", [(1, 1), (1, 2), (2, 2)])

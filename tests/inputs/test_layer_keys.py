@@ -54,11 +54,11 @@ def test_layers_are_what_arrays_of_them_are(folder: Path) -> None:
             scene = scene_of(folder, BOTH.format(name, of_depth))
             item = DepthMap(texture=image, depth=depth)
             expected = clsco.render_frame(scene.model_copy(update={"objects": (item,)}))
-            found = clsco.render_frame(scene)
-            np.testing.assert_array_equal(found.color, expected.color)
-            np.testing.assert_array_equal(found.depth, expected.depth)
+            frame = clsco.render_frame(scene)
+            np.testing.assert_array_equal(frame.color, expected.color)
+            np.testing.assert_array_equal(frame.depth, expected.depth)
     (reference,) = clsco.reference.render(scene)
-    np.testing.assert_allclose(found.color, reference.color, atol=1e-5)
+    np.testing.assert_allclose(frame.color, reference.color, atol=1e-5)
 
 
 def test_layers_of_one_file_are_kept_apart(folder: Path) -> None:

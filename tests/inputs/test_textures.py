@@ -128,8 +128,8 @@ def test_resampling_passes_what_fits_and_removes_what_aliases(columns: int) -> N
     cycles = min(before, columns) / 32
     slow = 0.5 + 0.4 * np.cos(2 * np.pi * cycles * after / before)
     inner = slice(columns // 16, -columns // 16)
-    kept = resample(wave(cycles), (2, columns))[0]
-    np.testing.assert_allclose(kept[inner], slow[inner], atol=0.4 * 0.0016)
+    resampled = resample(wave(cycles), (2, columns))[0]
+    np.testing.assert_allclose(resampled[inner], slow[inner], atol=0.4 * 0.0016)
     if columns == 40:
         # 60 cycles in 40 columns would show as 20 with all of their contrast; the cubic leaves 0.5 %.
         fast = resample(wave(60), (2, columns))[0, 3:-3]
@@ -258,9 +258,9 @@ def test_a_scene_gets_its_textures_and_its_size(tmp_path: Path) -> None:
     assert scene.camera.resolution == (30, 20)
     assert (texture.bits, texture.radiance.shape) == (16, (20, 30))
 
-    given = Scene.model_validate({"object": [still], "camera": {"resolution": [40, 25]}})
-    scene, (texture,) = load_scene_textures(given)
-    assert scene == given
+    sized = Scene.model_validate({"object": [still], "camera": {"resolution": [40, 25]}})
+    scene, (texture,) = load_scene_textures(sized)
+    assert scene == sized
     assert (texture.bits, texture.radiance.shape) == (16, (25, 40))
     scene, (texture,) = load_scene_textures(Scene.model_validate({"object": [plane]}))
     assert scene.camera.resolution == (512, 512)
@@ -300,15 +300,15 @@ def test_a_projected_image_of_another_aspect_is_stretched(
     items["lying"] = Plane(distance=300.0, texture=array, texture_mapping="surface", texture_size=(9.0, 3.0))
     names = ("pattern", "projected", "lying", "projected")  # the same image again is one
     scene = Scene(camera=Camera(resolution=frame), objects=tuple(items[name] for name in names))
-    found = find_stretched([scene, scene])
-    assert found == ([f"{line} from {size} to the frame's {other} px"] if is_stretched else [])
+    notes = find_stretched([scene, scene])
+    assert notes == ([f"{line} from {size} to the frame's {other} px"] if is_stretched else [])
 
 
 def test_backgrounds_and_depth_maps_are_stretched_as_well() -> None:
     array = np.zeros((480, 640), np.float32)
     items = Background(texture=array), DepthMap(depth=np.full((8, 8), 300.0), texture=array[:, :600])
-    found = find_stretched([Scene(camera=Camera(resolution=(8, 8)), objects=items)])
-    assert [line[: line.index(" to")] for line in found] == [
+    notes = find_stretched([Scene(camera=Camera(resolution=(8, 8)), objects=items)])
+    assert [line[: line.index(" to")] for line in notes] == [
         "object[0].texture: is stretched from 640 x 480",
         "object[1].texture: is stretched from 600 x 480",
     ]
