@@ -3,7 +3,7 @@ PYTHON ?= $(shell for python in python3 python3.14 python3.13 python3.12 python3
 	"$$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo "$$python" && break; done)
 BIN := .venv/bin
 
-.PHONY: demo nightly test test-kernels test-slow test-browser laws fuzz soak oclgrind mutation mutation-host stability docs lint lint-python lint-javascript bench clean
+.PHONY: demo nightly quick test test-kernels test-slow test-browser laws fuzz soak oclgrind mutation mutation-host stability docs lint lint-python lint-javascript bench clean
 
 demo: .venv/pocl.stamp
 	$(BIN)/clsco demo -o demo
@@ -14,6 +14,13 @@ PARALLEL := -n auto --dist loadfile --no-loadscope-reorder
 # All but those of single kernels. TESTS: files of them instead.
 test: .venv/dev.stamp
 	$(BIN)/python -m pytest -q $(PARALLEL) $(or $(TESTS),--ignore tests/kernels)
+
+# Scenes, files, distributions, hostile lists and the studio's forms: what most changes break first, in 45 s.
+QUICK := tests/scene tests/files tests/frame tests/inputs tests/hostile/test_listed.py \
+	tests/data/test_distribution.py tests/data/test_hostile_distributions.py \
+	tests/studio/test_forms.py tests/studio/test_session.py tests/studio/test_store.py
+quick:
+	$(MAKE) test TESTS="$(QUICK)"
 
 # Each kernel alone, beside its counterpart of the reference.
 test-kernels:

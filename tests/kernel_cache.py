@@ -14,8 +14,8 @@ from pathlib import Path
 
 KEPT = Path(__file__).resolve().parents[1] / ".pytest_cache" / "kernels"
 WORKER = "clsco-worker-"
-LARGEST = 2**29
-"""Bytes; programs beyond, of those that were used last, are removed. A whole run has some 150 MB."""
+LARGEST = 200 * 2**20
+"""Bytes; programs beyond, of those that were used last, are removed. All tests have some 120 MB."""
 
 
 def worker_folder(kept: Path = KEPT) -> Path:

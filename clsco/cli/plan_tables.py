@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import RenderableType
 
 from clsco.cli.tables import table
-from clsco.cost.cheaper import Setting, cores
-from clsco.cost.predict import Cost, duration
 from clsco.optics.point_spread import exposure_factor
 from clsco.plan.buffers import Sizes
 from clsco.plan.memory import device_bytes
@@ -17,15 +15,19 @@ from clsco.plan.passes import ONCE_A_FRAME, Kind, Pass
 from clsco.plan.plan import Plan
 from clsco.plan.unused_keys import unused_keys
 
+if TYPE_CHECKING:  # what needs OpenCL
+    from clsco.cli.plan_time import Setting
+    from clsco.engine.probe import FrameTime
+
 
 def plan_tables(
-    plans: Sequence[Plan], cost: Cost | None, cheaper: Sequence[tuple[Setting, float]]
+    plans: Sequence[Plan], device: str, time: FrameTime | None, cheaper: Sequence[tuple[Setting, float]]
 ) -> list[RenderableType]:
     """Tables of a plan: its passes, the parts that it leaves out, its costs and what would cost less, and keys of the
     scene that it has no use for.
 
-    plans: one, or those of the left and the right view of a stereo pair; cost: of a frame, None where it is not known;
-    cheaper: settings and their seconds.
+    plans: one, or those of the left and the right view of a stereo pair; device: that is used, or why there is none;
+    time: of a frame, None where it is not known; cheaper: settings and their seconds.
     """
     plan = plans[0]
     scene = plan.scene
@@ -39,11 +41,11 @@ def plan_tables(
         figures.append(("views", f"left and right, {scene.stereo.baseline:g} mm apart{turned}"))
     figures.append(("intermediate frames", samples))
     figures += _of_views([_figures(each) for each in plans])
-    figures.append(("predicted time", _time(cost)))
+    figures += [("device", device), ("predicted time", _time(time))]
     columns = ("pass", "times", "MiB", "time", "what", "how")
     tables: list[RenderableType] = [
         table(f"Plan: {scene.title or scene.objects[0].name}", ("what", "how much"), figures),
-        table("Passes, in order", columns, _passes(plans, cost), ("times", "MiB", "time")),
+        table("Passes, in order", columns, _passes(plans, time), ("times", "MiB", "time")),
         table("Left out", ("pass", "why"), _of_views([each.choices.left_out for each in plans])),
     ]
     if unused := unused_keys(plan):
@@ -55,12 +57,12 @@ def plan_tables(
 
 
 def planned_values(
-    plans: Sequence[Plan], cost: Cost | None, cheaper: Sequence[tuple[Setting, float]]
+    plans: Sequence[Plan], device: str, time: FrameTime | None, cheaper: Sequence[tuple[Setting, float]]
 ) -> dict[str, Any]:
     """The figures of `plan_tables` for programs: bytes, px, seconds of a frame; null for what is not known."""
     first = plans[0]
     views = []
-    for plan, seconds in zip(plans, ({},) * len(plans) if cost is None else cost.views, strict=True):
+    for plan, seconds in zip(plans, ({},) * len(plans) if time is None else time.views, strict=True):
         kinds = dict.fromkeys(each.kind for each in plan.passes)
         passes = [{"pass": kind, "times": _times(plan, kind), "seconds": seconds.get(kind)} for kind in kinds]
         blur = {"method": plan.blur, "smallest_px": plan.smallest_blur, "largest_px": plan.largest_blur}
@@ -72,13 +74,22 @@ def planned_values(
         "channels": first.channels,
         "samples": first.samples,
         "subframes": first.subframes,
-        "seconds": None if cost is None else cost.seconds,
-        "cores": None if cost is None else cost.cores,
+        "seconds": None if time is None else time.seconds,
+        "device": None if time is None else device,
         "views": views,
         "cheaper": [
             {"key": one.key, "value": one.value, "seconds": spent, "psnr": one.error} for one, spent in cheaper
         ],
     }
+
+
+def duration(seconds: float) -> str:
+    """A predicted time for people: two digits."""
+    for unit, size in (("h", 3600.0), ("min", 60.0), ("s", 1.0), ("ms", 1e-3)):
+        if seconds >= 1.5 * size or unit == "ms":
+            break
+    value = seconds / size
+    return f"{value:.2g} {unit}" if value < 99.5 else f"{value:.0f} {unit}"
 
 
 def _of_lines(plan: Plan) -> str:
@@ -97,18 +108,19 @@ def _times(plan: Plan, kind: Kind) -> int:
     return members if kind in ONCE_A_FRAME else members * plan.subframes
 
 
-def _time(cost: Cost | None) -> str:
-    if cost is None:
-        return "not known: nothing has been measured on graphics cards"
-    kind, share = cost.dearest
-    return f"{duration(cost.seconds)} per frame on {cores(cost)}, {share:.0%} of it in the pass {kind}"
+def _time(time: FrameTime | None) -> str:
+    if time is None:
+        return "not measured"
+    kind, share = time.longest
+    line = f"{duration(time.seconds)} per frame, {share:.0%} of it in the pass {kind}"
+    return line if time.share == 1.0 else f"{line}; measured on {time.share:.1%} of a frame"
 
 
-def _passes(plans: Sequence[Plan], cost: Cost | None) -> list[tuple[str, ...]]:
+def _passes(plans: Sequence[Plan], time: FrameTime | None) -> list[tuple[str, ...]]:
     """Rows of what is run, those of all occlusion groups together; of a stereo pair, of each view. A buffer counts for
     the first pass that works with it."""
     rows: list[tuple[str, ...]] = []
-    views = ({},) * len(plans) if cost is None else cost.views
+    views = ({},) * len(plans) if time is None else time.views
     for plan, seconds in zip(plans, views, strict=True):
         counted: Sizes = {}
         view = f" ({plan.eye})" if plan.scene.stereo is not None else ""

@@ -26,24 +26,19 @@ def progress(total: int, quiet: bool, what: str = "frames") -> Iterator[Callable
 
 
 @contextmanager
-def frame_progress(
-    total: int, quiet: bool, device: str | None, predict: Callable[[], float | None]
-) -> Iterator[Callable[[], object]]:
-    """A bar as of `progress` that shows where in a frame the device is, too, and the time that is left.
-
-    predict: gives the seconds of all frames, None where they are not known; called where a bar is shown.
-    """
+def frame_progress(total: int, quiet: bool, device: str | None) -> Iterator[Callable[[], object]]:
+    """A bar as of `progress` that shows where in a frame the device is, too, and the time that is left."""
     if not _is_shown(total, quiet):
         with _bar(total, quiet, "frames", None) as advance:
             yield advance
         return
     from clsco.opencl.session import Progress, session_for
 
-    session, predicted = session_for(device), predict()
+    session = session_for(device)
     session.progress = here = Progress()
 
     def after_bar(done: float, elapsed: float) -> str:
-        return position(here, done, total, elapsed, predicted)
+        return position(here, done, total, elapsed)
 
     try:
         with _bar(total, quiet, "frames", after_bar) as advance:
@@ -57,16 +52,15 @@ def frame_progress(
         session.progress = None
 
 
-def position(here: Progress, done: float, total: int, elapsed: float, predicted: float | None) -> str:
+def position(here: Progress, done: float, total: int, elapsed: float) -> str:
     """Say what is done in a frame, how much of it where it takes long, of which time sample, and the time left.
 
-    done: frames of `total`; elapsed, and predicted for all frames where that is known: s. The latter says what is left
-    until it is known how long a time sample takes.
+    done: frames of `total`; elapsed: s. What is left is known when a time sample is done.
     """
     share = f" {here.share:.0%}" if 0.0 < here.share < 1.0 else ""
     sample = f"time sample {min(here.done + 1, here.total)} of {here.total}" if here.total > 1 else ""
     finished = (done + here.finished) / total
-    left = elapsed * (1.0 - finished) / finished if finished > 0.0 else (predicted or 0.0) - elapsed
+    left = elapsed * (1.0 - finished) / finished if finished > 0.0 else 0.0
     parts = f"{here.doing}{share}", sample, f"{left:.0f} s left" if left >= 1.0 else ""
     return ", ".join(part for part in parts if part)
 

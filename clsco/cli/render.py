@@ -156,9 +156,7 @@ def render_to_folders(
         from clsco.cli.video import remove_clips
 
         remove_clips(jobs, preset)  # those of older frames
-    with frame_progress(
-        sum(len(job.frames) for job in jobs), quiet, computation.device, lambda: _predicted(jobs)
-    ) as advance:
+    with frame_progress(sum(len(job.frames) for job in jobs), quiet, computation.device) as advance:
         for _ in batch.run(jobs, computation.device, check):
             advance()
     if preset is not None:
@@ -167,14 +165,6 @@ def render_to_folders(
         write_clips(jobs, preset)
     if not quiet:
         echo(_written(out, jobs))
-
-
-def _predicted(jobs: Sequence[Job]) -> float | None:
-    """Seconds of all frames, each taken for as long as the first job's; None where they are not known."""
-    from clsco.cost.predict import cost_of
-
-    cost = cost_of(jobs[0].prepared)
-    return None if cost is None else cost.seconds * sum(len(job.frames) for job in jobs)
 
 
 def _written(out: Path, jobs: Sequence[Job]) -> str:

@@ -17,6 +17,7 @@ from clsco.cli.options import (
     precision_option,
     quiet_option,
     require_device,
+    require_opencl,
     scene_argument,
     scenes_argument,
     set_option,
@@ -24,11 +25,12 @@ from clsco.cli.options import (
 )
 from clsco.cli.output import echo
 from clsco.cli.render import request_for, require_uncolored
-from clsco.errors import SceneError
+from clsco.errors import DeviceError, MissingDependencyError, SceneError
 
 if TYPE_CHECKING:
+    from clsco.cli.plan_time import Setting
     from clsco.frame.truth_files import TruthFile
-    from clsco.plan.prepare import Prepared
+    from clsco.opencl.session import Session
 
 
 @click.command()
@@ -69,7 +71,7 @@ def demo(out: Path, device: str | None, quiet: bool) -> None:
 @truth_options
 @no_color_option
 @memory_option
-@click.option("--gpu", is_flag=True, help="On a graphics card instead of a processor.")
+@device_option
 @click.option("--json", "machine", is_flag=True, help="Print passes, bytes and predicted seconds as JSON.")
 def plan(
     scene: Path,
@@ -77,27 +79,46 @@ def plan(
     files: tuple[TruthFile, ...],
     no_color: bool,
     memory: int | None,
-    gpu: bool,
+    device: str | None,
     machine: bool,
 ) -> None:
-    """Report what rendering a scene takes, and how long; runs nothing, and needs no OpenCL."""
-    from clsco.plan.device import ThisMachine
+    """Report what rendering a scene takes, and how long, which is measured on a part of a frame.
 
+    Without OpenCL it reports all but the time.
+    """
     require_uncolored(files, no_color)
-    device = ThisMachine(kind="gpu") if gpu else None
-    first = first_scene(scene, overrides, request_for(files, memory=memory, color=not no_color), device, machine)
+    session, used = _session_of_plan(device)
+    request = request_for(files, memory=memory, color=not no_color)
+    first = first_scene(scene, overrides, request, None if session is None else session.device, machine)
     report_scenes(scene, ("",), [first], close=True)
     from clsco.cli.plan_tables import plan_tables, planned_values
     from clsco.cli.tables import print_tables
-    from clsco.cost.cheaper import cheaper_settings
-    from clsco.cost.predict import cost_of
 
-    cost = cost_of(first)
-    cheaper = () if cost is None else cheaper_settings(first, cost)
+    time, cheaper = None, list[tuple["Setting", float]]()
+    if session is not None:
+        from clsco.cli.plan_time import cheaper_settings
+        from clsco.engine.probe import measure_frame
+
+        time = measure_frame(session, first)
+        cheaper = cheaper_settings(session, first, time)
     if machine:
-        echo(json.dumps(planned_values(first.plans, cost, cheaper), indent=2))
+        echo(json.dumps(planned_values(first.plans, used, time, cheaper), indent=2))
     else:
-        print_tables(*plan_tables(first.plans, cost, cheaper))
+        print_tables(*plan_tables(first.plans, used, time, cheaper))
+
+
+def _session_of_plan(device: str | None) -> tuple[Session | None, str]:
+    """The session that a plan is measured in, with the device; or none, and why, where no device was asked for."""
+    try:
+        require_opencl()
+        from clsco.opencl.session import session_for
+
+        session = session_for(device)
+    except (DeviceError, MissingDependencyError) as error:
+        if device is not None:
+            raise
+        return None, f"none: {str(error).removeprefix('device: ')}"
+    return session, str(session.device)
 
 
 @click.command()
@@ -155,10 +176,7 @@ def schema() -> None:
 @click.command()
 @scenes_argument
 def validate(scenes: tuple[Path, ...]) -> None:
-    """Check scene files and their textures without rendering: reports valid files, and all faults of the others.
-
-    Warns of frames that will take more than a minute, with the keys that take less and their error.
-    """
+    """Check scene files and their textures without rendering: reports valid files, and all faults of the others."""
     from clsco.plan.prepare import prepare_files
     from clsco.scene.sweep import load_sweeps
 
@@ -172,21 +190,5 @@ def validate(scenes: tuple[Path, ...]) -> None:
         count = f", {len(labels)} scenes" if labels != ("",) else ""
         echo(f"{click.format_filename(path)}: valid{count}")
         report_scenes(path, labels, prepared, close=True)
-        most = max(prepared, key=lambda each: each.plan.taps)
-        if warning := _long_frame(most):
-            label = labels[prepared.index(most)]
-            where = f"{path} (with {label})" if label else f"{path}"
-            echo(f"{where}: {warning}", err=True)
     if faults:
         raise SceneError(faults)
-
-
-def _long_frame(prepared: Prepared) -> str | None:
-    """Warning of a frame that takes long; frames that are short at a glance are not predicted, to answer at once."""
-    from clsco.cost.short import LONG_FRAME, most_seconds
-
-    if most_seconds(prepared.plan) < LONG_FRAME:
-        return None
-    from clsco.cost.cheaper import warning_of
-
-    return warning_of(prepared)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import cache, partial
 from time import perf_counter
@@ -35,6 +35,7 @@ from clsco.passes.truth import GroundTruth
 from clsco.passes.warp import ForwardWarp
 from clsco.plan.larger import Met, larger_plan
 from clsco.plan.memory import Limit, device_bytes
+from clsco.plan.passes import Kind
 from clsco.plan.plan import Plan
 from clsco.plan.prepare import Prepared
 from clsco.records import Real, Struct
@@ -137,11 +138,11 @@ class Renderer:
             self.grids[strip] = camera_grid(reference_camera(plan.scene), plan.guard_px, self.scene.real, strip)
         return self.grids[strip]
 
-    def add(self, film: Film, strip: Strip, count: int) -> None:
-        """Run the passes of a step, by its number, on a strip."""
+    def add(self, film: Film, strip: Strip, count: int, after: Callable[[Kind], None] | None = None) -> None:
+        """Run the passes of a step, by its number, on a strip; after: called after each pass with its kind."""
         at = self._moment(film, strip, count)
         passes = (step for step in self.plan.passes if step.kind != "ground truth")
-        film.add(self.session, strip, count, self.space.run(passes, at))
+        film.add(self.session, strip, count, self.space.run(passes, at, after))
 
     def finish(self, film: Film) -> Frame:
         """The frame, of the strips added: again with larger buffers where the plan was too small."""

@@ -81,8 +81,11 @@ class Workspace:
     colors: tuple[Workspace, ...] = ()
     aims: Callable[[Any, int], Area] | None = None
 
-    def run(self, passes: Iterable[Pass], at: Area) -> Mapping[str, Any]:
-        """Run passes on a part of a frame; what they hand on, by the names of `Pass`. Raises CanceledError."""
+    def run(self, passes: Iterable[Pass], at: Area, after: Callable[[Kind], None] | None = None) -> Mapping[str, Any]:
+        """Run passes on a part of a frame; what they hand on, by the names of `Pass`. Raises CanceledError.
+
+        after: called after each pass with its kind.
+        """
 
         def run(step: Pass, *given: Any) -> tuple[Any, ...]:
             self.session.go_on()
@@ -93,7 +96,10 @@ class Workspace:
                 part = self.aims(part, step.color)
             of_color = self.colors and step.color is not None and step.kind != "join colors"
             runs = self.colors[step.color or 0].runs if of_color else self.runs
-            return runs[step.kind](part, *given)
+            result = runs[step.kind](part, *given)
+            if after is not None:
+                after(step.kind)
+            return result
 
         return run_passes(passes, run)
 

@@ -201,12 +201,15 @@ class Jobs:
 
 
 async def _end(process: asyncio.subprocess.Process) -> None:
-    """Interrupt a command that runs, and kill what is left of it after GRACE."""
+    """End a command that runs as Ctrl-C does, and kill what is left of it and its processes after GRACE.
+
+    SIGTERM, since a studio that a script starts in the background ignores SIGINT, and so do its commands.
+    """
     if process.returncode is not None:
         return
     ended = asyncio.ensure_future(process.wait())
-    for number, patience in ((signal.SIGINT, GRACE), (signal.SIGKILL, None)):
+    for send, number, patience in ((os.kill, signal.SIGTERM, GRACE), (os.killpg, signal.SIGKILL, None)):
         with suppress(ProcessLookupError):
-            os.killpg(process.pid, number)
+            send(process.pid, number)
         # In a task that is being canceled, `asyncio.timeout` of Python 3.11.2 ends it instead.
         await asyncio.wait([ended], timeout=patience)

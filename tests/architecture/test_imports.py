@@ -16,8 +16,7 @@ PACKAGE = Path(__file__).resolve().parents[2] / "clsco"
 # A package or module imports only what stands before it.
 ORDER = (
     "cache", "constants", "errors", "resources", "records", "scene", "optics", "files", "frame", "inputs",
-    "truth", "plan", "opencl", "inpainting", "passes", "engine", "reference", "cost", "data", "studio", "cli",
-    "__main__",
+    "truth", "plan", "opencl", "inpainting", "passes", "engine", "reference", "data", "studio", "cli", "__main__",
 )  # fmt: skip
 # Narrower than the order: what knows OpenCL knows no scenes, and codecs know none either.
 ONLY = {
@@ -28,7 +27,7 @@ ONLY = {
 }
 ON_OPENCL = (
     "opencl", "passes", "engine", "inpainting", "data.shards", "data.verify",
-    "cli.check", "cli.check_scene", "cli.warm",
+    "cli.check", "cli.check_scene", "cli.plan_time", "cli.warm",
 )  # fmt: skip
 OUTSIDE = {
     "pyopencl": ("opencl", "inpainting", "passes", "engine"),

@@ -285,8 +285,7 @@ def test_plan(ball: Path) -> None:
     assert "MiB" in text
     assert "weights per frame" in text
     assert "nobody asked for it" not in clsco_("plan", ball, "--format", "npz").output
-    for words, method in (((), "gather"), (("--gpu",), "scatter")):
-        assert f"blur method {method}" in " ".join(clsco_("plan", ball, *words).output.split())
+    assert "blur method gather" in text
 
 
 def test_devices() -> None:

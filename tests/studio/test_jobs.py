@@ -40,9 +40,10 @@ from clsco.studio.session import Document
 
 # In place of clsco: `work FOLDER COUNT SECONDS` writes files as frames are written, one after the other.
 SLOW = """
-import json, sys, time
+import json, signal, sys, time
 from pathlib import Path
 from clsco.files.atomic import atomic_write
+signal.signal(signal.SIGTERM, signal.default_int_handler)
 _, folder, count, seconds, *_ = sys.argv[1:]
 if count == "none":
     sys.exit("error: it cannot be")
@@ -213,10 +214,9 @@ def is_alive(group: int) -> bool:
 
 
 def test_what_does_not_listen_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    deaf = (
-        "import os, signal, sys; signal.signal(signal.SIGINT, signal.SIG_IGN); print(os.getpid(), file=sys.stderr)"
-        + SLOW.replace("_, folder", "open(sys.argv[2] + '/pid', 'w').write(str(os.getpid())); _, folder")
-    )
+    deaf = "import os, sys; print(os.getpid(), file=sys.stderr)" + SLOW.replace(
+        "default_int_handler", "SIG_IGN"
+    ).replace("_, folder", "open(sys.argv[2] + '/pid', 'w').write(str(os.getpid())); _, folder")
     monkeypatch.setattr(jobs_module, "_COMMAND", (sys.executable, "-c", deaf))
     monkeypatch.setattr(jobs_module, "GRACE", 0.2)
 

@@ -1,0 +1,193 @@
+"""Time of a frame, measured on a part of it: as many of its strips and time samples as take half a second."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import ceil
+from time import perf_counter, process_time
+
+from clsco.constants import BAND
+from clsco.engine.film import Film
+from clsco.engine.renderer import Renderer
+from clsco.frame.strips import Strip
+from clsco.opencl.session import Session
+from clsco.plan.memory import fitted, limit_of
+from clsco.plan.passes import Kind
+from clsco.plan.plan import Plan
+from clsco.plan.prepare import Prepared
+
+SECONDS = 0.5  # s, after which no further step is run
+BY_HEIGHT: frozenset[Kind] = frozenset({"trace", "silhouettes"})
+"""Passes whose time goes by the rows of a strip and of the sources around it; that of the others by its own rows."""
+
+GOLDEN = 0.618034  # of which multiples are spread evenly between whole numbers
+_Part = tuple[Kind, bool | None]  # a kind of pass, for still sources, for the others, or for all
+
+
+@dataclass(frozen=True)
+class _FramePart:
+    """A run of the passes, by its number, on a part of a strip; still: as `clsco.engine.film.Step` has it."""
+
+    strip: Strip
+    number: int
+    part: Strip
+    still: bool | None
+
+
+@dataclass(frozen=True)
+class FrameTime:
+    """Seconds of a frame, after kernels were compiled, without writing files.
+
+    Attributes
+    ----------
+    views : tuple of dict
+        Kind of pass -> seconds of all of that kind; of each view.
+    share : float
+        Share of the steps of a frame that was run, 0 to 1.
+    """
+
+    views: tuple[dict[Kind, float], ...]
+    share: float
+
+    @property
+    def seconds(self) -> float:
+        """All of a frame."""
+        return sum(sum(passes.values()) for passes in self.views)
+
+    @property
+    def longest(self) -> tuple[Kind, float]:
+        """The kind of pass that takes longest, with its share of the frame, 0 to 1."""
+        kinds = dict.fromkeys(kind for passes in self.views for kind in passes)
+        sums = {kind: sum(passes.get(kind, 0.0) for passes in self.views) for kind in kinds}
+        kind = max(sums, key=sums.__getitem__)
+        return kind, sums[kind] / self.seconds
+
+
+def measure_frame(session: Session, prepared: Prepared, seconds: float = SECONDS) -> FrameTime:
+    """Measure a part of a frame on the device that will render it, and scale it by rows and time samples.
+
+    Parameters
+    ----------
+    session : Session
+    prepared : Prepared
+        With plans for the device of the session.
+    seconds : float
+        s, for the steps of each view, beside compiling; ground truth is made as a whole.
+
+    Returns
+    -------
+    FrameTime
+
+    Raises
+    ------
+    DeviceError, KernelError
+        As rendering the frame.
+
+    Notes
+    -----
+    Validated against whole frames by benchmarks/speed/prediction.py.
+    """
+    with session.reporting():
+        views, shares = zip(*(_measure_view(session, prepared, plan, seconds) for plan in prepared.plans), strict=True)
+    return FrameTime(views, min(shares))
+
+
+def _measure_view(session: Session, prepared: Prepared, plan: Plan, seconds: float) -> tuple[dict[Kind, float], float]:
+    """Seconds of each kind of pass of a frame, and the share of its steps that was run."""
+    limit = limit_of(prepared.request.memory, session.device)
+    frame, index = fitted(plan, limit), plan.scene.sequence.frames // 2
+    clock = _Clock(session, ceil(frame.grid.rows / BAND))
+    renderer = Renderer(session, _in_bands(frame) if clock.of_cores else frame, prepared, limit)
+    while True:
+        film, spent, steps = _run_steps(renderer, index, seconds, clock)
+        if not renderer.enlarge():
+            break
+    of_kinds: dict[Kind, float] = {}
+    everything = _steps(Film(frame, index))
+    for (kind, still), time in spent.items():
+        alike = [[step for step in some if step.still == still] for some in (everything, steps)]
+        scale = _rows(alike[0], kind) / _rows(alike[1], kind)
+        of_kinds[kind] = of_kinds.get(kind, 0.0) + scale * time
+    if renderer.plan.truth:
+        clock.lap()
+        renderer.truth.of_frame(index, film.events)
+        of_kinds["ground truth"] = clock.lap()
+    renderer.scene.release()
+    return of_kinds, _rows(steps, "blur") / _rows(everything, "blur")
+
+
+def _in_bands(plan: Plan) -> Plan:
+    """The plan in the shortest strips, of which a core makes one at a time; as it is where it cannot be cut so."""
+    whole = plan.forward or plan.spec.layered or plan.rows <= BAND
+    return plan if whole else replace(plan, strip_rows=BAND)
+
+
+class _Clock:
+    """Time between passes: on processors that of all their cores over their number, as others may work on them, too.
+
+    Parameters
+    ----------
+    session : Session
+    most : int
+        Cores that can work on a frame at the same time.
+    """
+
+    def __init__(self, session: Session, most: int) -> None:
+        self.queue, self.of_cores = session.queue, session.device.kind == "cpu"
+        self._now = process_time if self.of_cores else perf_counter
+        self._cores = min(most, session.device.compute_units) if self.of_cores else 1
+        self._last = self._now()
+
+    def lap(self) -> float:
+        """Seconds since the last lap, with all that was enqueued."""
+        self.queue.finish()
+        last, self._last = self._last, self._now()
+        return (self._last - last) / self._cores
+
+
+def _steps(film: Film) -> list[_FramePart]:
+    """Steps of a frame, the most telling first: of each strip the last, which has all passes, then the first, which may
+    be of still sources, then some in between; strips in an order in which any number of them is spread evenly."""
+    strips = sorted(film.parts_of.items(), key=lambda item: _spread(item[0].top // max(item[0].rows, 1)))
+    rounds = list[list[_FramePart]]()
+    for strip, parts in strips:
+        first, *others = parts
+        last = others[-1:]
+        between = sorted(others[:-1], key=_spread)
+        for turn, number in enumerate((*last, first, *between)):
+            if turn == len(rounds):
+                rounds.append([])
+            rounds[turn].append(_FramePart(strip, number, parts[number], film.steps[number].still))
+    return [step for one in rounds for step in one]
+
+
+def _spread(number: int) -> float:
+    return (0.5 + number * GOLDEN) % 1.0
+
+
+def _run_steps(
+    renderer: Renderer, index: int, seconds: float, clock: _Clock
+) -> tuple[Film, dict[_Part, float], list[_FramePart]]:
+    """Run steps until the time is over; what passes took, s, and the steps. Each kind is run before it is measured, as
+    kernels are compiled at their first run."""
+    film, done, warm = renderer.begin(index), list[_FramePart](), set[bool | None]()
+    spent: dict[_Part, float] = {}
+    for step in _steps(film):
+
+        def note(kind: Kind, still: bool | None = step.still) -> None:
+            spent[kind, still] = spent.get((kind, still), 0.0) + clock.lap()
+
+        if step.still not in warm:
+            renderer.add(film, step.strip, step.number)
+            warm.add(step.still)
+        clock.lap()
+        renderer.add(film, step.strip, step.number, note)
+        done.append(step)
+        if sum(spent.values()) > seconds and warm == {each.still for each in film.steps}:
+            break
+    return film, spent, done
+
+
+def _rows(steps: list[_FramePart], kind: Kind) -> int:
+    """Rows that the passes of a kind go over in steps."""
+    return sum(step.part.height if kind in BY_HEIGHT else step.part.rows for step in steps)
