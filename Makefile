@@ -36,14 +36,13 @@ test-browser: .venv/dev.stamp .venv/browser.stamp
 		{ echo "chromium: must be installed, on Debian and Ubuntu by apt-get install chromium" >&2; exit 1; }
 	$(BIN)/python -m pytest -q -n 0 -m "$(MARK)" tests/studio
 
-# Random bad scenes, damaged images and frames of random scenes, CASES of the first; and faults at every place, with KILLS of a batch.
+# Random bad scenes and damaged images, CASES of the first; random frames and sets, and faults at every place, with KILLS.
 CASES ?= 1000000
 KILLS ?= 100
 
 fuzz: .venv/dev.stamp
 	$(BIN)/python -m tests.hostile.fuzz --cases $(CASES)
 	$(BIN)/python -m tests.hostile.fuzz --what pictures --cases $$(( $(CASES) / 20 ))
-	$(BIN)/python -m tests.hostile.frames --cases $$(( $(CASES) / 1000 ))
 
 soak: .venv/dev.stamp
 	$(BIN)/python -m pytest -q $(PARALLEL) -m soak

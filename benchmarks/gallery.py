@@ -33,10 +33,9 @@ HEAD = """# Gallery
 
 ![Glazed balls on a table before the lights of an evening, one of them in focus](evening.jpg)
 
-Every example with its picture and its file, whose first lines say what it shows. `clsco examples NAME -o .` copies one
-with its images, and `clsco render NAME.toml -o frames` renders it; of a data set, `clsco dataset make NAME.toml -o DATA
---count 100` makes samples. [The thesis](thesis.md) has more examples. `python -m benchmarks.evening_picture` renders
-the picture above, `python -m benchmarks.gallery` this page.
+All examples. `clsco examples NAME -o .` copies one with its images; `clsco render NAME.toml -o frames` renders it, or
+`clsco dataset make NAME.toml -o DATA --count 100` makes samples of a data set. [The thesis](thesis.md) has more
+(`python -m benchmarks.gallery`; the picture above: `python -m benchmarks.evening_picture`).
 """
 
 

@@ -10,14 +10,14 @@ from unicodedata import category
 
 
 class ClscoError(Exception):
-    """Something the user can mend; the message says `where: rule; got value`, on one line."""
+    """Base of the errors that clsco raises for what a user can correct: one line, `where: rule; got value`."""
 
     def __init__(self, message: str) -> None:
         super().__init__(visible(message))
 
 
 class SceneError(ClscoError):
-    """A scene is not valid; `messages` holds one line per fault, all faults of the scene at once."""
+    """A scene is not valid; `messages` has one line for each of its faults."""
 
     def __init__(self, messages: str | Sequence[str]) -> None:
         self.messages = tuple(map(visible, (messages,) if isinstance(messages, str) else messages))
@@ -28,7 +28,7 @@ class SceneError(ClscoError):
 
 
 class FileError(ClscoError):
-    """A file cannot be read or written, or what it holds cannot be used."""
+    """A file cannot be read or written, or its content cannot be used."""
 
 
 class ArgumentError(ClscoError):
@@ -40,7 +40,10 @@ class MissingDependencyError(ClscoError):
 
 
 class DeviceError(ClscoError):
-    """No usable OpenCL device, or the device cannot do what was asked; `short_of_memory`: it might with less memory."""
+    """No OpenCL device is usable, or the device cannot do the work.
+
+    `short_of_memory` is True if the work might succeed with less memory.
+    """
 
     def __init__(self, message: str, short_of_memory: bool = False) -> None:
         self.short_of_memory = short_of_memory
@@ -48,11 +51,11 @@ class DeviceError(ClscoError):
 
 
 class CanceledError(ClscoError):
-    """A render was canceled before it was done (`clsco.Live.cancel`)."""
+    """`clsco.Live.cancel` ended a render."""
 
 
 class KernelError(ClscoError):
-    """A kernel does not build; the message holds the compiler's log with file names."""
+    """A kernel does not build; the message has the compiler's log with file names."""
 
     def __init__(self, message: str) -> None:
         Exception.__init__(self, message)

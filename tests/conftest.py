@@ -6,6 +6,7 @@ import atexit
 import gc
 import os
 import shutil
+import signal
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,6 +24,10 @@ if "PYTEST_XDIST_WORKER" not in os.environ:  # workers inherit it
     for name in os.environ.keys() - kept:
         if not name.startswith("PYTEST_"):
             del os.environ[name]
+
+# Those that a shell starts in the background ignore Ctrl-C, and so would what they start.
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Before the first query of the platforms, hence not a fixture. In a folder that is not its own, clsco does not check
 # the files of all tests before. Workers inherit the folder of the process that starts them.

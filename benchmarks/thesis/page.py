@@ -42,14 +42,14 @@ INTRODUCTION = """\
 # The thesis, figure by figure
 
 The figures and numbers of K. Sathyanarayana's thesis *Generating Video Frames with Depth Of Field and Motion Blur
-Effects for 3D Animation*, made by clsco by the thesis' own method. In a checkout `python -m benchmarks thesis -o DIR`
-renders them into DIR, each in a folder of the name of its scene in `examples/thesis`, and writes this page and
-DIR/thesis.html, with the figures in full size. `--only 4.9` renders some of them, and writes thesis_only.
+Effects for 3D Animation*, rendered by its own method. In a checkout `python -m benchmarks thesis -o DIR` renders the
+scenes of `examples/thesis` into folders of DIR, and writes this page and DIR/thesis.html, with the figures in full
+size. `--only 4.9` renders some of them, and writes thesis_only.
 """
 NUMBERS_HEAD = """\
 ## Numbers
 
-A number agrees where it is the stated one in all stated digits, or within a stated bound: "(around) 6 pixels" is read
+A number agrees if it equals the stated one in all its digits, or is within a stated bound; "(around) 6 pixels" counts
 as at most 6.5. Numbers of figures 4.13, 4.16 and 4.17 depend on sizes that the thesis does not state.
 
 """
@@ -60,7 +60,7 @@ NUMBERS_TITLE = "# Numbers of the thesis\n\n`python -m benchmarks thesis -o DIR`
 FIGURES_HEAD = """\
 ## Figures
 
-What the thesis does not state is chosen in the scenes, and listed in DIR/thesis.html.
+DIR/thesis.html lists the values that the thesis does not state.
 
 | | | |
 |---|---|---|
@@ -166,9 +166,10 @@ def numbers_page(values: Values) -> str:
 def page(figures: Collection[Figure], values: Values) -> str:
     """The page in Markdown: numbers that do not agree, figures, and a list of figures that are not rendered."""
     parts = [INTRODUCTION]
+    verdicts = {number: _verdict(number, got) for number, got in values.items() if number.stated}
     if values:
-        others = {number: got for number, got in values.items() if _verdict(number, got) not in ("agrees", "input")}
-        count = f"{len(values) - len(others)} of {len(values)} agree ({ALL_NUMBERS})."
+        others = {number: values[number] for number, word in verdicts.items() if word not in ("agrees", "input")}
+        count = f"{len(verdicts) - len(others)} of {len(verdicts)} agree ({ALL_NUMBERS})."
         parts.append(f"{NUMBERS_HEAD}{count} The others:\n\n{_numbers_table(others)}")
     if figures:
         cells = [f"![{figure.number}]({_small(figure)})<br>{figure.number}: {figure.shows}" for figure in figures]

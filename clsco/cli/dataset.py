@@ -115,7 +115,7 @@ def make(distribution: Path, out: str, devices: tuple[str, ...], quiet: bool, **
 
     color = not options.pop("no_color")
     try:
-        samples = creation.numbers_wanted(options["count"], options["only"])
+        samples = creation.sample_numbers(options["count"], options["only"])
         arrays, _ = creation.stored_arrays(options["truth"], color), parse_stored(options["types"])
     except SceneError as error:
         raise usage_error(error) from None
@@ -150,7 +150,7 @@ def _dry_run(distribution: Path, out: str, samples: range, arrays: tuple[str, ..
 
     drawn = load_distribution(distribution, options["overrides"], options["splits"])
     sheet = Path("dry_run.png" if "://" in out else f"{out.rstrip('/')}_dry_run.png")
-    print_dry_run(dry_run(drawn, options["seed"], len(samples), wanted=arrays, sheet_path=sheet))
+    print_dry_run(dry_run(drawn, options["seed"], len(samples), arrays=arrays, sheet_path=sheet))
 
 
 def _line(out: str, status: Status) -> str:
@@ -193,7 +193,7 @@ def status(data: str) -> None:
 def verify(data: str, sample: int, device: str | None, base: Path, quiet: bool) -> None:
     """Check a set: hashes of all files and arrays, and samples rendered again, bit by bit.
 
-    Flow is compared with where the motion of the scene takes the depth. Exit status 1 and a line for each finding.
+    Exit status 1 and a line for each finding.
     """
     from clsco.data.sets import open_set
     from clsco.data.storage import open_storage

@@ -32,7 +32,6 @@ def dry_run_tables(dry_run: DryRun) -> list[RenderableType]:
         ("accepted", f"{accepted / max(1, dry_run.attempts):.1%} of {dry_run.attempts} attempts"),
         ("failed", f"{len(dry_run.failed)}"),
         ("frames per sample", f"{dry_run.frames:g}"),
-        ("predicted work", f"{dry_run.weights:.3g} weights per frame"),
     ]
     of = f"{dry_run.looked_at} of {dry_run.count} samples"
     tables.append(table(f"Looked at: {of}, with rays on a coarse grid", ("what", "how much"), seen))
@@ -40,9 +39,9 @@ def dry_run_tables(dry_run: DryRun) -> list[RenderableType]:
     sizes = [(name, format_bytes(size), format_bytes(size * dry_run.count)) for name, size in dry_run.bytes.items()]
     total = sum(dry_run.bytes.values())
     sizes.append(("in all", format_bytes(total), format_bytes(total * dry_run.count)))
-    tables.append(
-        table("Size before compression", ("array", "per sample", "of the set"), sizes, ("per sample", "of the set"))
-    )
+    if dry_run.bytes:
+        columns = ("array", "per sample", "of the set")
+        tables.append(table("Size before compression", columns, sizes, columns[1:]))
     duration = "not known" if dry_run.seconds is None else format_seconds(dry_run.seconds)
     tables.append(table("Time", ("predicted", "from"), [(duration, dry_run.basis)]))
     return tables

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.data.forms import RefusedError
+from clsco.data.folder import RefusedError
 from clsco.errors import SceneError
 from clsco.optics.exposure import middle_time
 from clsco.optics.lens import LARGEST_BLUR
@@ -62,15 +62,14 @@ class Look:
 
     def measure(self, name: str) -> float:
         """One of MEASURES."""
-        if name == "max_blur_px":
-            return float(self.blur.max(initial=0.0))
-        if name == "max_flow_px":
-            return float(self.flow.max(initial=0.0))
+        largest = {"max_blur_px": self.blur, "max_flow_px": self.flow}
+        if name in largest:
+            return float(largest[name].max(initial=0.0))
         return self.visible if name == "visible_fraction" else self.valid
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _Frame:
     """One frame: what rays (RAYS, RAYS) meet; front: number of the object, -1 for none; hits: (objects, RAYS, RAYS),
     whether each object is on the way at all."""
 
@@ -86,18 +85,15 @@ def looks_of(scenes: Sequence[Scene]) -> list[Look]:
 
     Rays are cast once for all lenses. Validated against the ground truth of the reference.
     """
-    known: dict[Scene, list[_Seen]] = {}
-    found = []
+    by_lens: dict[Scene, list[_Frame]] = {}
+    looks = []
     for scene in scenes:
         key = without_lens(scene)
-        if key not in known:
+        if key not in by_lens:
             numbers = sorted({0, scene.sequence.frames // 2, scene.sequence.frames - 1})
-            known[key] = [_seen(scene, number) for number in numbers]
-        frames = known[key]
-        moves = scene.moves
-        ways = [_flow(scene, one, scene.sequence.interval) if moves else np.zeros(one.w.shape) for one in frames]
-        found.append(_looked(scene, frames, ways))
-    return found
+            by_lens[key] = [_cast_rays(scene, number) for number in numbers]
+        looks.append(_measure_frames(scene, by_lens[key]))
+    return looks
 
 
 def _slopes(scene: Scene, time: float) -> tuple[Array, Array]:
@@ -107,62 +103,62 @@ def _slopes(scene: Scene, time: float) -> tuple[Array, Array]:
     return slopes_at(camera_at(scene, time), *np.meshgrid(share * columns, -share * rows))
 
 
-def _seen(scene: Scene, number: int) -> _Seen:
+def _cast_rays(scene: Scene, number: int) -> _Frame:
     time = middle_time(scene.sequence, number) if scene.moves else 0.0
     rays = _slopes(scene, time)
     placed = zip(scene.objects, poses_at(scene, time), strict=True)
     w = np.array([predict_inverse_depth(item, place(item, pose), *rays) for item, pose in placed])
     front = np.where(w.max(axis=0) > 0.0, w.argmax(axis=0), -1)
-    return _Seen(number, w.max(axis=0), front, w > 0.0)
+    return _Frame(number, w.max(axis=0), front, w > 0.0)
 
 
-def _flow(scene: Scene, seen: _Seen, interval: float) -> Array:
+def _flow(scene: Scene, frame: _Frame, interval: float) -> Array:
     """Lengths (RAYS, RAYS) of the flow over an interval, px; 0 where there is nothing or it gets behind the lens."""
-    time = middle_time(scene.sequence, seen.number)
+    time = middle_time(scene.sequence, frame.number)
     now, then = poses_at(scene, time), poses_at(scene, time + interval)
     x, y = _slopes(scene, time)
     here, there = (camera_at(scene, when) for when in (time, time + interval))
-    length = np.zeros(seen.w.shape)
+    length = np.zeros(frame.w.shape)
     for number, item in enumerate(scene.objects):
-        own = seen.front == number
+        own = frame.front == number
         if item.is_background or not own.any():
             continue
         rays = np.stack([x[own], y[own], np.ones(int(own.sum()))])
-        point = moved_points((rays / seen.w[own]).T, rest_center(item), now[number], then[number]).T
+        point = moved_points((rays / frame.w[own]).T, rest_center(item), now[number], then[number]).T
         ahead = point[2] > 0.0
-        way = np.subtract(places_of(there, *(point[:2] / np.where(ahead, point[2], 1.0))), places_of(here, *rays[:2]))
-        length[own] = np.where(ahead, np.sqrt((way * way).sum(axis=0)), 0.0)
+        flow = np.subtract(places_of(there, *(point[:2] / np.where(ahead, point[2], 1.0))), places_of(here, *rays[:2]))
+        length[own] = np.where(ahead, np.sqrt((flow * flow).sum(axis=0)), 0.0)
     return length
 
 
-def _looked(scene: Scene, frames: Sequence[_Seen], ways: Sequence[Array]) -> Look:
+def _measure_frames(scene: Scene, frames: Sequence[_Frame]) -> Look:
     backgrounds = [number for number, item in enumerate(scene.objects) if item.is_background]
     bodies = _bodies(scene)
     valid, visible = 1.0, 1.0
     depths, radii, flows = list[Array](), list[Array](), list[Array]()
-    for seen, way in zip(frames, ways, strict=True):
-        hit = (seen.front >= 0) & ~np.isin(seen.front, backgrounds)
+    for frame in frames:
+        hit = (frame.front >= 0) & ~np.isin(frame.front, backgrounds)
         valid = min(valid, float(hit.mean()))
         for body in bodies:
-            alone, shown_of_it = seen.hits[body].any(axis=0), np.isin(seen.front, body)
-            visible = min(visible, float(shown_of_it.sum() / max(1, alone.sum())))
-        depths.append(seen.w[hit])
-        flows.append(way[hit])
-        time, hit = middle_time(scene.sequence, seen.number), seen.front >= 0
+            alone, in_front = frame.hits[body].any(axis=0), np.isin(frame.front, body)
+            visible = min(visible, float(in_front.sum() / max(1, alone.sum())))
+        depths.append(frame.w[hit])
+        flows.append(_flow(scene, frame, scene.sequence.interval)[hit] if scene.moves else np.zeros(hit.sum()))
+        time, hit = middle_time(scene.sequence, frame.number), frame.front >= 0
         x, y = _slopes(scene, time)
-        radii += [np.abs(lens.image_radius(seen.w[hit], x[hit], y[hit])) for lens in lenses_at(scene, time)]
+        radii += [np.abs(lens.image_radius(frame.w[hit], x[hit], y[hit])) for lens in lenses_at(scene, time)]
     return Look(np.concatenate(depths), np.concatenate(radii), np.concatenate(flows), valid, visible)
 
 
 def _bodies(scene: Scene) -> list[list[int]]:
     """Numbers of the objects that each table of the file has become: six for a box, and none for a background."""
-    found: dict[Any, list[int]] = {}
+    bodies: dict[Any, list[int]] = {}
     for number, item in enumerate(scene.objects):
         name, _, side = item.name.rpartition(" ")
         of_a_box = isinstance(item, Rectangle) and side in ("front", "back", "left", "right", "top", "bottom")
         if not item.is_background:
-            found.setdefault((name, rest_center(item).tobytes()) if of_a_box else number, []).append(number)
-    return list(found.values())
+            bodies.setdefault((name, rest_center(item).tobytes()) if of_a_box else number, []).append(number)
+    return list(bodies.values())
 
 
 Bounds = tuple[tuple[str, float, float], ...]
@@ -172,7 +168,7 @@ def bounds_of(table: Any) -> tuple[Bounds, list[str]]:
     """Measures of [accept] with their least and largest values, and messages on faults of the table."""
     if not isinstance(table, Mapping):
         return (), [f"accept: must be a table; got {shown(table)}"]
-    found, faults = [], list[str]()
+    bounds, faults = [], list[str]()
     for name, value in table.items():
         if name not in MEASURES:
             faults.append(f"accept.{name[:64]}: unknown key; must be {', '.join(MEASURES)}; got {shown(value)}")
@@ -184,8 +180,8 @@ def bounds_of(table: Any) -> tuple[Bounds, list[str]]:
         low, high = (float(ends.get(end, default)) for end, default in (("min", -np.inf), ("max", np.inf)))
         if low > high:
             faults.append(f"accept.{name}: min must be at most max; got {shown(low)} and {shown(high)}")
-        found.append((name, low, high))
-    return tuple(found), faults
+        bounds.append((name, low, high))
+    return tuple(bounds), faults
 
 
 def _is_number(value: Any) -> bool:
@@ -205,64 +201,64 @@ def refusal(bounds: Bounds, scenes: Sequence[Scene]) -> str | None:
     return None
 
 
-def derived(key: tuple[str, ...], wanted: float, scenes: Sequence[Scene]) -> float:
-    """The value of a key of DERIVED by which a sample gets the wanted measure, rounded to DIGITS digits.
+def derive_value(key: tuple[str, ...], target: float, scenes: Sequence[Scene]) -> float:
+    """The value of a key of DERIVED by which a sample gets a measure, rounded to DIGITS digits.
 
     scenes: the variants; the measure is that of the variant with the most of it. Raises UnfitError where no value does.
     """
     name = ".".join(key)
     if key == ("sequence", "shutter"):
-        return _rounded(wanted * scenes[0].sequence.interval)
+        return _rounded(target * scenes[0].sequence.interval)
     if key == ("sequence", "interval"):
-        return _interval(wanted, scenes)
+        return _interval(target, scenes)
     looks = looks_of(scenes)
     if key == ("camera", "focus_distance"):
         w = np.sort(np.concatenate([look.inverse_depth for look in looks]))[::-1]
         if not len(w):
             raise UnfitError(f"derive.{name}: a surface must be in the frame; got none")
-        return _rounded(1.0 / float(w[int(wanted * (len(w) - 1))]))
-    blurred = [look.measure("max_blur_px") for look in looks]
-    largest, scene = max(blurred), scenes[blurred.index(max(blurred))]
+        return _rounded(1.0 / float(w[int(target * (len(w) - 1))]))
+    blurs = [look.measure("max_blur_px") for look in looks]
+    largest, scene = max(blurs), scenes[blurs.index(max(blurs))]
     if not largest > 0.0:
         raise UnfitError(f"derive.{name}: something must be out of focus; got a largest blur radius of 0")
-    return _rounded(scene.camera.focal_length / scene.camera.aperture_diameter * largest / wanted)
+    return _rounded(scene.camera.focal_length / scene.camera.aperture_diameter * largest / target)
 
 
-def _interval(wanted: float, scenes: Sequence[Scene]) -> float:
+def _interval(target: float, scenes: Sequence[Scene]) -> float:
     """The time from the reference pose of the first variant in which the fastest point in sight moves so many px."""
     scene = scenes[0]
     if not scene.moves:
         raise UnfitError("derive.sequence.interval: something must move in the frame; got none that does")
     # The middle of the shutter, to which the truth belongs, may follow from the interval: the reference pose instead.
     still = scene.model_copy(update={"sequence": scene.sequence.model_copy(update={"shutter": 0.0})})
-    seen = _seen(still, 0)
-    low, high, time, found = 0.0, math.inf, MOMENT, 0.0
+    frame = _cast_rays(still, 0)
+    low, high, time, flow = 0.0, math.inf, MOMENT, 0.0
     for _ in range(STEPS):
-        found = float(_flow(still, seen, time).max())
-        low, high = (low, time) if found >= wanted else (time, high)
-        if abs(found - wanted) <= 1e-9 * wanted:
+        flow = float(_flow(still, frame, time).max())
+        low, high = (low, time) if flow >= target else (time, high)
+        if abs(flow - target) <= 1e-9 * target:
             return _rounded(time)
-        if not found > 0.0 or time > LONGEST:
+        if not flow > 0.0 or time > LONGEST:
             break
-        guess = time * wanted / found  # exact where the way grows with the time
+        guess = time * target / flow  # exact where the flow grows with the time
         time = guess if low < guess < high else 0.5 * (low + high) if high < math.inf else 2.0 * time
-    rule = f"derive.sequence.interval: something in the frame must move by {wanted:g} px"
-    raise UnfitError(f"{rule}; got {found:.3g} px in {time:.3g} s")
+    rule = f"derive.sequence.interval: something in the frame must move by {target:g} px"
+    raise UnfitError(f"{rule}; got {flow:.3g} px in {time:.3g} s")
 
 
 def _rounded(value: float) -> float:
     return float(f"{value:.{DIGITS}g}")
 
 
-def derivation(key: tuple[str, str], value: Any) -> Any:
+def parse_target(key: tuple[str, str], value: Any) -> Any:
     """Value of a key of [derive]: a number, or a distribution of it. Raises RefusedError."""
     form = DERIVED[key]
     if not isinstance(value, Mapping) or set(value) != {form}:
         raise RefusedError(f"must be {{ {form} = value }}")
-    wanted = value[form]
-    if isinstance(wanted, Mapping):
-        return wanted
+    target = value[form]
+    if isinstance(target, Mapping):
+        return target
     most = 1.0 if form in ("depth_quantile", "share_of_interval") else LARGEST_BLUR
-    if not _is_number(wanted) or not (wanted > 0.0 or form == "depth_quantile") or wanted > most:
-        raise RefusedError(f"{form} must be a number up to {most:g}", shown(wanted))
-    return wanted
+    if not _is_number(target) or not (target > 0.0 or form == "depth_quantile") or target > most:
+        raise RefusedError(f"{form} must be a number up to {most:g}", shown(target))
+    return target

@@ -3,15 +3,16 @@ file that can give an invalid one is refused when it is read."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from clsco.data.acceptance import UnfitError, derived
+from clsco.data.acceptance import UnfitError, derive_value
 from clsco.data.compile import Location, Parameter, Population, VariedKeys, copied
-from clsco.data.values import Placed
+from clsco.data.forms import Placed
 from clsco.errors import FileError, MissingDependencyError, SceneError
 from clsco.inputs.textures import texture_size
 from clsco.scene.changes import displace
@@ -20,22 +21,8 @@ from clsco.scene.shapes import SHAPES
 from clsco.scene.sweep import Sweep, parse_sweep
 from clsco.scene.text import key_name, shown
 
-
-@dataclass(frozen=True)
-class Values:
-    """Parameter values of one sample, and the values of each object of its populations."""
-
-    values: Sequence[Any]
-    members: Sequence[Sequence[Sequence[Any]]]
-
-
-@dataclass(frozen=True)
-class Built:
-    """A sample: the content of its scene file, its parameters by name, and its scenes."""
-
-    table: dict[str, Any]
-    parameters: dict[str, Any]
-    sweep: Sweep
+ValueOf = Callable[[Parameter, int], Any]
+"""Gives the value of a parameter; of those of a population for each of its objects, by its number."""
 
 
 class Builder:
@@ -45,34 +32,40 @@ class Builder:
         self._parts, self._folder = parts, folder
         self._table: dict[str, Any] = copied(parts.scene)
         self._parameters: dict[str, Any] = {}
-        self._wanted: dict[Location, Any] = {}
+        self._targets: dict[Location, Any] = {}  # measures that derived keys have to give
         self._placed: list[tuple[str, Any, Any]] = []  # name, and where a point in the frustum goes
         self._sources: dict[str, str] = {}  # keys of objects as the scene has them, and as the file does
 
-    def build(self, values: Values, derive: bool = True, noise_seed: int = 0) -> Built:
-        """The sample of some values; derive: with the keys that follow from its scenes; noise_seed: of its sensor,
-        where that has none. Raises SceneError, whose messages do not name the file, and UnfitError."""
+    def build(
+        self, value_of: ValueOf, derive: bool = True, noise_seed: int = 0
+    ) -> tuple[dict[str, Any], dict[str, Any], Sweep]:
+        """The sample of some values: the content of its scene file, its parameters by name, and its scenes.
+
+        derive: with the keys that follow from its scenes; noise_seed: of its sensor, where that has none. Raises
+        SceneError, whose messages do not name the file, and UnfitError.
+        """
         parts = self._parts
         try:
-            for parameter, value in zip(parts.parameters, values.values, strict=True):
+            for parameter in parts.parameters:
+                value = value_of(parameter, 0)
                 if parameter.location[0] == "derive":
-                    self._parameters[parameter.name] = self._wanted[parameter.location[1:]] = value
+                    self._parameters[parameter.name] = self._targets[parameter.location[1:]] = value
                 else:
                     self._set(self._table, parameter.location, value, parameter.name)
-            for population, members in zip(parts.populations, values.members, strict=True):
-                self._parameters[population.count.name] = len(members)
-                for element, member in enumerate(members):
-                    self._add(population, element, member)
+            for population in parts.populations:
+                count = self._parameters[population.count.name] = value_of(population.count, 0)
+                for element in range(count):
+                    self._add(population, element, value_of)
             self._complete(noise_seed)
             sweep = parse_sweep(self._table, "")
-            for key, wanted in parts.derived if derive else ():
-                sweep = self._derive(key, self._wanted[key] if isinstance(wanted, Parameter) else wanted, sweep)
+            for key, target in parts.derived if derive else ():
+                sweep = self._derive(key, self._targets[key] if isinstance(target, Parameter) else target, sweep)
         except UnfitError:
             raise
         except SceneError as error:
             raise SceneError([self._varied(message.removeprefix(": ")) for message in error.messages]) from error
         scenes = tuple(absolute(scene, self._folder) for scene in sweep.scenes)
-        return Built(self._table, self._parameters, replace(sweep, scenes=scenes))
+        return self._table, self._parameters, replace(sweep, scenes=scenes)
 
     def _set(self, table: Any, location: Location, value: Any, name: str) -> None:
         for part in location[:-1]:
@@ -81,12 +74,13 @@ class Builder:
             self._placed.append((name, table, location[-1]))
         table[location[-1]] = self._parameters[name] = copied(value)
 
-    def _add(self, population: Population, element: int, member: Sequence[Any]) -> None:
+    def _add(self, population: Population, element: int, value_of: ValueOf) -> None:
         """An object of a population."""
         item: dict[str, Any] = copied(population.constants)
         prefix = f"object.{population.label}."
-        for parameter, value in zip(population.parameters, member, strict=True):
-            self._set(item, parameter.location, value, f"{prefix}{element}.{parameter.name.removeprefix(prefix)}")
+        for parameter in population.parameters:
+            name = f"{prefix}{element}.{parameter.name.removeprefix(prefix)}"
+            self._set(item, parameter.location, value_of(parameter, element), name)
         if population.named:
             item["name"] = f"{population.label} {element + 1}"
         objects = self._table.setdefault("object", [])
@@ -145,11 +139,11 @@ class Builder:
             if isinstance(value, Placed):  # of a shape that has no such key
                 self._parameters[name] = value.point(columns, rows, step)
 
-    def _derive(self, key: tuple[str, ...], wanted: float, sweep: Sweep) -> Sweep:
+    def _derive(self, key: tuple[str, ...], target: float, sweep: Sweep) -> Sweep:
         section, name = key
-        found = derived(key, float(wanted), sweep.scenes)
-        displace(self._table, f"{section}.{name}", found)
-        self._table.setdefault(section, {})[name] = self._parameters[f"{section}.{name}"] = found
+        value = derive_value(key, float(target), sweep.scenes)
+        displace(self._table, f"{section}.{name}", value)
+        self._table.setdefault(section, {})[name] = self._parameters[f"{section}.{name}"] = value
         return parse_sweep(self._table, "")
 
     def _varied(self, message: str) -> str:
@@ -188,36 +182,36 @@ MAX_EXTREMES = 48  # of one distribution
 def corner_faults(parts: VariedKeys, folder: Path) -> list[str]:
     """Messages on scenes of extreme values, each once: the lowest of all, the highest of all, and each extreme of one
     parameter with the lowest and the highest values of the others."""
-    found: dict[str, str] = {}  # by what is asked for
+    faults: dict[str, str] = {}  # by what is asked for
     for corner in _corners(parts):
         try:
-            Builder(parts, folder).build(corner, derive=False)
+            Builder(parts, folder).build(partial(_corner_value, corner), derive=False)
         except SceneError as error:
             for message in error.messages:
-                found.setdefault(message.partition("; got ")[0], message)
-    return list(found.values())
+                faults.setdefault(message.partition("; got ")[0], message)
+    return list(faults.values())
 
 
-def _corners(parts: VariedKeys) -> Iterator[Values]:
+def _corner_value(corner: Mapping[str, Any], parameter: Parameter, _: int) -> Any:
+    return corner[parameter.name]
+
+
+def _corners(parts: VariedKeys) -> Iterator[dict[str, Any]]:
+    """Values by the names of their parameters."""
     every = [*parts.parameters, *(one for population in parts.populations for one in population.parameters)]
     extremes = {one.name: _some(one.form.extremes()) for one in every}
-    lowest, highest = ({name: values[end] for name, values in extremes.items()} for end in (0, -1))
-    yield _values(parts, lowest, 0)
-    yield _values(parts, highest, -1)
-    varied = ((name, value, others) for name in extremes for value in extremes[name] for others in (lowest, highest))
-    for name, value, others in islice(varied, MAX_CORNERS):
-        yield _values(parts, others | {name: value}, None)
-
-
-def _values(parts: VariedKeys, picked: dict[str, Any], many: int | None) -> Values:
-    """Values by the names of their parameters; many: which extreme of the size of each population, None for one object
-    of each."""
-    members = []
-    for population in parts.populations:
-        counts = population.count.form.extremes()
-        count = min(1, max(counts)) if many is None else sorted(counts)[many]
-        members.append([[picked[one.name] for one in population.parameters]] * count)
-    return Values([picked[one.name] for one in parts.parameters], members)
+    counts = {population.count.name: sorted(population.count.form.extremes()) for population in parts.populations}
+    lowest, highest = ({name: values[end] for name, values in (extremes | counts).items()} for end in (0, -1))
+    yield lowest
+    yield highest
+    one_each = {name: min(1, values[-1]) for name, values in counts.items()}
+    varied = (
+        others | one_each | {name: value}
+        for name in extremes
+        for value in extremes[name]
+        for others in (lowest, highest)
+    )
+    yield from islice(varied, MAX_CORNERS)
 
 
 def _some(values: tuple[Any, ...]) -> list[Any]:

@@ -61,11 +61,11 @@ def run_cluster(job: SetJob, shards: Sequence[int], address: str, advance: Calla
                 workers = _workers(client, address)
                 while schedule.waiting and len(running) < _room(workers):
                     task = schedule.waiting.popleft()
-                    found = client.submit(
+                    future = client.submit(
                         _perform, packed, task, _per_host(workers), pure=False, resources=_resources(workers)
                     )
-                    running[found] = task
-                    found.add_done_callback(lambda _: ended.set())
+                    running[future] = task
+                    future.add_done_callback(lambda _: ended.set())
                 ended.wait(LOOK_S)
                 ended.clear()
                 for future in [future for future in running if future.done()]:
@@ -131,10 +131,10 @@ def _distributed() -> Any:
 
 def _workers(client: Any, address: str) -> Mapping[str, Any]:
     """Workers as the scheduler lists them. Raises ClscoError if the scheduler is gone."""
-    found: Mapping[str, Any] | None = client.scheduler_info(n_workers=-1).get("workers")
-    if found is None:
+    workers: Mapping[str, Any] | None = client.scheduler_info(n_workers=-1).get("workers")
+    if workers is None:
         raise _lost(address)
-    return found
+    return workers
 
 
 def _room(workers: Mapping[str, Any]) -> int:

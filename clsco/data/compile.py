@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from clsco.data.acceptance import DERIVED, derivation
+from clsco.data.acceptance import DERIVED, parse_target
 from clsco.data.draws import Splits
-from clsco.data.forms import FORMS, Folder, FormContext, RefusedError, form_of, is_form
+from clsco.data.folder import Folder, RefusedError
+from clsco.data.forms import FORMS, ChoiceForm, Files, Form, FormContext, Frustum, Integers, form_of, is_form
 from clsco.data.tables import DistributionTables
-from clsco.data.values import ChoiceForm, Files, Form, Frustum, Integers
 from clsco.scene.changes import displace, put
 from clsco.scene.file import FILE_KEYS, names_file
 from clsco.scene.objects import MAX_OBJECTS
@@ -58,7 +58,7 @@ class VariedKeys:
     parameters: tuple[Parameter, ...]
     populations: tuple[Population, ...]
     derived: tuple[tuple[tuple[str, ...], Any], ...]
-    """Keys with what is wanted of them, a number or the parameter that has it."""
+    """Keys with the measure that they have to give, a number or the parameter that has it."""
     sized: bool
     """True if samples need a resolution: rays are cast at them, or points placed in the view."""
 
@@ -68,7 +68,7 @@ class Reader:
 
     def __init__(self, tables: DistributionTables, folder: Folder, splits: Splits) -> None:
         self.faults: list[str] = []
-        self._tables, self._folder, self._found = tables, folder, FormContext(folder, splits)
+        self._tables, self._folder, self._context = tables, folder, FormContext(folder, splits)
         self._scene = copied(tables.scene)
         self._count = 0
 
@@ -88,7 +88,7 @@ class Reader:
             else:
                 self._faulty(("vary", section), "must be a table", value)
         derived = self._derived()
-        parameters += [wanted for _, wanted in derived if isinstance(wanted, Parameter)]
+        parameters += [target for _, target in derived if isinstance(target, Parameter)]
         self._check_files(self._scene.get("object"), ("object",))
         self._check_files([self._scene.get("aperture")], ("aperture",))
         for number, population in enumerate(populations):
@@ -120,19 +120,19 @@ class Reader:
 
     def _section(self, place: Location, table: Mapping[str, Any]) -> list[Parameter]:
         """Parameters of a table of the scene; what does not vary goes to the scene at once."""
-        found = []
+        parameters = []
         for key, value in table.items():
             location = (*place, key)
             if key == "motion" and place[0] in MOVING and isinstance(value, Mapping):
-                found += self._section(location, value)
+                parameters += self._section(location, value)
                 continue
             constant, varying = self._value(value, ("vary", *location), location, ".".join(map(str, location)))
             displace(self._scene, ".".join(map(str, location)), None if varying else constant)
             if (fault := put(self._scene, list(map(str, location)), constant)) is not None:
                 self.faults.append(f"{key_name(('vary', *location))}: {fault}")
             else:
-                found += varying
-        return found
+                parameters += varying
+        return parameters
 
     def _value(self, value: Any, key: Location, location: Location, name: str) -> tuple[Any, list[Parameter]]:
         """A value with None where it varies, and the parameters that go there."""
@@ -156,7 +156,7 @@ class Reader:
         if self._count > MAX_PARAMETERS:
             return []
         try:
-            form = form_of(value, self._found)
+            form = form_of(value, self._context)
         except RefusedError as error:
             self.faults.append(error.message(key_name(key), value))
             return []
@@ -185,10 +185,10 @@ class Reader:
             self._faulty(("vary", section, entry, "index"), rule, index)
             return []
         before = len(self.faults)
-        found = self._section((section, index), {key: value for key, value in table.items() if key != "index"})
-        written, given = f"vary.{section}[{index}]", f"vary.{section}[{entry}]"
-        self.faults[before:] = [message.replace(written, given, 1) for message in self.faults[before:]]
-        return found
+        parameters = self._section((section, index), {key: value for key, value in table.items() if key != "index"})
+        in_scene, in_file = f"vary.{section}[{index}]", f"vary.{section}[{entry}]"
+        self.faults[before:] = [message.replace(in_scene, in_file, 1) for message in self.faults[before:]]
+        return parameters
 
     def _population(self, entry: int, table: Mapping[str, Any], labels: list[str]) -> list[Population]:
         key: Location = ("vary", "object", entry)
@@ -233,34 +233,34 @@ class Reader:
         return Parameter(name, ("count",), form)
 
     def _derived(self) -> list[tuple[tuple[str, ...], Any]]:
-        """Values of the keys of [derive]; a distribution is replaced by the parameter that draws it."""
-        found: dict[tuple[str, ...], Any] = {}
-        given = self._tables.derive if isinstance(self._tables.derive, dict) else {}
-        if given is not self._tables.derive:
-            self._faulty(("derive",), "must be a table", self._tables.derive)
-        for section, table in given.items():
+        """Targets of the keys of [derive]; a distribution is replaced by the parameter that draws it."""
+        targets: dict[tuple[str, ...], Any] = {}
+        if not isinstance(sections := self._tables.derive, dict):
+            self._faulty(("derive",), "must be a table", sections)
+            sections = {}
+        for section, table in sections.items():
             for key, value in table.items() if isinstance(table, dict) else [("", table)]:
                 here: Location = ("derive", section, key) if key else ("derive", section)
                 try:
                     if (section, key) not in DERIVED:
                         raise RefusedError(f"must be one of {', '.join('.'.join(one) for one in DERIVED)}")
-                    wanted = derivation((section, key), value)
+                    target = parse_target((section, key), value)
                 except RefusedError as error:
                     self.faults.append(error.message(key_name(here), value))
                     continue
                 displace(self._scene, f"{section}.{key}", None)
-                if isinstance(wanted, dict):
-                    wanted = self._wanted((section, key), wanted)
-                found[section, key] = wanted
-        return [(key, found[key]) for key in DERIVED if key in found]
+                targets[section, key] = (
+                    self._drawn_target((section, key), target) if isinstance(target, Mapping) else target
+                )
+        return [(key, targets[key]) for key in DERIVED if key in targets]
 
-    def _wanted(self, key: tuple[str, str], value: Mapping[str, Any]) -> Parameter | None:
-        """A distribution of the wanted value of a derived key."""
+    def _drawn_target(self, key: tuple[str, str], value: Mapping[str, Any]) -> Parameter | None:
+        """The parameter that draws the target of a derived key."""
         here: Location = ("derive", *key)
         for parameter in self._value(value, here, here, ".".join(("derive", *key)))[1]:
             for end in parameter.form.extremes():
                 try:
-                    derivation(key, {DERIVED[key]: end})
+                    parse_target(key, {DERIVED[key]: end})
                 except RefusedError as error:
                     self.faults.append(error.message(key_name(here), end))
             return parameter

@@ -10,11 +10,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from clsco.data.card import CARD
 from clsco.data.containers import CONTAINERS, container_named
 from clsco.data.creation import DistributionLike, Progress, make
 from clsco.data.manifest import part_bytes, part_key
 from clsco.data.record import Record
-from clsco.data.sets import CARD, DataSet, Status, check_resumable, finish, open_set, ranges, status_of
+from clsco.data.sets import DataSet, Status, check_resumable, finish, open_set, ranges, status_of
 from clsco.data.storage import Storage, open_storage, remove_path
 from clsco.errors import FileError, SceneError
 from clsco.files.atomic import file_digests
@@ -31,7 +32,7 @@ def remake(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> list[str]:
-    """Make a data set again by what its card says, and compare.
+    """Make a data set again from its card, and compare the bytes.
 
     Parameters
     ----------
@@ -40,24 +41,24 @@ def remake(
     out : path, optional
         Folder or address of the new one; by default a temporary folder that is removed.
     distribution : path, mapping or callable, optional
-        As for `clsco.data.make`; by default the one on the card. A set of a function needs the function, as code of a
-        stranger's set is not run.
+        As for `clsco.data.make`; by default that of the card. If a function made the set, give the function, as code in
+        a set is never run.
     folder : path, optional
-        Folder in which the distribution file was, with its textures; by default the current one.
+        Folder of the distribution file's textures; by default the current one.
     devices, workers, progress
         As for `clsco.data.make`.
 
     Returns
     -------
     list of str
-        A line for each difference; none where all bytes are the same.
+        A line for each difference; empty if all bytes are the same.
 
     Raises
     ------
     SceneError
-        A function made the set, and none is given; or as `clsco.data.make`.
+        A function made the set, and `distribution` is missing; or as `clsco.data.make`.
     FileError
-        There is no set, or it is damaged.
+        The set does not exist, or is damaged.
 
     Examples
     --------
@@ -68,36 +69,36 @@ def remake(
     with ExitStack() as stack:
         storage = open_storage(data)
         stack.callback(storage.close)
-        there = open_set(storage)
-        identity = there.identity
-        made_by = there.about.get("distribution") if distribution is None else distribution
+        original = open_set(storage)
+        identity = original.identity
+        made_by = original.about.get("distribution") if distribution is None else distribution
         if made_by is None:
-            name = there.about.get("function", "none")
+            name = original.about.get("function", "none")
             raise SceneError(
                 f"distribution: must be given for a set that a function made, as it is not run; got {name}"
             )
         target = stack.enter_context(tempfile.TemporaryDirectory()) if out is None else os.fspath(out)
         make(
-            made_by, target, only=there.samples, seed=identity.seed, truth=[n for n in identity.arrays if n != "color"],
+            made_by, target, only=original.samples, seed=identity.seed, truth=set(identity.arrays) - {"color"},
             color="color" in identity.arrays, types=dict(identity.types), splits=identity.splits or None,
             format=identity.format, shard_size=identity.shard_size, precision=identity.precision, devices=devices,
-            workers=workers, folder=folder, license=str(there.about.get("license", "")), progress=progress,
-            allow_failures=len(there.samples),
+            workers=workers, folder=folder, license=str(original.about.get("license", "")), progress=progress,
+            allow_failures=len(original.samples),
         )  # fmt: skip
-        again = open_storage(target)
-        stack.callback(again.close)
-        return list(_differences(there, open_set(again)))
+        remade = open_storage(target)
+        stack.callback(remade.close)
+        return list(_differences(original, open_set(remade)))
 
 
-def _differences(there: DataSet, again: DataSet) -> Iterator[str]:
-    yield from again.identity.differences(there.identity.record())
-    for shard in there.shards:
+def _differences(original: DataSet, remade: DataSet) -> Iterator[str]:
+    yield from remade.identity.differences(original.identity.record())
+    for shard in original.shards:
         key = part_key(shard)
-        part = there.storage.read(key)
+        part = original.storage.read(key)
         if part is None:
             yield f"{key}: shard {shard} must be there; got none"
-        elif part != again.storage.read(key):
-            old, new = ([*rows, *failures] for rows, failures in (there.lines(shard), again.lines(shard)))
+        elif part != remade.storage.read(key):
+            old, new = ([*rows, *failures] for rows, failures in (original.lines(shard), remade.lines(shard)))
             others = ranges(row["number"] for row in old if row not in new)
             yield f"{key}: {f'samples {others}' if others else 'files'} must be what is made again; got others"
 
@@ -116,37 +117,37 @@ def convert(
     damaged, as each array must have the SHA-256 that the manifest names.
     """
     container_named(form)
-    there = open_set(source)
-    container_named(there.identity.format)
-    status = status_of(there)
+    source_set = open_set(source)
+    container_named(source_set.identity.format)
+    status = status_of(source_set)
     if not status.is_whole:
-        found = next(iter(status.faults), f"{len(status.done)}")
-        raise FileError(f"{source.where}: all {status.shards} shards must be whole; got {found}")
-    made = DataSet(target, replace(there.identity, format=form), there.samples)
-    check_resumable(made, resume)
+        got = next(iter(status.faults), f"{len(status.done)}")
+        raise FileError(f"{source.where}: all {status.shards} shards must be whole; got {got}")
+    new_set = DataSet(target, replace(source_set.identity, format=form), source_set.samples)
+    check_resumable(new_set, resume)
     card = strict_json(source.read(CARD) or b"{}")
-    made.write({name: value for name, value in card.items() if name not in OWN})
-    done = made.done(made.shards, target.is_local, [])
-    left = [shard for shard in made.shards if shard not in done]
+    new_set.write({name: value for name, value in card.items() if name not in OWN})
+    done = new_set.done(new_set.shards, target.is_local, [])
+    left = [shard for shard in new_set.shards if shard not in done]
     advance = begin(len(left))
     for shard in left:
-        _convert_shard(there, made, shard)
+        _convert_shard(source_set, new_set, shard)
         advance()
-    return made, finish(made)
+    return new_set, finish(new_set)
 
 
-def _convert_shard(there: DataSet, made: DataSet, shard: int) -> None:
+def _convert_shard(source_set: DataSet, new_set: DataSet, shard: int) -> None:
     """Convert the files of a shard; its part is written when they are there."""
-    rows, failures = there.lines(shard)
-    old, new = CONTAINERS[there.identity.format], CONTAINERS[made.identity.format]
+    rows, failures = source_set.lines(shard)
+    old, new = CONTAINERS[source_set.identity.format], CONTAINERS[new_set.identity.format]
     by_file: dict[str, list[dict[str, Any]]] = {}
     for row in rows:
         by_file.setdefault(row["file"], []).append(row)
-    scratch, files = made.storage.scratch(), dict[str, Path]()
+    scratch, files = new_set.storage.scratch(), dict[str, Path]()
     described: dict[str, tuple[int, str]] = {}
     for file, own in by_file.items():
         key = f"{file.removesuffix(old.suffix)}{new.suffix}"
-        path, local = scratch / key.replace("/", "_"), there.storage.local(file)
+        path, local = scratch / key.replace("/", "_"), source_set.storage.local(file)
         remove_path(path)
         reader = old.read(local)
         try:
@@ -155,17 +156,17 @@ def _convert_shard(there: DataSet, made: DataSet, shard: int) -> None:
             new.write(path, _checked(file, reader, own))
         finally:
             reader.close()
-            if not there.storage.is_local:
+            if not source_set.storage.is_local:
                 remove_path(local)
         files[key] = path
         described |= file_digests(key, path)
         for row in own:
             row["file"] = key
-    part = part_bytes(shard, made.identity.digest, made.numbers(shard), described, rows, failures)
-    made.storage.remove(part_key(shard))
+    part = part_bytes(shard, new_set.identity.digest, new_set.numbers(shard), described, rows, failures)
+    new_set.storage.remove(part_key(shard))
     for key, path in files.items():
-        made.storage.put(key, path)
-    made.storage.write(part_key(shard), part)
+        new_set.storage.put(key, path)
+    new_set.storage.write(part_key(shard), part)
 
 
 def _checked(file: str, records: Iterator[Record] | Any, rows: Sequence[Mapping[str, Any]]) -> Iterator[Record]:

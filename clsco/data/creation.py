@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any
 
 from clsco import __version__
-from clsco.data.containers import container_named
+from clsco.data.containers import DEFAULT, container_named
 from clsco.data.distribution import Distribution, DrawScene, ScriptedDistribution, load_distribution, scripted
 from clsco.data.draws import SplitsLike
 from clsco.data.manifest import Identity, shard_numbers
@@ -37,7 +37,7 @@ Progress = Callable[[int], AbstractContextManager[Callable[[int], object]]]
 
 
 class FailedSamplesError(ClscoError):
-    """More samples of a set failed than may; `status` says how far it is."""
+    """More samples of a set failed than allowed; `status` has the progress of the set."""
 
     def __init__(self, message: str, status: Status) -> None:
         super().__init__(message)
@@ -55,52 +55,39 @@ class Workers:
     scheduler: str = ""
 
 
-class MakeOptions(TypedDict, total=False):
-    """Keywords of `make`, see there."""
-
-    truth: str | Iterable[str]
-    color: bool
-    types: str | Mapping[str, str]
-    splits: SplitsLike
-    format: str
-    shard_size: int
-    devices: str | Sequence[str]
-    workers: int | None
-    scheduler: str
-    precision: str | None
-    resume: bool
-    only: range | None
-    part: tuple[int, int] | None
-    overrides: Sequence[str]
-    folder: str | os.PathLike[str] | None
-    license: str
-    allow_failures: int
-    progress: Progress | None
-
-
-_DEFAULTS = MakeOptions(
-    truth=TRUTH, color=True, types="", splits=None, format="webdataset", shard_size=256, devices=(), workers=None,
-    scheduler="", precision=None, resume=False, only=None, part=None, overrides=(), folder=None, license="",
-    allow_failures=0, progress=None,
-)  # fmt: skip
-
-
-def make(
+def make(  # noqa: PLR0913, a parameter for each option
     distribution: DistributionLike,
     data: str | os.PathLike[str],
     *,
     count: int | None = None,
     seed: int = 0,
-    **options: Unpack[MakeOptions],
+    truth: str | Iterable[str] = TRUTH,
+    color: bool = True,
+    types: str | Mapping[str, str] = "",
+    splits: SplitsLike = None,
+    format: str = DEFAULT,  # noqa: A002
+    shard_size: int = 256,
+    devices: str | Sequence[str] = (),
+    workers: int | None = None,
+    scheduler: str = "",
+    precision: str | None = None,
+    resume: bool = False,
+    only: range | None = None,
+    part: tuple[int, int] | None = None,
+    overrides: Sequence[str] = (),
+    folder: str | os.PathLike[str] | None = None,
+    license: str = "",  # noqa: A002
+    allow_failures: int = 0,
+    progress: Progress | None = None,
 ) -> Status:
     """Make a data set of scenes drawn from a distribution.
 
     Parameters
     ----------
     distribution : path, mapping or callable
-        A distribution file, the content of one, or a function `draw(rng, sample)` that gives the scene of a sample as
-        `clsco.render` takes it. It is handed a `numpy.random.Generator` of the seed and the number of the sample alone,
-        and must stand at the top of a module or script, as other processes import it.
+        A distribution file, its content, or a function `draw(rng, sample)` that returns the scene of a sample, as for
+        `clsco.render`. `rng` is a `numpy.random.Generator` seeded by `seed` and the number of the sample. Define the
+        function at the top of a module or script, as other processes import it.
     data : path
         Folder of the set, or an address like "s3://bucket/set".
     count : int
@@ -108,9 +95,9 @@ def make(
     seed : int
         0 to 2^63 - 1.
     truth : str or iterable of str
-        Names of the arrays besides color, as they are called in files.
+        Names of the arrays besides color, as in files.
     color : bool
-        False for these arrays alone: no image is made, which is most of the work.
+        True by default. False makes only the arrays of `truth`: the image, most of the work, is skipped.
     types : str or mapping
         Such as {"color": "float32"}, linear instead of codes of 16 bits, or "depth=float16".
     splits : str or mapping, optional
@@ -120,7 +107,7 @@ def make(
     shard_size : int
         Samples of a shard, which is one file.
     devices : str or sequence of str
-        Devices that render, by parts of their names, or "all" of the best kind; by default the best one.
+        Devices that render, as parts of their names, or "all" devices of the best kind; by default the best device.
     workers : int, optional
         Processes; by default one for each graphics card, or for each core of a processor.
     scheduler : str
@@ -128,21 +115,22 @@ def make(
     precision : {"double", "single"}, optional
         Precision of the geometry; by default double where the devices have it.
     resume : bool
-        Go on with the set in `data`.
+        Continue the set in `data`.
     only : range, optional
         Numbers of the samples, instead of `count`.
     part : (int, int), optional
-        (I, N): every N-th shard from I on alone, for array jobs.
+        (I, N): make only every N-th shard from I on, for array jobs.
     overrides : sequence of str
-        Keys and values as for `clsco.load_scene`, of a distribution that is no function.
+        Keys and values as for `clsco.load_scene`; not for a function.
     folder : path, optional
-        Start of the paths of textures, where the distribution is no file; by default the current folder.
+        Folder of relative paths of textures, unless the distribution is a file; by default the current folder.
     license : str
         Text for the data card.
     allow_failures : int
         Samples that may fail without an error.
     progress : callable, optional
-        Takes the number of samples to be made, and opens what takes numbers of samples that are done.
+        Called with the number of samples to make; returns a context manager of a function that takes the number of
+        samples just made.
 
     Returns
     -------
@@ -152,16 +140,16 @@ def make(
     Raises
     ------
     SceneError, DeviceError
-        For arguments that cannot be; nothing is written then.
+        An argument is invalid; nothing is written.
     FailedSamplesError
-        More samples failed than may. What was made stays, as after any error from here on, and may be resumed.
+        More than `allow_failures` samples failed. Finished shards stay, as after the next error, and can be resumed.
     ClscoError
         The set cannot be written, or devices fail.
 
     Notes
     -----
-    The same distribution, seed and version give the same bytes on devices of a family, whatever makes them. Processes
-    are spawned: a script that calls this does so under `if __name__ == "__main__":`.
+    The same distribution, seed and version give the same bytes on all devices of a family. Processes are spawned: call
+    this function under `if __name__ == "__main__":` in a script.
 
     Examples
     --------
@@ -175,47 +163,35 @@ def make(
     """
     from clsco.data.shards import SetJob
 
-    if unknown := sorted(options.keys() - _DEFAULTS.keys()):
-        raise TypeError(f"make() got an unexpected keyword argument {unknown[0]!r}")
-    given = _DEFAULTS | options
-    identity, drawn, samples, who = _identity(distribution, count, seed, given)
-    job = SetJob(drawn, identity, samples, open_storage(data).where)
-    status, failures = _make_shards(job, who, given)
-    if len(failures) > (allowed := given["allow_failures"]):
-        first = f"the first, sample {failures[0]['number']}: {failures[0]['error']}"
-        most = f"at most {allowed} samples may fail" if allowed else "every sample must be made"
-        of = sum(len(job.numbers(shard)) for shard in _own(job, given["part"]))
-        raise FailedSamplesError(f"{os.fspath(data)}: {most}; got {len(failures)} of {of} that failed; {first}", status)
-    return status
-
-
-def _identity(
-    distribution: DistributionLike, count: int | None, seed: int, given: MakeOptions
-) -> tuple[Identity, Distribution | ScriptedDistribution, range, Workers]:
-    """All that decides the bytes of a set, and who makes it. Raises SceneError or DeviceError."""
-    container_named(given["format"])
-    samples = numbers_wanted(count, given["only"])
-    arrays = stored_arrays(given["truth"], given["color"])
-    folder, types, devices = given["folder"], given["types"], given["devices"]
-    drawn = distribution_of(distribution, given["overrides"], given["splits"], None if folder is None else Path(folder))
+    container_named(format)
+    samples, arrays = sample_numbers(count, only), stored_arrays(truth, color)
+    drawn = distribution_of(distribution, overrides, splits, None if folder is None else Path(folder))
     text = types if isinstance(types, str) else ",".join(f"{name}={each}" for name, each in types.items())
     stored = tuple(sorted(parse_stored(text).items()))
-    if given["scheduler"]:
-        who = _cluster(given["scheduler"])
+    if scheduler:
+        makers = _cluster(scheduler)
     else:
-        who = workers_of([devices] if isinstance(devices, str) else devices, given["workers"])
-    precision = given["precision"] or who.precision
+        makers = workers_of([devices] if isinstance(devices, str) else devices, workers)
+    precision = precision or makers.precision
     if precision not in ("double", "single"):
         raise SceneError(f'precision: must be "double" or "single"; got {shown(precision)}')
-    for name, value, least, most in (("seed", seed, 0, 2**63 - 1), ("shard_size", given["shard_size"], 1, 10**6)):
+    for name, value, least, most in (("seed", seed, 0, 2**63 - 1), ("shard_size", shard_size, 1, 10**6)):
         if type(value) is not int or not least <= value <= most:
             raise SceneError(f"{name}: must be an integer between {least} and {most}; got {shown(value)}")
     identity = Identity(
-        distribution=drawn.digest, seed=seed, first=samples.start, shard_size=given["shard_size"],
-        format=given["format"], arrays=arrays, precision=precision, splits=tuple(drawn.splits), version=__version__,
-        device_family=who.family, types=stored,
+        distribution=drawn.digest, seed=seed, first=samples.start, shard_size=shard_size, format=format, arrays=arrays,
+        precision=precision, splits=tuple(drawn.splits), version=__version__, device_family=makers.family, types=stored,
     )  # fmt: skip
-    return identity, drawn, samples, who
+    job = SetJob(drawn, identity, samples, open_storage(data).where)
+    index, parts = part or (0, 1)
+    shards = [shard for shard in shard_numbers(samples, shard_size) if shard % parts == index]
+    status, failures = _make_shards(job, shards, makers, resume or part is not None, license, progress)
+    if len(failures) > allow_failures:
+        first = f"the first, sample {failures[0]['number']}: {failures[0]['error']}"
+        rule = f"at most {allow_failures} samples may fail" if allow_failures else "every sample must be made"
+        of = sum(len(job.numbers(shard)) for shard in shards)
+        raise FailedSamplesError(f"{os.fspath(data)}: {rule}; got {len(failures)} of {of} that failed; {first}", status)
+    return status
 
 
 def distribution_of(
@@ -237,13 +213,13 @@ def stored_arrays(truth: str | Iterable[str], color: bool = True) -> tuple[str, 
     names = {*array_names(truth)}
     if not color and (named := OF_THE_IMAGE.intersection(names) - {"color"}):
         raise SceneError(f"truth: without color no image is made, so it must be without {min(named)}; got it")
-    wanted = names | {"color"} if color else names - {"color"}
-    if not wanted:
+    names = names | {"color"} if color else names - {"color"}
+    if not names:
         raise SceneError("truth: must name arrays, as without color nothing else is written; got none")
-    return tuple(name for name in ATTRIBUTES if name in wanted)
+    return tuple(name for name in ATTRIBUTES if name in names)
 
 
-def numbers_wanted(count: int | None, only: range | None) -> range:
+def sample_numbers(count: int | None, only: range | None) -> range:
     """Numbers of the samples of a set. Raises SceneError."""
     if only is None:
         if type(count) is not int or not 0 < count <= MOST_SAMPLES:
@@ -266,17 +242,17 @@ def workers_of(names: Sequence[str] = (), count: int | None = None) -> Workers:
     from clsco.data.shards import device_family
     from clsco.opencl.device import choose, list_devices
 
-    found, _ = list_devices()
+    devices, _ = list_devices()
     every = tuple(names) == ("all",)
     best = choose(names[0] if names and not every else None, "device")
     if every:
-        chosen = [k for k, device in enumerate(found) if (device.kind, device.platform) == (best.kind, best.platform)]
+        chosen = [k for k, device in enumerate(devices) if (device.kind, device.platform) == (best.kind, best.platform)]
     else:
-        chosen = [found.index(choose(name, "device")) for name in names] or [found.index(best)]
-    families = {device_family(found[k]): k for k in chosen}
+        chosen = [devices.index(choose(name, "device")) for name in names] or [devices.index(best)]
+    families = {device_family(devices[k]): k for k in chosen}
     if len(families) > 1:
         raise DeviceError(f"device: all must be of one family, as bits are; got {' and '.join(families)}")
-    where = places([(k, found[k].kind == "cpu") for k in chosen], count)
+    where = places([(k, devices[k].kind == "cpu") for k in chosen], count)
     return Workers(where, next(iter(families)), "double" if best.has_fp64 else "single")
 
 
@@ -286,40 +262,30 @@ def _cluster(address: str) -> Workers:
     return Workers((), *cluster_device(address), address)
 
 
-def _own(job: SetJob, part: tuple[int, int] | None) -> list[int]:
-    """Shards of a set, or of one part of it."""
-    index, parts = part or (0, 1)
-    return [shard for shard in shard_numbers(job.samples, job.identity.shard_size) if shard % parts == index]
-
-
-def _make_shards(job: SetJob, who: Workers, given: MakeOptions) -> tuple[Status, list[dict[str, Any]]]:
-    """Make the shards of a set, or of its part, that are not there yet; lines of the samples in them that failed."""
-    part, progress = given["part"], given["progress"]
+def _make_shards(
+    job: SetJob, shards: Sequence[int], makers: Workers, resume: bool, license_text: str, progress: Progress | None
+) -> tuple[Status, list[dict[str, Any]]]:
+    """Make those of some shards of a set that are not there yet; lines of the samples in them that failed."""
     storage = open_storage(job.where)
     storage.tidy()
-    wanted = DataSet(storage, job.identity, job.samples)
+    new = DataSet(storage, job.identity, job.samples)
     try:
-        card = check_resumable(wanted, given["resume"] or part is not None)
-        wanted.write({"license": given["license"] or card.get("license", ""), **job.distribution.about})
-        own = _own(job, part)
-        done = wanted.done(own, storage.is_local, [])
-        left = [shard for shard in own if shard not in done]
+        card = check_resumable(new, resume)
+        new.write({"license": license_text or card.get("license", ""), **job.distribution.about})
+        done = new.done(shards, storage.is_local, [])
+        left = [shard for shard in shards if shard not in done]
         opened = nullcontext(lambda _: None) if progress is None else progress(sum(map(len, map(job.numbers, left))))
         with opened as advance:
-            if left and who.scheduler:
+            if left and makers.scheduler:
                 from clsco.data.cluster import run_cluster
 
-                run_cluster(job, left, who.scheduler, advance)
+                run_cluster(job, left, makers.scheduler, advance)
             elif left:
-                run_pool(job, left, who.places, advance, _memory_limit(len(who.places)))
-        status = finish(wanted, own)
-        failures = [row for shard in own if shard in status.done for row in wanted.lines(shard)[1]]
+                memory = int(WORKER_SHARE * machine_bytes() / len(makers.places))
+                run_pool(job, left, makers.places, advance, memory)
+        status = finish(new, shards)
+        failures = [row for shard in shards if shard in status.done for row in new.lines(shard)[1]]
     finally:
         storage.tidy()  # what processes left that were still about to end before
         storage.close()
     return status, failures
-
-
-def _memory_limit(workers: int) -> int:
-    """Bytes beyond which a process is replaced."""
-    return int(WORKER_SHARE * machine_bytes() / max(1, workers))

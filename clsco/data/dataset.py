@@ -14,10 +14,12 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
+from clsco.data.card import CARD
 from clsco.data.containers import ShardReader, container_named
 from clsco.data.draws import shuffled
-from clsco.data.record import ABOUT, PICTURES, Record, is_wanted
-from clsco.data.sets import CARD, DataSet, open_set, split_files
+from clsco.data.manifest import files_by_split, files_of, parsed_part
+from clsco.data.record import ABOUT, PICTURES, Record, is_named
+from clsco.data.sets import DataSet, open_set
 from clsco.data.storage import Storage, checked_key, open_storage, remove_path
 from clsco.errors import MissingDependencyError, SceneError
 from clsco.files.atomic import raise_file_error
@@ -55,11 +57,11 @@ class _Shards:
     def __setstate__(self, state: tuple[str, str, tuple[tuple[str, int], ...]]) -> None:
         self.__init__(*state)  # type: ignore[misc]
 
-    def record(self, place: int, wanted: frozenset[str] | None) -> Record:
+    def record(self, place: int, names: frozenset[str] | None) -> Record:
         number = bisect_right(self.ends, place)
         reader, lock = self._reader(number)
         with lock:
-            return reader.record(place - self.ends[number] + self.files[number][1], wanted)
+            return reader.record(place - self.ends[number] + self.files[number][1], names)
 
     def key(self, place: int) -> str:
         number = bisect_right(self.ends, place)
@@ -107,8 +109,8 @@ class _Shards:
 class Dataset(Sequence[Record]):
     """The samples of a data set, or of a part of it, in the order of its shards.
 
-    An index gives a `Record`, a slice a Dataset that is a view. It can be pickled, and serves DataLoaders with workers
-    that are forked or spawned; shards are opened when they are read.
+    An index returns a `Record`, a slice a Dataset that is a view. A Dataset can be pickled, and used by forked and
+    spawned workers of a DataLoader; shards are opened when they are read.
 
     Attributes
     ----------
@@ -127,12 +129,12 @@ class Dataset(Sequence[Record]):
         self,
         card: dict[str, Any],
         shards: _Shards,
-        wanted: frozenset[str] | None,
+        names: frozenset[str] | None,
         span: Sequence[int],
         functions: tuple[Callable[[Any], Any], ...] = (),
     ) -> None:
         self.card = card
-        self._shards, self._wanted, self._span, self._functions = shards, wanted, span, functions
+        self._shards, self._names, self._span, self._functions = shards, names, span, functions
 
     def __len__(self) -> int:
         return len(self._span)
@@ -151,14 +153,14 @@ class Dataset(Sequence[Record]):
         return (self._record(place) for place in self._span)
 
     def _record(self, place: int) -> Any:
-        found: Any = self._shards.record(int(place), self._wanted)
+        value: Any = self._shards.record(int(place), self._names)
         for function in self._functions:
-            found = function(found)
-        return found
+            value = function(value)
+        return value
 
     def _view(self, **other: Any) -> Dataset:
-        given = {"span": self._span, "functions": self._functions} | other
-        return Dataset(self.card, self._shards, self._wanted, **given)
+        own = {"span": self._span, "functions": self._functions}
+        return Dataset(self.card, self._shards, self._names, **own | other)
 
     def map(self, function: Callable[[Any], Any]) -> Dataset:
         """A view whose records go through a function when they are read.
@@ -166,7 +168,7 @@ class Dataset(Sequence[Record]):
         Parameters
         ----------
         function : callable
-            Takes a `Record`, or what the function before it gave. Workers of a DataLoader that are spawned import it.
+            Takes a `Record`, or the result of the previous `map`. Spawned workers of a DataLoader import it.
 
         Returns
         -------
@@ -184,7 +186,7 @@ class Dataset(Sequence[Record]):
     def shuffle(self, seed: int, epoch: int = 0) -> Dataset:
         """A view in a random order, which follows from seed and epoch alone.
 
-        Shards come in a random order, and so do the samples of each: what is read one after the other lies together.
+        Shards are in a random order, and the samples within each, so that consecutive reads are close together on disk.
 
         Parameters
         ----------
@@ -217,13 +219,13 @@ class Dataset(Sequence[Record]):
         Returns
         -------
         Dataset
-            Images are linear float32 (3, rows, columns), or (1, rows, columns) of gray ones; other arrays float32, bool
-            or int64 as they are stored, vectors with their components first as well.
+            Images are linear float32 (3, rows, columns), gray ones (1, rows, columns); other arrays are float32, bool
+            or int64, as they are stored, also with their components first.
 
         Raises
         ------
-        FileError
-            There is no PyTorch.
+        MissingDependencyError
+            PyTorch is not installed.
 
         Examples
         --------
@@ -236,7 +238,7 @@ class Dataset(Sequence[Record]):
         return self.map(tensors_of)
 
     def __repr__(self) -> str:
-        arrays = [name for name in self.card.get("arrays", ()) if is_wanted(name, self._wanted)]
+        arrays = [name for name in self.card.get("arrays", ()) if is_named(name, self._names)]
         named = f": {', '.join(map(str, arrays))}" if arrays else ""
         named += f", through {len(self._functions)} functions" if self._functions else ""
         return f"<Dataset of {len(self)} samples, {self._shards.form}{named}>"
@@ -259,7 +261,7 @@ class Dataset(Sequence[Record]):
 def tensors_of(record: Record) -> dict[str, Any]:
     """Arrays of a record as PyTorch tensors, see `Dataset.to_torch`."""
     torch = import_module("torch")
-    found = {}
+    tensors = {}
     for name, array in record.items():
         if name.rpartition(".")[2] in PICTURES:
             array = record.radiance(name)
@@ -268,8 +270,8 @@ def tensors_of(record: Record) -> dict[str, Any]:
             array = array.astype(np.int64)
         elif array.dtype.kind == "f":
             array = array.astype(np.float32)
-        found[name] = torch.from_numpy(np.ascontiguousarray(np.moveaxis(array, -1, 0) if array.ndim == 3 else array))
-    return found
+        tensors[name] = torch.from_numpy(np.ascontiguousarray(np.moveaxis(array, -1, 0) if array.ndim == 3 else array))
+    return tensors
 
 
 def open(data: str | os.PathLike[str], split: str | None = None, arrays: Iterable[str] | None = None) -> Dataset:  # noqa: A001
@@ -278,7 +280,7 @@ def open(data: str | os.PathLike[str], split: str | None = None, arrays: Iterabl
     Parameters
     ----------
     data : path
-        Its folder, or an address like "s3://bucket/set", of which shards are copied one by one when they are read.
+        Its folder, or an address like "s3://bucket/set", whose shards are copied one by one when they are read.
     split : str, optional
         Such as "train"; by default all.
     arrays : iterable of str, optional
@@ -291,14 +293,14 @@ def open(data: str | os.PathLike[str], split: str | None = None, arrays: Iterabl
     Raises
     ------
     SceneError
-        There is no such split or array.
+        The set has no such split or array.
     FileError
         There is no data set, its card is damaged, or the extra that its format needs is missing.
 
     Notes
     -----
-    A set of 10^6 samples in 4,000 shards opens in 0.02 s, as nothing but its card is read. While it is made, the parts
-    of its manifest are read, and samples that are not there yet are left out.
+    Only the card is read: a set of 10^6 samples in 4,000 shards opens in 0.02 s. An unfinished set has the samples of
+    its finished shards.
 
     Examples
     --------
@@ -307,18 +309,18 @@ def open(data: str | os.PathLike[str], split: str | None = None, arrays: Iterabl
     <Dataset of 7 samples, npz: color, depth>
     """
     storage = open_storage(data)
-    there = open_set(storage)
-    container_named(there.identity.format)
-    card = _card_with_files(there)
+    data_set = open_set(storage)
+    container_named(data_set.identity.format)
+    card = _card_with_files(data_set)
     files = card["files"]
     if split is not None and split not in files:
         raise SceneError(f"split: must be one of {', '.join(files)}; got {split}")
     chosen = [each for name, listed in files.items() if split in (None, name) for each in listed]
-    wanted = None if arrays is None else frozenset([arrays] if isinstance(arrays, str) else arrays)
-    if unknown := sorted(name for name in wanted or () if name.rpartition(".")[2] not in ABOUT):
+    names = None if arrays is None else frozenset([arrays] if isinstance(arrays, str) else arrays)
+    if unknown := sorted(name for name in names or () if name.rpartition(".")[2] not in ABOUT):
         raise SceneError(f"arrays: must be some of {', '.join(ABOUT)}; got {unknown[0]}")
-    shards = _Shards(storage.where, there.identity.format, sorted(chosen, key=_shard))
-    return Dataset(card, shards, wanted, range(sum(count for _, count in chosen)))
+    shards = _Shards(storage.where, data_set.identity.format, sorted(chosen, key=_shard))
+    return Dataset(card, shards, names, range(sum(count for _, count in chosen)))
 
 
 def _shard(file: tuple[str, int]) -> tuple[str, str]:
@@ -327,17 +329,21 @@ def _shard(file: tuple[str, int]) -> tuple[str, str]:
     return name, split
 
 
-def _card_with_files(there: DataSet) -> dict[str, Any]:
-    """The card with the `files` of each split, which are checked. Raises FileError."""
+def _card_with_files(data_set: DataSet) -> dict[str, Any]:
+    """The card with the `files` of each split, which are checked; of a set that is not whole yet, those of its parts.
+    Raises FileError."""
     try:
-        listed = there.about["files"] if "files" in there.about else split_files(there.storage)
+        if "files" in data_set.about:
+            listed = dict(data_set.about["files"])
+        else:
+            listed = files_by_split(each for _, data in data_set.parts() for each in files_of(parsed_part(data), data))
         files = {
             str(split): [(checked_key(str(file)), _count(count)) for file, count in each]
-            for split, each in dict(listed).items()
+            for split, each in listed.items()
         }
     except (ValueError, TypeError) as error:
-        raise_file_error(f"{there.storage.where}/{CARD}", "must list the files of a data set", repr(error), error)
-    return {**there.about, "files": files}
+        raise_file_error(f"{data_set.storage.where}/{CARD}", "must list the files of a data set", repr(error), error)
+    return {**data_set.about, "files": files}
 
 
 def _count(value: Any) -> int:
@@ -349,7 +355,7 @@ def _count(value: Any) -> int:
 TILE = 200  # px, the longer side of a picture
 
 
-def shrunk(codes: Picture) -> Picture:
+def _shrink(codes: Picture) -> Picture:
     """A picture of at most TILE px a side, by its nearest pixels."""
     rows, columns = codes.shape[:2]
     scale = min(1.0, TILE / max(columns, rows))
@@ -359,11 +365,14 @@ def shrunk(codes: Picture) -> Picture:
 
 
 def record_sheet(records: Iterable[Record]) -> Picture:
-    """Pictures of the images of samples: the first two of each, side by side."""
+    """Pictures of samples: of several colors the first and the last, else of all images, side by side."""
     tiles = []
     for record in records:
-        names = list(record.pictures())[:2]
-        pictures = [shrunk(record.image(name)) for name in names] or [np.full((TILE // 2, TILE // 2, 3), 128, np.uint8)]
+        names = [name for name in record if name.rpartition(".")[2] in PICTURES]
+        colors = [name for name in names if name.rpartition(".")[2] == "color"]
+        names = colors if len(colors) > 1 else names
+        pictures = [_shrink(record.image(name)) for name in dict.fromkeys([*names[:1], *names[-1:]])]
+        pictures = pictures or [np.full((TILE // 2, TILE // 2, 3), 128, np.uint8)]
         height = max(len(picture) for picture in pictures)
         padded = [np.pad(each, ((0, height - len(each)), (0, 0), (0, 0))) for each in pictures]
         label = " ".join(filter(None, (record.key, str(record.meta.get("split") or ""))))

@@ -7,18 +7,19 @@ import inspect
 import json
 import os
 import pickle
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from clsco.data.acceptance import Bounds, UnfitError, bounds_of, refusal
-from clsco.data.build import Builder, Values, corner_faults
+from clsco.data.build import Builder, corner_faults
 from clsco.data.compile import Parameter, Reader, VariedKeys
 from clsco.data.draws import MAX_SEED, Splits, SplitsLike, split_of, splits_of, stream_words
-from clsco.data.forms import Folder
+from clsco.data.folder import Folder
 from clsco.data.tables import DistributionTables, read_tables
 from clsco.errors import ClscoError, SceneError
 from clsco.resources import read_regular
@@ -116,35 +117,25 @@ class Distribution:
         reason = None
         for attempt in range(1, MAX_ATTEMPTS + 1):
             try:
-                values = self._values(seed, number, position, attempt)
-                built = Builder(self.parts, self.folder).build(values, noise_seed=_noise_seed(seed, number))
-                reason = refusal(self.accept, built.sweep.scenes)
+                value_of = partial(draw_value, seed, number, position, attempt)
+                builder = Builder(self.parts, self.folder)
+                table, parameters, sweep = builder.build(value_of, noise_seed=_noise_seed(seed, number))
+                reason = refusal(self.accept, sweep.scenes)
             except UnfitError as error:
                 reason = str(error)
             except SceneError as error:
                 messages = [f"{message} (sample {number}, seed {seed})" for message in error.messages]
                 raise SceneError(at_most(self.where, messages)) from error
             if reason is None:
-                sweep = built.sweep
-                return Sample(number, split, attempt, built.parameters, built.table, sweep.labels, sweep.scenes)
+                return Sample(number, split, attempt, parameters, table, sweep.labels, sweep.scenes)
         rule = f"accept: must hold for one of {MAX_ATTEMPTS} attempts; got of the last one: {reason}"
         raise SceneError(f"{self.where}: {rule} (sample {number}, seed {seed})")
 
-    def _values(self, seed: int, number: int, split: int, attempt: int) -> Values:
-        """The values of a sample that an attempt draws."""
 
-        def drawn(parameters: Iterable[Parameter], element: int = 0) -> list[Any]:
-            return [
-                one.form.value(stream_words(seed, number, one.name, one.form.words, attempt, element), split)
-                for one in parameters
-            ]
-
-        counts = drawn(population.count for population in self.parts.populations)
-        members = [
-            [drawn(population.parameters, element) for element in range(count)]
-            for population, count in zip(self.parts.populations, counts, strict=True)
-        ]
-        return Values(drawn(self.parts.parameters), members)
+def draw_value(seed: int, number: int, split: int, attempt: int, parameter: Parameter, element: int) -> Any:
+    """The value of a parameter in an attempt at a sample, and in an object of a population; split: its position."""
+    words = stream_words(seed, number, parameter.name, parameter.form.words, attempt, element)
+    return parameter.form.value(words, split)
 
 
 def _noise_seed(seed: int, number: int) -> int:
@@ -295,10 +286,10 @@ class ScriptedDistribution:
 
     def _inside(self, path: str) -> str:
         """A path as it is written in the folder. Raises SceneError where it leaves it."""
-        found = Path(os.path.normpath(self.folder / path))
-        if not found.is_relative_to(self.folder):
+        whole = Path(os.path.normpath(self.folder / path))
+        if not whole.is_relative_to(self.folder):
             raise SceneError(f"texture: files must lie in {self.folder}; got {path}")
-        return found.relative_to(self.folder).as_posix()
+        return whole.relative_to(self.folder).as_posix()
 
 
 def scripted(function: DrawScene, splits: SplitsLike = None, folder: Path | None = None) -> ScriptedDistribution:

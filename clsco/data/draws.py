@@ -147,19 +147,19 @@ TAKEN = (PARTS, LOG, UNSPLIT, CONFLICT)  # by folders that sets have besides
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 
-def splits_of(given: SplitsLike) -> Splits:
+def splits_of(splits: SplitsLike) -> Splits:
     """Splits of names and shares, such as "train=0.9,val=0.05,test=0.05"; None or "": no splits.
 
     Raises SceneError: names must be able to name folders and differ, also without regard to case; shares must be
     positive and be 1 in all.
     """
-    if not given:
+    if not splits:
         return ()
     pairs: list[tuple[Any, Any]]
-    if isinstance(given, str):
-        pairs = [_parsed_split(part) for part in given.split(",")]
+    if isinstance(splits, str):
+        pairs = [_parsed_split(part) for part in splits.split(",")]
     else:
-        pairs = list(given.items() if isinstance(given, Mapping) else given)
+        pairs = list(splits.items() if isinstance(splits, Mapping) else splits)
     if len(pairs) > MAX_SPLITS:
         raise SceneError(f"split: must be at most {MAX_SPLITS} splits; got {len(pairs)}")
     messages, seen = [], set()

@@ -1,144 +1,27 @@
-"""Tables of a distribution file that stand for a value, as distributions: { uniform = [1, 2] }."""
+"""Distributions of values, as { uniform = [1, 2] }: read from a file, and how words of 64 bits become a value."""
 
 from __future__ import annotations
 
 import math
-import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
-from pathlib import Path, PureWindowsPath
 from typing import Any
 
-from clsco.data.draws import Splits, of_files
-from clsco.data.values import (
-    ChoiceForm,
-    Files,
-    Form,
-    Frustum,
-    Integers,
-    LogUniform,
-    Normal,
-    Turned,
-    Uniform,
-    shares,
-)
-from clsco.files.atomic import sha256
+import numpy as np
+from numpy.typing import NDArray
+
+from clsco.data.draws import LARGEST_NORMAL, Splits, Words, cube_root, exact_log, exp, normal, of_files, unit
+from clsco.data.folder import Folder, RefusedError
 from clsco.scene.text import shown
-
-MAX_NAME = 1024
-MAX_FILES = 100_000
-MAX_LOOKED_AT = 1_000_000  # of folders that a pattern makes us look at
-MAX_DEEP = 32  # folders in each other
-MAX_BYTES = 2**31  # of a file
-MAX_TOTAL = 2**37
-
-
-class RefusedError(Exception):
-    """A value is not what it must be: the rule, and the value if another one than was looked at."""
-
-    def __init__(self, rule: str, got: Any = None) -> None:
-        self.rule, self.got = rule, got
-        super().__init__(rule)
-
-    def message(self, key: str, value: Any) -> str:
-        """`key: rule; got value`."""
-        return f"{key}: {self.rule}; got {shown(value) if self.got is None else self.got}"
-
-
-class Folder:
-    """The folder of a distribution file; nothing outside of it is read, whatever links say."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path.resolve()
-        self.digests: dict[str, str] = {}
-        """SHA-256 by name, of all files that have been taken."""
-        self._bytes = self._entries = 0
-
-    def inside(self, name: Any) -> Path:
-        """The path of a file here by its name, links resolved. Raises RefusedError."""
-        if not isinstance(name, str) or not 0 < len(name) <= MAX_NAME or not name.isprintable():
-            raise RefusedError(f"must be the name of a file, of at most {MAX_NAME} characters")
-        windows = PureWindowsPath(name)
-        if Path(name).is_absolute() or windows.drive or windows.root or ".." in windows.parts:
-            raise RefusedError("must be a path inside the folder of the distribution file, without ..")
-        try:
-            path = (self.path / name).resolve(strict=True)
-            if not path.is_relative_to(self.path):
-                raise RefusedError("must not lead out of the folder of the distribution file by a link")
-            if not path.is_file():
-                raise RefusedError("must be a file")
-        except (OSError, ValueError, RuntimeError):  # the last: links that go round in a circle, before Python 3.13
-            raise RefusedError("must be an existing file") from None
-        return path
-
-    def take(self, name: Any) -> str:
-        """Note a file that samples may need; returns its SHA-256. Raises RefusedError."""
-        if name in self.digests:
-            return self.digests[name]
-        path = self.inside(name)
-        try:
-            size = path.stat().st_size
-            self._bytes += size
-            if size > MAX_BYTES or self._bytes > MAX_TOTAL:
-                raise RefusedError(f"a file must have at most {MAX_BYTES} bytes, and all of them {MAX_TOTAL}", size)
-            if len(self.digests) == MAX_FILES:
-                raise RefusedError(f"must be at most {MAX_FILES} files in all", "more")
-            self.digests[name] = sha256(path)
-        except OSError as error:
-            raise RefusedError("must be readable", error.strerror) from None
-        return self.digests[name]
-
-    def match(self, pattern: Any) -> list[str]:
-        """Names of the files that a pattern like "textures/**/*.png" fits, in order. Raises RefusedError."""
-        if not isinstance(pattern, str) or not 0 < len(pattern) <= MAX_NAME or not pattern.isprintable():
-            raise RefusedError('must be a pattern of files, like "textures/**/*.png"')
-        windows = PureWindowsPath(pattern)
-        parts = pattern.split("/")
-        if windows.drive or windows.root or ".." in windows.parts or "" in parts:
-            raise RefusedError("must be a pattern inside the folder of the distribution file, without ..")
-        if parts.count("**") > 1 or len(parts) > MAX_DEEP:
-            raise RefusedError(f"must have ** at most once, and at most {MAX_DEEP} parts")
-        names = sorted(self._found(self.path, parts, ""))
-        if not names:
-            raise RefusedError("must fit a file")
-        return names
-
-    def _found(self, folder: Path, parts: list[str], before: str) -> Iterator[str]:
-        """Names of files under `folder` that the parts of a pattern fit; before: what their names begin with."""
-        if before.count("/") > MAX_DEEP:
-            raise RefusedError(f"must not go through more than {MAX_DEEP} folders in each other")
-        try:
-            with os.scandir(folder) as listed:
-                entries = list(self._counted(listed))
-        except OSError as error:
-            raise RefusedError("its folders must be readable", error.strerror) from None
-        part, rest = (parts[1], parts[2:]) if parts[0] == "**" and len(parts) > 1 else (parts[0], parts[1:])
-        for entry in entries:
-            if entry.name.startswith(".") and not part.startswith("."):
-                continue
-            name = before + entry.name
-            if parts[0] == "**" and entry.is_dir(follow_symlinks=False):
-                yield from self._found(folder / entry.name, parts, f"{name}/")
-            if not fnmatchcase(entry.name, part):
-                continue
-            if rest and entry.is_dir(follow_symlinks=False):
-                yield from self._found(folder / entry.name, rest, f"{name}/")
-            elif not rest and entry.is_file():
-                yield name
-
-    def _counted(self, entries: Iterator[os.DirEntry[str]]) -> Iterator[os.DirEntry[str]]:
-        for entry in entries:
-            self._entries += 1
-            if self._entries > MAX_LOOKED_AT:
-                raise RefusedError(f"folders must have at most {MAX_LOOKED_AT} entries in all", "more")
-            yield entry
-
 
 LARGEST = 1e30  # of a number, so that sums and cubes are finite
 MAX_INTEGER = 2**53
 MAX_ENTRIES = 10_000
 MAX_SIZE = 16
+
+
+Table = Mapping[str, Any]
+"""A table of a file that stands for a value."""
 
 
 @dataclass
@@ -174,54 +57,22 @@ def _whole(value: Any, least: int, most: int) -> int:
     return value
 
 
-def _size(given: Mapping[str, Any]) -> int | None:
-    return None if "size" not in given else _at("size", given, lambda value: _whole(value, 1, MAX_SIZE))
+def _size(table: Table) -> int | None:
+    return None if "size" not in table else _at("size", table, lambda value: _whole(value, 1, MAX_SIZE))
 
 
-def _at(key: str, given: Mapping[str, Any], check: Callable[[Any], Any]) -> Any:
+def _at(key: str, table: Table, check: Callable[[Any], Any]) -> Any:
     """An option, checked; RefusedError names it."""
     try:
-        return check(given[key])
+        return check(table[key])
     except RefusedError as error:
-        raise RefusedError(f"{key} {error.rule}", shown(given[key]) if error.got is None else error.got) from None
+        raise RefusedError(f"{key} {error.rule}", shown(table[key]) if error.got is None else error.got) from None
 
 
-def _word(word: str) -> Callable[[Any], str]:
-    def check(value: Any) -> str:
-        if value != word:
-            raise RefusedError(f'must be "{word}"')
-        return word
-
-    return check
-
-
-def _uniform(given: Mapping[str, Any], _: FormContext) -> Form:
-    return Uniform(_size(given), *_at("uniform", given, _range))
-
-
-def _log_uniform(given: Mapping[str, Any], _: FormContext) -> Form:
-    low, high = _at("log_uniform", given, _range)
-    if low < 1e-30:
-        raise RefusedError("log_uniform must be [low, high] of numbers above 0", shown(given["log_uniform"]))
-    return LogUniform(_size(given), low, high)
-
-
-def _normal(given: Mapping[str, Any], _: FormContext) -> Form:
-    mean, deviation = _at("normal", given, lambda value: _pair(value, "[mean, standard deviation]"))
-    if deviation <= 0:
-        raise RefusedError("normal must be [mean, standard deviation], the latter above 0", shown(given["normal"]))
-    clip = _at("clip", given, _range) if "clip" in given else (-LARGEST, LARGEST)
-    return Normal(_size(given), mean, deviation, clip)
-
-
-def _integers(given: Mapping[str, Any], _: FormContext) -> Form:
-    value = given["integers"]
-    if not isinstance(value, list) or len(value) != 2:
-        raise RefusedError("integers must be [low, high]", shown(value))
-    low, high = (_whole(end, -MAX_INTEGER, MAX_INTEGER) for end in value)
-    if not 0 <= high - low < MAX_INTEGER:
-        raise RefusedError("integers must be [low, high], low at most high", shown(value))
-    return Integers(_size(given), low, high)
+def _require_word(key: str, table: Table, *words: str) -> None:
+    if table[key] not in words:
+        allowed = " or ".join(map('"{}"'.format, words))
+        raise RefusedError(f"{key} must be {allowed}", shown(table[key]))
 
 
 def _entries(value: Any) -> tuple[Any, ...]:
@@ -239,71 +90,280 @@ def _deep(entry: Any) -> bool:
     return tables or any(isinstance(part, list | Mapping) for one in inner for part in one)
 
 
-def _choice(given: Mapping[str, Any], _: FormContext) -> Form:
-    entries = _at("choice", given, _entries)
-    if "weights" not in given:
-        return ChoiceForm(None, entries, shares([1.0] * len(entries)))
-    weights = given["weights"]
-    if not isinstance(weights, list) or len(weights) != len(entries):
-        raise RefusedError(f"weights must be a list of {len(entries)} numbers", shown(weights))
-    numbers = [_at("weights", {"weights": weight}, _number) for weight in weights]
-    if min(numbers) < 0 or not math.fsum(numbers) > 0:
-        raise RefusedError("weights must be at least 0, and one above it", shown(weights))
-    return ChoiceForm(None, entries, shares(numbers))
+@dataclass(frozen=True)
+class Form:
+    """Distribution of one value, or of `size` numbers."""
+
+    size: int | None
+
+    @property
+    def words(self) -> int:
+        """Number of random words that a draw takes."""
+        return self.size or 1
+
+    def value(self, words: Words, split: int) -> Any:  # noqa: ARG002, files depend on the split
+        """The value that words give in a sample of a split, as a scene file has it."""
+        numbers = self._numbers(words).tolist()
+        return numbers if self.size else numbers[0]
+
+    def extremes(self) -> tuple[Any, ...]:
+        """The lowest and the highest value, or all that there are, as a scene file has them."""
+        return tuple([end] * self.size if self.size else end for end in self._ends())
+
+    def _numbers(self, words: Words) -> NDArray[Any]:
+        raise NotImplementedError
+
+    def _ends(self) -> tuple[Any, ...]:
+        raise NotImplementedError
 
 
-def _files(given: Mapping[str, Any], found: FormContext) -> Form:
-    names = _at("files", given, found.folder.match)
-    digests = [_at("files", {"files": name}, found.folder.take) for name in names]
-    count = max(1, len(found.splits))
-    if "split" not in given:
-        return Files(None, tuple(names), (tuple(range(len(names))),) * count)
-    _at("split", given, _word("by_file"))
-    place = of_files(found.splits, digests)
-    of_split = tuple(tuple((place == number).nonzero()[0].tolist()) for number in range(count))
-    empty = [name for (name, _), own in zip(found.splits, of_split, strict=False) if not len(own)]
-    if empty:
-        rule = f"files must be more, so that each split has one: there is none for {', '.join(empty)}"
-        raise RefusedError(rule, f"{len(names)} files")
-    return Files(None, tuple(names), of_split)
+@dataclass(frozen=True)
+class Uniform(Form):
+    """{ uniform = [low, high] }"""
+
+    low: float
+    high: float
+
+    @classmethod
+    def parse(cls, table: Table, _: FormContext) -> Form:
+        """Of a table of the file. Raises RefusedError."""
+        return cls(_size(table), *_at("uniform", table, _range))
+
+    def _numbers(self, words: Words) -> NDArray[Any]:
+        return _between(self.low, self.high, unit(words))
+
+    def _ends(self) -> tuple[Any, ...]:
+        return self.low, self.high
 
 
-def _frustum(given: Mapping[str, Any], _: FormContext) -> Form:
-    table = given["frustum"]
-    if not isinstance(table, Mapping) or "depth" not in table:
-        raise RefusedError("frustum must be { depth = [near, far], margin = px }", shown(table))
-    if unknown := sorted(table.keys() - {"depth", "margin", "density"}):
-        raise RefusedError("frustum must have depth, margin and density only", shown(unknown[0]))
-    near, far = _at("depth", table, _range)
-    if near < 1e-9:
-        raise RefusedError("depth must be above 0", shown(table["depth"]))
-    margin = _at("margin", table, _number) if "margin" in table else 0.0
-    density = table.get("density", "volume")
-    if density not in ("volume", "depth"):
-        raise RefusedError('density must be "volume" or "depth"', shown(density))
-    return Frustum(None, near, far, margin, density == "volume")
+@dataclass(frozen=True)
+class LogUniform(Uniform):
+    """{ log_uniform = [low, high] }: the logarithm is uniform."""
+
+    @classmethod
+    def parse(cls, table: Table, _: FormContext) -> Form:
+        low, high = _at("log_uniform", table, _range)
+        if low < 1e-30:
+            raise RefusedError("log_uniform must be [low, high] of numbers above 0", shown(table["log_uniform"]))
+        return cls(_size(table), low, high)
+
+    def _numbers(self, words: Words) -> NDArray[Any]:
+        start, end = exact_log(self.low), exact_log(self.high)
+        return np.clip(exp(_between(start, end, unit(words))), self.low, self.high)
 
 
-def _direction(given: Mapping[str, Any], _: FormContext) -> Form:
-    _at("direction", given, _word("sphere"))
-    return Turned(3)
+@dataclass(frozen=True)
+class Normal(Form):
+    """{ normal = [mean, deviation], clip = [low, high] }: values beyond an end become that end."""
+
+    mean: float
+    deviation: float
+    clip: tuple[float, float]
+
+    @classmethod
+    def parse(cls, table: Table, _: FormContext) -> Form:
+        mean, deviation = _at("normal", table, lambda value: _pair(value, "[mean, standard deviation]"))
+        if deviation <= 0:
+            rule = "normal must be [mean, standard deviation], the latter above 0"
+            raise RefusedError(rule, shown(table["normal"]))
+        clip = _at("clip", table, _range) if "clip" in table else (-LARGEST, LARGEST)
+        return cls(_size(table), mean, deviation, clip)
+
+    def _numbers(self, words: Words) -> NDArray[Any]:
+        return np.clip(self.mean + self.deviation * normal(words), *self.clip)
+
+    def _ends(self) -> tuple[Any, ...]:
+        reach = LARGEST_NORMAL * self.deviation
+        return tuple(min(max(end, self.clip[0]), self.clip[1]) for end in (self.mean - reach, self.mean + reach))
 
 
-def _rotation(given: Mapping[str, Any], _: FormContext) -> Form:
-    _at("rotation", given, _word("uniform"))
-    return Turned(4)
+@dataclass(frozen=True)
+class Integers(Form):
+    """{ integers = [low, high] }, both ends among them."""
+
+    low: int
+    high: int
+
+    @classmethod
+    def parse(cls, table: Table, _: FormContext) -> Form:
+        value = table["integers"]
+        if not isinstance(value, list) or len(value) != 2:
+            raise RefusedError("integers must be [low, high]", shown(value))
+        low, high = (_whole(end, -MAX_INTEGER, MAX_INTEGER) for end in value)
+        if not 0 <= high - low < MAX_INTEGER:
+            raise RefusedError("integers must be [low, high], low at most high", shown(value))
+        return cls(_size(table), low, high)
+
+    def _numbers(self, words: Words) -> NDArray[Any]:
+        count = self.high - self.low + 1
+        return self.low + np.minimum((unit(words) * count).astype(np.int64), count - 1)
+
+    def _ends(self) -> tuple[Any, ...]:
+        return self.low, self.high
 
 
-FORMS: dict[str, tuple[Callable[[Mapping[str, Any], FormContext], Form], tuple[str, ...]]] = {
-    "uniform": (_uniform, ("size",)),
-    "log_uniform": (_log_uniform, ("size",)),
-    "normal": (_normal, ("size", "clip")),
-    "integers": (_integers, ("size",)),
-    "choice": (_choice, ("weights",)),
-    "files": (_files, ("split",)),
-    "frustum": (_frustum, ()),
-    "direction": (_direction, ()),
-    "rotation": (_rotation, ()),
+@dataclass(frozen=True)
+class ChoiceForm(Form):
+    """{ choice = [...], weights = [...] }; below: what the weights are up to and including each entry, of 1."""
+
+    entries: tuple[Any, ...]
+    below: tuple[float, ...]
+
+    @classmethod
+    def parse(cls, table: Table, _: FormContext) -> Form:
+        entries = _at("choice", table, _entries)
+        weights = table.get("weights", [1.0] * len(entries))
+        if not isinstance(weights, list) or len(weights) != len(entries):
+            raise RefusedError(f"weights must be a list of {len(entries)} numbers", shown(weights))
+        numbers = [_at("weights", {"weights": weight}, _number) for weight in weights]
+        if min(numbers) < 0 or not math.fsum(numbers) > 0:
+            raise RefusedError("weights must be at least 0, and one above it", shown(weights))
+        return cls(None, entries, _cumulative_shares(numbers))
+
+    def value(self, words: Words, split: int) -> Any:  # noqa: ARG002
+        return self.entries[int(np.searchsorted(self.below[:-1], unit(words)[0], side="right"))]
+
+    def extremes(self) -> tuple[Any, ...]:
+        return self.entries
+
+
+@dataclass(frozen=True)
+class Files(Form):
+    """{ files = "pattern", split = "by_file" }: one of some files.
+
+    names: relative to the folder of the distribution file; of_split: positions of those that each split has.
+    """
+
+    names: tuple[str, ...]
+    of_split: tuple[tuple[int, ...], ...]
+
+    @classmethod
+    def parse(cls, table: Table, context: FormContext) -> Form:
+        names = _at("files", table, context.folder.match)
+        digests = [_at("files", {"files": name}, context.folder.take) for name in names]
+        splits = max(1, len(context.splits))
+        if "split" not in table:
+            return cls(None, tuple(names), (tuple(range(len(names))),) * splits)
+        _require_word("split", table, "by_file")
+        split = of_files(context.splits, digests)
+        of_split = tuple(tuple((split == number).nonzero()[0].tolist()) for number in range(splits))
+        empty = [name for (name, _), own in zip(context.splits, of_split, strict=False) if not own]
+        if empty:
+            rule = f"files must be more, so that each split has one: there is none for {', '.join(empty)}"
+            raise RefusedError(rule, f"{len(names)} files")
+        return cls(None, tuple(names), of_split)
+
+    def value(self, words: Words, split: int) -> Any:
+        own = self.of_split[split]
+        return self.names[own[min(int(unit(words)[0] * len(own)), len(own) - 1)]]
+
+    def extremes(self) -> tuple[Any, ...]:
+        return self.names[:1]
+
+
+@dataclass(frozen=True)
+class Frustum(Form):
+    """{ frustum = { depth = [near, far], margin = px, density = "volume" } }: a point that is seen.
+
+    Across and up are from -1 to 1 within the frame without its margin.
+    """
+
+    near: float
+    far: float
+    margin: float
+    by_volume: bool
+
+    @classmethod
+    def parse(cls, outer: Table, _: FormContext) -> Form:
+        table = outer["frustum"]
+        if not isinstance(table, Mapping) or "depth" not in table:
+            raise RefusedError("frustum must be { depth = [near, far], margin = px }", shown(table))
+        if unknown := sorted(table.keys() - {"depth", "margin", "density"}):
+            raise RefusedError("frustum must have depth, margin and density only", shown(unknown[0]))
+        near, far = _at("depth", table, _range)
+        if near < 1e-9:
+            raise RefusedError("depth must be above 0", shown(table["depth"]))
+        margin = _at("margin", table, _number) if "margin" in table else 0.0
+        if "density" in table:
+            _require_word("density", table, "volume", "depth")
+        return cls(None, near, far, margin, table.get("density") != "depth")
+
+    @property
+    def words(self) -> int:
+        return 3
+
+    def value(self, words: Words, split: int) -> Placed:  # noqa: ARG002
+        across, up, depth = unit(words)
+        if self.by_volume:
+            depth = cube_root(_between(self.near**3, self.far**3, depth))
+            depth = np.clip(depth, self.near, self.far)
+        else:
+            depth = _between(self.near, self.far, depth)
+        return Placed(float(2.0 * across - 1.0), float(2.0 * up - 1.0), float(depth), self.margin)
+
+    def extremes(self) -> tuple[Any, ...]:
+        return Placed(-1.0, -1.0, self.near, self.margin), Placed(1.0, 1.0, self.far, self.margin)
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A point in the frustum of a camera that is not known yet."""
+
+    across: float
+    up: float
+    depth: float
+    margin: float
+
+    def point(self, columns: int, rows: int, step: float) -> list[float]:
+        """The point (x, y, z) in mm; step: slope between rays of neighboring pixels."""
+        x, y = (share * (0.5 * n - self.margin) * step for share, n in ((self.across, columns), (self.up, rows)))
+        return [x * self.depth, y * self.depth, self.depth]
+
+
+@dataclass(frozen=True)
+class Rotated(Form):
+    """{ direction = "sphere" } with 3 numbers, { rotation = "uniform" } with 4: uniform on a sphere."""
+
+    @classmethod
+    def parse(cls, table: Table, _: FormContext) -> Form:
+        key, word, size = ("direction", "sphere", 3) if "direction" in table else ("rotation", "uniform", 4)
+        _require_word(key, table, word)
+        return cls(size)
+
+    def value(self, words: Words, split: int) -> Any:  # noqa: ARG002
+        vector = normal(words)
+        return self._written(vector / np.sqrt(sum(part * part for part in vector)))
+
+    def extremes(self) -> tuple[Any, ...]:
+        first = np.zeros(self.words)
+        first[0] = 1.0
+        return self._written(first), self._written(first[::-1])
+
+    def _written(self, vector: NDArray[np.float64]) -> Any:
+        return vector.tolist() if self.size == 3 else {"quaternion": vector.tolist()}
+
+
+def _between(low: float, high: float, share: NDArray[np.float64]) -> NDArray[np.float64]:
+    """From `low`, share 0, to `high`, share 1, and never beyond."""
+    return np.clip(low + (high - low) * share, low, high)
+
+
+def _cumulative_shares(weights: Sequence[float]) -> tuple[float, ...]:
+    """Cumulative shares of positive weights, up to 1."""
+    total = math.fsum(weights)
+    return tuple(math.fsum(weights[: k + 1]) / total for k in range(len(weights)))
+
+
+FORMS: dict[str, tuple[Callable[[Table, FormContext], Form], tuple[str, ...]]] = {
+    "uniform": (Uniform.parse, ("size",)),
+    "log_uniform": (LogUniform.parse, ("size",)),
+    "normal": (Normal.parse, ("size", "clip")),
+    "integers": (Integers.parse, ("size",)),
+    "choice": (ChoiceForm.parse, ("weights",)),
+    "files": (Files.parse, ("split",)),
+    "frustum": (Frustum.parse, ()),
+    "direction": (Rotated.parse, ()),
+    "rotation": (Rotated.parse, ()),
 }
 """Distributions by the key that names them, each with its options."""
 
@@ -313,13 +373,13 @@ def is_form(value: Any) -> bool:
     return isinstance(value, Mapping) and any(key in FORMS for key in value)
 
 
-def form_of(given: Mapping[str, Any], found: FormContext) -> Form:
+def form_of(table: Table, context: FormContext) -> Form:
     """The distribution that a table states. Raises RefusedError."""
-    names = [key for key in given if key in FORMS]
+    names = [key for key in table if key in FORMS]
     if len(names) > 1:
         raise RefusedError("must be one distribution", " and ".join(names))
-    make, options = FORMS[names[0]]
-    if unknown := [key for key in given if key != names[0] and key not in options]:
+    parse, options = FORMS[names[0]]
+    if unknown := [key for key in table if key != names[0] and key not in options]:
         takes = f"takes {' and '.join(options)} only" if options else "stands alone"
         raise RefusedError(f"{names[0]} {takes}", shown(unknown[0]))
-    return make(given, found)
+    return parse(table, context)

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -20,7 +20,6 @@ from clsco.files.strict_json import strict_json
 PARTS, MERGED, FAILED, LOG = "manifest", "manifest.jsonl", "failed.jsonl", "log"
 CONFLICT = "conflict"  # folder of shards that were made otherwise before
 UNSPLIT = "data"  # folder of the shards of a set without splits
-AT_ONCE = 16  # parts that are read at the same time
 
 
 @dataclass(frozen=True)
@@ -50,8 +49,8 @@ class Identity:
 
     def record(self) -> dict[str, Any]:
         """As JSON holds it."""
-        found: dict[str, Any] = json.loads(json.dumps(asdict(self)))
-        return found
+        record: dict[str, Any] = json.loads(json.dumps(asdict(self)))
+        return record
 
     def differences(self, record: Mapping[str, Any]) -> list[str]:
         """Messages on the entries in which another record differs: "seed must be 1, as in the set; got 2"."""
@@ -109,14 +108,14 @@ def part_bytes(
 def parsed_part(data: bytes) -> ManifestPart:
     """The description of a shard from the first line of its part. Raises FileError where it is none."""
     try:
-        found = strict_json(data.partition(b"\n")[0])
-        files = {checked_key(str(key)): (int(size), str(digest)) for key, (size, digest) in found.pop("files").items()}
-        numbers = {name: int(found.pop(name)) for name in ("shard", "first", "count", "made", "failed")}
-        part = ManifestPart(**numbers, files=files, identity=str(found.pop("identity")), rows=str(found.pop("rows")))
+        head = strict_json(data.partition(b"\n")[0])
+        files = {checked_key(str(key)): (int(size), str(digest)) for key, (size, digest) in head.pop("files").items()}
+        numbers = {name: int(head.pop(name)) for name in ("shard", "first", "count", "made", "failed")}
+        part = ManifestPart(**numbers, files=files, identity=str(head.pop("identity")), rows=str(head.pop("rows")))
         counts_agree = min(numbers.values()) >= 0 and part.made + part.failed == part.count
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise FileError(f"manifest: a part must begin with a line about its shard; got {error!r}") from None
-    if found or not counts_agree:
+    if head or not counts_agree:
         raise FileError(f"manifest: samples made and failed must add up; got {part.made} + {part.failed}")
     return part
 
@@ -126,9 +125,9 @@ def rows_of(data: bytes) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     part = parsed_part(data)
     require_rows(part, data)
     try:
-        found = [strict_json(text) for text in data.splitlines()[1:]]
-        rows, failures = found[: part.made], found[part.made :]
-        if len(found) != part.count or not (all(map(_is_row, rows)) and all(map(_is_failure, failures))):
+        lines = [strict_json(text) for text in data.splitlines()[1:]]
+        rows, failures = lines[: part.made], lines[part.made :]
+        if len(lines) != part.count or not (all(map(_is_row, rows)) and all(map(_is_failure, failures))):
             raise ValueError("other values, or fewer lines")
     except ValueError as error:
         raise FileError(f"{part_key(part.shard)}: each line must be about a sample; got {error}") from None
@@ -137,19 +136,18 @@ def rows_of(data: bytes) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
 
 def _is_row(row: Any) -> bool:
     """True if a row is about a sample that is in a file."""
-    if not isinstance(row, dict) or not _is_count(row.get("number")) or not _is_count(row.get("offset")):
+    types = {"file": str, "split": str, "parameters": dict, "arrays": dict}
+    if not isinstance(row, dict) or not all(isinstance(row.get(name), kind) for name, kind in types.items()):
         return False
-    texts, tables = (row.get("file"), row.get("split")), (row.get("parameters"), row.get("arrays"))
-    if not all(isinstance(text, str) for text in texts) or not all(isinstance(table, dict) for table in tables):
-        return False
-    return all(isinstance(digest, str) for digest in row["arrays"].values())
+    digests = row["arrays"].values()
+    return all(_is_count(row.get(name)) for name in ("number", "offset")) and all(isinstance(d, str) for d in digests)
 
 
 def _is_failure(row: Any) -> bool:
     """True if a row is about a sample that failed."""
     if not isinstance(row, dict) or not _is_count(row.get("number")) or not isinstance(row.get("error"), str):
         return False
-    return "scene" in row and (row["scene"] is None or isinstance(row["scene"], dict))
+    return isinstance(row.get("scene", ""), dict | None)
 
 
 def _is_count(value: Any) -> bool:
@@ -172,87 +170,16 @@ def numbers_of(shard: int, samples: range, size: int) -> range:
     return range(max(samples.start, shard * size), min(samples.stop, (shard + 1) * size))
 
 
-class ManifestParts:
-    """The parts of a set in a storage, and which of its shards are done."""
-
-    def __init__(self, storage: Storage) -> None:
-        self.storage = storage
-        self.keys = sorted(key for key in storage.sizes(PARTS) if key.endswith(".jsonl"))
-        self._sizes: dict[str, dict[str, int]] = {}  # of files, by folder
-
-    def read(self, wanted: Iterable[str] | None = None) -> Iterator[tuple[str, bytes]]:
-        """Content of parts, in order; several are read at a time."""
-        keys = self.keys if wanted is None else list(wanted)
-        with ThreadPoolExecutor(AT_ONCE) as threads:
-            for start in range(0, len(keys), 8 * AT_ONCE):  # not all of them in memory
-                chunk = keys[start : start + 8 * AT_ONCE]
-                for key, data in zip(chunk, threads.map(self.storage.read, chunk), strict=True):
-                    if data is not None:
-                        yield key, data
-
-    def done(
-        self, identity: Identity, samples: range, shards: Iterable[int], hashes: bool, faults: list[str],
-        merged: Merged | None = None,
-    ) -> dict[int, ManifestPart]:  # fmt: skip
-        """Shards whose part is there, of this set, with all of their samples, and whose files are whole.
-
-        hashes: files must have the SHA-256 that their part names; else their sizes are compared. A line is added to
-        `faults` for each part that is there, but whose shard is not whole; `merged` takes the lines of all that are.
-        """
-        there, found = set(self.keys), dict[int, ManifestPart]()
-        keys, digest = {part_key(shard): shard for shard in shards}, identity.digest
-        for key, data in self.read(key for key in keys if key in there):
-            wanted = numbers_of(keys[key], samples, identity.shard_size)
-            try:
-                part = parsed_part(data)
-                fault = self._fault(part, data, hashes)
-            except FileError as error:
-                faults.append(f"{key}: {str(error).partition(': ')[2]}")
-                continue
-            if part.shard != keys[key] or part.identity != digest:
-                faults.append(f"{key}: must be of shard {keys[key]} of this set; got another one's")
-            elif part.numbers != wanted:
-                rule = f"must have the samples {wanted.start} to {wanted.stop - 1}"
-                faults.append(f"{key}: {rule}; got {part.first} to {part.numbers.stop - 1}")
-            elif fault:
-                faults.append(fault)
-            else:
-                found[keys[key]] = part
-                if merged is not None:
-                    merged.add(part, data)
-        return found
-
-    def _fault(self, part: ManifestPart, data: bytes, hashes: bool) -> str:
-        """Message on the first fault of a part's files, "" for none."""
-        if hashes:
-            require_rows(part, data)
-        for name, (size, digest) in part.files.items():
-            got = self.storage.digest(name) if hashes else self._size(name)
-            if got is None:
-                return f"{name}: must be there, as {part_key(part.shard)} names it; got no such file"
-            if got != (digest if hashes else size):
-                what = "SHA-256" if hashes else "size"
-                return f"{name}: must have the {what} that {part_key(part.shard)} names; got another"
-        return ""
-
-    def _size(self, name: str) -> int | None:
-        """Bytes of a file; its folder is listed once."""
-        folder = name.partition("/")[0]
-        if folder not in self._sizes:
-            self._sizes[folder] = self.storage.sizes(folder)
-        return self._sizes[folder].get(name)
-
-
 class Merged:
-    """Lines of all parts of a set, one after the other, and the files of its splits. Parts are added in order.
+    """Lines of all parts of a set, one after the other, and its files. Parts are added in order.
 
     Lines are in the scratch folder of the storage until `put`.
     """
 
     def __init__(self, storage: Storage) -> None:
         self.storage = storage
-        self.files: dict[str, list[tuple[str, int]]] = {}
-        """Split to files with the number of samples in them; "" of a set without splits."""
+        self.files: list[tuple[str, int]] = []
+        """Files with the number of samples in them."""
         self.paths = {key: storage.scratch() / key for key in (MERGED, FAILED)}
         for path in self.paths.values():
             path.write_bytes(b"")
@@ -264,8 +191,7 @@ class Merged:
             if own:
                 with open(self.paths[key], "ab") as file:
                     file.writelines(own)
-        for split, listed in files_of(part, data).items():
-            self.files.setdefault(split, []).extend(listed)
+        self.files += files_of(part, data)
 
     def put(self) -> None:
         """Write `manifest.jsonl` and `failed.jsonl`."""
@@ -273,19 +199,20 @@ class Merged:
             self.storage.put(key, path)
 
 
-def files_of(part: ManifestPart, data: bytes) -> dict[str, list[tuple[str, int]]]:
-    """Files of a part by their splits, with the number of samples in them. Raises FileError where it is damaged."""
-    counts: dict[str, int] = {}
+def files_of(part: ManifestPart, data: bytes) -> list[tuple[str, int]]:
+    """Files of a part with the number of samples in them, in order. Raises FileError where it is damaged."""
     if len(part.files) == 1 and (only := next(iter(part.files))).count("/") == 1:
-        counts[only] = part.made
-    else:
-        for row in rows_of(data)[0]:
-            counts[row["file"]] = counts.get(row["file"], 0) + 1
-    found: dict[str, list[tuple[str, int]]] = {}
-    for file, count in sorted(counts.items()):
+        return [(only, part.made)]
+    return sorted(Counter(row["file"] for row in rows_of(data)[0]).items())
+
+
+def files_by_split(files: Iterable[tuple[str, int]]) -> dict[str, list[tuple[str, int]]]:
+    """Files of each split, in their order; "" of a set without splits."""
+    by_split: dict[str, list[tuple[str, int]]] = {}
+    for file, count in files:
         split = file.partition("/")[0]
-        found.setdefault("" if split == UNSPLIT else split, []).append((file, count))
-    return found
+        by_split.setdefault("" if split == UNSPLIT else split, []).append((file, count))
+    return {split: by_split[split] for split in sorted(by_split)}
 
 
 def _shortened(value: Any) -> str:

@@ -88,7 +88,7 @@ class _Pool:
         self.where = list(where[: max(1, len(shards))])
         self.workers: list[_Worker] = []
         self.seen: dict[int, int] = {}
-        self.stillborn = 0
+        self.failed_starts = 0
 
     def run(self) -> None:
         with stoppable():
@@ -113,22 +113,22 @@ class _Pool:
             if worker.is_ready and worker.task is None and not worker.is_leaving and self.schedule.waiting:
                 worker.task = self.schedule.waiting.popleft()
                 worker.child.send(worker.task)
-        heard = wait([worker.child.pipe for worker in self.workers])
-        for worker in [worker for worker in self.workers if worker.child.pipe in heard]:
+        readable = wait([worker.child.pipe for worker in self.workers])
+        for worker in [worker for worker in self.workers if worker.child.pipe in readable]:
             try:
-                self._hear(worker, worker.child.pipe.recv())
+                self._handle_message(worker, worker.child.pipe.recv())
             except (EOFError, OSError):
-                self._buried(worker)
+                self._on_worker_exit(worker)
 
-    def _hear(self, worker: _Worker, message: tuple[Any, ...]) -> None:
+    def _handle_message(self, worker: _Worker, message: tuple[Any, ...]) -> None:
         kind, *content = message
         if kind == "fatal":
             raise ClscoError(content[0])
         if kind == "ready":
-            worker.is_ready, self.stillborn = True, 0
-            wanted = self.job.identity.device_family
-            if content[0] != wanted:
-                raise DeviceError(f"device: all of a set must be of the family {wanted}; got {content[0]}")
+            worker.is_ready, self.failed_starts = True, 0
+            family = self.job.identity.device_family
+            if content[0] != family:
+                raise DeviceError(f"device: all of a set must be of the family {family}; got {content[0]}")
         elif kind == "progress":
             self._count(*content)
         else:
@@ -151,7 +151,7 @@ class _Pool:
             self.seen[shard] = done
             self.advance(done - before)
 
-    def _buried(self, worker: _Worker) -> None:
+    def _on_worker_exit(self, worker: _Worker) -> None:
         """After the end of a process: its task is done again, and another process takes its place."""
         status = worker.child.end(END_S)
         if not worker.is_leaving:
@@ -161,8 +161,8 @@ class _Pool:
         if worker.task is not None:
             self.schedule.died(worker.task)
         elif not worker.is_ready:
-            self.stillborn += 1
-            if self.stillborn >= RETRIES * len(self.where):
+            self.failed_starts += 1
+            if self.failed_starts >= RETRIES * len(self.where):
                 raise ClscoError(f"worker: a process must start and find its device; got {how_ended(status)}")
         if not self.schedule.is_over:
             self.workers.append(self._start(worker.place))

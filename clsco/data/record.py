@@ -73,8 +73,8 @@ class Record(Mapping[str, NDArray[Any]]):
         several variants "v01.color", of all three "v01.f0003.left.color". Images are codes, uint8 or uint16, or linear
         floats.
     meta : mapping
-        Content of its JSON: number, seed, split, attempts, version, parameters, scene, labels; `arrays`, by name dtype,
-        shape, unit, convention, of codes the transfer curve and the share of values that were `clipped`; and `frames`.
+        Content of its JSON: number, seed, split, attempts, version, parameters, scene, labels; `arrays`, with dtype,
+        shape, unit and convention of each, for codes also transfer curve and `clipped` share; and `frames`.
 
     Examples
     --------
@@ -177,7 +177,7 @@ class Record(Mapping[str, NDArray[Any]]):
         return decode(self[name], self.meta["arrays"][name].get("transfer", "linear")).astype(np.float32)
 
     def sha256(self) -> dict[str, str]:
-        """SHA-256 of each array's dtype, shape and bytes, whatever holds it."""
+        """SHA-256 of each array's dtype, shape and bytes, which do not depend on the format."""
         return {name: array_sha256(array) for name, array in self.arrays.items()}
 
 
@@ -189,9 +189,9 @@ def array_sha256(array: NDArray[Any]) -> str:
     return digest.hexdigest()
 
 
-def is_wanted(name: str, wanted: Collection[str] | None) -> bool:
-    """True if an array is wanted, by its whole name or by its kind: "left.color" is a "color"."""
-    return wanted is None or name in wanted or name.rpartition(".")[2] in wanted
+def is_named(name: str, names: Collection[str] | None) -> bool:
+    """True if names, None for all, have an array, by its whole name or by its kind: "left.color" is a "color"."""
+    return names is None or name in names or name.rpartition(".")[2] in names
 
 
 def parse_stored(text: str) -> dict[str, str]:
@@ -208,12 +208,12 @@ def make_record(
     sample: Sample,
     seed: int,
     frames: Sequence[Sequence[Frame]],
-    wanted: Collection[str],
+    names: Collection[str],
     stored: Mapping[str, str] | None = None,
 ) -> Record:
     """Make the record of a sample from the frames of each variant, of a stereo pair left and right after each other.
 
-    wanted: names in files; what a frame does not have is left out, such as `uv` where no texture lies on a surface.
+    names: of arrays in files; what a frame does not have is left out, such as `uv` where no texture lies on a surface.
     stored: types as `parse_stored` gives them. Raises FileError: radiance that is not finite; floats beyond float16.
 
     Codes end at white as those of a sensor do, and at black, below which interpolated textures may go at an edge. Both
@@ -224,7 +224,7 @@ def make_record(
     about: dict[str, dict[str, Any]] = {}
     described = []
     several = len({frame.index for views in frames for frame in views}) > 1
-    chosen = [name for name in FILE_NAMES.values() if name in wanted]
+    chosen = [name for name in FILE_NAMES.values() if name in names]
     for variant, (views, scene) in enumerate(zip(frames, sample.scenes, strict=True)):
         stereo = len({frame.eye for frame in views}) > 1
         for frame in views:

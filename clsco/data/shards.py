@@ -101,10 +101,10 @@ class SampleRenderer:
         prepared = prepare_sweep(sweep, self.request, self.device, self.files)
         bare = without_lens(sample.scenes[0])
         keeps, self._before = bare == self._before, bare  # rays, where samples differ in lens and sensor alone
-        found: list[list[Frame]] = [[] for _ in sample.labels]
+        frames: list[list[Frame]] = [[] for _ in sample.labels]
         for variant, frame in render_prepared(self.session, prepared, keeps_rays=keeps):
-            found[variant].append(frame)
-        return found
+            frames[variant].append(frame)
+        return frames
 
 
 class ShardMaker:
@@ -135,11 +135,10 @@ class ShardMaker:
         written.
         """
         began, spent = time.time(), {"draw": 0.0, "render": 0.0, "all": time.perf_counter()}
-        wanted = self.job.numbers(shard) if numbers is None else numbers
         rows: dict[int, dict[str, Any]] = {}
         failures: dict[int, dict[str, Any]] = {}
         splits: dict[str, list[Sample]] = {}
-        for number in wanted:
+        for number in self.job.numbers(shard) if numbers is None else numbers:
             start = time.perf_counter()
             try:
                 sample = self.job.distribution.draw(self.job.identity.seed, number)
@@ -205,12 +204,12 @@ class ShardMaker:
         """Move the files of a shard to the set, then its part, and note in the log how long it took.
 
         about: of the process, for the log. Raises FileError where another process has made other bytes of the shard;
-        then both are kept.
+        then both stay.
         """
         key = part_key(made.shard)
-        there = self.storage.read(key)
-        if there is not None and there != made.part:
-            if self._is_whole(there, made.shard):
+        present = self.storage.read(key)
+        if present is not None and present != made.part:
+            if self._is_whole(present, made.shard):
                 self._keep_both(made)
             self.storage.remove(key)  # what it names is about to change
         for name, path in made.files.items():
@@ -270,7 +269,7 @@ def _row(sample: Sample, key: str, offset: int, record: Record) -> dict[str, Any
 
 def statistics(arrays: Mapping[str, NDArray[Any]]) -> dict[str, list[float | None]]:
     """Share of valid pixels, and quantiles of depth, |R| and the length of the flow, at some of the pixels."""
-    found: dict[str, list[float | None]] = {}
+    quantiles: dict[str, list[float | None]] = {}
     for name, array in arrays.items():
         kind = name.rpartition(".")[2]
         if kind not in MEASURED:
@@ -280,8 +279,8 @@ def statistics(arrays: Mapping[str, NDArray[Any]]) -> dict[str, list[float | Non
         sizes = (np.hypot(some[..., 0], some[..., 1]) if kind == "flow" else np.abs(some)).ravel()
         finite = np.sort(sizes[np.isfinite(sizes)])
         places = [round(share * (finite.size - 1)) for share in QUANTILES] if finite.size else []
-        found[name] = [float(f"{finite.size / sizes.size:.4g}"), *(float(f"{finite[at]:.6g}") for at in places)]
-    return found
+        quantiles[name] = [float(f"{finite.size / sizes.size:.4g}"), *(float(f"{finite[at]:.6g}") for at in places)]
+    return quantiles
 
 
 V = TypeVar("V")

@@ -143,13 +143,13 @@ class _Folder:
     @_failing
     def sizes(self, prefix: str) -> dict[str, int]:
         """Keys that begin with `prefix`, a folder, with their bytes."""
-        folder, found = self.root / checked_key(prefix), dict[str, int]()
+        folder, sizes = self.root / checked_key(prefix), dict[str, int]()
         for inside, _, names in os.walk(folder):
             for name in names:
                 path = Path(inside) / name
                 with suppress(FileNotFoundError):  # replaced meanwhile
-                    found[path.relative_to(self.root).as_posix()] = path.lstat().st_size
-        return found
+                    sizes[path.relative_to(self.root).as_posix()] = path.lstat().st_size
+        return sizes
 
     @_failing
     def has_others(self) -> bool:
@@ -219,10 +219,10 @@ class _Remote:
     @_failing
     def read(self, key: str) -> bytes | None:
         try:
-            found: bytes = self.system.cat_file(self._path(key))
+            content: bytes = self.system.cat_file(self._path(key))
         except FileNotFoundError:
             return None
-        return found
+        return content
 
     @_failing
     def digest(self, key: str) -> str | None:
@@ -247,9 +247,9 @@ class _Remote:
     @_failing
     def sizes(self, prefix: str) -> dict[str, int]:
         self.system.invalidate_cache()
-        found = self.system.find(self._path(prefix), detail=True)
+        files = self.system.find(self._path(prefix), detail=True)
         start = len(self.root.rstrip("/")) + 1
-        return {name[start:]: int(about["size"]) for name, about in found.items() if about.get("type") != "directory"}
+        return {name[start:]: int(about["size"]) for name, about in files.items() if about.get("type") != "directory"}
 
     @_failing
     def has_others(self) -> bool:

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from clsco.data.forms import Folder, RefusedError, is_form
+from clsco.data.folder import Folder, RefusedError
+from clsco.data.forms import is_form
 from clsco.errors import SceneError
 from clsco.scene.changes import displace, key_parts, override
 from clsco.scene.file import read_mapping
@@ -77,26 +78,26 @@ def _with_base(data: dict[str, Any], path: str, where: str, folder: Folder, name
         return data
     name = data.pop("base")
     try:
-        found = folder.inside(name)
+        path_of_base = folder.inside(name)
         if Path(name).name != name:
             raise RefusedError("must be a file in the same folder")
-        if found.name in names or found == Path(where).resolve():
+        if path_of_base.name in names or path_of_base == Path(where).resolve():
             raise RefusedError("must not lead back to a file that it is a base of")
         if len(names) == MAX_BASES:
             raise RefusedError(f"must be at most {MAX_BASES} files one after the other")
     except RefusedError as error:
         raise SceneError(error.message(f"{path}: base", name)) from None
     base = str(folder.path / name)
-    return joined(_with_base(read_mapping(base, ()), base, where, folder, [*names, found.name]), data)
+    return joined(_with_base(read_mapping(base, ()), base, where, folder, [*names, path_of_base.name]), data)
 
 
 def _plain(content: Mapping[str, Any], where: str) -> dict[str, Any]:
     """Content as a file would have it: NumPy's arrays and numbers become lists and numbers, tuples lists."""
     try:
-        found: dict[str, Any] = json.loads(json.dumps(dict(content), default=_of_json))
+        plain: dict[str, Any] = json.loads(json.dumps(dict(content), default=_of_json))
     except (TypeError, ValueError, RecursionError) as error:
         raise SceneError(f"{where}: must hold tables, lists, numbers and texts; got {error}") from None
-    return found
+    return plain
 
 
 def _of_json(value: Any) -> Any:
@@ -113,22 +114,22 @@ def joined(base: dict[str, Any], data: dict[str, Any]) -> dict[str, Any]:
     What stands for a value, such as a distribution or a range, is no table here. A key that contradicts another one,
     as f_number does aperture_diameter, takes its place.
     """
-    found = dict(base)
+    remaining = dict(base)
     for section, value in data.items():
         if section in ("vary", "accept", "derive") or not isinstance(value, dict):
             continue
         for key in value:
-            displace(found, f"{section}.{key}", value[key])
-    return _merged(found, data)
+            displace(remaining, f"{section}.{key}", value[key])
+    return _merged(remaining, data)
 
 
 def _merged(base: Mapping[str, Any], data: Mapping[str, Any]) -> dict[str, Any]:
-    found = {key: dict(value) if isinstance(value, dict) else value for key, value in base.items()}
+    merged = {key: dict(value) if isinstance(value, dict) else value for key, value in base.items()}
     for key, value in data.items():
-        old = found.get(key)
+        old = merged.get(key)
         join = isinstance(old, dict) and isinstance(value, dict) and not (_is_value(old) or _is_value(value))
-        found[key] = _merged(old or {}, value) if join else value
-    return found
+        merged[key] = _merged(old or {}, value) if join else value
+    return merged
 
 
 def _is_value(table: Any) -> bool:

@@ -119,19 +119,20 @@ def defocus(
         Keys of the scene file's [camera] with their values: diffraction, of psf.model = "wave", depends on the f-number
         and the pixels.
     device : str, pyopencl.Device, Context or CommandQueue, optional
-        Part of a device's name, "cpu" or "gpu", or where to work. The queue of pyopencl arrays is worked in.
+        Part of a device's name, "cpu" or "gpu", or a pyopencl object to work with. By default the queue of pyopencl
+        arrays.
     method : str
         "auto", the default, "gather", "scatter", "tiles", or "convolve" (one radius for all pixels).
     memory : int or str, optional
-        Most that buffers on the device take, in bytes or like "1.5GiB"; by default half of what is free.
+        Limit of the buffers on the device, in bytes or like "1.5GiB"; by default half of what is free.
     outside : {"mirror", "black"}
-        Light from beyond the image's border: by default its mirror image, as a depth map's, so that uniform radiance
-        stays uniform; or nothing, so that it darkens there. With border = "renormalize" nothing does.
+        Light from beyond the image's border: by default the mirror image, so that uniform radiance stays uniform;
+        "black" darkens the border. With psf.border = "renormalize" no light comes from there.
     soft_edges : {"assign", "keep"}
-        Radii between those of two surfaces at their edge, as of averaged or blurred depth: by default each
-        becomes that of one of the two, or all are kept. Hard edges have none.
+        Radii between those of two surfaces at their edge, as from averaged or blurred depth: by default each is
+        assigned to one of the surfaces; "keep" leaves them as they are.
     return_report : bool
-        Return a `DefocusReport` besides.
+        Also return a `DefocusReport`.
 
     Returns
     -------
@@ -143,18 +144,18 @@ def defocus(
     Raises
     ------
     ArgumentError
-        Arrays that cannot be, such as of masked or infinite values.
+        An array is invalid, such as one with masked or infinite values.
     SceneError
-        Other arguments that cannot be, such as occlusion = "visibility".
+        Another argument is invalid, such as occlusion = "visibility".
     DeviceError
-        There is no such device, or it fails.
+        The device does not exist, or fails.
 
     Notes
     -----
-    It is what a scene of one static depth map with unit = "coc" gives, and `clsco defocus`. Sources have their pixel's
-    center, and the gradient for `tilt` comes from differences of `blur_radius`. With occlusion = "layered" smaller
-    signed radii, which are nearer, hide larger ones at depth discontinuities. An image that needs more than `memory` is
-    blurred in horizontal strips, with the same bits.
+    The result is that of a scene of one static depth map with unit = "coc", and of `clsco defocus`. Sources are at
+    pixel centers, and the gradient for `tilt` comes from differences of `blur_radius`. With occlusion = "layered"
+    smaller signed radii, which are nearer, hide larger ones at depth discontinuities. An image that needs more than
+    `memory` is blurred in horizontal strips, with the same bits.
     Validated against `clsco.reference.blur.blur.scatter` and `clsco.reference.layered.layered.layered` to 1e-5.
 
     Examples

@@ -59,38 +59,39 @@ def inpaint(
     Parameters
     ----------
     image : array (rows, columns) or (rows, columns, 1 to 16)
-        Floats are linear radiance; uint8 and uint16 are sRGB codes, and are filled as codes. What missing pixels hold
-        does not matter; a pixel is missing, too, where any of its channels is masked in a masked array. NumPy arrays,
-        or pyopencl arrays of one queue, which are copied through the host.
+        Floats are linear radiance; uint8 and uint16 are sRGB codes, and are filled as codes. Values of missing pixels
+        are ignored. In a masked array, pixels with a masked channel are missing too. NumPy arrays, or pyopencl arrays
+        of one queue, which are copied through the host.
     mask : array (rows, columns)
         True = missing; or uint8 of 0 and 255 = missing.
     method : str
         "biharmonic", "texture", or "auto", the better of these two; or "mean-median", that of the thesis (chapter 5).
     device : str, pyopencl.Device, Context or CommandQueue, optional
-        Part of a device's name, "cpu" or "gpu", or where to work. The queue of pyopencl arrays is worked in.
+        Part of a device's name, "cpu" or "gpu", or a pyopencl object to work with. By default the queue of pyopencl
+        arrays.
     progress : callable, optional
-        Is called with the share that is done, from 0 to 1.
+        Called with the share of the work that is done, from 0 to 1.
     options : clsco.inpainting.rules.MeanMedian, optional
         Constants of "mean-median", such as `MeanMedian(smoothing_rounds=0)`.
     return_report : bool
-        Return a `clsco.inpainting.report.Report` besides.
+        Also return a `clsco.inpainting.report.Report`.
 
     Returns
     -------
     array of the image's shape and dtype
-        NumPy or pyopencl as given. Known pixels stay as they are, but for those that stage 3 of mean-median blends;
-        without missing pixels it is a copy.
+        NumPy or pyopencl, as `image`. Known pixels are unchanged, except those that stage 3 of mean-median blends;
+        without missing pixels the result is a copy.
     Report
         Only with `return_report`: the method that was used, and figures of its stages.
 
     Raises
     ------
     ArgumentError
-        Arrays that cannot be, such as an image without any known pixel.
+        An array is invalid, such as an image without any known pixel.
     SceneError
-        Other arguments that cannot be.
+        Another argument is invalid.
     DeviceError
-        There is no such device, or it fails.
+        The device does not exist, or fails.
 
     Notes
     -----

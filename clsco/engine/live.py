@@ -24,27 +24,27 @@ from clsco.scene.file import SceneLike, scene_of
 class Live:
     """Renders scenes that follow each other, as when a user drags a slider.
 
-    What rays hit, textures, depth maps and tables of weights are kept by what they are made from: a render computes
-    what is new to it. Frames have the bits that `clsco.render_frame` gives.
+    Ray hits, textures, depth maps and tables of weights are cached by their inputs, so a render computes only what
+    changed. Frames have the bits of `clsco.render_frame`.
 
     Parameters
     ----------
     device : str, pyopencl.Device, Context or CommandQueue, optional
         As for `clsco.render`.
     keep : int or str
-        Most bytes that are kept beyond a render on the device, and as many on the host, in bytes or like "1.5GiB"; the
-        least recently used go.
+        Size of the cache on the device, and of that on the host, in bytes or like "1.5GiB"; the least recently used
+        entries are evicted.
 
     Raises
     ------
     DeviceError
-        There is no such device.
+        The device does not exist.
     SceneError
-        `keep` is no size.
+        `keep` is not a size.
 
     Notes
     -----
-    A `Live` renders one scene at a time; threads that render at the same time have one each, and share compiled
+    A `Live` renders one scene at a time. Threads that render at the same time need one each; they share compiled
     kernels. Validated: the bits of a fresh process (tests/engine/test_live.py); `benchmarks/speed/live.py` has times.
 
     Examples
@@ -119,12 +119,12 @@ class Live:
         return lit.inside(self.render(lit.scene, index, truth=()))
 
     def cancel(self) -> None:
-        """End the render that another thread waits for within a fraction of a second; without one nothing happens."""
+        """Cancel the render of another thread, within a fraction of a second; does nothing if there is none."""
         if self._lock.locked():
             self.session.canceled.set()
 
     def warm(self, scene: SceneLike) -> threading.Thread:
-        """Compile in the background what this scene and those near it need.
+        """Compile in the background the kernels that this scene and similar ones need.
 
         Parameters
         ----------
@@ -133,7 +133,7 @@ class Live:
         Returns
         -------
         threading.Thread
-            Ends when all is compiled; nobody has to wait for it.
+            Ends when all is compiled; you need not wait for it.
         """
         known = scene_of(scene)
         thread = threading.Thread(target=warm, args=(self.session.unwatched(), known, self.files), daemon=True)
@@ -142,7 +142,7 @@ class Live:
         return thread
 
     def close(self) -> None:
-        """Wait for what is being compiled, and let go of what is kept."""
+        """Wait for kernels that are being compiled, and release the cache."""
         for thread in self._warming:
             thread.join()
         self._warming.clear()

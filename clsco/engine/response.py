@@ -71,40 +71,39 @@ def response(
     device: DeviceLike = None,
     precision: str | None = None,
 ) -> NDArray[np.float32]:
-    """Response of a frame to one source: its point spread function, as the scene lets it through.
+    """Response of a frame to one source: its point spread function with occlusion, motion and border.
 
     Parameters
     ----------
     scene : Scene, mapping or path
         As for `render_frame`.
     x, y : int
-        Column and row of the source in the reference pose (t = 0), px; also beside the frame, as far as the blur
-        reaches, but for `border = "renormalize"` and depth maps.
+        Column and row of the source in the image at t = 0, px. They may be outside the frame, as far as the blur
+        reaches, except with `border = "renormalize"` and depth maps.
     index : int
         Number of the frame, from 0.
     item : int, optional
-        Number of the object that the source is on, from 0. By default the one that is seen there at t = 0.
+        Number of the object that has the source, from 0. By default the visible one at t = 0.
     device, precision
         As for `render_frame`.
 
     Returns
     -------
     ndarray of float32, (rows, columns)
-        Irradiance in the frame where the source has radiance 1, and all else is black; of green light where the lens
-        tells colors apart.
+        Irradiance in the frame if the source has radiance 1 and all else is black; of green light if the lens separates
+        colors.
 
     Raises
     ------
     SceneError, FileError, DeviceError, KernelError
-        As `render_frame`; there is no such source, or without `item` nothing is seen there.
+        As `render_frame`; the source does not exist, or without `item` no object is visible there.
 
     Notes
     -----
-    The frame is linear in the radiance of its sources as long as nothing is filled in: it is the sum over all sources
-    of radiance times response. Occlusion, motion, the border, and what `psf` has are as in the frame; a sensor
-    comes after it, and is left out. The source is the
-    pixel of a projected texture, wherever the surface carries it; how textures are mapped and lit does not matter.
-    Validated: that sum, and the response that `clsco.reference` gives (tests/engine/test_response.py).
+    A frame is the sum of radiance times response over all its sources, unless missing pixels are filled. The response
+    does not include a sensor, which comes after the blur. The source is a pixel of the projected texture, and moves
+    with its surface; how textures are mapped and lit does not matter.
+    Validated: that sum, and the response of `clsco.reference` (tests/engine/test_response.py).
 
     Examples
     --------

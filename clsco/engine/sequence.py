@@ -56,25 +56,25 @@ def render(
         A scene, the content of a scene file, or the file.
     truth : str or iterable of str
         Names of the outputs besides color, which are attributes of `Frame`; by default, and by "all", all of them.
-        Those that are left out cost nothing.
+        Outputs that you omit cost nothing.
     color : bool
-        True by default; False for the truth alone: `Frame.color` is None, and nothing is blurred, which is most of the
-        work.
+        True by default. False renders ground truth only: `Frame.color` is None, and the blur, most of the work, is
+        skipped.
     device : str, pyopencl.Device, Context or CommandQueue, optional
-        Part of a device's name, "cpu" or "gpu", or where to work.
+        Part of a device's name, "cpu" or "gpu", or a pyopencl object to render with.
     precision : {"double", "single"}, optional
-        Precision of the geometry; by default double where the device has it.
+        Precision of the geometry; by default double if the device has it.
     method : str
-        Method of the blur: "auto", the default, or "gather", "scatter", "tiles" or "convolve" where it can blur the
+        Method of the blur: "auto", the default, or "gather", "scatter", "tiles" or "convolve" if it can blur the
         scene.
     tolerance : float, optional
-        RMS error of white up to which fewer time samples and silhouette samples are taken, and hidden sources of wide
-        blur merged, as it is estimated; None for all that the scene says. `Frame.metadata["approximation"]` has the
-        numbers and the estimated error.
+        Largest estimated RMS error, 1 = white: fewer time samples and silhouette samples are taken, and hidden sources
+        of wide blur merged. By default all samples of the scene. `Frame.metadata["approximation"]` has the numbers and
+        the estimated error.
     frames : iterable of int, optional
-        Numbers of the wanted frames, from 0; by default all.
+        Numbers of the frames to render, from 0; by default all.
     memory : int or str, optional
-        Most that buffers on the device take, in bytes or like "1.5GiB"; by default half of what is free.
+        Limit of the buffers on the device, in bytes or like "1.5GiB"; by default half of what is free.
 
     Returns
     -------
@@ -84,9 +84,9 @@ def render(
     Raises
     ------
     SceneError, DeviceError
-        At the call, for arguments that cannot be.
+        At the call, for invalid arguments.
     FileError, SceneError, DeviceError, KernelError
-        From the iterator, for files that cannot be read and what a device or a method cannot do.
+        From the iterator, for unreadable files, and for work that a device or a method cannot do.
 
     Notes
     -----
@@ -119,7 +119,7 @@ def render_frame(
     Parameters
     ----------
     scene : Scene, mapping or path
-        As for `render`; no stereo pair, of which a frame has two views.
+        As for `render`, but no stereo pair, whose frames are two views.
     index : int
         Number of the frame, from 0.
     truth, color, device, precision, method, tolerance, memory
@@ -132,7 +132,7 @@ def render_frame(
     Raises
     ------
     SceneError, FileError, DeviceError, KernelError
-        As `render`, all at the call.
+        As `render`, but all at the call.
 
     Examples
     --------
@@ -162,14 +162,14 @@ def render_sweep(
     Parameters
     ----------
     scenes : Sweep or iterable of Scene, mapping or path
-        Scenes have the noise of their `noise_seed`, which those of a Sweep count up.
+        Each scene has the noise of its `noise_seed`; in a Sweep this increases by 1 from scene to scene.
     truth, color, device, precision, method, tolerance, frames, memory
-        As for `render`; `frames` of every scene.
+        As for `render`, for each scene.
 
     Returns
     -------
     iterator of (int, Frame)
-        Number of the scene and a frame of it: scene by scene, and where rays are shared frame by frame.
+        Number of a scene and one of its frames: scene by scene, but frame by frame if scenes share rays.
 
     Raises
     ------
@@ -178,8 +178,8 @@ def render_sweep(
 
     Notes
     -----
-    Where scenes that follow each other differ in nothing but the lens, rays are cast at their surfaces once for all of
-    them (at sub-pixels near silhouettes once for each). Validated: the same bits as from `render` for each scene
+    If consecutive scenes differ only in the lens, rays are cast at their surfaces once for all of them (at sub-pixels
+    near silhouettes once for each). Validated: the same bits as from `render` for each scene
     (tests/cli/test_sweep.py).
 
     Examples

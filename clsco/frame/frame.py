@@ -53,24 +53,23 @@ class Frame:
     Row 0 is on top, column 0 on the left, pixel centers at integer coordinates. Channels are red, green, blue; arrays
     of a gray scene have none. Truth that was not requested is None. `sharp`, `depth`, `blur_radius`, `mask`,
     `object_id`, `normal`, `flow`, `flow_backward` and `uv` belong to the middle of the shutter and are never
-    anti-aliased, but for `sharp` where a texture lies on a surface: that is its mean over the pixel. With a rolling
-    shutter they belong to the middle of the exposure of the pixel's own row, or column, which `row_time` has.
+    anti-aliased, except `sharp` of a texture on a surface, which is the mean over the pixel. With a rolling shutter
+    they belong to the middle of the exposure of the pixel's own row, or column, as in `row_time`.
 
     Attributes
     ----------
     index : int
         Number of the frame in its sequence, from 0.
     color : float32 (rows, columns[, 3])
-        Linear radiance, 1 = white: blurred by defocus and motion. None where it was not wanted (`color=False`). With a
-        sensor what its codes stand for, with their noise: (raw - black_level) / gain electrons, demosaiced where the
-        sensor says so.
+        Linear radiance, 1 = white: blurred by defocus and motion. None with `color=False`. With a sensor the light of
+        its codes, noise included, demosaiced if the sensor does.
     sharp : float32 (rows, columns[, 3])
         Linear radiance: all in focus.
     depth : float32 (rows, columns), mm
-        Planar Z at the pixel center, +inf where nothing is.
+        Planar Z at the pixel center, +inf without a surface.
     blur_radius : float32 (rows, columns[, 3]), px
-        Signed blur radius R, positive behind the focal surface; `coc` in files. Of red, green and blue where the lens
-        tells colors apart.
+        Signed blur radius R, positive behind the focus; `coc` in files. One for each of red, green and blue if the
+        lens has longitudinal color.
     mask : bool (rows, columns)
         A surface is there.
     filled : uint8 (rows, columns)
@@ -82,48 +81,46 @@ class Frame:
     normal : float32 (rows, columns, 3)
         Unit vector in the camera frame, x right, y up, z into the scene.
     flow : float32 (rows, columns, 2), px
-        x right, y down, to the next frame. With a rolling shutter to the row that shows the point there, and inf where
-        none does, or not one alone.
+        x right, y down, to the next frame. With a rolling shutter, to the row that shows the point there, and inf if
+        no row or several do.
     hidden : bool (rows, columns)
         The point is hidden in the reference pose, so its radiance is extrapolated.
     flow_backward : float32 (rows, columns, 2), px
-        x right, y down, to the frame before. Where something moves only, as `flow_occluded`.
+        x right, y down, to the frame before. Only if something moves, as for `flow_occluded`.
     flow_occluded : bool (rows, columns)
-        The point is not visible in the next frame: another surface or its own hides it, or it is outside.
+        The point is not visible in the next frame: a surface hides it, or it is outside the frame.
     uv : float32 (rows, columns, 2)
-        Place of the surface point in the image of its texture, right and up from the lower left corner, in images: in a
-        repeated one beyond 1; of a cube map in a row of its six. Where a texture lies on a surface only.
+        Position of the surface point in the image of its texture, right and up from the lower left corner, in copies of
+        the image; for a cube map in a row of its six images. Only with textures on surfaces.
     disparity : float32 (rows, columns), px
-        Column in the left view less column in the right one of the surface point; 0 where nothing is. Of a stereo pair
-        only, as `occluded`.
+        Column of the surface point in the left view less that in the right one; 0 without a surface. Only of stereo
+        pairs, as `occluded`.
     occluded : bool (rows, columns)
-        The point is not visible in the other view: an occluder hides it, or it is outside.
+        The point is not visible in the other view: an occluder hides it, or it is outside the frame.
     raw : uint16 (rows, columns[, 3]), DN
-        Codes of the sensor, with all noise; of a mosaic one for each pixel. Of a scene with a sensor only, as
-        `electrons`, `noise_sigma` and `saturated`, which have this shape.
+        Codes of the sensor, with all noise; of a mosaic one for each pixel. Only with a sensor, as `electrons`,
+        `noise_sigma` and `saturated`, which have the same shape.
     electrons : float32 (rows, columns[, 3]), e-
-        Electrons to be expected without any noise: of the light and of the dark current.
+        Expected electrons of light and dark current, without noise.
     noise_sigma : float32 (rows, columns[, 3]), e-
         Standard deviation of (raw - black_level) / gain from `electrons`, over exposures and sensors: shot noise, read
         noise, PRNU, DSNU and rounding, without hot pixels and where nothing is saturated.
     saturated : bool (rows, columns[, 3])
         The full well or the largest code was reached.
-    row_time : float64 (rows,), or (columns,) where these are exposed one after another, s
-        Middle of the exposure of each row since the reference pose. With a rolling shutter only.
+    row_time : float64 (rows,), or (columns,) if columns are exposed one after another, s
+        Middle of the exposure of each row since t = 0. Only with a rolling shutter.
     throughput : float32 (rows, columns)
-        Share of the light of the middle of the frame that the lens gives the pixel. Where it has vignetting or rims
-        only.
+        Light of the pixel as a share of that in the middle of the frame. Only with vignetting or rims.
     alpha : float32 (rows, columns)
-        Share of a pixel's light that comes from surfaces, blurred as `color` is, which has the rest of it black: the
-        coverage of an image with associated (premultiplied) alpha. The background is no surface.
+        Share of a pixel's light that comes from surfaces, blurred as `color`: `color` has this associated
+        (premultiplied) alpha. The background is no surface.
     subframes : float32 (samples, rows, columns[, 3])
-        Linear radiance of each time sample by itself, blurred by defocus: `color` is their weighted mean, but with
-        a sensor, before which they are.
+        Linear radiance of each time sample, blurred by defocus. Without a sensor `color` is their weighted mean.
         `metadata["intermediate"]` has their times and weights.
     eye : str
         "left" or "right" of a stereo pair, else "".
     metadata : mapping
-        Record of what made the frame; values that JSON can hold.
+        Parameters, times, device and version of the render, in values that JSON can hold.
     """
 
     index: int

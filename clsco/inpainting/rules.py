@@ -23,12 +23,23 @@ LEAST_EXPONENT, MOST_EXPONENT = -126, 126  # of the scale, a float32
 
 @dataclass(frozen=True)
 class MeanMedian:
-    """Constants of the thesis' method; each stage but the filling itself can be turned off.
+    """Options of `clsco.inpaint` with method "mean-median", the thesis' method.
 
-    estimator: "scored", by stage 0, or "mean" or "median" for all; minimum: known neighbors that a pixel needs, 1 to 8,
-    fewer only where the filling would stall; smoothing_rounds: 0 to 1000, 0 turns stage 2 off; border_share: of the
-    pixels around holes, from 0 (turns stage 3 off) to 1, those with the largest gradients are blended.
-    Raises SceneError for other values.
+    Parameters
+    ----------
+    estimator : {"scored", "mean", "median"}
+        Estimate of a pixel from its neighbors; "scored" chooses mean or median by their errors at known pixels.
+    minimum : int
+        Known neighbors that a pixel needs, 1 to 8; fewer only if no pixel has that many.
+    smoothing_rounds : int
+        Rounds of the median over filled pixels, 0 (none) to 1000.
+    border_share : float
+        Share of the known pixels beside holes, 0 (none) to 1, that are blended: those with the largest gradients.
+
+    Raises
+    ------
+    SceneError
+        An option has another value.
 
     Examples
     --------

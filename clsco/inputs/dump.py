@@ -18,27 +18,27 @@ from clsco.scene.toml import toml_text
 
 
 def dump_scene(scene: Scene, path: str | os.PathLike[str] | None = None) -> str:
-    """Write a scene as the text of a scene file, which is read back to an equal scene.
+    """Write a scene as the text of a scene file, from which an equal scene can be read.
 
     Parameters
     ----------
     scene : Scene
     path : str or os.PathLike, optional
-        A file that is written as well, ending in .toml. Arrays are written beside it, as ball_object_0_texture.npy for
-        ball.toml, and relative paths of other files become absolute, so that it may lie anywhere.
+        A .toml file to write. Arrays are written beside it, as ball_object_0_texture.npy for ball.toml, and relative
+        paths of other files become absolute.
 
     Returns
     -------
     str
-        TOML with the keys that were given; defaults are left out. `clsco.parse_scene` makes an equal scene of it. With
-        `path`, the content of the file.
+        TOML with the keys that were set explicitly. `clsco.parse_scene` makes an equal scene of it. With `path`, the
+        content of the file.
 
     Raises
     ------
     SceneError
         The scene has arrays in memory and there is no path, or that does not end in .toml.
     FileError
-        A file cannot be written; then none is.
+        A file cannot be written; then no file is.
 
     Notes
     -----

@@ -76,18 +76,18 @@ def list_devices(name: str | None = None, source: str = "device") -> tuple[tuple
     name : str, optional
         As `device` of `clsco.render`: a part of a name, "cpu" or "gpu".
     source : str
-        Origin of `name`, as the reason calls it.
+        Name for the origin of `name` in the reason.
 
     Returns
     -------
     devices : tuple of Device
         In the platforms' order.
     choice : Choice
-        `device` of the choice (None where none can be chosen), and its `reason` in words.
+        `device` (None if no device can be chosen), and the `reason` in words.
 
     Notes
     -----
-    Nothing is raised where no device can be chosen: the reason says so.
+    If no device can be chosen, the reason says so; no error is raised.
 
     Examples
     --------

@@ -42,11 +42,26 @@ def _without_channel(image: Array) -> Any:
 
 
 def render(scene: Scene, *, subframes: bool = False, frames: Iterable[int] | None = None) -> Iterator[Frame]:
-    """Frames of a scene, each with all its ground truth, and with `subframes` if asked; float arrays are float64.
+    """Render frames of a scene in NumPy and float64, without OpenCL, each with all its ground truth.
 
-    frames: numbers of the wanted frames, by default all. Errors: those of the plan and of the textures. Metadata:
-    {"intermediate": [...]}, one mapping per time sample with its time in s, its weight and the counts of
-    `clsco.reference.inpainting.fill.FillReport`.
+    Parameters
+    ----------
+    scene : Scene
+    subframes : bool
+        Also compute `Frame.subframes`.
+    frames : iterable of int, optional
+        Numbers of the frames to render, from 0; by default all.
+
+    Returns
+    -------
+    iterator of Frame
+        Float arrays are float64. `metadata["intermediate"]` has a mapping per time sample with its time in s, its
+        weight and the counts of `clsco.reference.inpainting.fill.FillReport`.
+
+    Raises
+    ------
+    SceneError, FileError
+        As `clsco.render`.
 
     Examples
     --------

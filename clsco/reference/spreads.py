@@ -34,7 +34,7 @@ LARGEST_STACK = 2**30  # bytes
 
 @dataclass(frozen=True, eq=False)
 class PsfStack:
-    """Point spread functions of a lens, as the tables have them that a frame is made with.
+    """Point spread functions of a lens, from the tables that frames are rendered with.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class PsfStack:
     at : ndarray of float64, (places, 2)
         Column and row of the source in the frame, px.
     channels : tuple of str
-        "red", "green" and "blue"; "all", where all colors are blurred alike; or wavelengths, as "550 nm".
+        "red", "green" and "blue"; "all", if all colors blur equally; or wavelengths, as "550 nm".
     name : str
         Name of the pupil, and how it is evaluated on pixels.
     """
@@ -65,7 +65,7 @@ class PsfStack:
         return self.weights.shape[-1] // 2
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """Arrays of a file, with their units in their names."""
+        """Arrays as `clsco psf` writes them to an .npz file, with units in their names."""
         offset = np.arange(-self.reach, self.reach + 1)
         return {
             "weights": self.weights, "channel": np.array(self.channels), "at_px": self.at, "depth_mm": self.depth,
@@ -84,16 +84,15 @@ def psf(
     scene : Scene, mapping or path
         As for `clsco.render_frame`.
     at : sequence of (column, row), optional
-        Places of sources in the frame, px. By default the middle, and where the blur depends on the place four from
+        Positions of sources in the frame, px. By default the middle; if the blur depends on the position, four from
         there to the corner.
     depths : sequence of float, optional
-        Depths Z of sources, mm; infinity is one. By default nine from near to far at equal steps of 1/Z on each side of
-        the focal surface on the axis, as far as the blur radii go that are expected in the scene.
+        Depths Z of sources, mm; may be infinite. By default nine on each side of the focus, from near to far at equal
+        steps of 1/Z, up to the largest |R| of the scene.
     index : int
         Number of the frame, whose lens is that of its middle time.
     wavelengths : sequence of float, optional
-        Wavelengths of light, nm, in place of colors; only with psf.model = "wave", and lenses that are the same for all
-        colors.
+        Wavelengths of light, nm, instead of colors; only with psf.model = "wave" and without `axial` or `lateral`.
 
     Returns
     -------
@@ -102,7 +101,8 @@ def psf(
     Raises
     ------
     SceneError, FileError
-        As `clsco.render_frame`; a place is not in the frame, a depth not before the lens, or its |R| too large.
+        As `clsco.render_frame`; a position is outside the frame, a depth not in front of the lens, or its |R| too
+        large.
 
     Notes
     -----

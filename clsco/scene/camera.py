@@ -72,7 +72,7 @@ Normalization = Annotated[
 
 
 class Camera(Strict):
-    """Thin lens and detector. Of a pair of keys either is given; `opening` and `focused_distance` follow from both."""
+    """Thin lens and detector. Give `f_number` or `aperture_diameter`, and `focus_distance` or `sensor_distance`."""
 
     focal_length: Length = 20.0
     """Focal length f, mm."""
@@ -98,25 +98,25 @@ class Camera(Strict):
 
     @property
     def moves(self) -> bool:
-        """True if it moves or shakes."""
+        """True if the camera moves or shakes."""
         return self.motion.moves or (self.shake is not None and self.shake.moves)
 
     @property
     def frame_size(self) -> tuple[int, int]:
-        """Columns and rows, px. Raises SceneError where the resolution is not known yet."""
+        """Columns and rows, px. Raises SceneError while the resolution is unknown."""
         if self.resolution is None:
             raise SceneError("camera.resolution: must be known before a scene is planned; got None")
         return self.resolution
 
     @property
     def opening(self) -> float:
-        """F-number f / D, whichever of it and the aperture's diameter was given."""
+        """F-number f / D, from `f_number` or `aperture_diameter`."""
         return self.focal_length / self.aperture_diameter
 
     @property
     def focused_distance(self) -> float:
-        """Distance in focus, mm, whichever of it and the sensor's distance was given; infinite where the detector is
-        not beyond the focal length."""
+        """Distance in focus, mm, from `focus_distance` or `sensor_distance`; infinite if the detector is not beyond the
+        focal length."""
         if self.focus_distance is not None:
             return self.focus_distance
         power = 1.0 / self.focal_length - 1.0 / self.sensor_distance

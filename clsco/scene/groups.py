@@ -16,7 +16,7 @@ from clsco.scene.text import shown
 
 
 class Group(Strict):
-    """Objects that move together, as one rigid body; each may have a motion of its own besides."""
+    """Objects that move together, as one rigid body; each may also have its own motion."""
 
     name: Name
     """Name, which objects give as their group."""

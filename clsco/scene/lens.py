@@ -57,8 +57,7 @@ Vignetting = Annotated[Literal["none", "natural"] | tuple[Share, Share, Share], 
 
 
 class Lens(Strict):
-    """Changes of the camera's lens over time, where it zooms, its focus is pulled, or its aperture opens or
-    closes; and where it differs from a thin lens."""
+    """Differences of the camera's lens from a thin lens, and keyframes of its zoom, focus and aperture."""
 
     keyframe: LensKeyframes | None = None
     """Lenses at 1 to 256 times, instead of the focal length, the focus distance or the f-number of the camera; none if
@@ -71,10 +70,10 @@ class Lens(Strict):
     outside: Outside | None = Field(default_factory=lambda data: default_of_keyframes(data, "keyframe", "hold"))
     """Path before the first and after the last keyframe, as of a motion. Default: hold."""
     field_curvature: Annotated[float, Within(-1.0, 1.0, "1/mm")] = 0.0
-    """Curvature of the image of a plane, 1 / radius, 1/mm; negative bends it towards the lens, and in the corners what
-    is nearer is in focus."""
+    """Curvature of the image of a plane, 1 / radius, 1/mm; negative bends it towards the lens, so that nearer points
+    are in focus in the corners."""
     focus_surface: Literal["plane", "sphere"] = "plane"
-    """In focus is a plane, or a sphere around the lens: what has the same distance, and not the same depth."""
+    """Surface in focus: a plane of the same depth, or a sphere of the same distance around the lens."""
     vignetting: Vignetting = "none"
     """Darkening towards the corners: none; natural, cos^4 of the angle from the axis; or a1, a2, a3 of
     1 + a1 r^2 + a2 r^4 + a3 r^6, r = 1 in the corner of the frame."""
@@ -102,7 +101,7 @@ class Lens(Strict):
 
     @property
     def moves(self) -> bool:
-        """True if it changes over time."""
+        """True if the lens changes over time."""
         return self.keyframe is not None
 
     @property
@@ -112,7 +111,7 @@ class Lens(Strict):
 
     @property
     def blurs_unevenly(self) -> bool:
-        """True if it does not blur equal depths alike all over the frame."""
+        """True if the blur of a depth depends on its position in the frame."""
         return self.field_curvature != 0.0 or self.focus_surface == "sphere" or self.distorts
 
     @property
@@ -122,22 +121,22 @@ class Lens(Strict):
 
     @property
     def distorts(self) -> bool:
-        """True if it does not show straight lines as such."""
+        """True if the lens does not show straight lines as such."""
         return any(self.radial) or any(self.tangential)
 
     @property
     def darkens(self) -> bool:
-        """True if not all of the frame gets the light of its middle."""
+        """True if the lens darkens parts of the frame, as by vignetting."""
         return self.vignetting != "none"
 
     @property
     def separates_colors(self) -> bool:
-        """True if it does not blur all colors alike."""
+        """True if the blur differs between colors."""
         return any(self.axial) or self.shifts_colors
 
     @property
     def shifts_colors(self) -> bool:
-        """True if colors are not of one size."""
+        """True if the magnification differs between colors."""
         return any(size != 1.0 for size in self.lateral)
 
 

@@ -95,7 +95,7 @@ __all__ = [
 
 
 class Motion(Strict):
-    """Method that finds the radiance of a moved surface, and meaning of an angular velocity."""
+    """Method by which moved surfaces are rendered, and the meaning of an angular velocity."""
 
     warp: Literal["inverse", "forward"] = "inverse"
     """Cast rays at the moved surface, or move the pixels of the reference pose."""
@@ -122,7 +122,7 @@ class Fill(Strict):
 
 
 class Stereo(Strict):
-    """A second camera: the scene's is the left one, and the right one is moved along x."""
+    """Right camera of a stereo pair, moved along x; the scene's camera is the left one."""
 
     baseline: Length
     """Distance of the right camera from the left one, mm."""
@@ -131,14 +131,14 @@ class Stereo(Strict):
 
 
 class Light(Strict):
-    """A light that stands still, by which surfaces are shaded: Lambert's law, without shadows or fall-off."""
+    """Static light that shades surfaces by Lambert's law, without shadows or fall-off."""
 
     direction: Direction | None = None
-    """Towards a light that is far away: right, up, towards the camera; of any length."""
+    """Direction towards a far light: right, up, towards the camera; of any length."""
     position: Point | None = None
-    """Position of a light that is near, in the camera's frame in the reference pose, mm; instead of direction."""
+    """Position of a near light in the camera's frame at t = 0, mm; instead of direction."""
     ambient: Annotated[float, Within(0.0, 1.0)] = 0.0
-    """Share of the texture that is seen without the light."""
+    """Share of the texture that is visible without the light."""
 
     @field_validator("position")
     @classmethod
@@ -155,7 +155,7 @@ class Light(Strict):
 
 
 class ImageOptions(Strict):
-    """Reading and writing of images."""
+    """Transfer curve of image files."""
 
     transfer: Literal["srgb", "linear"] = "srgb"
     """Transfer of 8- and 16-bit files: linear, or sRGB or what a file's color profile says; float files are linear."""
@@ -307,14 +307,16 @@ class Scene(Strict):
         return self
 
     def replace(self, path: str, value: Any) -> Self:
-        """The scene with another value of one key, without what contradicts it: "camera.f_number" removes an aperture.
+        """Copy with another value of one key, without keys that contradict it.
+
+        A new "camera.f_number", for example, removes "camera.aperture_diameter".
 
         Parameters
         ----------
         path : str
             Key of the scene file, such as "camera.f_number" or "object.0.radius".
         value
-            Value of the key; tables as mappings, or as objects of this package.
+            Value of the key; a table as a mapping, or as an object of this package.
 
         Returns
         -------
@@ -323,11 +325,11 @@ class Scene(Strict):
         Raises
         ------
         SceneError
-            There is no such key, or the value cannot be.
+            The key does not exist, or the value is invalid.
 
         Notes
         -----
-        `model_copy(update=...)` of pydantic checks nothing, and leaves what was derived from the old value.
+        `model_copy(update=...)` of pydantic checks nothing, and keeps defaults that depend on the old value.
 
         Examples
         --------
@@ -340,7 +342,7 @@ class Scene(Strict):
 
     @property
     def inputs(self) -> tuple[tuple[Place, HasInputs], ...]:
-        """Tables that name files or arrays, with their places in a scene file."""
+        """Sections and objects that name files or arrays, each with its position in a scene file."""
         objects = ((("object", index), item) for index, item in enumerate(self.objects))
         return (("aperture",), self.aperture), *objects
 
@@ -356,35 +358,33 @@ class Scene(Strict):
 
     @property
     def blurs_unevenly(self) -> bool:
-        """True if the lens does not blur equal depths alike all over the frame."""
+        """True if the blur of a depth depends on its position in the frame."""
         return self.lens is not None and self.lens.blurs_unevenly
 
     @property
     def darkens(self) -> bool:
-        """True if not all of the frame gets the light of its middle."""
+        """True if the lens darkens parts of the frame, as by vignetting."""
         return self.lens is not None and self.lens.darkens
 
     @property
     def shifts_colors(self) -> bool:
-        """True if colors are not of one size."""
+        """True if the magnification differs between colors."""
         return self.lens is not None and self.lens.shifts_colors
 
     @property
     def separates_colors(self) -> bool:
-        """True if the lens does not blur all colors alike."""
+        """True if the blur differs between colors."""
         return self.lens is not None and self.lens.separates_colors
 
     @property
     def is_displaced(self) -> bool:
-        """True if the image of a point changes its place: an object, its group or the camera moves, or the lens
-        zooms."""
+        """True if points move in the image: an object, its group or the camera moves, or the lens zooms."""
         motions = (motion for item in self.objects for motion in self.motions(item))
         return self.zooms or self.camera.moves or any(motion.moves for motion in motions)
 
     @property
     def zooms(self) -> bool:
-        """True if the size of the image changes: the focal length of the lens does, or the sensor distance that it
-        follows."""
+        """True if the magnification changes over time: the focal length does, or the sensor distance that sets it."""
         keys = () if self.lens is None else self.lens.keyframe or ()
         follows = isinstance(self.camera.normalization_distance, FollowedDistance)
         return any(key.focal_length is not None or (follows and key.focus_distance is not None) for key in keys)
@@ -397,7 +397,7 @@ class Scene(Strict):
 
     @property
     def rolls(self) -> bool:
-        """True if rows or columns show what moves one after another."""
+        """True if the scene moves under a rolling shutter."""
         return self.sequence.rolls and self.moves
 
     def motions(self, item: AnyShape) -> tuple[ObjectMotion, ...]:
@@ -411,7 +411,7 @@ class Scene(Strict):
 
     @property
     def has_mapped_textures(self) -> bool:
-        """True if a texture lies on a surface, and is not projected."""
+        """True if any texture is mapped on its surface, not projected."""
         return any(item.mapped is not None for item in self.objects)
 
     @property

@@ -36,7 +36,7 @@ Outside = Literal["hold", "linear", "error"]
 
 
 class Keyframe(Strict):
-    """Pose at a time."""
+    """Pose of an object or camera at one time."""
 
     time: Time
     """Time, s; later than that of the keyframe before."""
@@ -87,7 +87,8 @@ Keyframes = Annotated[tuple[Keyframe, ...], SCHEMA, AfterValidator(in_order), Be
 
 
 class ObjectMotion(Strict):
-    """Velocities of an object at t = 0, which rotates about its origin, and constant accelerations; or keyframes."""
+    """Motion of an object, which rotates about its origin: velocities at t = 0 and constant accelerations, or
+    keyframes."""
 
     velocity: Velocity = NONE
     """Right, up, away from the camera; mm/s."""
@@ -103,7 +104,7 @@ class ObjectMotion(Strict):
         default_factory=lambda data: default_of_keyframes(data, "keyframe", "cubic")
     )
     """Path between keyframes: natural cubic splines through all of them, lines, steps, or uniform cubic B-splines,
-    which pass by. Default: cubic."""
+    which pass near them. Default: cubic."""
     outside: Outside | None = Field(default_factory=lambda data: default_of_keyframes(data, "keyframe", "hold"))
     """Path before the first and after the last keyframe: hold their poses, go on as fast as there, or refuse exposures
     at such times. Default: hold."""
@@ -137,15 +138,15 @@ class ObjectMotion(Strict):
 
     @property
     def turns(self) -> tuple[bool, bool, bool]:
-        """True for each axis about which it rotates."""
+        """For each axis x, y, z: True if the object rotates about it."""
         turned = (key.rotation for key in self.keyframe or ())
         x, y, z = map(any, zip(self.angular_velocity, self.angular_acceleration or NONE, *turned, strict=True))
         return x, y, z
 
 
 class CameraMotion(ObjectMotion):
-    """Velocities of the camera at t = 0, which rotates about the center of its lens, and constant accelerations; or
-    keyframes."""
+    """Motion of the camera, which rotates about the center of its lens: velocities at t = 0 and constant accelerations,
+    or keyframes."""
 
     velocity: Velocity = NONE
     """Right, up, forwards; mm/s."""
@@ -169,21 +170,21 @@ class CameraShake(Strict):
 
     @property
     def moves(self) -> bool:
-        """True if the camera is turned or moved by it."""
+        """True if the shake turns or moves the camera."""
         return self.rotation_rms > 0.0 or self.translation_rms > 0.0
 
 
 class LensKeyframe(Strict):
-    """Lens at a time."""
+    """Focal length, focus distance or f-number of the lens at one time."""
 
     time: Time
     """Time, s; later than that of the keyframe before."""
     focal_length: Length | None = None
-    """Focal length, mm: a zoom, by which the image grows in proportion; by the keyframes beside if not given."""
+    """Focal length, mm: a zoom, which scales the image in proportion. Default: interpolated between other keyframes."""
     focus_distance: FocusDistance | None = None
-    """Distance in focus, mm, greater than the focal length; by the keyframes beside if not given."""
+    """Distance in focus, mm, greater than the focal length. Default: interpolated between other keyframes."""
     f_number: FNumber | None = None
-    """Focal length / aperture diameter; by the keyframes beside if not given."""
+    """Focal length / aperture diameter. Default: interpolated between other keyframes."""
 
     @model_validator(mode="after")
     def _something(self) -> Self:

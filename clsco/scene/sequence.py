@@ -86,7 +86,7 @@ class Sequence(Strict):
 
     @property
     def by_columns(self) -> bool:
-        """True if these are columns."""
+        """True if columns are exposed one after another, not rows."""
         return self.scan in ("left_to_right", "right_to_left")
 
     @field_validator("readout", mode="before")

@@ -97,7 +97,7 @@ class Rectangle(_Object):
     offset: Coordinate = 0.0
     """Distance of the card from its origin, along its own z axis, before any rotation; mm."""
     center: Point = (0.0, 0.0, 250.0)
-    """Center, but for the offset, mm; the origin."""
+    """Origin, mm: the center of a card without offset."""
 
     @property
     def bounds(self) -> Bounds:
@@ -127,7 +127,7 @@ class Disc(_Object):
     offset: Coordinate = 0.0
     """Distance of the disc from its origin, along its own z axis, before any rotation; mm."""
     center: Point = (0.0, 0.0, 250.0)
-    """Center, but for the offset, mm; the origin."""
+    """Origin, mm: the center of a disc without offset."""
 
     @property
     def size(self) -> tuple[float, float]:
@@ -144,7 +144,7 @@ class Disc(_Object):
 
 
 class Box(SixSided, _Object):
-    """Closed box; a scene has its faces as rectangles in place of it."""
+    """Closed box; a scene replaces it by its six faces, as rectangles."""
 
     MAPPINGS: ClassVar[Mapping[str, Mapped]] = TRIPLANAR | {"surface": "card"}
     shape: Literal["box"] = "box"
@@ -172,9 +172,9 @@ class Box(SixSided, _Object):
         return True
 
     def faces(self) -> tuple[Rectangle, ...]:
-        """Rectangles about the center of the box, which turn and move as it does; named "box front" and so on.
+        """Rectangles named "box front" and so on, which turn about the center of the box and move with it.
 
-        Those that are all behind the lens are left out, as objects there are refused.
+        Faces that are completely behind the lens are omitted, as a scene refuses objects there.
         """
         x, y, z = self.size
         # Each is the front turned to its place, so that an image on it is seen from outside.
@@ -299,8 +299,8 @@ class DepthMap(_Bounded):
     """File of depths: PNG, JPEG, TIFF, EXR, PFM, DPT, .npy or .npz; a path, relative to the scene file; in Python also
     a NumPy array."""
     depth_layer: Name | None = None
-    """Layer of the depth, an EXR with several, such as "ViewLayer.Depth" or "Depth". Default: the only depth that there
-    is."""
+    """Layer of the depth in an EXR with several layers, such as "ViewLayer.Depth" or "Depth". Default: the only depth
+    in the file."""
     unit: Literal["mm", "m", "inverse_mm", "inverse_m", "disparity", "coc"] = "mm"
     """Quantity in the file: Z in mm or m, 1/Z in 1/mm or 1/m, disparity in px, or signed blur radius R in px."""
     scale: Annotated[float, Within(-1e12, 1e12)] = 1.0
@@ -318,10 +318,11 @@ class DepthMap(_Bounded):
     depth_kind: Literal["z", "ray"] = "z"
     """Depth along the optical axis, or distance from the lens along the ray of a pixel; the latter only of lengths."""
     no_depth: Literal["around", "far"] = "around"
-    """Depth of pixels that have none in the file, such as 0: of the surfaces around, or infinite, as of the sky."""
+    """Depth of pixels without a depth in the file, such as 0: that of the surfaces around, or infinite, as for the
+    sky."""
     soft_edges: Literal["assign", "keep"] = "assign"
-    """Depths between two surfaces at their edge, as of averaged or blurred files: each becomes that of one of the two,
-    or all are kept."""
+    """Depths between two surfaces at their edge, as in averaged or blurred files: assign each to one of the two
+    surfaces, or keep them."""
     center: Point = (0.0, 0.0, 0.0)
     """Center of rotation, mm; the origin. Default: in the lens."""
 

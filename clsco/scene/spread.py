@@ -31,7 +31,7 @@ MOST_CONCAVE_TRIANGLE = -math.tan(math.radians(15.0)) / math.tan(math.radians(30
 
 
 class Rim(Strict):
-    """Circle before or behind the opening of a lens that light passes through, as the end of its barrel is."""
+    """Circle before or behind the aperture that light must pass through, such as the end of a lens barrel."""
 
     distance: Annotated[float, Within(-1000.0, 1000.0, "mm")]
     """Distance from the aperture, mm, positive towards the scene."""
@@ -58,7 +58,7 @@ class Aperture(HasInputs, Strict):
     """Opening of the lens: a circle, or a polygon, ring or image inscribed in it."""
 
     shape: ApertureShape = "circle"
-    """A circle, blades, a circle whose middle is covered, or what an image shows."""
+    """A circle, a polygon of blades, a circle whose middle is covered, or an image of transmissions."""
     blades: Annotated[int, Within(3, 32)] = 6
     """Number of blades; only with shape = "polygon"."""
     blade_curvature: Annotated[float, Within(-1.0, 1.0)] = 0.0
@@ -68,16 +68,16 @@ class Aperture(HasInputs, Strict):
     """Turn, counter-clockwise in the image of a far light, deg; at 0 an edge of a polygon faces right; only with
     shape = "polygon" or "image"."""
     obstruction: Annotated[float, Within(0.01, 0.99)] = 0.5
-    """Radius of what is covered, in radii of the aperture; only with shape = "ring"."""
+    """Radius of the covered middle, in radii of the aperture; only with shape = "ring"."""
     image: TextureInput | None = None
     """Square gray image of the transmission, as a far light's blur shows it; the circle in it is the rim of the lens;
     only with shape = "image"."""
     squeeze: Annotated[float, Within(0.25, 4.0)] = 1.0
     """Height over width of the blur, as of an anamorphic lens: the height stays."""
     exposure: Literal["normalized", "area"] = "normalized"
-    """The light through any shape is that of the open circle, or less by its area and transmission."""
+    """Frames are as bright as with the open circle, or darker by the area and transmission of the shape."""
     rim: Rims = ()
-    """Rims that cut light besides the aperture, as cat-eyes beside the middle of a picture show it; at most 4."""
+    """Up to 4 rims that cut light besides the aperture, which gives cat-eyes outside the middle of a picture."""
 
     @field_validator(*APERTURE_KEYS)
     @classmethod
@@ -188,22 +188,24 @@ class Psf(Strict):
 
     @property
     def aberrated(self) -> bool:
-        """True where the wavefront has errors."""
+        """True if the wavefront has errors."""
         return self.seidel.W040 != 0.0 or self.seidel.varies or bool(zernike_terms(self.zernike))
 
     @property
     def is_colored(self) -> bool:
-        """True where waves of each color spread otherwise."""
+        """True if diffraction differs between colors."""
         return self.model == "wave" and len(set(self.wavelengths)) > 1
 
     @property
     def asks_for_rays(self) -> bool:
-        """True where visibility tests are given, not only the default."""
+        """True if the scene sets `occlusion = "visibility"`, which is also the default."""
         return self.occlusion == "visibility" and "occlusion" in self.model_fields_set
 
     def of_images(self) -> Self:
-        """The PSF for images whose surfaces are not analytic: layered, unless it says how nearer surfaces hide farther
-        ones. Raises SceneError where that is by visibility tests."""
+        """Copy for images and depth maps, which rays cannot be cast at: occlusion is layered unless it is set.
+
+        Raises SceneError if it is set to "visibility".
+        """
         if self.asks_for_rays:
             raise SceneError(f"psf.occlusion: {NEEDS_RAYS}; got {self.occlusion}")
         return self.model_copy(update={"occlusion": "layered"}) if self.occlusion == "visibility" else self

@@ -89,8 +89,8 @@ def load_sweep(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
     -----
     Keys of [camera], [motion], [sequence], [camera.motion], [object.motion] and [group.motion] may be a list of values,
     or a range { from = 200, to = 400, steps = 9 } that includes both ends; for a vector a list of vectors, or a range
-    of vectors. Several such keys give all combinations, the first key of the file changing slowest. Each variant is an
-    exposure by itself: their sensors' noise_seed counts on, unless it is swept.
+    of vectors. Several such keys give all combinations, the first key of the file changing slowest. Each variant is a
+    separate exposure: its sensor's noise_seed is 1 higher than that of the one before, unless it is swept.
 
     Examples
     --------

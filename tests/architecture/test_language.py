@@ -1,9 +1,8 @@
 """Docstrings, and comments that head definitions, begin with a noun or a verb, and point to files and definitions that
-exist; names say what they hold; lines of kernels are short."""
+exist; lines of kernels are short."""
 
 from __future__ import annotations
 
-import ast
 import re
 from collections.abc import Iterable, Iterator
 from functools import cache
@@ -16,7 +15,6 @@ import pytest
 from tests.architecture.trees import ROOT, docstrings
 
 HOLLOW = ("Of", "What", "Whether", "Which", "Those", "How", "Where", "Who", "Whose", "When")
-HOLLOW_NAMES = {"found", "given", "wanted", "told", "kept", "taken"}
 FIRST_WORD = re.compile(r"\W*(\w+)")
 HEADS = re.compile(r"(?:^//[^\n]*\n)+", re.MULTILINE)  # of a file, a function, a struct or a macro
 
@@ -78,32 +76,6 @@ def test_a_hollow_entry_is_found() -> None:
 
 def test_a_hollow_head_is_found() -> None:
     assert hollow(heads("int n; // where\n\n// Which one,\n// of all.\nint first(void);\n\n// Sum.\n")) == [3]
-
-
-def hollow_names(text: str) -> set[str]:
-    """Functions, arguments and variables of a file that are named after how a value came, not after what it holds."""
-    names = set[str]()
-    for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.FunctionDef):
-            names.add(node.name)
-        elif isinstance(node, ast.arg):
-            names.add(node.arg)
-        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
-            names.add(node.id)
-    return names & HOLLOW_NAMES
-
-
-def test_names_say_what_they_hold() -> None:
-    names = {
-        path.relative_to(ROOT).as_posix(): hollow_names(path.read_text("utf-8"))
-        for path in sources(*(f"clsco/{package}" for package in ("cli", "files", "frame", "inputs", "scene")))
-    }
-    assert {path: hollow for path, hollow in names.items() if hollow} == {}
-
-
-def test_a_hollow_name_is_found() -> None:
-    text = "def given(told):\n    for found, wanted in told:\n        kept = found\n    return lambda taken: wanted"
-    assert hollow_names(text) == HOLLOW_NAMES
 
 
 def test_no_line_of_a_kernel_is_too_long() -> None:

@@ -146,6 +146,7 @@ def test_bytes_on_the_device_are_those_of_its_buffers(session: Session) -> None:
     assert one.bytes == 256 * (12 + 1 + 4 + 8) + margins + tables + scratch
 
 
+@pytest.mark.slow
 def test_a_long_call_is_timed_once(session: Session) -> None:
     grid = replace(SMALL, sizes=(24,), once_s=0.0)
     calls: list[int] = []
@@ -201,6 +202,7 @@ def test_no_case_is_begun_when_the_time_is_over() -> None:
     assert Paces(replace(SMALL, minutes=1.0)).objection(case) == ""
 
 
+@pytest.mark.slow
 def test_long_cases_are_left_out_with_the_reason(session: Session, tmp_path: Path) -> None:
     grid = replace(SMALL, sizes=(24,), longest_s=0.0)
     calls: list[int] = []
@@ -278,6 +280,7 @@ def test_nothing_is_left_when_a_plot_fails(
     assert (tmp_path / "bench.csv").read_text() == "before"
 
 
+@pytest.mark.slow
 def test_the_command_writes_and_shows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("matplotlib")
     small = replace(QUICK, channels=(3,), precisions=("double",), rounds=1, longest_s=100.0)

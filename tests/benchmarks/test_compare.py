@@ -135,6 +135,7 @@ def test_mitsuba_without_llvm_is_left_out(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 @pytest.mark.parametrize("name", list(warp.SCENES))
+@pytest.mark.slow
 def test_stages_of_the_forward_warp(name: str, session: Session) -> None:
     """The device's winners are numba's and the reference's, and filling fills what the thesis' captions say."""
     pytest.importorskip("numba")
@@ -156,6 +157,7 @@ def test_stages_of_the_forward_warp(name: str, session: Session) -> None:
     assert 0.05 < len(filled) / winners.size < 0.2  # at 512 px 19680 and 36993 of 262144, more in the guard band
 
 
+@pytest.mark.slow
 def test_a_copy_of_neighborhoods() -> None:
     pytest.importorskip("numba")
     from benchmarks.speed.zbuffer import copy_neighborhoods

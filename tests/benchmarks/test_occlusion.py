@@ -41,6 +41,7 @@ def test_edges_are_where_objects_or_depths_change_at_any_moment() -> None:
     np.testing.assert_array_equal(near_edges(objects, depth, 3), expected)
 
 
+@pytest.mark.slow
 def test_the_view_of_pixel_centers() -> None:
     still = {"center": [0.0, 0.0, 190.0], "radius": 5.0}
     wall = {"shape": "plane", "distance": 300.0, "bounds": [[-99.0, 99.0], [0.0, 99.0], [-1.0, 1.0]]}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import re
 from pathlib import Path
 from types import ModuleType
 
@@ -16,17 +15,14 @@ import clsco
 from benchmarks.__main__ import main
 from benchmarks.thesis import page as thesis
 from benchmarks.thesis.figures import FIGURES, NUMBERS, OTHERS, Figure, Number, chosen, numbers_named
-from benchmarks.thesis.page import GAP, SIDE
 from clsco.errors import FileError
 from clsco.files.images import read_image
 from clsco.files.transfer import encode
-from clsco.frame.files import read_complete
 from clsco.scene.model import Plane, Scene
 from tests.cli.test_main import messages, names
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENES = ROOT / "examples" / "thesis"
-SAID = "figures, and numbers as stated and as measured"
 DOCUMENT = (ROOT / "docs" / "thesis.md").read_text("utf-8")
 ALL_NUMBERS = (ROOT / "benchmarks/results/thesis_numbers.md").read_text("utf-8")
 
@@ -37,40 +33,6 @@ def run(*words: object) -> Result:
 
 def scene(stem: str, *overrides: str) -> Scene:
     return clsco.load_scene(SCENES / f"{stem}.toml", overrides)
-
-
-def rows(page: str) -> list[str]:
-    return [line for line in page.splitlines() if line.startswith("| ")]
-
-
-@pytest.mark.slow
-def test_some_figures_have_the_rows_of_the_document(tmp_path: Path) -> None:
-    whole = tmp_path / "thesis.md"
-    whole.write_text("all figures", "utf-8")
-    result = run("thesis", "-o", tmp_path, "--only", "4.9", "--only", "4.14", "--only", "4.15", "--only", "4.3.3")
-    assert (result.exit_code, result.stdout) == (0, f"{tmp_path}/thesis_only.html: {SAID}\n"), result.output
-    assert whole.read_text("utf-8") == "all figures"
-    page = (tmp_path / "thesis_only.md").read_text("utf-8")
-    assert {row for row in rows(page) if "![" not in row} < set(rows(DOCUMENT))
-    assert len(rows(page)) == 3 + 1 + 1 + 3  # heads, numbers, figures, and what is not rendered
-    numbers = (tmp_path / "thesis_only_numbers.md").read_text("utf-8")
-    assert set(rows(numbers)) < set(rows(ALL_NUMBERS))
-    assert len(rows(numbers)) == 1 + 9
-    shown = (tmp_path / "thesis_only.html").read_text("utf-8")
-    assert shown.count("<figure>") == 3
-    for name in re.findall(r'src="([^"]+)"', shown):
-        assert (tmp_path / name).is_file()
-    assert "<td>36993</td><td>36993</td><td>agrees</td>" in shown
-    with Image.open(tmp_path / "thesis_figures/4.9.webp") as small:
-        assert small.size == (3 * SIDE + 2 * GAP, SIDE)
-    assert "| 4.15 | filled in the first sweep | 36993 | 36993 | agrees |  |" in numbers
-    assert "| 4.9 | missing pixels |  | 19680 | not stated |  |" in page
-    assert "| section 4.3.3 | 10 mm at 285 mm, px | 70 | 70.18 | agrees |" in numbers
-    assert names(tmp_path / "fig_4_09") == ["frame_0000.json", "frame_0000.png", "missing.png"]
-    assert read_complete(tmp_path / "fig_4_14", 0) is not None
-    mask = read_image(tmp_path / "fig_4_09/missing.png").data
-    assert set(np.unique(mask)) == {0, 255}
-    assert int((mask == 255).sum()) == 19680
 
 
 @pytest.mark.slow

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from clsco.data.containers import CONTAINERS, container_named
-from clsco.data.containers.base import NESTED
 from clsco.data.record import Record, make_record
 from clsco.errors import FileError, MissingDependencyError, SceneError
 from tests.data.samples import contents, drawn, frame, record, same
@@ -129,13 +128,6 @@ def test_memory_does_not_grow_with_the_shard(form: str, tmp_path: Path) -> None:
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[1] < peaks[0] + 8 * total
-
-
-def test_meta_of_a_tar_has_one_type_for_each_key(tmp_path: Path) -> None:
-    path = written(tmp_path, "webdataset", [record(1)])
-    head = path.read_bytes()[512:]
-    for name in NESTED:
-        assert f'"{name}":"'.encode() in head
 
 
 def test_unknown_and_missing_formats(monkeypatch: pytest.MonkeyPatch) -> None:

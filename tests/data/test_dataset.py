@@ -132,12 +132,6 @@ def test_a_million_samples_open_at_once(folder: Path, tmp_path: Path) -> None:
     tracemalloc.stop()
 
 
-def test_records_have_their_arrays_by_name(folder: Path) -> None:
-    found = clsco.data.open(folder)[0]
-    assert isinstance(found, Record)
-    assert found["depth"] is found.arrays["depth"]
-
-
 @pytest.mark.parametrize("form", ["webdataset", "npz", "hdf5", "zarr"])
 @pytest.mark.parametrize(("splits", "variants"), [(True, 1), (False, 2)])
 def test_the_examples_of_a_sets_own_readme_run(
@@ -159,6 +153,7 @@ def test_a_set_prints_as_one_line_and_shows_its_images(folder: Path) -> None:
 
 def test_a_record_is_a_mapping_of_its_arrays(folder: Path) -> None:
     one = clsco.data.open(folder)[0]
+    assert one["depth"] is one.arrays["depth"]
     assert dict(one) == one.arrays
     assert list(one.keys()) == list(one.arrays)
     assert ("color" in one, "nothing" in one, one.get("nothing"), len(one)) == (True, False, None, len(one.arrays))

@@ -14,7 +14,8 @@ import pytest
 from PIL import Image
 
 from clsco.data.build import located
-from clsco.data.distribution import Distribution, Sample
+from clsco.data.compile import Parameter
+from clsco.data.distribution import Distribution, Sample, draw_value
 from clsco.data.draws import split_of
 from clsco.errors import SceneError
 from clsco.scene.sweep import parse_sweep
@@ -26,15 +27,18 @@ def first_values(distribution: Distribution, count: int) -> dict[str, list[Any]]
     """Values of each parameter that the first attempts of samples draw, those of the objects of a population together,
     and how many objects each has."""
     parts, values = distribution.parts, dict[str, list[Any]]()
+
+    def draw(number: int, parameter: Parameter, element: int = 0) -> Any:
+        values.setdefault(parameter.name, []).append(draw_value(1, number, 0, 1, parameter, element))
+        return values[parameter.name][-1]
+
     for number in range(count):
-        drawn = distribution._values(1, number, 0, 1)
-        for parameter, value in zip(parts.parameters, drawn.values, strict=True):
-            values.setdefault(parameter.name, []).append(value)
-        for population, members in zip(parts.populations, drawn.members, strict=True):
-            values.setdefault(population.count.name, []).append(len(members))
-            for member in members:
-                for parameter, value in zip(population.parameters, member, strict=True):
-                    values.setdefault(parameter.name, []).append(value)
+        for parameter in parts.parameters:
+            draw(number, parameter)
+        for population in parts.populations:
+            for element in range(draw(number, population.count)):
+                for parameter in population.parameters:
+                    draw(number, parameter, element)
     return values
 
 
@@ -375,9 +379,6 @@ def test_bad_splits_are_refused(given: Any, rule: str) -> None:
 def test_bad_seeds_and_numbers_are_refused(load: Load, seed: Any, number: Any) -> None:
     with pytest.raises(SceneError, match="must be an integer between 0 and"):
         load(ALL).draw(seed, number)
-
-
-def test_the_largest_seed_and_number_are_drawn(load: Load) -> None:
     assert load(ALL).draw(2**64 - 1, 2**63 - 1).attempts == 1
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from clsco.data.distribution import load_distribution
-from clsco.data.forms import Folder, RefusedError
+from clsco.data.folder import Folder, RefusedError
 from clsco.errors import SceneError
 from tests.data.distributions import SCENE, Load, messages
 from tests.hostile.mutate import VALUE_CHANGES

@@ -11,7 +11,6 @@ import pytest
 
 from clsco.data.manifest import (
     Identity,
-    ManifestParts,
     Merged,
     numbers_of,
     parsed_part,
@@ -21,7 +20,7 @@ from clsco.data.manifest import (
     shard_numbers,
 )
 from clsco.data.sets import DataSet, finish
-from clsco.data.storage import Storage, _Folder, open_storage
+from clsco.data.storage import _Folder, open_storage
 from clsco.errors import FileError
 
 IDENTITY = Identity("d", 1, 0, 4, "webdataset", ("color",), "double", (("train", 0.5), ("test", 0.5)), "1.0", "cpu")
@@ -75,14 +74,6 @@ def test_a_part_is_read_as_it_was_written_and_damage_is_found() -> None:
             parsed_part(damaged)
 
 
-def merge(storage: Storage) -> Merged:
-    merged = Merged(storage)
-    for _, data in ManifestParts(storage).read():
-        merged.add(parsed_part(data), data)
-    merged.put()
-    return merged
-
-
 def test_parts_are_merged_in_order_with_failures_apart(tmp_path: Path) -> None:
     storage = open_storage(tmp_path)
     for shard in (1, 0):
@@ -90,7 +81,11 @@ def test_parts_are_merged_in_order_with_failures_apart(tmp_path: Path) -> None:
         row = {"number": numbers[0], "offset": 0, "file": file, "split": "", "parameters": {}, "arrays": {}}
         failure = {"number": numbers[1], "error": "none", "scene": None}
         storage.write(part_key(shard), part_bytes(shard, "id", numbers, {file: (1, "0")}, [row], [failure]))
-    assert merge(storage).files == {"": [("data/000000.tar", 1), ("data/000001.tar", 1)]}
+    merged = Merged(storage)
+    for _, data in DataSet(storage, IDENTITY, range(4)).parts():
+        merged.add(parsed_part(data), data)
+    merged.put()
+    assert merged.files == [("data/000000.tar", 1), ("data/000001.tar", 1)]
     assert [json.loads(text)["number"] for text in (tmp_path / "manifest.jsonl").read_text().splitlines()] == [0, 2]
     assert [json.loads(text)["number"] for text in (tmp_path / "failed.jsonl").read_text().splitlines()] == [1, 3]
 

@@ -26,17 +26,17 @@ def run(job: SetJob, workers: int, shards: int) -> int:
 
 
 def test_a_worker_that_is_killed_costs_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    hear, killed = pool._Pool._hear, list[int]()
+    handle, killed = pool._Pool._handle_message, list[int]()
 
-    def hear_and_kill(self: pool._Pool, worker: pool._Worker, message: tuple[object, ...]) -> None:
-        hear(self, worker, message)
+    def handle_and_kill(self: pool._Pool, worker: pool._Worker, message: tuple[object, ...]) -> None:
+        handle(self, worker, message)
         if message[0] == "ready" and not killed:
             process = worker.child.pid
             assert process is not None
             killed.append(process)
             os.kill(process, signal.SIGKILL)
 
-    monkeypatch.setattr(pool._Pool, "_hear", hear_and_kill)
+    monkeypatch.setattr(pool._Pool, "_handle_message", handle_and_kill)
     make_here(job_of(tmp_path / "one", 10))
     assert run(job_of(tmp_path / "two", 10), 1, 3) == 10
     assert killed

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clsco.data.record import ABOUT, array_sha256, is_wanted, make_record, parse_stored
+from clsco.data.record import ABOUT, array_sha256, make_record, parse_stored
 from clsco.errors import FileError, SceneError
 from clsco.files.images import read_image
 from clsco.files.transfer import encode
@@ -116,13 +116,6 @@ def test_digests_know_type_and_shape() -> None:
     assert len(digests) == 4
     assert array_sha256(values.astype(">f4")) == array_sha256(values)
     assert array_sha256(np.asfortranarray(values.reshape(2, 3))) == array_sha256(values.reshape(2, 3))
-
-
-def test_names_of_what_is_wanted() -> None:
-    assert is_wanted("left.color", {"color"})
-    assert is_wanted("left.color", {"left.color"})
-    assert not is_wanted("right.color", {"left.color"})
-    assert is_wanted("depth", None)
 
 
 def test_a_record_prints_as_one_line_and_shows_its_images() -> None:

@@ -11,11 +11,11 @@ import pytest
 
 import clsco
 from clsco.data.distribution import Sample
-from clsco.data.manifest import ManifestParts, part_key
+from clsco.data.manifest import part_key
 from clsco.data.sets import DataSet, finish
 from clsco.data.shards import SampleRenderer
 from clsco.data.storage import open_storage
-from clsco.data.verify import chosen_samples, flow_error, scene_table, verify_files, verify_samples
+from clsco.data.verify import chosen_samples, scene_table, verify_files, verify_samples
 from clsco.errors import SceneError
 from clsco.frame.frame import Frame
 from tests.data.fakes import job_of, make_here
@@ -78,9 +78,7 @@ def test_a_flipped_bit_a_missing_shard_and_one_of_another_seed_are_found(there: 
 def test_arrays_and_seeds_that_a_forged_manifest_agrees_with_are_found(there: DataSet, tmp_path: Path) -> None:
     other = job_of(there.storage.where, 8, seed=2, undrawable=frozenset({3}), unrenderable=frozenset({6}))
     make_here(other)  # of another seed, under the same keys
-    parts = ManifestParts(there.storage)
-    for key in parts.keys:  # as if it were of this set
-        data = there.storage.read(key) or b""
+    for key, data in list(there.parts()):  # as if it were of this set
         there.storage.write(key, data.replace(other.identity.digest.encode(), there.identity.digest.encode()))
     assert any("must be of seed 1; got sample 0 of seed 2" in finding for finding in findings(there))
 
@@ -106,65 +104,6 @@ def test_a_sample_that_is_rendered_otherwise_is_found(there: DataSet, monkeypatc
     gpu = replace(there, identity=replace(there.identity, device_family="gpu"))
     (finding,) = verify_samples(gpu, [4], None, lambda: None, Path())
     assert finding.startswith("samples must be rendered again on a device of the family gpu; got cpu")
-
-
-MOVING = """
-[camera]
-resolution = [24, 16]
-pixel_pitch = 0.2
-motion = { velocity = [2.0, 0.0, 1.0], angular_velocity = [0.0, 1.0, 0.0] }
-[sequence]
-frames = 2
-samples = 1
-shutter = 0.1
-[[group]]
-name = "g"
-motion.angular_velocity = [0.0, 0.0, 5.0]
-[[object]]
-shape = "sphere"
-center = [0.0, 0.0, 280.0]
-radius = 30.0
-texture = "#808080"
-group = "g"
-motion = { velocity = [9.0, 3.0, -20.0], angular_velocity = [3.0, 4.0, 5.0] }
-"""
-PAIR = """
-[[object]]
-shape = "sphere"
-center = [10.0, 0.0, 420.0]
-radius = 90.0
-[stereo]
-baseline = 10.0
-[[object]]
-shape = "plane"
-distance = 500.0
-rotation = { axis = [0.0, 1.0, 0.0], angle = 20.0 }
-motion.angular_velocity = [3.0, 4.0, 5.0]
-"""
-
-
-@pytest.mark.parametrize("more", ["", pytest.param(PAIR, marks=pytest.mark.slow)])
-def test_flow_is_where_motion_takes_depth(more: str) -> None:
-    scene = clsco.parse_scene(MOVING + more)
-    frames = list(clsco.render(scene, truth=("object_id", "depth", "flow")))
-    assert len(frames) == (4 if more else 2)
-    for frame in frames:
-        assert frame.depth is not None
-        assert frame.flow is not None
-        assert np.abs(frame.flow).max() > 1.0
-        assert flow_error(scene, frame, frame.depth, frame.flow) <= 0
-        assert flow_error(scene, frame, frame.depth, frame.flow + np.float32(0.03)) > 0
-        assert flow_error(scene, frame, frame.depth * np.float32(1.02), frame.flow) > 0
-        wrong = frame.flow.copy()
-        wrong[8, 9] *= -1  # one pixel
-        assert flow_error(scene, frame, frame.depth, wrong) > 0
-
-
-def test_truth_whose_flow_disagrees_is_found(there: DataSet, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("clsco.data.verify.flow_error", lambda *_: 2.0)
-    assert verify_samples(there, [1], None, lambda: None, Path()) == [
-        "data/000000.tar: sample 1: flow must lead where depth and motion do, within 0.01 px; got 2.01 px"
-    ]
 
 
 def test_scenes_of_samples_are_shown(there: DataSet) -> None:

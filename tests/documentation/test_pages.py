@@ -19,7 +19,6 @@ from clsco.files.images import write_exr
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
-QUICK = ("errors",)
 BLOCK = re.compile(r"(?:<!-- ([^\n]*) -->\n)?```(sh|python)\n(.*?)```", re.DOTALL)
 ENDLESS = "runs until Ctrl-C"
 ENVIRONMENT = os.environ | {"PATH": os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))}
@@ -62,9 +61,8 @@ def paste(text: str, folder: Path, *, endless: bool = False) -> None:
     assert process.returncode == 0, "".join(said)
 
 
-@pytest.mark.parametrize(
-    "page", [pytest.param(page, marks=() if page in QUICK else pytest.mark.slow) for page in PAGES]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("page", PAGES)
 def test_commands_can_be_pasted(page: str, tmp_path: Path) -> None:
     given(page, tmp_path)
     for remark, text in blocks(page, "sh"):
@@ -97,6 +95,7 @@ def test_the_first_data_set_is_read_and_trained_on(tmp_path: Path) -> None:
     assert errors[-1] < 0.8 * errors[0]
 
 
+@pytest.mark.slow
 def test_the_notebook_runs(tmp_path: Path) -> None:
     shutil.copy(DOCS / "first_steps.ipynb", tmp_path)
     command = [sys.executable, "-c", "from nbclient.cli import main; main()", "first_steps.ipynb", "--output", "run"]

@@ -26,6 +26,8 @@ from collections import Counter
 from importlib.util import find_spec
 from pathlib import Path
 
+from tests.cli.test_dataset import DISTRIBUTION
+
 COUNT, SIZE, FRAMES = 160, 4, 12
 SCENE = f"""
 [camera]
@@ -37,17 +39,6 @@ samples = 2
 shape = "plane"
 distance = 250.0
 motion.velocity = [3.0, 0.0, 0.0]
-"""
-DISTRIBUTION = """
-[camera]
-resolution = [48, 32]
-pixel_pitch = 0.1
-[vary.camera]
-focus_distance = { uniform = [220, 320] }
-[[object]]
-shape = "sphere"
-center = [0.0, 0.0, 280.0]
-radius = 30.0
 """
 WAYS = ("render", "pool 1", "pool 2", "pool 4", "parts", "dask")
 STUCK_S = 180.0
@@ -198,7 +189,8 @@ class Trial:
 
     def check_parts(self) -> None:
         """No frame and no part of a set may name what is not whole."""
-        from clsco.data.sets import CARD, open_set, status_of
+        from clsco.data.card import CARD
+        from clsco.data.sets import open_set, status_of
         from clsco.data.storage import open_storage
         from clsco.frame.files import read_complete
 

@@ -158,13 +158,6 @@ def test_the_last_write_of_an_exr_fails(tmp_path: Path) -> None:
         assert [path.name for path in tmp_path.iterdir()] == ["a.exr"]
 
 
-def test_two_kills_and_a_resume() -> None:
-    command = [sys.executable, "-W", "error", "-m", "tests.faults.kills", "--kills", "2", "--ways", "render"]
-    done = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "2 kills" in done.stdout
-
-
 @pytest.mark.soak
 def test_a_small_disk(tmp_path: Path) -> None:
     """A file system that is full after so many KiB, in a name space of its own."""

@@ -34,23 +34,16 @@ NO_SCENES = (
     "good.toml/x.toml", "GOOD.TXT",
 )  # fmt: skip
 NO_FOLDERS = (
-    "good.toml",
-    "pipe.png",
-    "loop.png",
-    "/proc/out",
-    "/dev/null",
-    "a" * 300,
-    "good.toml/out",
+    "good.toml", "pipe.png", "loop.png", "/proc/out", "/dev/null", "a" * 300, "good.toml/out",
     "/".join(["a" * 200] * 30),
-)
+)  # fmt: skip
 NO_OVERRIDES = (
     "", "=", "=3", "camera", "camera.", ".f_number=3", "camera..f_number=3", "title.x=3", "object.1.radius=3",
     "object.x=3", "object[1].radius=3",
     "object.9999999999999999999999.x=1", "object." + "9" * 5000 + ".x=1", "camera.f_number=", "camera.f_number=x",
     "camera.f_number=[", "camera=3",
     "camera.f_number=[[[[", "camera.f_number=" + "[" * 3000, "camera.f_number=nan", "camera.f_number=" + "9" * 5000,
-    "x" + ".y" * 3000 + "=1",
-    "camera.f_number={a" + ".a" * 90 + "=1}", "camera\n.f_number=3", "\x1b[2J=3", "object=[]",
+    "x" + ".y" * 3000 + "=1", "camera.f_number={a" + ".a" * 90 + "=1}", "camera\n.f_number=3", "\x1b[2J=3", "object=[]",
     "camera.f_number=3\n[psf]", "camera.resolution=[0,0]",
     "sequence.frames=0", "sequence.frames=1e9", "psf.model=disc", "object.0.texture=", "object.0.shape=cube", "é=1",
     "__proto__.x=1",

@@ -3,21 +3,26 @@
 Each case is an example with a few changes (`mutate.py`), validated in this process; it has to give a scene or a
 SceneError whose messages have the form that all messages have and name what was changed, within 5 s, with nothing
 written. One in PLANNED of the scenes that are valid is planned as well, as `clsco validate` does. A case that does not
-is reported with its seed and number, which repeat it: --seed S --first N --cases 1. Work is shared by processes, whose
-signals are found, too. --what pictures: small images of every format, damaged, read as images and as depths.
+is reported with its seed and number, which repeat it: --seed S --first N --cases 1.
+--what pictures: small images of every format, damaged, read as images and as depths.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
+import faulthandler
+import multiprocessing
 import resource
-import subprocess
 import sys
 import tempfile
 import time
 import traceback
+import warnings
+from collections import Counter
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from functools import partial
 from pathlib import Path
 
 from clsco.errors import ClscoError, FileError, SceneError
@@ -34,6 +39,7 @@ from tests.hostile.watch import faults_of, keys_of, start_watching, watched
 PLANNED = 4
 MOST_PIXELS = 2**22  # of scenes that are planned here: the work of a plan grows with the frame
 MOST_KIB = 200 * 1024  # that reading a small image may take
+CHUNK = 500  # cases of a process at a time
 TALLY = ("cases", "refused", "valid", "planned", "failures")
 
 
@@ -44,54 +50,49 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=float("inf"), help="stop after so many")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--first", type=int, default=0, help="number of the first case")
-    parser.add_argument("--processes", type=int, default=processors())
     parser.add_argument("--what", choices=("scenes", "pictures"), default="scenes")
-    parser.add_argument("--worker", type=int, help=argparse.SUPPRESS)
-    parser.add_argument("--tally", type=Path, help=argparse.SUPPRESS)
-    given = parser.parse_args()
-    if given.worker is not None:
-        return work(range(given.first + given.worker, given.first + given.cases, given.processes), given)
-    start = time.monotonic()
-    python = [sys.executable, "-W", "error", "-X", "faulthandler"]
-    command = [*python, "-m", "tests.hostile.fuzz", *sys.argv[1:], "--processes", str(given.processes)]
-    with tempfile.TemporaryDirectory(prefix="clsco-fuzz-") as folder:
-        tallies = [Path(folder, f"{k}.json") for k in range(given.processes)]
-        workers = [
-            subprocess.Popen([*command, "--worker", str(k), "--tally", str(path)]) for k, path in enumerate(tallies)
-        ]
-        ended = [worker.wait() for worker in workers]
-        read = [json.loads(path.read_text()) for path in tallies]
-    total = {name: sum(tally[name] for tally in read) for name in TALLY}
-    crashed = [f"a process ended with the status {status}" for status in ended if status not in (0, 1)]
-    print(*crashed, sep="\n", end="\n" if crashed else "")
-    recorded = ", ".join(f"{count} {name}" for name, count in total.items())
-    print(f"seed {given.seed}: {recorded} in {time.monotonic() - start:.0f} s")
-    return int(any(ended) or bool(total["failures"]))
+    options = parser.parse_args()
+    start, total, status = time.monotonic(), Counter[str](), 0
+    last = options.first + options.cases
+    chunks = [range(first, min(first + CHUNK, last)) for first in range(options.first, last, CHUNK)]
+    run = partial(work, what=options.what, seed=options.seed, end=time.time() + options.seconds)
+    with ProcessPoolExecutor(processors(), multiprocessing.get_context("spawn"), prepare_process) as pool:
+        try:
+            for tally, lines in pool.map(run, chunks):
+                total.update(tally)
+                print(*lines, sep="\n", end="\n" if lines else "", flush=True)
+        except BrokenProcessPool:
+            print("a process ended by itself; its stack is above")
+            status = 1
+    print(f"seed {options.seed}: {', '.join(f'{total[name]} {name}' for name in TALLY)}", end="")
+    print(f" in {time.monotonic() - start:.0f} s")
+    return int(status or total["failures"] > 0)
 
 
-def work(numbers: range, given: argparse.Namespace) -> int:
-    """Run the cases of one process; prints a line for each failure, and writes the tally now and then."""
+def prepare_process() -> None:
+    """Have warnings be errors, crashes print their stack, and hangs be interrupted."""
+    warnings.simplefilter("error")
+    faulthandler.enable()
     start_watching()
-    tally = dict.fromkeys(TALLY, 0)
+
+
+def work(numbers: range, what: str, seed: int, end: float) -> tuple[Counter[str], list[str]]:
+    """Run cases until a time; a tally, and a line for each failure."""
+    tally, lines = Counter[str](), list[str]()
     with tempfile.TemporaryDirectory(prefix="clsco-fuzz-") as folder:
-        end = time.monotonic() + given.seconds
         for number in numbers:
-            if time.monotonic() > end:
+            if time.time() > end:
                 break
-            if given.what == "scenes":
-                found = outcome(make_case(given.seed, number), Path(folder), number, tally)
+            if what == "scenes":
+                faults = outcome(make_case(seed, number), Path(folder), number, tally)
             else:
-                found = picture_outcome(damaged(given.seed, number), Path(folder), tally)
-            for line in found:
-                tally["failures"] += 1
-                print(f"seed {given.seed}, case {number}: {line}", flush=True)
-            if tally["cases"] % 1000 == 0:
-                given.tally.write_text(json.dumps(tally))
-    given.tally.write_text(json.dumps(tally))
-    return int(tally["failures"] > 0)
+                faults = picture_outcome(damaged(seed, number), Path(folder), tally)
+            lines += [f"seed {seed}, case {number}: {fault}" for fault in faults]
+    tally["failures"] = len(lines)
+    return tally, lines
 
 
-def outcome(case: Case, folder: Path, number: int, tally: dict[str, int]) -> list[str]:
+def outcome(case: Case, folder: Path, number: int, tally: Counter[str]) -> list[str]:
     """Faults in the outcome of a case, which is counted."""
     where, path = "scene", folder / f"case{case.suffix}"
     if case.text is not None:
@@ -121,7 +122,7 @@ def outcome(case: Case, folder: Path, number: int, tally: dict[str, int]) -> lis
     return faults + [f"written: {what}" for what in written]
 
 
-def picture_outcome(picture: tuple[str, str, bytes], folder: Path, tally: dict[str, int]) -> list[str]:
+def picture_outcome(picture: tuple[str, str, bytes], folder: Path, tally: Counter[str]) -> list[str]:
     """Faults in the outcome of a damaged image, read as an image and as depths; counts it."""
     name, suffix, content = picture
     path = folder / f"picture{suffix}"

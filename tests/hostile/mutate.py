@@ -25,17 +25,14 @@ NUMBERS: tuple[Any, ...] = (
 WORDS: tuple[str, ...] = (
     "", " ", "x", "auto", "bricks", "visibility", "layered", "forward", "inverse", "gaussian", "plane", "sphere",
     "depth_map", "disparity", "disc", "box", "background", "surface", "triplanar", "cube", "mirror", "cart", "#c86432",
-    "1", "nan", "true", "\0", "\n", "\x1b[31m", "\x7f", "\u202e", "\ufeff", "\uffff",
-    "\U0010ffff", "é" * 3000,
+    "1", "nan", "true", "\0", "\n", "\x1b[31m", "\x7f", "\u202e", "\ufeff", "\uffff", "\U0010ffff", "é" * 3000,
     "a" * 100_000, "../../../etc/passwd", "/dev/zero", "/dev/stdin", ".", "..", "frame_0000.png", "%s%n{}{0}",
-    "a/" * 3000,
-    "'; drop", "\\", '"', "con.png", "//", "~", "$HOME",
+    "a/" * 3000, "'; drop", "\\", '"', "con.png", "//", "~", "$HOME",
 )  # fmt: skip
 ODD: tuple[Any, ...] = (
     True, False, [], {}, [[]], [{}], [0, 0, 0], [1e9, -1e9, 1e9], [1, 2], [[0, 1], [0, 1], [0, 1]],
     [[1, 0], [1, 0], [1, 0]], [math.nan] * 3, [10**400] * 10,
-    [None], [0] * 5000, ["a", 1, []], {"from": 1, "to": 2, "steps": 3}, {"from": 1,
-    "to": 1, "steps": 2},
+    [None], [0] * 5000, ["a", 1, []], {"from": 1, "to": 2, "steps": 3}, {"from": 1, "to": 1, "steps": 2},
     {"from": 0, "to": 1e300, "steps": 4096}, {"from": [0, 0, 0], "to": [1, 1], "steps": 2}, {"steps": 10**400},
     {"from": math.nan}, {"axis": [0, 0, 1], "angle": 30.0}, {"axis": [0, 0, 0], "angle": 1.0},
     {"quaternion": [1, 0, 0, 0]}, {"quaternion": [0] * 4},
@@ -44,27 +41,15 @@ ODD: tuple[Any, ...] = (
     datetime.date(1979, 5, 27), datetime.time(7, 32), datetime.datetime(1979, 5, 27, tzinfo=datetime.UTC),
 )  # fmt: skip
 KEYS = (
-    "",
-    "x",
-    "a b",
-    "objects",
-    "f_numbr",
-    "__class__",
-    "model_config",
-    "a" * 5000,
-    "\n",
-    "\x1b[2J",
-    "é",
-    "0",
-    "ä.b",
+    "", "x", "a b", "objects", "f_numbr", "__class__", "model_config", "a" * 5000, "\n", "\x1b[2J", "é", "0", "ä.b",
     "from",
-)
+)  # fmt: skip
 TOKENS: tuple[bytes, ...] = (
     b"nan", b"-inf", b"1e999", b"1" * 80, b"9" * 5000, b"0x" + b"f" * 400, b"1_000", b"0o7", b"[" * 3000, b"{a=" * 3000,
     b"[[object]]", b"[object]",
     b"[camera]", b"[[camera]]", b"object = 3\n", b"camera.camera.camera = 1\n", b"a" + b".a" * 99 + b" = 1\n",
     b"a" + b".a" * 200 + b" = 1\n",
-    b'"""', b"'''", b'"', b"'", b"\\", b"\\u0000", b"\\uD800", b"\\U00110000", b"\0", b"\x01", b"\x1b[2J", b"\x7f",
+    3 * b'"', b"'''", b'"', b"'", b"\\", b"\\u0000", b"\\uD800", b"\\U00110000", b"\0", b"\x01", b"\x1b[2J", b"\x7f",
     b"\xff", b"\xc3", b"\xed\xa0\x80",
     b"\xef\xbb\xbf", b"\r", b"\r\n", b"\n", b"=", b",", b".", b"#", b"[", b"]", b"{", b"}", b"1979-05-27T07:32:00Z",
     b"25:00:00", b"0000-00-00",

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
+import random
 import shutil
 import tomllib
+import traceback
+from collections import Counter
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner
@@ -15,15 +21,23 @@ from click.testing import CliRunner
 import clsco.data
 from clsco.cli.main import main
 from clsco.cli.tables import print_tables, table
+from clsco.data.build import located
+from clsco.data.containers import CONTAINERS
+from clsco.data.copies import convert
 from clsco.data.manifest import part_key
+from clsco.data.sets import open_set, status_of
 from clsco.data.storage import open_storage
+from clsco.data.verify import scene_table, verify_files
 from clsco.errors import ClscoError, FileError, SceneError, visible
 from clsco.files.strict_json import MOST_DEEP, strict_json
 from clsco.scene.toml import toml_text
-from tests.data.samples import make_set
-from tests.hostile import sets
+from tests.data.samples import make_set, record
+from tests.hostile.mutate import VALUE_CHANGES
+from tests.hostile.pictures import DAMAGES
 
 ESCAPES = "\x1b[2J\x9b31m\u202e\u2066\x07\r\x7f\ud800\u200b"
+REFUSED = "refused"
+FILES = ("dataset.json", part_key(0), "train/000000/000000001/meta.json")
 
 
 def obeyed(text: str) -> str:
@@ -31,26 +45,116 @@ def obeyed(text: str) -> str:
     return "".join(c for c in text if not c.isprintable() and c not in "\n\t\u00a0\u3000")
 
 
-def test_changed_sets_end_in_errors_of_a_line(tmp_path: Path) -> None:
-    found, refused = sets.faults(3, range(12), tmp_path)
-    assert found == []
-    assert refused > 5
+def change_set(seed: int, number: int, source: Path, target: Path) -> str:
+    """Copy a set of `folders`, and change one of its files; says which."""
+    rng = random.Random(f"{seed}:{number}")
+    shutil.copytree(source, target)
+    name = FILES[number % len(FILES)]
+    path = target / name
+    lines = [json.loads(line) for line in path.read_text().splitlines()] if name.endswith("l") else []
+    chosen = rng.randrange(len(lines)) if lines else 0
+    content = lines[chosen] if lines else json.loads(path.read_text())
+    for _ in range(rng.choice((1, 1, 2))):
+        if content:
+            rng.choice(VALUE_CHANGES)(rng, content)
+    if not lines:
+        path.write_text(json_of(content))
+        return name
+    lines[chosen] = content
+    body = "".join(f"{json_of(line)}\n" for line in lines[1:])
+    if isinstance(lines[0], dict) and chosen:
+        lines[0]["rows"] = hashlib.sha256(body.encode()).hexdigest()
+    path.write_text(f"{json_of(lines[0])}\n{body}")
+    return name
 
 
-def test_damaged_shards_end_in_errors_of_a_line(tmp_path: Path) -> None:
-    found, refused = sets.shard_faults(5, range(96), tmp_path / "shards")
-    assert found == []
-    assert refused > 40
+def readers(folder: Path, spare: Path) -> dict[str, Callable[[], object]]:
+    """All that reads a set, by name."""
+
+    def records() -> object:
+        return [record.sha256() for record in clsco.data.open(folder)]
+
+    def verified() -> object:
+        return verify_files(open_set(open_storage(folder)), lambda: None)
+
+    def scene() -> object:
+        return toml_text(located(scene_table(open_set(open_storage(folder)), 1), Path("/")))
+
+    def converted() -> Any:
+        shutil.rmtree(spare, ignore_errors=True)
+        return convert(open_storage(folder), open_storage(spare), "npz", False, lambda count: lambda: None)
+
+    return {
+        "open": records, "status": lambda: status_of(open_set(open_storage(folder))), "verify": verified,
+        "show": scene, "convert": converted,
+    }  # fmt: skip
 
 
-def test_the_fuzzer_of_sets_finds_what_is_planted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def open_it(folder: Path) -> None:
-        raise KeyError("identity")
+def change_shard(seed: int, number: int, folder: Path) -> tuple[str, Path]:
+    """Copy a shard, number by number of another format, and damage some of its bytes; its format and place."""
+    forms = sorted(CONTAINERS)
+    form, rng, path = forms[number % len(forms)], random.Random(f"{seed}:{number}"), folder / f"shard_{number}"
+    whole = folder / f"whole_{form}"
+    if not whole.exists():
+        CONTAINERS[form].write(whole, (record(each, wanted=("color", "mask", "depth", "flow")) for each in (1, 2)))
+    shutil.copytree(whole, path) if whole.is_dir() else shutil.copy(whole, path)
+    file = rng.choice(sorted(each for each in path.rglob("*") if each.is_file())) if path.is_dir() else path
+    content = file.read_bytes()
+    for _ in range(rng.choice((1, 1, 3))):
+        content = rng.choice(DAMAGES)(rng, content)
+    file.write_bytes(content)
+    return form, path
 
-    monkeypatch.setattr(clsco.data, "open", open_it)
-    found, _ = sets.faults(1, range(1), tmp_path)
-    assert len(found) == 1
-    assert "KeyError" in found[0]
+
+def outcome(read: Callable[[], object]) -> str:
+    """ "" for what is read, REFUSED for an error of one line, else what it ended in."""
+    try:
+        read()
+    except ClscoError as error:
+        lines = str(error).split("\n")
+        return REFUSED if all(line.isprintable() for line in lines) else f"not printable: {ascii(str(error))[:200]}"
+    except Exception as error:
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        return f"{type(error).__name__}: {ascii(str(error))[:150]} at {last.filename}:{last.lineno}"
+    return ""
+
+
+def json_of(value: Any) -> str:
+    """JSON of a value; nested too deeply for that, as text."""
+    try:
+        return json.dumps(value, default=str)
+    except (RecursionError, ValueError):
+        return "[" * 3000 + "]" * 3000
+
+
+@pytest.mark.parametrize("numbers", [range(12), pytest.param(range(12, 400), marks=pytest.mark.soak)])
+def test_changed_sets_end_in_errors_of_a_line(numbers: range, tmp_path: Path) -> None:
+    make_set(tmp_path / "whole", form="folders+raw")
+    outcomes = Counter[str]()
+    for number in numbers:
+        shutil.rmtree(tmp_path / "set", ignore_errors=True)
+        name = change_set(3, number, tmp_path / "whole", tmp_path / "set")
+        for what, read in readers(tmp_path / "set", tmp_path / "spare").items():
+            result = outcome(read)
+            outcomes[result if result in ("", REFUSED) else f"{number} {name} {what}: {result}"] += 1
+    assert outcomes.keys() == {"", REFUSED}
+    assert outcomes[REFUSED] > 5
+
+
+@pytest.mark.parametrize("numbers", [range(96), pytest.param(range(96, 4400), marks=pytest.mark.soak)])
+def test_damaged_shards_end_in_errors_of_a_line(numbers: range, tmp_path: Path) -> None:
+    outcomes = Counter[str]()
+    for number in numbers:
+        form, path = change_shard(5, number, tmp_path)
+
+        def read(form: str = form, path: Path = path) -> object:
+            with closing(CONTAINERS[form].read(path)) as reader:
+                return [each.sha256() for each in reader]
+
+        result = outcome(read)
+        outcomes[result if result in ("", REFUSED) else f"{number} {form}: {result}"] += 1
+    assert outcomes.keys() == {"", REFUSED}
+    assert outcomes[REFUSED] > 40
 
 
 @pytest.mark.parametrize("text", ["NaN", "[Infinity]", "[" * 70 + "]" * 70, '{"a":' * 5000, "[" * 100_000])
@@ -154,10 +258,10 @@ class TestNoRegularFiles:
         folder = tmp_path / "set"
         shutil.copytree(one_set(form), folder)
         self.replaced(folder / name, kind)
-        readers = sets.readers(folder, tmp_path / "spare")
+        calls = readers(folder, tmp_path / "spare")
         for what in ("open", "convert") if name != part_key(0) else ("convert",):
             with pytest.raises(ClscoError):
-                readers[what]()
+                calls[what]()
 
     def test_a_set_does_not_reach_outside_of_its_folder(self, tmp_path: Path) -> None:
         (tmp_path / "set").mkdir()

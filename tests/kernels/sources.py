@@ -21,7 +21,7 @@ from clsco.passes.blur import FILES_OF, PIXELS, BlurredPlane, TableBlur
 from clsco.passes.frame_blur import make_blur
 from clsco.passes.pack import grid_struct, psf_struct
 from clsco.passes.tables import shared_tables
-from clsco.plan.buffers import margin
+from clsco.plan.buffers import band_scratch, column_bytes, margin, row_bytes
 from clsco.plan.methods import Blur
 from clsco.records import Struct, flat, structs
 from clsco.reference.blur import blur as twin
@@ -30,12 +30,11 @@ from clsco.reference.trace.trace import Sources, SubpixelSources
 from clsco.scene.model import Aperture, Psf
 from tests.kernels.conftest import source_planes
 from tests.kernels.launches import Amid, run
-from tests.spreads import spec_of
+from tests.spreads import random_sources, random_subpixels, spec_of
 
 Array = NDArray[Any]
 RNG = np.random.default_rng
 STRUCTS = structs("double")
-PSFS = [Psf(model=model, edge=edge) for model in ("pillbox", "gaussian") for edge in ("sampled", "area", "integrated")]
 SMOOTH = Psf(model="gaussian", sigma_ratio=0.3)
 # Float32 adds some 200 terms, each rounded by 2^-24 of a sum of about 1: at worst 1e-5, as a random walk below 1e-6.
 ROUNDING = 1.5e-6
@@ -43,39 +42,6 @@ ROUNDING = 1.5e-6
 # (test_point_spread.py), to both sides and not for most radii; over sources of many radii, a twentieth of that is
 # left in a pixel.
 FIGURE = {"sampled": ROUNDING, "area": 6e-6, "integrated": 2e-6}
-
-
-def name_of(psf: Psf) -> str:
-    return f"{psf.model}-{psf.edge}"
-
-
-def random_sources(shape: tuple[int, int], smallest: float, largest: float, steepest: float, channels: int) -> Sources:
-    """Sources of either sign and any gradient up to `steepest` px per px, a tenth of the pixels empty."""
-    rng = RNG(41)
-    label = (rng.random(shape) < 0.9).astype(np.uint8)
-    there = label > 0
-    angle, length = rng.uniform(0, 2 * np.pi, shape), rng.uniform(0, steepest, shape)
-    gradient = np.stack([length * np.cos(angle), length * np.sin(angle)], axis=-1)
-    radius = np.where(there, rng.choice([-1, 1], shape) * rng.uniform(smallest, largest, shape), 0.0)
-    radiance = np.where(there[..., None], rng.random((*shape, channels)), 0.0)
-    return Sources(radiance, np.ones(shape), label, radius, gradient, there)
-
-
-def random_subpixels(sources: Sources, samples: int, count: int, smallest: float, largest: float) -> SubpixelSources:
-    """Sub-pixel sources in `count` random pixels, whether those have a source of their own or not; half at limbs."""
-    rng = RNG(43)
-    height, width, channels = sources.radiance.shape
-    pixel = rng.choice(height * width, count, replace=False)
-    shape = (count, samples, samples)
-    return SubpixelSources(
-        row=pixel // width,
-        column=pixel % width,
-        hit=rng.random(shape) < 0.7,
-        radius=rng.choice([-1, 1], shape) * rng.uniform(smallest, largest, shape),
-        gradient=rng.uniform(-0.6, 0.6, (*shape, 2)),
-        radiance=rng.random((*shape, channels)),
-        limb=rng.random(shape) < 0.5,
-    )
 
 
 @dataclass(frozen=True)
@@ -175,7 +141,7 @@ def copied(session: Session, array: Array) -> Any:
 def features(
     psf: Psf, channels: int, samples: int, largest: float = 0.0, aperture: Aperture | None = None
 ) -> dict[str, int]:
-    """All kernels in one program, so that few have to be compiled; tests/architecture builds them one by one."""
+    """All kernels in one program, so that few have to be compiled; test_programs_build.py builds them one by one."""
     spec = spec_of(psf, largest, aperture=aperture, subpixels=samples, border="lose")
     kernels = spread.blur_features(spec, channels, True, "wide")
     return kernels | dict.fromkeys(("GATHER", "SCATTER", "RENORMALIZE", "PREPARE"), 1)
@@ -245,3 +211,35 @@ class Signed(Amid):
         assert np.signbit(whole[:beside]).all()
         assert np.signbit(whole[-beside:]).all()
         return found
+
+
+def gather_alone(session: Session, given: Light, part_rows: int = 0, part: Amid | None = None) -> Array:
+    """The frame (rows, columns, channels) after one work-item, of the first band; part_rows, part: of gather.cl.
+
+    The grid's sources stand amid wide and bright ones. Nothing is written beyond the frame and the memory that the host
+    gives to a work-item.
+    """
+    psf, (rows, columns) = given.psf, given.shape
+    table = given.table()
+    pad, pitch = margin(columns, given.guard, table.reach)
+    source = source_planes(
+        records(given, given.sources.radius, given.sources.gradient, given.sources.lit, False), psf.tilt, False
+    )
+    planes = Amid(session, source, float(source[0].max()))
+    value = Amid(session, flat(given.sources.radiance, np.float32), 1.0)
+    total = Signed(session, (given.channels, rows, pitch))
+    kept = band_scratch(given.spread, True)
+    if kept == "columns":
+        size = column_bytes(given.spread, psf.tilt, given.channels, table.reach)
+    else:
+        size = row_bytes(psf.tilt, given.channels, table.reach)
+    own = np.zeros((3, -(-size // 128) * 32), np.float32)  # that of three work-items, and the one in the middle runs
+    memory = Amid(session, own, 0.0)
+    begin = memory.buffer.offset + own[0].nbytes
+    scratch = memory.all.get_sub_region(begin, own[0].nbytes)
+    gather(
+        session, given, 1, {}, source=planes, value=value, total=total, part_rows=part_rows, part=part or total,
+        scratch=scratch, scratch_size=own[0].nbytes // 8,
+    )  # fmt: skip
+    assert memory.now().view(np.uint32).any(axis=1).tolist() == [False, True, False]
+    return np.moveaxis(total.now()[..., pad : pad + columns], 0, -1)

@@ -25,7 +25,6 @@ from clsco.scene.model import Psf
 from tests.kernels.conftest import download_sources
 from tests.kernels.sources import (
     FIGURE,
-    PSFS,
     RNG,
     ROUNDING,
     SMOOTH,
@@ -34,12 +33,11 @@ from tests.kernels.sources import (
     blurred,
     features,
     light,
-    name_of,
     records,
     renormalized,
 )
 from tests.slow import combined, mostly_slow
-from tests.spreads import spec_of
+from tests.spreads import PSFS, name_of, spec_of
 
 
 @pytest.mark.parametrize("method", ["gather", "scatter"])
@@ -76,8 +74,6 @@ def test_wide_discs(session: Session, psf: Psf, channels: int) -> None:
     given = replace(given, sources=sources)
     found = blurred(session, given, "gather", moments=2)
     assert_close(found, blurred(session, given, "scatter"), ROUNDING)
-    # Of single wide discs the tables know that much; those of `area` have kinks.
-    assert_close(found, given.expected(), 1e-4 if psf.edge == "area" else 2e-5)
     assert (found == blurred(session, given, "gather", moments=2)).all()
 
 
@@ -91,7 +87,7 @@ def test_rows_of_any_length(session: Session) -> None:
         assert_close(blurred(session, given, "gather"), blurred(session, given, "scatter"), ROUNDING)
 
 
-@pytest.mark.parametrize("tilt", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("tilt", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_more_rows_of_wide_gaussians_than_are_kept_at_a_time(session: Session, tilt: bool) -> None:
     """Rows that reach a band are more than the items of ITEMS_BYTES, so that they come in several parts."""
     psf, shape, guard = SMOOTH.model_copy(update={"tilt": tilt}), (BAND + 30, 20), 3
@@ -107,8 +103,8 @@ def test_more_rows_of_wide_gaussians_than_are_kept_at_a_time(session: Session, t
 @pytest.mark.parametrize(
     ("psf", "tilt", "channels"),
     mostly_slow(
-        [(psf, *each) for psf in (PSFS[0], SMOOTH, Psf()) for each in ((False, 1), (False, 3), (True, 2))],
-        [(PSFS[0], False, 1), (Psf(), True, 2)],
+        [(psf, *each) for psf in (PSFS[0], SMOOTH, Psf()) for each in ((False, 1), (False, 3), (True, 1), (True, 2))],
+        [(PSFS[0], True, 1), (Psf(), True, 1)],
     ),
 )
 def test_rows_of_several_tiles(session: Session, psf: Psf, tilt: bool, channels: int) -> None:
@@ -130,11 +126,11 @@ def test_rows_of_several_tiles(session: Session, psf: Psf, tilt: bool, channels:
 
 
 @pytest.mark.parametrize(
-    ("method", "samples"), combined(("gather", "scatter"), (2, 3, 4), kept=[("gather", 3), ("scatter", 3)])
+    ("method", "samples"), combined(("gather", "scatter"), (2, 3, 4), kept=[("gather", 2), ("scatter", 2)])
 )
 def test_subpixel_sources(session: Session, method: Blur, samples: int) -> None:
     # The tables of point sources have the kinks of `area`.
-    given = light(Psf(), samples=samples, channels=3 if samples == 3 else 1)
+    given = light(Psf(), samples=samples, channels=3)
     expected = given.expected()
     alone = replace(given, sub=None).expected()
     assert np.abs(expected - alone).max() > 0.1
@@ -161,7 +157,7 @@ def test_gather_is_scatter(session: Session, channels: int, samples: int) -> Non
 @pytest.mark.parametrize("psf", mostly_slow(PSFS, [PSFS[0], PSFS[2], PSFS[5]]), ids=name_of)
 def test_one_radius(session: Session, psf: Psf, radius: float) -> None:
     guard = point_spread(psf).reach(abs(radius))
-    given = light(psf.model_copy(update={"tilt": False}), guard=guard, channels=3).constant(radius)
+    given = light(psf, guard=guard).constant(radius)
     expected = given.expected()
     for method in ("gather", "scatter"):
         assert_close(blurred(session, given, method), expected, FIGURE[psf.edge])
@@ -170,16 +166,16 @@ def test_one_radius(session: Session, psf: Psf, radius: float) -> None:
 @pytest.mark.parametrize("shape", [(1, 1), (1, 30), (29, 1), (2, 3), (65, 9), (64, 8), (63, 7)])
 def test_small_and_odd_frames(session: Session, shape: tuple[int, int]) -> None:
     """Also frames that are smaller than the PSF, and bands of one row."""
-    given = light(Psf(), shape=shape, guard=9, largest=6.5, channels=3)
+    given = light(Psf(), shape=shape, guard=9, largest=6.5)
     for method in ("gather", "scatter"):
         assert_close(blurred(session, given, method), given.expected(), FIGURE["integrated"])
 
 
 @pytest.mark.parametrize("method", ["gather", "scatter"])
-@pytest.mark.parametrize("samples", [0, 3])
+@pytest.mark.parametrize("samples", [0, 2])
 def test_renormalized_borders(session: Session, samples: int, method: Blur) -> None:
     psf = Psf(border="renormalize")
-    given = light(psf, shape=(24, 31), guard=0, channels=3, samples=samples)
+    given = light(psf, shape=(24, 31), guard=0, channels=3 if samples else 1, samples=samples)
     expected = given.expected()
     lost = replace(given, psf=Psf()).expected()
     assert expected.sum() > 1.02 * lost.sum()
@@ -205,7 +201,7 @@ def test_renormalize_divides_by_what_stays(session: Session) -> None:
 
 @pytest.mark.parametrize("method", ["gather", "scatter"])
 def test_moments_add_up(session: Session, method: Blur) -> None:
-    given = light(Psf(tilt=False), guard=14).constant(3.3)
+    given = light(Psf(), guard=14).constant(3.3)
     # Three thirds: three times as many roundings.
     assert_close(blurred(session, given, method, 3), blurred(session, given, method), ROUNDING)
 
@@ -225,7 +221,7 @@ def test_same_bits_again_and_in_other_groups(session: Session, method: Blur, mon
 
 
 def test_what_is_not_there_adds_nothing(session: Session) -> None:
-    given = light(Psf(), samples=3, channels=3)
+    given = light(Psf(), samples=2, channels=3)
     assert given.sub is not None
     nothing = replace(
         given,

@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import clsco
+from clsco import reference
+from clsco.cli.check import compare
 from clsco.constants import BAND
 from clsco.opencl.buffers import download
 from clsco.opencl.program import build
@@ -21,6 +24,9 @@ from clsco.passes.pack import psf_struct
 from clsco.plan import buffers
 from clsco.plan.buffers import band_scratch, column_bytes, margin
 from clsco.reference.blur import blur as twin
+from clsco.reference.blur.blur import tilt_factor
+from clsco.reference.common.geometry import tilt_slope
+from clsco.scene.file import parse_scene
 from clsco.scene.model import Psf
 from tests.kernels.conftest import source_planes
 from tests.kernels.launches import Amid, run
@@ -28,12 +34,14 @@ from tests.kernels.sources import (
     FIGURE,
     RNG,
     ROUNDING,
+    SMOOTH,
     STRUCTS,
     Light,
     assert_close,
     blurred,
     features,
     gather,
+    gather_alone,
     light,
     on_device,
     records,
@@ -187,3 +195,65 @@ def test_gather_without_doubles(session: Session, monkeypatch: pytest.MonkeyPatc
         monkeypatch.setattr(module, "band_scratch", lambda psf, fp64: "none")
     assert not features(given.psf, 2, 0, given.largest)["BY_ROWS"]
     assert_close(blurred(session, given, "gather"), expected, ROUNDING)
+
+
+def summed(given: Light) -> Array:
+    """The sum over all pairs of a source and a pixel (rows, columns, channels), of a Gaussian that is separable."""
+    (rows, columns), sources = given.shape, given.sources
+    y, x = np.argwhere(sources.lit).T - given.guard
+    radius = np.abs(sources.radius[sources.lit])
+    down: Array = np.arange(rows)[:, None] - y
+    right: Array = np.arange(columns)[:, None] - x
+    along = [point_spread(given.psf).axis_weights(np.abs(offset).astype(float), radius) for offset in (down, right)]
+    share = along[0][:, None] * along[1]
+    if given.psf.tilt:
+        slope = tilt_slope(sources.gradient[sources.lit], sources.radius[sources.lit])
+        share = share * tilt_factor(right, down[:, None], slope)
+    return np.asarray(share @ sources.radiance[sources.lit])
+
+
+@pytest.mark.parametrize(
+    ("psf", "radius", "brightness", "shape"),
+    [
+        (SMOOTH.model_copy(update={"tilt": False}), 38.0, 1.0, (37, 45)),
+        (SMOOTH.model_copy(update={"tilt": True}), 124.0, 1.0, (BAND, 20)),
+        (SMOOTH.model_copy(update={"tilt": False}), 4600.0, 3e5, (9, 20)),
+    ],
+    ids=["as many as ITEMS_BYTES hold", "the least number", "each more than ITEMS_BYTES"],
+)
+def test_memory_of_wide_gaussians(
+    session: Session, psf: Psf, radius: float, brightness: float, shape: tuple[int, int]
+) -> None:
+    """In their own memory, however much a source takes of it; relative to light of about 1."""
+    given = light(psf, shape=shape, guard=3, largest=radius, smallest=0.97 * radius, steepest=0.5)
+    sources = replace(given.sources, radiance=brightness * given.sources.radiance)
+    given = replace(given, sources=sources)
+    expected = summed(given)
+    np.testing.assert_allclose(gather_alone(session, given), expected, rtol=2e-5)
+
+
+def test_subpixel_sources_of_the_first_slot(session: Session) -> None:
+    """In pixels without a source of their own, of which all are."""
+    given = light(Psf(), shape=(9, 11), guard=1, channels=3, samples=2)
+    given = replace(given, sources=replace(given.sources, lit=np.zeros_like(given.sources.lit)))
+    expected = given.expected()
+    assert expected.max() > 0.1
+    assert_close(blurred(session, given, "gather"), expected, FIGURE["area"])
+
+
+def test_partly_hidden_sources_in_focus(session: Session) -> None:
+    """All light of theirs that there is stays in their own pixels."""
+    wanted = parse_scene(
+        {
+            "camera": {"resolution": [26, 18], "pixel_pitch": 0.2, "aperture_diameter": 24.0, "focus_distance": 250.0},
+            "object": [
+                {"shape": "sphere", "center": [-9.0, 4.0, 190.0], "radius": 12.0},
+                {"shape": "plane", "distance": 250.0},
+            ],
+            "psf": {"edge": "sampled", "tilt": False, "silhouette_samples": 1},
+        }
+    )
+    (exact,) = reference.render(wanted)
+    (frame,) = clsco.render(wanted, precision="double", method="gather")
+    assert frame.metadata["blur_method"] == "gather"
+    assert [found for found in compare(frame, exact) if found.count] == []

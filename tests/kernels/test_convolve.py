@@ -26,17 +26,12 @@ from clsco.plan.buffers import SUMS_BEYOND
 from clsco.plan.methods import BlurSpec
 from clsco.records import flat
 from clsco.scene.model import Psf
-from tests.spreads import convolve
+from tests.spreads import PSFS, convolve, name_of
 
 Array = NDArray[Any]
 RNG = np.random.default_rng
-PSFS = [Psf(model=model, edge=edge) for model in ("pillbox", "gaussian") for edge in ("sampled", "area", "integrated")]
 # A float adds up 64 runs of up to 8 weights in two steps: some 1e-7 RMS of the brightest light.
 RMS, LARGEST = 2e-7, 1e-6
-
-
-def name_of(psf: Psf) -> str:
-    return f"{psf.model}-{psf.edge}"
 
 
 def guard_of(psf: Psf, radius: float) -> int:
@@ -81,7 +76,7 @@ def assert_exact(session: Session, psf: Psf, radius: float, shape: tuple[int, ..
 
 
 @pytest.mark.parametrize("psf", PSFS, ids=name_of)
-@pytest.mark.parametrize("radius", [0.0, 1e-7, 0.4, 1.0, -2.7, 6.3, 10.99, 14.2, 20.0])
+@pytest.mark.parametrize("radius", [0.0, 1e-7, 0.4, -2.7, 10.99, 20.0])
 def test_every_psf(session: Session, psf: Psf, radius: float) -> None:
     assert_exact(session, psf, radius, (37, 45, 3))
 

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from clsco.constants import FILL_LANES, SCORE_SUMS, SCORED_COLUMNS
 from clsco.frame.strips import Grid
 from clsco.inpainting.rules import score_of_sums
-from clsco.inputs.textures import Texture
 from clsco.opencl.buffers import download, upload
 from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Session
@@ -24,10 +23,7 @@ from clsco.passes import fill
 from clsco.passes.blur import Target
 from clsco.passes.fill import Filler
 from clsco.passes.pack import camera_grid, lens_struct, surface_structs
-from clsco.passes.placed import PlacedScene
-from clsco.passes.warp import ForwardWarp
 from clsco.plan.buffers import COUNTERS, fill_buffers
-from clsco.plan.plan import make_plan
 from clsco.records import REAL, Real, flat, structs
 from clsco.reference.common.geometry import pixel_ray, solve_quadric
 from clsco.reference.inpainting.fill import (
@@ -41,10 +37,9 @@ from clsco.reference.inpainting.fill import (
 from clsco.reference.inpainting.fill_mean_median import smooth_median
 from clsco.reference.inpainting.score import score_mean_median
 from clsco.reference.trace.trace import padded_grid
-from clsco.scene.model import Camera, Fill, Motion, Object, ObjectMotion, Plane, Sphere
+from clsco.scene.model import Camera, Sphere
 from tests.kernels.launches import parameters
 from tests.kernels.numbers import whole
-from tests.scenes import scene_of
 from tests.slow import combined, mostly_slow
 
 Array = NDArray[Any]
@@ -318,7 +313,7 @@ def test_smoothing_writes_all_that_is_listed(session: Session) -> None:
 )
 def test_whole_fillings_are_their_twins(session: Session, method: Method, channels: int, guard: int, far: bool) -> None:
     filled, most_sweeps = 0, 0
-    for values, known in cases(120 if method == "ait" else 50, 22, channels):
+    for values, known in cases(120 if method == "ait" else 25, 22, channels):
         if min(known.shape) <= 2 * guard:
             continue
         given, seen = np.where(known[..., None], values, 0.0), objects_of(known)
@@ -373,28 +368,3 @@ def test_lists_and_local_sizes_change_no_bit(
         assert (again == first).all()
         assert (again_status == status).all()
         assert again_counters == counters
-
-
-@pytest.mark.parametrize("real", ["double", "float"])
-@pytest.mark.parametrize(
-    ("motion", "count", "crossings"),
-    [
-        (ObjectMotion(velocity=(0.0, 0.0, -10.0)), 19680, 400),  # figure 4.14
-        (ObjectMotion(angular_velocity=(0.0, 0.0, 45.0)), 36993, 0),  # figure 4.15
-    ],
-)
-def test_missing_pixels_of_the_thesis(
-    session: Session, motion: ObjectMotion, count: int, crossings: int, real: Real
-) -> None:
-    item: Object = Plane(motion=motion)
-    method = Fill(method="ait", domain="span")
-    scene = scene_of(item, size=(512, 512), motion=Motion(warp="forward"), fill=method)
-    plan = make_plan(scene, 1)
-    texture = Texture(np.random.default_rng(3).random((512, 512)).astype(np.float32), 8, "noise")
-    placed = PlacedScene(session, scene, plan.psf, [texture], real)
-    warp = ForwardWarp(plan, placed, [None])
-    counters = warp.warp(placed.posed([pose_at(motion, 1.0, "euler")]), []).counters
-    assert counters["filled_first_sweep"] == count
-    # The crossings of 20 missing rows with 20 missing columns wait for the second sweep.
-    assert counters["missing_pixels"] == counters["filled_pixels"] == count + crossings
-    assert (counters["unfilled_pixels"], counters["sweeps"]) == (0, 2 if crossings else 1)

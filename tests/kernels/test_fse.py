@@ -61,16 +61,6 @@ def test_it_agrees_with_the_reference(session: Session, channels: int) -> None:
     assert (error > 1e-2).mean() < 0.02, f"{error.max():.1e} at most, {(error > 1e-2).sum()} of {error.size} pixels"
 
 
-def test_one_block_agrees_with_the_reference(session: Session) -> None:
-    """A single pixel: one launch, and no later one that could hide or spread a difference."""
-    image = picture(40, 40, 2)
-    missing = np.zeros((40, 40), bool)
-    missing[17, 22] = missing[0, 39] = True
-    low, high = image[~missing].min(axis=0), image[~missing].max(axis=0)
-    expected = reference.fill_texture((image.astype(np.float64) - low) / (high - low), missing) * (high - low) + low
-    assert np.abs(filled(session, fill_texture, image, missing) - expected)[missing].max() < 1e-5
-
-
 def test_as_many_waves_as_the_contrast_asks_for(session: Session) -> None:
     """In windows of so little contrast that there are fewer waves than at most, and more than at least."""
     missing = np.zeros((40, 80), bool)
@@ -100,17 +90,6 @@ def test_of_equally_strong_waves_the_first(session: Session, first: tuple[int, i
     y, x = np.mgrid[FSE_BEFORE : FSE_BEFORE + FSE_BLOCK, FSE_BEFORE : FSE_BEFORE + FSE_BLOCK]
     wave = 2 * STEP * np.cos(2 * np.pi / FSE_SIDE * (first[0] * y + first[1] * x))
     assert np.abs(download(session, result, (FSE_BLOCK, FSE_BLOCK), np.float32) - wave).max() < 1e-6
-
-
-def test_a_block_ends_at_the_right_border(session: Session) -> None:
-    """The number of columns is odd: what is beyond the last one is not the first pixel of the next row."""
-    image = picture(40, 37, 2)
-    missing = np.zeros((40, 37), bool)
-    missing[3, 36] = missing[4, 0] = True  # the first is settled after the second
-    expected = image.astype(np.float64)
-    low, high = image[~missing].min(axis=0), image[~missing].max(axis=0)
-    expected = reference.fill_texture((expected - low) / (high - low), missing) * (high - low) + low
-    assert np.abs(filled(session, fill_texture, image, missing) - expected)[missing].max() < 1e-5
 
 
 def test_waves_go_on_across_a_hole(session: Session) -> None:
@@ -151,12 +130,19 @@ def test_channels_far_apart_in_size_count_alike(session: Session) -> None:
     assert np.allclose(found / scale, filled(session, fill_texture, image, missing), atol=1e-5)
 
 
-def test_what_gpus_build_agrees_with_the_reference(session: Session) -> None:
-    """Vectors in plain OpenCL C."""
-    image, missing = picture(40, 40, 2), np.zeros((40, 40), bool)
-    missing[17, 22] = missing[0, 39] = True
+@pytest.mark.parametrize(
+    ("columns", "pixels", "kind"),
+    [(40, [(17, 22), (0, 39)], "cpu"), (40, [(17, 22), (0, 39)], "gpu"), (37, [(3, 36), (4, 0)], "cpu")],
+    ids=["one block", "vectors in plain OpenCL C", "a block at the right border"],
+)
+def test_single_pixels_agree_with_the_reference(
+    session: Session, columns: int, pixels: list[tuple[int, int]], kind: Any
+) -> None:
+    """No later block can hide or spread a difference; beyond the last of an odd number of columns is not the first
+    pixel of the next row, which is settled before it."""
+    image, missing = picture(40, columns, 2), np.zeros((40, columns), bool)
+    missing[tuple(np.transpose(pixels))] = True
     low, high = image[~missing].min(axis=0), image[~missing].max(axis=0)
     expected = reference.fill_texture((image.astype(np.float64) - low) / (high - low), missing) * (high - low) + low
-    with Session(replace(session.device, kind="gpu")) as opened:
-        found = filled(opened, fill_texture, image, missing)
-    assert np.abs(found - expected)[missing].max() < 1e-5
+    with Session(replace(session.device, kind=kind)) as opened:
+        assert np.abs(filled(opened, fill_texture, image, missing) - expected)[missing].max() < 1e-5

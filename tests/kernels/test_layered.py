@@ -170,7 +170,7 @@ def test_labels_are_those_of_the_twin(session: Session) -> None:
 
 def test_seeds_of_frames_taller_than_any_blur(session: Session) -> None:
     """Rows whose nearest seed is too far away to be kept, or beyond where it could be counted in some whole number."""
-    view = View((2.0, 2.0), shape=(40000, 3), guard=0, slope=0.0)
+    view = View((2.0, 2.0), shape=(40000, 3), guard=0, channels=3, slope=0.0)
     view.coc[20:50, 1], view.coc[33000, 0] = -2.0, 5.0
     device = Device(session, view)
     _, count = device.image()
@@ -244,7 +244,7 @@ def test_the_same_bits_every_time(session: Session) -> None:
 
 @pytest.mark.parametrize("method", ["gather", "scatter"])
 def test_one_layer_is_plain_scattering_to_the_bit(session: Session, method: Blur) -> None:
-    view = View((2.0,), slope=0.05)
+    view = View((2.0,), channels=3, slope=0.05)
     device = Device(session, view, method)
     found, count = device.image()
     assert count == 1

@@ -105,18 +105,10 @@ PROGRAMS["layered/layered.cl",] = dict.fromkeys((*PLAIN, "SAMPLED", "GENERAL", "
     "RIMS": (0, 2),
     "SCATTER": ON_OR_OFF,
 }
-GIVEN_BY_THE_BUILD = {"REAL_IS_DOUBLE", "HAS_INT64_ATOMICS", "HAS_FP64", "VECTOR_WIDTH", "defined"}
-GIVEN_BY_THE_BUILD |= {
-    "CURVED_FIELD",
-    "CURVED_SPHERE",
-    "CURVED_IMAGE",
-    "__FMA__",
-    "__SSE4_1__",
-    "__AVX__",
-    "__AVX2__",
-    "__AVX512F__",
-    "__ATOMIC_RELAXED",
-    "__SPIR__",
+GIVEN_BY_THE_BUILD = {
+    *("REAL_IS_DOUBLE", "HAS_INT64_ATOMICS", "HAS_FP64", "VECTOR_WIDTH", "defined"),
+    *("CURVED_FIELD", "CURVED_SPHERE", "CURVED_IMAGE"),
+    *("__FMA__", "__SSE4_1__", "__AVX__", "__AVX2__", "__AVX512F__", "__ATOMIC_RELAXED", "__SPIR__"),
 }
 
 
@@ -192,7 +184,13 @@ def test_what_the_host_asks_for_is_what_the_files_know() -> None:
 # What takes seconds: programs with most kernels, and files that are built by themselves as well.
 LONG = (*OCCLUSION, FORWARD)
 # What hardly any feature of the geometry changes.
-PLAIN_FILES = (("blur/accumulate.cl",), ("blur/convolve.cl",), ("inpainting/fse.cl",), ("inpainting/biharmonic.cl",))
+PLAIN_FILES = tuple(
+    (f"{name}.cl",)
+    for name in (
+        *("blur/accumulate", "blur/vignetting", "sensor/sensor", "blur/convolve"),
+        *("inpainting/fse", "inpainting/biharmonic"),
+    )
+)
 
 
 # In single precision all features are built for a device with less, too.

@@ -15,11 +15,7 @@ from numpy.typing import NDArray
 
 from clsco.opencl.buffers import download, empty
 from clsco.opencl.session import Session
-from clsco.optics.motion import pose_at
-from clsco.optics.quadrics import place
-from clsco.passes.pack import surface_structs
 from clsco.records import REAL, Real, structs
-from clsco.scene.model import ObjectMotion, Sphere
 from tests.kernels.numbers import held, whole
 
 Array = NDArray[Any]
@@ -396,20 +392,3 @@ def test_apex_and_wrong_nappe_of_a_cone(solve: Solve) -> None:
     assert (label[:2] > 0).all()
     assert label[4] == 0
     assert (label[5:] > 0).all()
-
-
-@pytest.mark.parametrize("real", ["double", "float"])
-def test_bounds_give_way_and_do_not_cut_what_they_touch(solve: Solve, real: Real) -> None:
-    ball = ((-30.0, 30.0),) * 3
-    boxes: list[tuple[Any, list[float]]] = [
-        (ball, [250.0, 251.0]),  # it touches the box at its nearest point
-        (((-30.0, 30.0), (-30.0, 30.0), (0.0, 31.0)), [310.0, 309.0]),
-        (((5.0, 30.0), (-30.0, 30.0), (-30.0, 30.0)), [0.0, 251.0]),
-    ]
-    for bounds, depths in boxes:
-        item = Sphere(bounds=bounds)
-        placed = surface_structs([item], [place(item, pose_at(ObjectMotion(), 0.0, "euler"))], "double")
-        w, label = solve(real, {"BOUNDED": 1}, placed, np.array([0.0, 0.03]), np.zeros(2))
-        found = np.where(label > 0, 1 / np.where(label > 0, w, 1), 0)
-        np.testing.assert_allclose(found, depths, rtol=3e-3)  # which surface, not how exactly
-        assert (found > 0).tolist() == [d > 0 for d in depths]

@@ -33,6 +33,7 @@ DEPTH, SLOPE = 340.0, 0.125  # of a small emitter, mm and X / Z: 50 px to the ri
 def emitter(rims: list[dict[str, float]], depth: float = DEPTH, slope: float = SLOPE, **psf: Any) -> Scene:
     side = 2.0 * 0.0025 * depth
     item = {"shape": "rectangle", "center": [slope * depth, 0.0, depth], "size": [side, side]}
+    psf = {"silhouette_samples": 1} | psf
     return scene_from(WIDE | {"aperture": {"rim": rims}, "psf": psf}, item | {"texture": np.ones((8, 8), np.float32)})
 
 
@@ -106,22 +107,7 @@ def test_light_and_moments_are_those_of_the_overlap(name: str) -> None:
     assert spread == pytest.approx(expected, rel=0.01)
 
 
-@pytest.mark.parametrize("depth", mostly_slow([100.0, 107.0, 121.0, 92.0], [92.0]))
-def test_light_of_narrow_blur_is_that_of_the_overlap(depth: float) -> None:
-    """In focus too, where all of it is in one pixel."""
-    scene = emitter(CUTS["front"], depth)
-    assert abs(blur_radius(scene.camera, 1 / depth)) < 3.5
-    share = overlap(*(abs(v) for v in reversed(as_seen(scene, depth=depth)[0])))
-    assert light(scene)[0] / light(emitter([], depth))[0] == pytest.approx(share, rel=0.02)
-
-
-@pytest.mark.slow
-def test_light_that_is_lost_is_not_given_back() -> None:
-    lost = [light(emitter(CUTS["front"], border=border))[0] for border in ("lose", "renormalize")]
-    assert lost[0] == pytest.approx(lost[1], rel=1e-5)  # all of the blur is inside of the frame
-
-
-@pytest.mark.parametrize("border", ["lose", "renormalize"])
+@pytest.mark.parametrize("border", mostly_slow(["lose", "renormalize"], ["renormalize"]))
 def test_all_light_may_be_cut(border: str) -> None:
     scene = emitter([{"distance": 60.0, "diameter": 3.0}], border=border)
     ((center, size),) = as_seen(scene)
@@ -133,7 +119,7 @@ def test_all_light_may_be_cut(border: str) -> None:
 
 def test_rims_that_are_wide_change_no_bit() -> None:
     wide = [{"distance": 30.0, "diameter": 200.0}, {"distance": -5.0, "diameter": 100.0}]
-    (found,), (plain,) = (clsco.render(emitter(rims), truth=()) for rims in (wide, []))
+    (found,), (plain,) = (clsco.render(emitter(rims), truth=(), method="gather") for rims in (wide, []))
     np.testing.assert_array_equal(found.color, plain.color)
 
 
@@ -173,14 +159,18 @@ def test_scenes_are_those_of_the_twin(name: str, method: str) -> None:
     assert exact.throughput.mean() < 0.99
 
 
-def test_strips_and_single_precision() -> None:
+def test_strips_have_the_bits_of_the_whole() -> None:
     wanted = SCENES["objects"].replace("camera.resolution", [24, 3 * BAND])
     (whole,) = clsco.render(wanted, truth=())
     (strips,) = clsco.render(wanted, truth=(), memory=memory_for(wanted, BAND, ()))
     assert strips.metadata["strips"] > 1
     np.testing.assert_array_equal(whole.color, strips.color)
-    (single,) = clsco.render(wanted, truth=(), precision="single")
-    assert np.abs(single.color - whole.color).max() < 1e-4
+
+
+@pytest.mark.slow
+def test_single_precision() -> None:
+    double, single = (clsco.render_frame(SCENES["objects"], truth=(), precision=each) for each in ("double", "single"))
+    assert np.abs(single.color - double.color).max() < 1e-4
 
 
 def image_scene(folder: Path, how: str, **psf: Any) -> Scene:
@@ -221,41 +211,11 @@ def test_depth_layers_have_the_light_that_rims_let_through(tmp_path: Path) -> No
     assert np.abs(frame.color - frame.throughput)[8:-8, 8:-8].max() < 1e-3
 
 
-def test_a_plane_of_depths_is_the_plane(tmp_path: Path) -> None:
-    np.save(tmp_path / "depth.npy", np.full((3 * BAND, 24), 300.0))
-    kinds = (
-        {"shape": "depth_map", "depth": str(tmp_path / "depth.npy"), "unit": "mm"},
-        {"shape": "plane", "distance": 300.0},
-    )
-    tall = NEAR | {
-        "camera": NEAR["camera"] | {"resolution": [24, 3 * BAND], "pixel_pitch": 0.03},
-        "psf": {"occlusion": "none"},
-    }
-    of_map, of_plane = (scene_from(tall, kind | {"texture": "bricks"}) for kind in kinds)
-    (found,), (exact,) = clsco.render(of_map, truth=()), clsco.render(of_plane, truth=())
-    assert np.abs(found.color - exact.color).max() < FIGURE
-    strips = clsco.render_frame(of_map, truth=(), memory=memory_for(of_map, BAND, ()))
-    assert strips.metadata["strips"] > 1
-    np.testing.assert_array_equal(strips.color, found.color)
-
-
 def test_refusals() -> None:
     with pytest.raises(SceneError, match=r"^method: tiles needs sources with nothing in their way"):
         list(clsco.render(SCENES["tilt"], method="tiles"))
     with pytest.raises(SceneError, match=r"^aperture\.rim: needs a camera"):
         clsco.defocus(np.ones((4, 4)), np.ones((4, 4)), aperture=SCENES["tilt"].aperture)
-
-
-@pytest.mark.parametrize(("diameter", "share"), [(9.5, 1.0), (8.0, 0.7305)])
-def test_an_even_plane_is_as_bright_as_the_lens_is_open(diameter: float, share: float) -> None:
-    """On the axis at any R, of a rim that clears all as well, on both methods."""
-    camera = {"aperture_diameter": 10.0, "focus_distance": 250.0, "pixel_pitch": 0.02, "resolution": [24, 24]}
-    rims = {"rim": [{"distance": 16.0, "diameter": diameter}]}
-    for distance, method in ((250.0, "gather"), (229.0, "gather"), (229.0, "scatter"), (246.0, "scatter")):
-        plane = {"shape": "plane", "distance": distance, "texture": np.ones((8, 8), np.float32)}
-        scene = scene_from({"camera": camera, "aperture": rims}, plane)
-        frame = clsco.render_frame(scene, truth=(), method=method)
-        assert np.abs(frame.color[10:14, 10:14] - share).max() < 2e-4
 
 
 BORDERED: dict[str, dict[str, Any]] = {
@@ -266,9 +226,7 @@ BORDERED: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize(
-    ("name", "method"), combined(BORDERED, ("gather", "scatter"), kept=[("hexagon", "gather"), ("ring", "gather")])
-)
+@pytest.mark.parametrize(("name", "method"), combined(BORDERED, ("gather", "scatter"), kept=[("hexagon", "gather")]))
 def test_an_even_plane_behind_any_opening_is_as_bright_as_it_is_open(name: str, method: str) -> None:
     """Under a front and a rear rim, at |R| of 0.2, 3 and 8 px; a weight that is the product of both shares is off by
     4e-3 to 3e-2."""

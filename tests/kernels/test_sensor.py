@@ -186,7 +186,7 @@ def distribution(mean: float) -> NDArray[np.float64]:
     return np.bincount(count) / word.size
 
 
-@pytest.mark.parametrize("mean", [0.0, 1e-3, 0.1, 0.2, 2.0, 13.7, 25.0, 29.9, 30.0, 47.3, 100.0, 1000.0, 30000.0])
+@pytest.mark.parametrize("mean", [0.0, 1e-3, 0.2, 2.0, 13.7, 29.9, 30.0, 100.0, 30000.0])
 def test_total_variation_from_poisson(mean: float) -> None:
     found = distribution(mean)
     exact = exact_poisson.pmf(np.arange(found.size), np.float32(mean))

@@ -115,7 +115,7 @@ SCENES: dict[str, tuple[Scene, int]] = {
     "bounded paraboloid": (scene(BOWL.model_copy(update={"bounds": BOX})), 3),
     "one column": (scene(BALL, size=(1, 40)), 1),
     "one pixel": (scene(BALL, size=(1, 1)), 1),
-    "nothing in visibility": (scene(Sphere(center=(900.0, 0.0, 280.0)), STILL), 1),
+    "nothing in visibility": (scene(Sphere(center=(900.0, 0.0, 280.0)), psf=Psf(silhouette_samples=2)), 3),
     "three in a row": (scene(ROW, psf=Psf(silhouette_samples=2)), 1),
     "card in a cylinder": (scene((CARD, *ROW[1:]), psf=Psf(silhouette_samples=1)), 3),
     "ball in a tube": (
@@ -127,7 +127,7 @@ SCENES: dict[str, tuple[Scene, int]] = {
 
 # What the tests of all scenes look at; of the others in `make test` whole frames only.
 SOME = ["plane at rest", "card, nearest", "sphere moved, 2 x 2", "cone, axis"]
-SOME += ["one pixel", "nothing in visibility", "ball in a tube"]
+SOME += ["one pixel", "nothing in visibility", "three in a row"]
 
 
 @dataclass
@@ -342,7 +342,7 @@ SUBPIXELS = [("sphere moved, 2 x 2", 2), ("cap, 3 x 3, sampled", 3), ("ball in a
 SUBPIXELS += [("sphere moved, 2 x 2", 4), ("sphere at rest", 3), ("three in a row", 2)]
 
 
-@pytest.mark.parametrize(("name", "samples"), mostly_slow(SUBPIXELS, SUBPIXELS[:3]))
+@pytest.mark.parametrize(("name", "samples"), mostly_slow(SUBPIXELS, [SUBPIXELS[0], SUBPIXELS[-1]]))
 def test_subpixel_sources(session: Session, name: str, samples: int) -> None:
     wanted, channels = SCENES[name]
     wanted = wanted.model_copy(update={"psf": wanted.psf.model_copy(update={"silhouette_samples": samples})})
@@ -483,11 +483,10 @@ def test_hidden_points_are_there_and_seen_ones_too(session: Session) -> None:
     """The scenes above would not test `hidden` if nothing were."""
     hidden = [
         truth_on_device(session, planned(*SCENES[name]), ("hidden",), 1)["hidden"].mean()
-        for name in ("sphere moved, 2 x 2", "cylinder, bilinear", "plane at rest")
+        for name in ("sphere moved, 2 x 2", "plane at rest")
     ]
     assert 0.005 < hidden[0] < 0.5
-    assert 0.005 < hidden[1] < 0.5
-    assert hidden[2] == 0.0
+    assert hidden[1] == 0.0
 
 
 @pytest.mark.parametrize("output", mostly_slow(MONO, ["depth", "normal", "hidden", "flow_occluded"]))

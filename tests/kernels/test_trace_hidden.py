@@ -16,7 +16,7 @@ from clsco.records import REAL, Real
 from clsco.reference.trace import trace as twin
 from clsco.reference.trace.truth import ground_truth
 from clsco.resources import folder
-from clsco.scene.model import Cylinder, ObjectMotion, Plane, Psf
+from clsco.scene.model import Cylinder, ObjectMotion, Psf, Sphere
 from tests.kernels.test_trace import (
     GUARD,
     LIMB,
@@ -41,7 +41,7 @@ Run = Callable[..., None]
 def test_what_was_behind_the_lens_is_dark(session: Session) -> None:
     """A tube around the axis goes by: what is seen of its near part comes from behind the lens."""
     tube = Cylinder(center=(0.0, 0.0, 200.0), radius=24.0, axis=(0.0, 0.0, 1.0))
-    plan = planned(scene(tube, ObjectMotion(velocity=(0.0, 0.0, 600.0)), psf=Psf(occlusion="none")), 1)
+    plan = planned(scene(tube, ObjectMotion(velocity=(0.0, 0.0, 600.0)), psf=Psf(silhouette_samples=2)), 3)
     textures = tuple(texture.astype(float) for texture in random_textures(plan.scene, plan.channels))
     exact = ground_truth(plan.scene, textures, 1)
     dark = exact.sharp[..., 0] == 0
@@ -64,7 +64,7 @@ def test_points_are_occluded_in_the_next_frame_by_others_and_their_own(session: 
 
 def test_what_is_behind_the_lens_in_the_next_frame_is_not_visible(session: Session) -> None:
     motion = ObjectMotion(velocity=(0.0, 0.0, -1000.0))
-    plan = planned(scene(Plane(distance=380.0), motion), 1)
+    plan = planned(scene(Sphere(center=(0.0, 0.0, 580.0), radius=200.0), motion, psf=Psf(silhouette_samples=2)), 3)
     found = truth_on_device(session, plan, ("flow", "flow_occluded", "flow_backward"), 0)
     assert found["flow_occluded"].all()
     assert not found["flow"].any()

@@ -162,7 +162,7 @@ def see(
     taps = np.array([(x, y) for y in ROWS for start in (-7, 0) for x in range(start, start + 8)], np.int32)
     features = make_plan(Scene(camera=camera, objects=items, psf=psf), 1).features()
     features |= {"OCCLUDED": group.occluders.bit_count(), "LIMITED": features["NAPPE"], "GATHER": gather}
-    features["SOURCES"] = count
+    features |= {"SOURCES": count, "BOUNDED": 1}  # one program for bodies, and one for cards
     buffers = [empty(session, 4 * count * size) for size in (1, 1, len(taps), len(taps))]
     spread = point_spread(psf)
     run(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, replace
-from hashlib import sha256
 from typing import Any
 
 import numpy as np
@@ -16,13 +15,12 @@ from clsco.opencl.session import Session
 from clsco.optics.motion import Pose, rest_center
 from clsco.passes.placed import PlacedScene
 from clsco.passes.warp import ForwardWarp
-from clsco.records import Real
 from clsco.reference.common.geometry import Array, pixel_ray, solve_quadric
 from clsco.reference.inpainting.fill import Method, fill_objects
 from clsco.reference.inpainting.neighbors import Mask
 from clsco.reference.trace.trace import padded_grid
 from clsco.reference.warp.warp import extend_border, fill_entered, nearest_pixel, reproject_rest
-from clsco.scene.model import DepthMap, Object, ObjectMotion, Plane, Sphere
+from clsco.scene.model import DepthMap, Object, ObjectMotion, Sphere
 from tests.kernels.conftest import gray
 
 pytestmark = pytest.mark.slow  # whole frames of it are looked at in tests/pipeline
@@ -36,27 +34,6 @@ def bordered(case: Any, values: Array, valid: Mask) -> tuple[Array, Mask]:
     """Values and validity after the last step, which scenes with a depth map have: the mirror image around them."""
     mapped = any(item.shape == "depth_map" for item in case.items)
     return extend_border(values, valid, case.guard) if mapped else (values, valid)
-
-
-@pytest.mark.parametrize("channels", [1, 3])
-def test_warp_is_its_twin(session: Session, any_warp: Warp, make_case: Maker, channels: int) -> None:
-    items, shape = any_warp
-    case = make_case(items, shape, guard=channels - 1, channels=channels)
-    expected, found = case.twin(), case.warp(session)
-    assert expected.known.any() or shape[0] < 3
-    values = np.concatenate([expected.radiance, expected.inverse_depth[..., None]], axis=-1)
-    values, known = bordered(case, values, expected.known)
-    w = values[..., -1]
-    assert (found["valid"] == known).all()
-    assert (found["value"] == values[..., :-1]).all()  # texels are only moved
-    np.testing.assert_allclose(found["w"], w, rtol=1e-12)  # as above
-    assert ("object" in found) == (len(items) > 1)
-    if "object" in found:
-        assert (found["object"] == expected.object).all()
-    lens = case.lens
-    coc = np.where(known, lens["blur_scale"] * (lens["focus_power"] - w), 0.0)
-    # What rtol = 1e-12 of w makes of the radius, in px.
-    np.testing.assert_allclose(found["coc"], coc, rtol=0, atol=1e-12 * lens["blur_scale"] * w.max(initial=0))
 
 
 @pytest.mark.parametrize(
@@ -116,69 +93,6 @@ def test_objects_may_share_textures(session: Session, make_case: Maker, warps: W
     value = download(session, done.value, case.shape, np.float32)
     assert (value == shared.warp(session)["value"][..., 0]).all()
     assert (value != case.warp(session)["value"][..., 0]).any()
-
-
-@pytest.mark.parametrize(
-    ("name", "fill", "real"),
-    [
-        ("sphere 64 x 64", "ait", "float"),
-        ("near and far", "mean_median", "double"),
-        pytest.param("sphere 64 x 64", "mean_median", "double", marks=pytest.mark.slow),
-        pytest.param("near and far", "ait", "float", marks=pytest.mark.slow),
-        pytest.param("map before map", "ait", "double", marks=pytest.mark.slow),
-        pytest.param("map before map", "mean_median", "double", marks=pytest.mark.slow),
-    ],
-)
-def test_both_depth_tests_give_the_same_bits(
-    session: Session, make_case: Maker, warps: Warps, name: str, fill: str, real: Real
-) -> None:
-    """One digest of all planes, whatever device, order of work and repetition; twice each."""
-    case = replace(make_case(*warps[name], channels=3, method=fill), real=real)
-    digests = set()
-    for owned in (True, False, True, False):
-        found = case.warp(session, owned)
-        assert found["valid"].any()
-        digests.add(sha256(b"".join(found[name].tobytes() for name in sorted(found))).hexdigest())
-    assert len(digests) == 1
-
-
-@pytest.mark.parametrize("real", ["double", "float"])
-@pytest.mark.parametrize("shift_px", [0.0, 0.25, 0.5, 0.75, 1.0, -0.5, 2.5, -3.5])
-@pytest.mark.parametrize("shape", [(30, 41), (32, 140)])
-def test_shift_leaves_no_holes(
-    session: Session, make_case: Maker, shift_px: float, shape: tuple[int, int], real: Real
-) -> None:
-    speed = shift_px * 0.125  # 1 px is 0.125 mm at 250 mm
-    item = Plane(motion=ObjectMotion(velocity=(speed, -speed, 0.0)))
-    case = replace(make_case((item,), shape, guard=0), real=real)
-    found = case.warp(session)
-    pixels = int(np.floor(shift_px + 0.5))  # right and down
-    inside = np.zeros(shape, dtype=bool)
-    rows, columns = (slice(max(pixels, 0), n + min(pixels, 0)) for n in shape)
-    inside[rows, columns] = True
-    assert (found["valid"] == inside).all()
-    shifted = np.roll(case.textures[0], (pixels, pixels), axis=(0, 1))
-    assert (found["value"][inside] == shifted[inside]).all()
-    assert not found["value"][~inside].any()
-
-
-@pytest.mark.parametrize("real", ["double", "float"])
-@pytest.mark.parametrize(("angle", "turns"), [(90.0, -1), (180.0, -2), (-90.0, 1)])
-@pytest.mark.parametrize("side", [24, 25, 66])
-def test_quarter_turns_are_exact(
-    session: Session, make_case: Maker, angle: float, turns: int, side: int, real: Real
-) -> None:
-    item = Plane(motion=ObjectMotion(angular_velocity=(0.0, 0.0, angle)))
-    case = replace(make_case((item,), (side, side), guard=0), real=real)
-    found = case.warp(session)
-    assert found["valid"].all()
-    assert (found["value"] == np.rot90(case.textures[0], turns)).all()  # rot90 turns against the clock
-
-
-def test_what_moves_behind_the_lens_is_gone(session: Session, make_case: Maker) -> None:
-    item = Plane(motion=ObjectMotion(velocity=(0.0, 0.0, -300.0)))
-    case = make_case((item,), (16, 16))
-    assert not case.warp(session)["valid"].any()
 
 
 def test_any_rigid_motion_is_that_of_its_points(session: Session, make_case: Maker, warps: Warps) -> None:

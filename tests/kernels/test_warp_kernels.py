@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 
 from clsco.constants import NO_WINNER, OWNED_PIXELS
 from clsco.opencl.buffers import download, empty, upload
-from clsco.opencl.program import build
-from clsco.opencl.session import Program, Session
+from clsco.opencl.session import Session
 from clsco.passes.pack import pose_structs
 from clsco.passes.warp import forward_features
-from clsco.records import flat, structs
+from clsco.records import flat
 from clsco.reference.warp.warp import (
     reproject_depth,
     reproject_gaps,
@@ -47,8 +46,8 @@ class Kernels:
         features = forward_features(case.plan, owned)
         self.session, self.case, self.owned, self.several = session, case, owned, bool(features["SEVERAL"])
         self.far = bool(features["FILL_FAR"])
-        self.program: Program = build(session, ["warp/warp.cl"], features, structs("double"), "double")
-        self.surfaces = case.forward(session, owned).rest_surfaces
+        forward = case.forward(session, owned)
+        self.program, self.surfaces = forward.kernels.program, forward.rest_surfaces
 
     def run(self, name: str, size: tuple[int, ...], local: tuple[int, ...], **given: Any) -> None:
         run(self.session, self.program, name, size, local, grid=self.case.grid, lens=self.case.lens, **given)

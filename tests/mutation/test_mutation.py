@@ -71,7 +71,7 @@ def test_outcomes(test: str, outcome: str, tmp_path: Path) -> None:
     (tmp_path / "tests/test_some.py").write_text(content, "utf-8")
     mutant = Mutant(FILE, 7, 1, Owner("kernel", 0, 11), "kernel line", "line", "text", 0)
     with patch.dict(tool.TESTS, {"some.cl": "test_some"}):
-        result = tool.try_mutant(tmp_path, mutant, "not slow", 4.0 if outcome == "timeout" else 60.0)
+        result = tool.try_mutant(tmp_path, mutant, "not slow", 1.0 if outcome == "timeout" else 60.0)
     assert result["outcome"] == outcome
     assert bool(result["by"]) == (outcome in ("killed", "not built"))
     assert (tmp_path / FILE).read_text("utf-8") == "kernel line"

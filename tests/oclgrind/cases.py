@@ -473,7 +473,6 @@ def fault_cases() -> Iterator[Case]:
 
     yield Case("solver", {}, lambda: [inpaint(codes, missing, method="biharmonic", device="oclgrind")])
     yield Case("tiles", {}, blurred("tiles", coc, Psf(occlusion="none")))
-    yield Case("scatter", {}, blurred("scatter", coc, Psf(occlusion="none")))
     yield Case("layers", {}, blurred("scatter", jump, Psf(occlusion="layered")))
 
 

@@ -100,14 +100,6 @@ FAULTS = (
         "divergence",
     ),
     Fault(
-        "a source too many",
-        "blur/tiles.cl",
-        "source_y < grid.height)\n            note_source",
-        "source_y <= grid.height)\n            note_source",
-        "tiles",
-        "Invalid read",
-    ),
-    Fault(
         "beyond a local array",
         "blur/tiles.cl",
         "        if (item < CHUNK / WORD)\n",
@@ -122,21 +114,5 @@ FAULTS = (
         "if (latest[DISCONTINUITY_CLASSES * bins] < sum)",
         "layers",
         "Read-write data race",
-    ),
-    Fault(
-        "a row too many",
-        "layered/layered.cl",
-        "    if (line >= grid.height + grid.width)\n",
-        "    if (line > grid.height + grid.width)\n",
-        "layers",
-        "Invalid read",
-    ),
-    Fault(
-        "a sum without an atomic",
-        "blur/blur.cl",
-        "#define ADD_FIXED(p, v) atom_add(p, v)",
-        "#define ADD_FIXED(p, v) (*(p) += (v))",
-        "scatter",
-        "data race",
     ),
 )

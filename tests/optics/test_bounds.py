@@ -95,7 +95,7 @@ def points_of(rng: np.random.Generator, item: Object) -> NDArray[np.float64]:
 def test_no_point_of_a_random_surface_tells_the_difference() -> None:
     rng = np.random.default_rng(11)
     dropped = kept = 0
-    for _ in range(300):
+    for _ in range(120):
         bounds = np.sort(rng.choice([-12.0, -9.0, -7.0, -5.0, 0.0, 2.0, 5.0, 7.0, 9.0, 12.0], (3, 2)), axis=1)
         bounds[:, 1] += 3.0 * (bounds[:, 0] == bounds[:, 1])
         item = random_item(rng, tuple(map(tuple, bounds.tolist())))
@@ -105,5 +105,5 @@ def test_no_point_of_a_random_surface_tells_the_difference() -> None:
         beyond = (points < bounds[:, 0] - 1e-5) | (points > bounds[:, 1] + 1e-5)
         assert not beyond[inside].any(), (item, cut)
         dropped, kept = dropped + np.isinf(cut).sum(), kept + np.isfinite(cut).sum()
-    assert dropped > 300
-    assert kept > 300
+    assert dropped > 100
+    assert kept > 100

@@ -30,20 +30,6 @@ def test_a_disc_has_the_weights_of_the_circle(radius: float, limit: float) -> No
     assert np.abs(weights - Circle().share(X, X[:, None], size, tent=True)).sum() < limit
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.3, 0.8, 2.0])
-@pytest.mark.parametrize(("radius", "limit"), [(2.0, 1e-2), (4.0, 3e-3), (10.0, 2e-4), (20.0, 2e-5)])
-def test_second_moments(radius: float, limit: float, angle: float) -> None:
-    """R^2/4 times the inverse of the shape, and 1/6 of both pixels."""
-    shape = turned(1.3, angle)
-    weights = chord_weights(X, X[:, None], np.asarray(radius), shape)
-    across = np.linalg.inv([[shape[0], shape[1]], [shape[1], shape[2]]]) * radius * radius / 4.0
-    moments = [(weights * one).sum() for one in (X * X, X * X[:, None], (X * X)[:, None])]
-    assert weights.sum() == pytest.approx(1.0, abs=0.2 * limit)
-    np.testing.assert_allclose(
-        moments, [across[0, 0] + 1 / 6, across[0, 1], across[1, 1] + 1 / 6], rtol=0, atol=limit * radius**2
-    )
-
-
 @pytest.mark.parametrize(("radius", "limit"), [(0.05, 3e-5), (0.5, 1e-4), (1.3, 6e-4), (6.0, 5e-4)])
 def test_against_the_integral(radius: float, limit: float) -> None:
     """Points of the ellipse, each with the tent of both pixels, at any radius."""

@@ -11,6 +11,7 @@ from scipy.optimize import brentq
 
 from clsco.optics.motion import Pose, pose_at
 from clsco.optics.quadrics import Canonical, PlacedSurface, canonical, place, predict_inverse_depth
+from clsco.reference.common.geometry import solve_quadric
 from clsco.scene.model import AnyShape, Cone, Cylinder, Disc, Ellipsoid, ObjectMotion, Plane, Quadric, Sphere
 
 Array = NDArray[np.float64]
@@ -192,21 +193,23 @@ def search(item: AnyShape, pose: Pose, rest: Array, ray: Array) -> float:
 
 @pytest.mark.parametrize("name", SHAPES)
 @pytest.mark.parametrize("time", [0.0, 0.4])
-def test_predicted_depth_is_what_a_search_finds(name: str, time: float) -> None:
+def test_depths_are_what_a_search_finds(name: str, time: float) -> None:
+    """Those that the plan predicts, and those of the reference."""
     item = SHAPES[name]
     pose = pose_at(MOTION, time, "euler")
     surface: PlacedSurface = place(item, pose)
     slopes = np.random.default_rng(4).uniform(-0.15, 0.15, (2, 90))
-    found = predict_inverse_depth(item, surface, *slopes)
     expected = np.array([search(item, pose, surface.rest, np.array([x, y, 1.0])) for x, y in slopes.T])
     assert (expected > 0).sum() > 5, "nothing to compare"
-    # Both searches stop at 1e6 mm, and two roots nearer to each other than 0.35 % do not change the sign between
-    # two points of the grid: leave those rays to the exact tests.
-    differs = (found > 2e-6) != (expected > 2e-6)
-    assert differs.mean() < 0.05
-    both = (found > 2e-6) & (expected > 2e-6)
-    # The textbook discriminant loses the digits that its terms have over it, up to 1e3 to 1e4 here.
-    np.testing.assert_allclose(found[both], expected[both], rtol=1e-9)
+    exact, _ = solve_quadric(surface, item.bounds, np.stack([*slopes, np.ones(90)], axis=-1))
+    for found in (predict_inverse_depth(item, surface, *slopes), exact):
+        # Both searches stop at 1e6 mm, and two roots nearer to each other than 0.35 % do not change the sign between
+        # two points of the grid: leave those rays to the exact tests.
+        differs = (found > 2e-6) != (expected > 2e-6)
+        assert differs.mean() < 0.05
+        both = (found > 2e-6) & (expected > 2e-6)
+        # The textbook discriminant loses the digits that its terms have over it, up to 1e3 to 1e4 here.
+        np.testing.assert_allclose(found[both], expected[both], rtol=1e-9)
 
 
 def test_shapes_of_a_tensor_of_rays() -> None:

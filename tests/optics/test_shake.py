@@ -26,12 +26,12 @@ def paths(shake: CameraShake, times: Array) -> tuple[Array, Array]:
 @pytest.mark.parametrize(("seed", "band"), [(5, (2.0, 15.0)), (2**63 - 1, (0.5, 0.6))])
 def test_root_mean_squares_over_a_long_time(seed: int, band: tuple[float, float]) -> None:
     shake = CameraShake(rotation_rms=0.3, translation_rms=0.8, band=band, seed=seed)
-    times = np.random.default_rng(1).uniform(0.0, 1e6, 12_000)
+    times = np.random.default_rng(1).uniform(0.0, 1e6, 4_000)
     for found, expected in zip(paths(shake, times), (0.3, 0.8), strict=True):
-        assert np.sqrt((found**2).sum(axis=1).mean()) == pytest.approx(expected, rel=0.01)
+        assert np.sqrt((found**2).sum(axis=1).mean()) == pytest.approx(expected, rel=0.02)
         # Each axis has a third of the mean square, and none goes anywhere.
-        np.testing.assert_allclose(np.sqrt((found**2).mean(axis=0)), expected / np.sqrt(3.0), rtol=0.02)
-        np.testing.assert_allclose(found.mean(axis=0), 0.0, atol=0.02 * expected)
+        np.testing.assert_allclose(np.sqrt((found**2).mean(axis=0)), expected / np.sqrt(3.0), rtol=0.04)
+        np.testing.assert_allclose(found.mean(axis=0), 0.0, atol=0.03 * expected)
 
 
 def test_frequencies_are_in_the_band() -> None:

@@ -17,7 +17,7 @@ from clsco.optics.pupils.pupil import Pupil
 CELLS = np.random.default_rng(5).integers(0, 2, (5, 5)).astype(np.float64)  # not a part of what is wider
 MASK = CELLS.repeat(8, axis=0).repeat(8, axis=1)
 PUPILS: list[Pupil] = [Polygon(5, 8.0), CurvedPolygon(4, 20.0, -0.6), Ellipse(2.0, 0.4), image_pupil(MASK)]
-LARGEST = 12.0
+LARGEST = 9.0
 
 
 @pytest.mark.parametrize("pupil", PUPILS, ids=lambda pupil: pupil.name)

@@ -10,12 +10,7 @@ from clsco.constants import LONGEST_RUN
 from clsco.optics.point_spread import point_spread
 from clsco.optics.stencil import SUMMED, Stencil, is_summed, stencils
 from clsco.scene.model import Psf
-
-PSFS = [Psf(model=model, edge=edge) for model in ("pillbox", "gaussian") for edge in ("sampled", "area", "integrated")]
-
-
-def name_of(psf: Psf) -> str:
-    return f"{psf.model}-{psf.edge}"
+from tests.spreads import PSFS, name_of
 
 
 def summed_up(stencil: Stencil, far: int) -> NDArray[np.float64]:

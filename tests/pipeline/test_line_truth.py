@@ -12,7 +12,6 @@ import pytest
 import clsco
 from clsco import reference
 from clsco.cli.check import compare
-from clsco.data.verify import flow_error
 from clsco.frame.files import files_of, write_frame
 from clsco.frame.frame import ALL_TRUTH
 from clsco.frame.truth_files import TruthFile
@@ -150,14 +149,3 @@ def test_row_time_is_in_files_of_arrays(tmp_path: Path) -> None:
     found = part.channels["row_time"].pixels
     np.testing.assert_array_equal(found, np.broadcast_to(line_times(wanted, 0).astype(np.float32), (48, 56)))
     assert clsco.render_frame(scene(readout=0.0), truth="all").row_time is None
-
-
-def test_data_sets_follow_points_from_line_to_line() -> None:
-    wanted = scene(frames=2)
-    frame = clsco.render_frame(wanted)
-    assert frame.depth is not None
-    assert frame.flow is not None
-    assert flow_error(wanted, frame, frame.depth, frame.flow) <= 0.0
-    assert flow_error(wanted, frame, frame.depth, frame.flow + np.float32(0.1)) > 0.05
-    plain = wanted.replace("sequence.readout", 0.0)
-    assert flow_error(plain, frame, frame.depth, frame.flow) > 0.05

@@ -13,39 +13,13 @@ from clsco.optics.point_spread import point_spread
 from clsco.optics.visibility import OcclusionGroup
 from clsco.reference.blur.blur import prepare_sources, renormalize, scatter, tilt_factor
 from clsco.reference.common.geometry import tilt_slope
-from clsco.reference.trace.trace import Sources, SubpixelSources, mark_silhouettes, trace, trace_subpixels, view_at
-from clsco.scene.model import Plane, Psf, Scene, Sphere
+from clsco.reference.trace.trace import Sources, SubpixelSources, trace, view_at
+from clsco.scene.model import Plane, Psf, Scene
 from tests.scenes import scene_of
-from tests.spreads import spec_of
+from tests.spreads import PSFS, name_of, random_sources, random_subpixels, spec_of
 
 Array = NDArray[np.float64]
 ALONE = OcclusionGroup(1, 0)  # one object, and nothing in its way
-
-PSFS = (
-    Psf(),
-    Psf(edge="area"),
-    Psf(edge="sampled"),
-    Psf(model="gaussian"),
-    Psf(model="gaussian", edge="area"),
-    Psf(model="gaussian", edge="sampled"),
-)
-
-
-def name_of(psf: Psf) -> str:
-    """Name of a parameter set in pytest's output."""
-    return f"{psf.model}-{psf.edge}"
-
-
-def random_sources(shape: tuple[int, int], largest: float, steepest: float, channels: int = 1) -> Sources:
-    """Sources with random radius of either sign and gradient up to `steepest`, a tenth of them empty."""
-    rng = np.random.default_rng(41)
-    label = (rng.random(shape) < 0.9).astype(np.uint8)
-    there = (label > 0)[..., None]
-    angle, length = rng.uniform(0, 2 * np.pi, shape), rng.uniform(0, steepest, shape)
-    gradient = np.stack([length * np.cos(angle), length * np.sin(angle)], axis=-1)
-    radiance = np.where(there, rng.random((*shape, channels)), 0.0)
-    radius = np.where(label > 0, rng.uniform(-largest, largest, shape), 0.0)
-    return Sources(radiance, np.ones(shape), label, radius, gradient, label > 0)
 
 
 def in_the_middle(sources: Sources, margin: int) -> Sources:
@@ -56,23 +30,6 @@ def in_the_middle(sources: Sources, margin: int) -> Sources:
         if value is not None
     }
     return Sources(**padded)
-
-
-def random_subpixels(sources: Sources, samples: int, count: int) -> SubpixelSources:
-    """Sub-pixel sources in `count` random pixels, whether those have a source or not; half at limbs."""
-    rng = np.random.default_rng(43)
-    height, width, channels = sources.radiance.shape
-    pixel = rng.choice(height * width, count, replace=False)
-    shape = (count, samples, samples)
-    return SubpixelSources(
-        row=pixel // width,
-        column=pixel % width,
-        hit=rng.random(shape) < 0.7,
-        radius=rng.uniform(-3, 3, shape),
-        gradient=rng.uniform(-0.6, 0.6, (*shape, 2)),
-        radiance=rng.random((*shape, channels)),
-        limb=rng.random(shape) < 0.5,
-    )
 
 
 def plain_scatter(psf: Psf, sources: Sources, sub: SubpixelSources | None, shape: tuple[int, int], guard: int) -> Array:
@@ -116,8 +73,8 @@ def plain_scatter(psf: Psf, sources: Sources, sub: SubpixelSources | None, shape
 @pytest.mark.parametrize("psf", [Psf(), Psf(model="gaussian"), Psf(edge="sampled")], ids=name_of)
 def test_scatter_is_the_plain_sum(psf: Psf, tilt: bool, border: str) -> None:
     psf = psf.model_copy(update={"tilt": tilt, "border": border})
-    sources = random_sources((17, 21), 3.0, 1.5, channels=2)
-    sub = random_subpixels(sources, 2, 40)
+    sources = random_sources((17, 21), 0.0, 3.0, 1.5, 2)
+    sub = random_subpixels(sources, 2, 40, 0.0, 3.0)
     for some in (None, sub):
         found = scatter(spec_of(psf), sources, some, (11, 15), 3)
         expected = plain_scatter(psf, sources, some, (11, 15), 3)
@@ -133,7 +90,7 @@ def test_light_is_conserved(psf: Psf, tilt: bool) -> None:
 
     The farthest pixel that is lit is 4.5 radii away, in the corner of a Gaussian cut at 3 sigma.
     """
-    sources = in_the_middle(random_sources((12, 14), 4.0, 1 / 4.5, channels=3), 14)
+    sources = in_the_middle(random_sources((12, 14), 0.0, 4.0, 1 / 4.5, 3), 14)
     assert point_spread(psf).reach(4.0) <= 14
     color = scatter(spec_of(psf.model_copy(update={"tilt": tilt})), sources, None, sources.lit.shape, 0)
     light = sources.radiance.sum(axis=(0, 1))
@@ -142,39 +99,10 @@ def test_light_is_conserved(psf: Psf, tilt: bool) -> None:
     assert (color >= 0).all()
 
 
-def test_subpixel_light_is_conserved() -> None:
-    sources = in_the_middle(random_sources((10, 10), 3.0, 0.5), 8)
-    sub = random_subpixels(sources, 4, 60)
-    assert np.hypot(*np.moveaxis(sub.gradient, -1, 0)).max() < 1
-    inside = (sub.row > 5) & (sub.row < 20) & (sub.column > 5) & (sub.column < 20)
-    sub = replace(sub, hit=sub.hit & inside[:, None, None])
-    assert sub.hit.sum() > 100
-    psf = Psf(tilt=False)
-    color = scatter(spec_of(psf), sources, sub, sources.lit.shape, 0)
-    own = sources.radiance.copy()
-    own[sub.row, sub.column] = 0.0
-    expected = own.sum() + sub.radiance[sub.hit].sum() / 16
-    np.testing.assert_allclose(color.sum(), expected, rtol=1e-12)
-
-
-@pytest.mark.parametrize("psf", PSFS, ids=name_of)
-@pytest.mark.parametrize("radius", [0.0, 0.3, 1.0, 2.7, -2.7])
-def test_constant_image_stays_constant(psf: Psf, radius: float) -> None:
-    guard = max(point_spread(psf).reach(abs(radius)), 1)
-    shape = (9 + 2 * guard, 12 + 2 * guard)
-    radiance = np.full((*shape, 1), 0.7)
-    planes = (np.ones(shape), np.ones(shape, np.uint8), np.full(shape, radius), np.zeros((*shape, 2)))
-    sources = Sources(radiance, *planes, np.ones(shape, np.bool_))
-    color = scatter(spec_of(psf), sources, None, (9, 12), guard)
-    np.testing.assert_allclose(color, 0.7, rtol=1e-12)  # the weights' own sum is 1 to 1e-12
-    if guard > 1:
-        assert scatter(spec_of(psf), sources, None, (9 + 2 * guard, 12 + 2 * guard), 0).min() < 0.69  # border loses
-
-
 def test_renormalizing_gives_all_light_back_to_the_frame() -> None:
     psf = Psf(border="renormalize")
-    sources = random_sources((20, 24), 4.0, 1.8)
-    sub = random_subpixels(sources, 3, 30)
+    sources = random_sources((20, 24), 0.0, 4.0, 1.8, 1)
+    sub = random_subpixels(sources, 3, 30, 0.0, 3.0)
     color = scatter(spec_of(psf), sources, sub, (12, 16), 4)
     frame = (slice(4, 16), slice(4, 20))
     own = sources.radiance.copy()
@@ -284,26 +212,3 @@ def test_tilted_plane_agrees_with_a_thin_lens() -> None:
     assert error[True] < 0.002
     assert error[False] > 2 * error[True]
     assert wrong > 2 * error[False] * 0.8
-
-
-def test_silhouette_of_a_sphere_gains_from_subpixels() -> None:
-    """4 x 4 sources at the silhouette are closer to 12 x 12 sources everywhere than one per pixel."""
-    item = Sphere(center=(0.1, 0.05, 262.0), radius=1.2)
-    texture = np.full((32, 32, 1), 1.0)
-    camera = {"aperture_diameter": 20.0}
-
-    def image(samples: int, everywhere: bool) -> Array:
-        scene = scene_of(item, size=(32, 32), camera=camera, psf=Psf(silhouette_samples=samples))
-        view = view_at(scene, (texture,), 0.0, "left", False)
-        sources = trace(view, ALONE, 6)
-        if samples == 1:
-            return scatter(spec_of(scene.psf), sources, None, (32, 32), 6)
-        marked = np.ones_like(sources.label, dtype=bool) if everywhere else mark_silhouettes(sources.label)
-        sub = trace_subpixels(view, ALONE, 6, marked)
-        return scatter(spec_of(scene.psf), sources, sub, (32, 32), 6)
-
-    fine = image(12, everywhere=True)
-    assert fine.max() > 0.5
-    assert fine.min() < 0.01
-    one, four = (np.sqrt(np.mean((image(s, everywhere=False) - fine) ** 2)) for s in (1, 4))
-    assert four < 0.5 * one

@@ -144,18 +144,6 @@ def test_the_nearest_seed_is_found() -> None:
     assert reach_hidden(3 * layer, seed, offset, deep)[0].max() == 0  # nothing goes on in front of a pixel
 
 
-def test_a_constant_layer_goes_on_constant_behind_the_others() -> None:
-    near = blob((50, 60))
-    layer = np.where(near, 1, 2).astype(np.uint8)
-    radiance = np.where(near, 0.0, 0.7)[..., None]
-    coc = np.where(near, -4.0, 5.0)
-    value, radius, there = extend_depth_layer(radiance, coc, layer, np.where(near, 2, 0).astype(np.uint8), 2, 15)
-    np.testing.assert_allclose(value[..., 0], 0.7, rtol=0, atol=1e-14)
-    np.testing.assert_allclose(radius, 5.0, rtol=0, atol=1e-13)
-    assert there.all()
-    np.testing.assert_array_equal(value[..., 1], 1.0)
-
-
 @pytest.mark.parametrize("shape", [(16, 16), (7, 9), (1, 5), (2, 1)])
 def test_a_pyramid_interpolates_what_is_missing(shape: tuple[int, int]) -> None:
     """Values between those known, known ones as they are, down to levels of one pixel."""
@@ -224,25 +212,6 @@ def test_a_cut_through_a_continuous_surface_leaves_no_seam(texture: str) -> None
     np.testing.assert_array_equal(cut, unsliced(radiance, coc, shape, guard))  # nothing is covered: light adds up
 
 
-def test_a_cut_that_meets_an_edge_leaves_little() -> None:
-    """A slanted plane in four layers behind a card: as in two layers, but for where the cuts meet the edge."""
-    guard, shape = 14, (44, 48)
-    size = (shape[0] + 2 * guard, shape[1] + 2 * guard)
-    y, x = np.indices(size)
-    near = np.abs(x - 36) + np.abs(y - 36) < 14
-    plane = 5.0 + 0.05 * (x - 38)
-    coc = np.where(near, -4.0, plane)
-    radiance = np.where(near, 0.2, 0.5 + 0.3 * np.sin(0.4 * x) * np.cos(0.3 * y))[..., None]
-    two = np.where(near, 1, 2).astype(np.uint8)
-    five = np.where(near, 1, 2 + np.searchsorted([4.2, 5.1, 5.6], plane)).astype(np.uint8)
-    images = [spread_depth_layers(PILLBOX, radiance, coc, layer, shape, guard, 14)[0] for layer in (two, five)]
-    plain = unsliced(radiance, coc, shape, guard)
-    cut, hidden = (np.sqrt(np.mean((image - images[0]) ** 2)) for image in (images[1], plain))
-    # Of the nine places where a cut meets the edge, each is at worst an edge without occlusion, 8 px wide of 60.
-    assert hidden > 0.03
-    assert cut < hidden / 5
-
-
 def test_an_edge_before_a_plane_is_its_closed_form() -> None:
     """A dark half-plane before a bright plane: 1 - the disc's area beyond the edge, averaged over each pixel."""
     guard, shape = 22, (5, 60)
@@ -271,16 +240,6 @@ def test_one_brightness_everywhere_stays_so() -> None:
         image, count = layered(spec_of(Psf(), largest), light, coc, there, shape, guard)
         assert count == 2
         np.testing.assert_allclose(image, 0.6, rtol=0, atol=1e-12)
-
-
-def test_one_layer_is_plain_scattering() -> None:
-    guard, shape = 8, (20, 22)
-    size = (shape[0] + 2 * guard, shape[1] + 2 * guard)
-    coc = np.linspace(-4, 6, size[1])[None, :] + np.zeros(size)
-    radiance = RNG(2).random((*size, 2))
-    image, count = layered(spec_of(Psf(), 6.0), radiance, coc, np.ones(size, dtype=bool), shape, guard)
-    assert count == 1
-    np.testing.assert_array_equal(image, unsliced(radiance, coc, shape, guard))
 
 
 def test_a_sharp_object_before_a_blurred_plane_keeps_its_edge() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clsco.frame.frame import TRUTH_NAMES, Frame
+from clsco.frame.frame import Frame
 from clsco.optics.point_spread import point_spread
 from clsco.reference.inpainting.fill import Method
 from clsco.reference.sequence import render
@@ -32,16 +32,6 @@ def only(scene: Scene) -> Frame:
     """The one frame of a scene."""
     (frame,) = render(scene)
     return frame
-
-
-def test_plane_in_focus_is_its_texture() -> None:
-    frame = only(scene_of(Plane(distance=250.0), size=SIZE, camera=SHARP))
-    assert frame.color.shape[:2] == SHAPE
-    assert frame.color.std() > 0.05
-    np.testing.assert_allclose(frame.color, truth(frame, "sharp"), atol=1e-9)  # R is eps of 1e4 px
-    assert len(frame.metadata["intermediate"]) == 1
-    for name in TRUTH_NAMES:
-        assert truth(frame, name).shape[:2] == SHAPE
 
 
 def test_facing_plane_is_one_convolution() -> None:

@@ -9,11 +9,10 @@ import pytest
 from numpy.typing import NDArray
 
 from clsco.optics.lens import blur_radius, ray_step
-from clsco.optics.motion import pose_at
 from clsco.optics.point_spread import subpixel_offsets
 from clsco.optics.quadrics import PlacedSurface
 from clsco.optics.visibility import OcclusionGroup
-from clsco.reference.common.geometry import Filter, pixel_ray, rest_pixel, solve_quadric
+from clsco.reference.common.geometry import pixel_ray, rest_pixel, solve_quadric
 from clsco.reference.trace.trace import (
     SILHOUETTE_RANGE,
     mark_silhouettes,
@@ -24,7 +23,7 @@ from clsco.reference.trace.trace import (
 )
 from clsco.reference.trace.truth import ground_truth
 from clsco.reference.trace.view import View
-from clsco.scene.model import Ellipsoid, Motion, ObjectMotion, Plane, Psf, Scene, Sequence, Sphere
+from clsco.scene.model import Ellipsoid, ObjectMotion, Plane, Psf, Scene, Sequence, Sphere
 from tests.scenes import scene_of
 
 Placer = Callable[..., PlacedSurface]
@@ -65,28 +64,6 @@ def test_guard_sees_the_same_surface() -> None:
         assert (getattr(wide, name)[7:-7, 7:-7] == getattr(narrow, name)).all()
     assert not wide.radiance[wide.label == 0].any()
     assert not wide.radius[wide.label == 0].any()
-
-
-@pytest.mark.parametrize("texture_filter", ["nearest", "bilinear", "bicubic"])
-def test_whole_pixel_motion_moves_the_texels(texture_filter: Filter) -> None:
-    item = Plane(motion=ObjectMotion(velocity=(0.5, -0.25, 0.0)))  # 4 px right, 2 px down at 250 mm
-    scene = scene_of(item, size=SIZE, motion=Motion(texture_filter=texture_filter))
-    texture = random_texture()
-    sources = trace(seen(scene, texture, 1.0, moved=True), ALONE, 0)
-    # Positions are off by eps of a few hundred px, and a filter's slope is at most 2 per px.
-    np.testing.assert_allclose(sources.radiance[2:, 4:], texture[:-2, :-4], atol=1e-11)
-
-
-def test_silhouettes_are_two_pixels_wide_on_both_sides() -> None:
-    label = np.zeros((9, 12), dtype=np.uint8)
-    label[:, 6:] = 1
-    assert (mark_silhouettes(label) == (np.arange(12) >= 4) & (np.arange(12) < 8)).all()
-    label[4, 1] = 2
-    lonely = mark_silhouettes(label)
-    assert lonely[2:7, 0:4].all()
-    assert not lonely[:2, :4].any()
-    assert not lonely[7:, :4].any()
-    assert not mark_silhouettes(np.full((5, 5), 2, dtype=np.uint8)).any()
 
 
 def test_silhouettes_by_plain_search() -> None:
@@ -165,14 +142,6 @@ def test_truth_of_a_plane() -> None:
     x = (column - 23.5) * 0.01 / 20.0 * middle
     expected = (x + 10.0) / (middle + 35.0) * 2000.0 - (column - 23.5)
     np.testing.assert_allclose(truth.flow[..., 0], np.broadcast_to(expected, SHAPE), atol=1e-10)
-
-
-@pytest.mark.parametrize(("distance", "expected"), [(250.0, 80.0), (285.0, 70.2)])
-def test_flow_of_the_thesis(distance: float, expected: float) -> None:
-    item = Plane(distance=distance, motion=ObjectMotion(velocity=(10.0, 0.0, 0.0)))
-    flow = ground_truth(scene_of(item, size=SIZE), (random_texture(),), 0).flow
-    assert np.abs(flow[..., 0] - expected).max() < 0.03  # 70.175 px, given as 70.2
-    assert np.abs(flow[..., 1]).max() < 1e-10  # eps of the frame's pixel numbers times s0/p
 
 
 def test_flow_leads_to_the_same_point_of_the_object(at: Placer) -> None:
@@ -271,37 +240,3 @@ def test_surface_from_outside_of_the_frame_was_hidden(
     expected = np.zeros(SHAPE, dtype=bool)
     expected[outside] = True
     assert (ground_truth(scene_of(item, size=SIZE), (random_texture(),), 0).hidden == expected).all()
-
-
-@pytest.mark.parametrize("axis", [0, 1, 2])
-def test_euler_and_axis_are_one_for_single_axes(axis: int) -> None:
-    x, y, z = (40.0 * (axis == k) for k in range(3))
-    item = Ellipsoid(
-        center=(0.0, 0.0, 290.0),
-        semi_axes=(3.0, 2.0, 4.0),
-        motion=ObjectMotion(angular_velocity=(x, y, z)),
-    )
-    truths = [
-        ground_truth(scene_of(item, size=SIZE, motion=Motion(rotation=rotation)), (random_texture(),), 0)
-        for rotation in ("euler", "axis")
-    ]
-    still = ground_truth(
-        scene_of(item.model_copy(update={"motion": ObjectMotion()}), size=SIZE), (random_texture(),), 0
-    )
-    assert np.abs(truths[0].sharp - still.sharp).max() > 0.1
-    assert (truths[0].mask == truths[1].mask).all()
-    both = truths[0].mask
-    # The limb amplifies rounding to sqrt(eps) of 4 mm.
-    np.testing.assert_allclose(truths[0].depth[both], truths[1].depth[both], rtol=1e-9)
-    euler, about = (pose_at(item.motion, 0.5, rotation).rotation for rotation in ("euler", "axis"))
-    np.testing.assert_allclose(euler, about, atol=4 * EPS)
-
-
-def test_turn_about_z_is_clockwise_for_the_viewer() -> None:
-    """2.13 to 2.23: in x right, y up, z towards the camera a positive angle takes +y to +x."""
-    item = Plane(motion=ObjectMotion(angular_velocity=(0.0, 0.0, 10.0)))
-    flow = ground_truth(scene_of(item, size=SIZE), (random_texture(),), 0).flow
-    assert (flow[0, :, 0] > 0).all()
-    assert (flow[-1, :, 0] < 0).all()
-    assert (flow[:, -1, 1] > 0).all()
-    assert (flow[:, 0, 1] < 0).all()

@@ -5,7 +5,8 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -48,8 +49,7 @@ def opened(running: Running, width: int = 1280, height: int = 720, scheme: str =
     scheme: of colors, as the system has it.
     """
     errors: list[str] = []
-    with chromium() as browser:
-        context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme)
+    with chromium(viewport={"width": width, "height": height}, color_scheme=scheme) as context:
         page = context.new_page()
         page.on("pageerror", lambda error: errors.append(str(error)))
         page.on("console", lambda said: errors.append(said.text) if said.type == "error" else None)
@@ -60,17 +60,30 @@ def opened(running: Running, width: int = 1280, height: int = 720, scheme: str =
 
 
 @contextmanager
-def chromium() -> Iterator[Any]:
-    """Chromium, where it is installed."""
+def chromium(**options: Any) -> Iterator[Any]:
+    """A browser of its own, as it were: a context of the Chromium of this module, where it is installed."""
+    with closing(_started()[1].new_context(**options)) as context:
+        yield context
+
+
+@cache
+def _started() -> tuple[Any, Any]:
     playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright: pip install playwright")
     path = shutil.which("chromium")
     if path is None:
         pytest.skip("needs chromium: apt-get install chromium")
-    with playwright.sync_playwright() as started:
-        playwright.Page.wait_for_function = _wait_for
-        browser = started.chromium.launch(executable_path=path, args=["--no-sandbox"])
-        yield browser
+    playwright.Page.wait_for_function = _wait_for
+    started = playwright.sync_playwright().start()
+    return started, started.chromium.launch(executable_path=path, args=["--no-sandbox"])
+
+
+def end_chromium() -> None:
+    """End it, and the event loop of Playwright, beside which there can be no other."""
+    if _started.cache_info().currsize:
+        started, browser = _started()
         browser.close()
+        started.stop()
+        _started.cache_clear()
 
 
 def _wait_for(page: Any, expression: str, *, arg: Any = None, timeout: float = 30000.0) -> None:
@@ -131,9 +144,11 @@ def choose(page: Any, shape: str) -> None:
 
 def open_scene(page: Any, name: str) -> None:
     """Open a scene of the folder."""
+    before = page.evaluate("studio.revision")
     page.get_by_role("button", name="Open", exact=True).click()
     page.get_by_role("button", name=name, exact=True).click()
     page.locator("dialog[open]").wait_for(state="hidden")
+    page.wait_for_function(f"studio.revision > {before}")
     rest(page)
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from tests.studio.browser import EXAMPLES, opened
+from tests.studio.browser import EXAMPLES, end_chromium, opened
 from tests.studio.running import Running, studio
 
 
@@ -35,6 +35,13 @@ def running(request: pytest.FixtureRequest, root: Path) -> Iterator[Running]:
     device = getattr(request.module, "DEVICE", ("--device", "pocl"))
     with studio(root, *([str(root / scene)] if scene else []), *device) as started:
         yield started
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_chromium() -> Iterator[None]:
+    """All tests of a module use one Chromium, if any."""
+    yield
+    end_chromium()
 
 
 @pytest.fixture

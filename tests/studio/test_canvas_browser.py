@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,8 +12,7 @@ from PIL import Image
 
 import clsco
 from clsco.files.transfer import encode
-from tests.studio.browser import PIXELS, opened, rest
-from tests.studio.running import Running, studio
+from tests.studio.browser import PIXELS, open_scene, rest
 
 pytestmark = pytest.mark.browser
 SCENE = """
@@ -54,35 +50,18 @@ texture = "#204060"
 STILL = SCENE.replace("velocity = [8.0", "velocity = [0.0")
 
 
-@contextmanager
-def with_scene(folder: Path, text: str) -> Iterator[Running]:
-    (folder / "scene.toml").write_text(text)
-    with studio(folder, str(folder / "scene.toml"), "--device", "pocl") as started:
-        yield started
-
-
-@pytest.fixture(scope="module")
-def moves(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
-    with with_scene(tmp_path_factory.mktemp("moves"), SCENE) as started:
-        yield started
-
-
-@pytest.fixture(scope="module")
-def rests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
-    with with_scene(tmp_path_factory.mktemp("rests"), STILL) as started:
-        yield started
+FILES, OPENS = {"still.toml": STILL, "moving.toml": SCENE}, "still.toml"
 
 
 @pytest.fixture
-def moving(moves: Running) -> Iterator[Any]:
-    with opened(moves) as shown:
-        yield shown
+def still(page: Any) -> Any:
+    return page
 
 
 @pytest.fixture
-def still(rests: Running) -> Iterator[Any]:
-    with opened(rests) as shown:
-        yield shown
+def moving(page: Any) -> Any:
+    open_scene(page, "moving.toml")
+    return page
 
 
 def shown(page: Any, canvas: str = "#canvas") -> NDArray[np.int64]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import http.server
+import os
 import re
 import socket
 import stat
@@ -38,6 +39,12 @@ def opened(running: Running) -> socket.socket:
 
 def handles(running: Running) -> int:
     return len(list(Path(f"/proc/{running.process.pid}/fd").iterdir()))
+
+
+def processor_seconds(running: Running) -> float:
+    """Time that the server has computed, whatever else the machine does."""
+    user, system = Path(f"/proc/{running.process.pid}/stat").read_text().rpartition(")")[2].split()[11:13]
+    return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
 
 
 def test_connections_without_a_header_do_not_keep_others_out(running: Running) -> None:
@@ -131,20 +138,20 @@ def test_a_header_without_end_is_refused(running: Running) -> None:
 @pytest.mark.parametrize("other", ["a=" + "x" * 4000, 'a="' + "\\" * 4000, "a[]=b;c", "\xe4=\xf6", ";;=;", "="])
 def test_cookies_of_others_do_not_lock_out(running: Running, other: str) -> None:
     cookies = {"Cookie": "; ".join([other] * (60 if len(other) > 99 else 4000) + [running.cookie["Cookie"]])}
-    start = time.monotonic()
+    before = processor_seconds(running)
     answer = httpx.get(f"{running.page}/", headers=[(b"Cookie", cookies["Cookie"].encode("latin-1"))], timeout=30)
     assert answer.status_code == 200
     if other.isascii():
         with running.connect("/frames?tab=none", cookies, running.origin):
             pass
-    assert time.monotonic() - start < 15.0  # it drew a page
+    assert processor_seconds(running) - before < 5.0  # it drew a page
 
 
 def test_a_long_cookie_without_the_secret_costs_nothing(running: Running) -> None:
-    start = time.monotonic()
+    before = processor_seconds(running)
     for quoted in ('a="' + "\\" * 60000, 'a="' + 'b;"' * 20000, "a=" + "b;" * 30000):
         assert httpx.get(f"{running.page}/", headers={"Cookie": quoted}).status_code == 403
-    assert time.monotonic() - start < 3.0
+    assert processor_seconds(running) - before < 3.0
 
 
 def waiting_browser(folder: Path) -> tuple[str, Path]:
@@ -184,8 +191,8 @@ def test_a_browser_that_waits_is_not_waited_for_and_its_command_line_has_no_secr
 def test_what_the_browser_is_opened_with_leads_to_the_page(tmp_path: Path) -> None:
     command, said = waiting_browser(tmp_path)
     (tmp_path / "root").mkdir()
-    with studio(tmp_path / "root", "--device", "pocl", browser=command) as running, chromium() as browser:
-        page = browser.new_context().new_page()
+    with studio(tmp_path / "root", "--device", "pocl", browser=command) as running, chromium() as context:
+        page = context.new_page()
         page.goto(asked_to_open(said))
         rest(page)
         assert running.place in page.url
@@ -209,8 +216,8 @@ def test_other_servers_of_the_machine_see_no_cookie(running: Running) -> None:
     server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Other)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     try:
-        with chromium() as browser:
-            page = browser.new_context().new_page()
+        with chromium() as context:
+            page = context.new_page()
             page.goto(running.address)
             rest(page)
             page.goto(f"http://127.0.0.1:{server.server_port}/")

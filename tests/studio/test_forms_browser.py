@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,23 +9,15 @@ import pytest
 
 from clsco.files.images import read_image
 from clsco.studio.session import Document
-from tests.studio.browser import EXAMPLES, box, opened, rest, type_in
-from tests.studio.running import Running, studio
+from tests.cli.test_dataset import DISTRIBUTION
+from tests.studio.browser import EXAMPLES, box, open_scene, opened, rest, type_in
+from tests.studio.running import Running
 
 pytestmark = pytest.mark.browser
 
 
-@pytest.fixture
-def root(tmp_path: Path) -> Path:
-    for name in ("sphere.toml", "damaged.png", "damaged_mask.png"):
-        shutil.copy(EXAMPLES / name, tmp_path)
-    return tmp_path
-
-
-@pytest.fixture
-def running(root: Path) -> Iterator[Running]:
-    with studio(root, "--device", "pocl") as started:
-        yield started
+FILES = {"mine.toml": DISTRIBUTION}
+SHIPPED = ("sphere.toml", "focal_stack.toml", "damaged.png", "damaged_mask.png")
 
 
 def test_boxes_keep_what_is_typed_when_the_page_changes(page: Any) -> None:
@@ -55,7 +45,7 @@ def test_a_link_opens_the_scene(running: Running, root: Path) -> None:
 def test_an_image_is_chosen_and_shown_small(page: Any, root: Path) -> None:
     page.locator('[data-upload="object.0.texture"]').set_input_files(str(EXAMPLES / "depth_map_image.png"))
     page.locator("[data-about]", has_text="320 x 320 px, 8 bits").wait_for(timeout=15000)
-    assert len(list((root / "uploads").iterdir())) == 1
+    assert len(list((root / "uploads").iterdir())) == 1  # no other test comes before
 
 
 def test_painted_pixels_are_filled_by_all_methods(page: Any, root: Path) -> None:
@@ -157,18 +147,7 @@ def test_zoom_in_the_brush_makes_strokes_finer(page: Any) -> None:
     assert missing(page) == pytest.approx(113, abs=15)  # a disc of 12 px
 
 
-DISTRIBUTION = """
-camera.resolution = [24, 16]
-[[object]]
-shape = "sphere"
-[[vary.object]]
-index = 0
-radius = { uniform = [20, 40] }
-"""
-
-
-def test_a_data_set_is_made_and_survives_a_reload(page: Any, root: Path) -> None:
-    (root / "mine.toml").write_text(DISTRIBUTION)
+def test_a_data_set_is_made_and_survives_a_reload(page: Any) -> None:
     page.locator("#generate").click()
     page.locator("dialog[open] summary", has_text="Data set").click()
     dialog = page.locator("dialog[open]")
@@ -192,13 +171,10 @@ def test_a_data_set_is_made_and_survives_a_reload(page: Any, root: Path) -> None
     )
 
 
-def test_each_scene_of_a_sweep_is_shown(page: Any, root: Path) -> None:
-    shutil.copy(EXAMPLES / "focal_stack.toml", root)
-    page.get_by_role("button", name="Open", exact=True).click()
-    page.get_by_role("button", name="focal_stack.toml").click()
+def test_each_scene_of_a_sweep_is_shown(page: Any) -> None:
+    open_scene(page, "focal_stack.toml")
     chosen = page.get_by_label("Scene that is shown")
     chosen.wait_for()
-    rest(page)
     first = page.evaluate("document.querySelector('#canvas').toDataURL()")
     revision = page.evaluate("studio.revision")
     chosen.select_option(index=8)

@@ -53,24 +53,22 @@ def test_the_lens_is_at_hand_above_the_picture(page: Any) -> None:
     assert axe_faults(page) == []
 
 
-def test_the_strip_is_in_sight_on_a_small_screen(running: Running) -> None:
+def test_strip_and_header_are_in_reach_on_a_small_screen(running: Running) -> None:
+    """Also with the panels or the side open, which buttons of the header close again."""
+
+    def assert_in_reach(element: Any) -> None:
+        place = element.bounding_box()
+        assert place["x"] >= 0
+        assert place["x"] + place["width"] <= 390
+
     with opened(running, 390, 800) as page:
         for path in ("camera.focus_distance", "camera.f_number", "camera.focal_length"):
-            place = page.locator(f'#lens-strip input[data-kind][data-path="{path}"]').bounding_box()
-            assert place["x"] >= 0
-            assert place["x"] + place["width"] <= 390
+            assert_in_reach(page.locator(f'#lens-strip input[data-kind][data-path="{path}"]'))
         assert axe_faults(page) == []
-
-
-def test_all_of_the_header_is_in_reach_on_a_small_screen(running: Running) -> None:
-    """Also with the panels or the side open, which its buttons close again."""
-    with opened(running, 390, 800) as page:
         for name in ("drawer", "inspector"):
             page.locator(f"#{name}").click()
             for button in page.locator("#studio > header button:visible").all():
-                place = button.bounding_box()
-                assert place["x"] >= 0
-                assert place["x"] + place["width"] <= 390
+                assert_in_reach(button)
             page.locator(f"#{name}").click(timeout=2000)
 
 

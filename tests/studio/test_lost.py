@@ -39,8 +39,7 @@ def test_a_scene_is_resumed_with_its_file(tmp_path: Path) -> None:
 @pytest.mark.browser
 def test_a_studio_that_is_killed_and_started_again_has_the_scene(tmp_path: Path) -> None:
     shutil.copy(EXAMPLES / "sphere.toml", tmp_path)
-    with chromium() as browser:
-        context = browser.new_context()
+    with chromium() as context:
         page = context.new_page()
         with studio(tmp_path, "--device", "pocl") as running:
             page.goto(running.address)

@@ -163,9 +163,14 @@ def test_a_box_hears_of_an_undo_that_comes_right_after_what_was_typed(said: Said
     assert [each["values"] for each in said.told if "values" in each] == [{path: 250.0}]
 
 
-@pytest.mark.parametrize("link", range(len(LINKS)))
-def test_links_that_cannot_be(said: Said, link: int) -> None:
-    before = said.tab.session.table
-    asyncio.run(said.hear(json.dumps({"link": LINKS[link]})))
-    assert said.errors or said.tab.session.refused or said.tab.session.table != before
-    assert all(len(message) < 1000 for message in said.errors)
+def test_links_that_cannot_be(said: Said) -> None:
+    async def talk() -> None:
+        for link in LINKS:
+            said.told.clear()
+            said.tab = Tab(Document(said.studio.root))
+            before = said.tab.session.table
+            await said.hear(json.dumps({"link": link}))
+            assert said.errors or said.tab.session.refused or said.tab.session.table != before, link[:100]
+            assert all(len(message) < 1000 for message in said.errors)
+
+    asyncio.run(talk())

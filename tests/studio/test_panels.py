@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -16,25 +14,13 @@ from clsco.cli.main import main
 from clsco.studio.presets import presets
 from tests.studio.browser import EXAMPLES, SHAPES, SMALL, box, choose, chromium, number, open_scene, rest, type_in
 from tests.studio.running import Running
-from tests.studio.test_browser import children
 
 pytestmark = pytest.mark.browser
 FILES, SHIPPED = {"small.toml": SMALL}, ("damaged.png",)
-CHECKLIST = {  # labels and values of the five panels
+CHECKLIST = {  # labels and values of some boxes of the five panels; tests/studio/test_forms.py has all symbols
     "object.0.distance": ("Distance a (mm)", "250"),
-    "object.0.slope_x": ("Slope along x b (mm per mm)", "0"),
-    "object.0.slope_y": ("Slope along y c (mm per mm)", "0"),
-    "object.0.motion.velocity.0": ("Translation x vx (mm/s)", "0"),
-    "object.0.motion.velocity.1": ("Translation y vy (mm/s)", "0"),
-    "object.0.motion.velocity.2": ("Translation z vz (mm/s)", "0"),
-    "object.0.motion.angular_velocity.0": ("Rotation x ωx (deg/s)", "0"),
-    "object.0.motion.angular_velocity.1": ("Rotation y ωy (deg/s)", "0"),
     "object.0.motion.angular_velocity.2": ("Rotation z ωz (deg/s)", "0"),
-    "sequence.frames": ("Number of frames n", "1"),
     "sequence.interval": ("Inter-frame interval t (s)", "1"),
-    "camera.focal_length": ("Focal length f (mm)", "20"),
-    "camera.aperture_diameter": ("Aperture diameter D (mm)", "10"),
-    "camera.pixel_pitch": ("Pixel pitch p (mm)", "0.01"),
     "camera.sensor_distance": ("Lens to sensor distance s (mm)", "21.739"),
     "camera.normalization_distance": ("Magnification normalization distance s0 (mm)", "20"),
 }
@@ -63,16 +49,6 @@ def test_the_panels_of_the_thesis_with_its_defaults(page: Any) -> None:
     assert page.evaluate(
         "document.documentElement.scrollHeight <= innerHeight && document.documentElement.scrollWidth <= innerWidth"
     )
-
-
-def test_values_of_a_shape_are_there_when_one_comes_back(page: Any) -> None:
-    choose(page, "Spherical")
-    type_in(page, "object.0.radius", "41.5")
-    for shape in ("Conical", "Elliptical", "Cylindrical", "Planar"):
-        choose(page, shape)
-        rest(page)
-    choose(page, "Spherical")
-    assert number(page, "object.0.radius") == 41.5
 
 
 def test_a_motion_that_is_not_chosen_is_none(page: Any) -> None:
@@ -115,8 +91,9 @@ def test_a_wrong_value_stays_in_its_box_with_its_message(page: Any) -> None:
     assert not page.evaluate("document.querySelector('#badge').textContent === ''")
 
 
-@pytest.mark.everyday
-@pytest.mark.parametrize("label", list(SHAPES))
+@pytest.mark.parametrize(
+    "label", [pytest.param(label, marks=pytest.mark.everyday if label == "Conical" else ()) for label in SHAPES]
+)
 def test_shapes_generated_are_those_of_the_command(page: Any, root: Path, label: str, tmp_path: Path) -> None:
     open_scene(page, "small.toml")
     choose(page, label)
@@ -126,8 +103,9 @@ def test_shapes_generated_are_those_of_the_command(page: Any, root: Path, label:
     assert_made_by_the_command(folder, folder / "scene.toml", tmp_path)
 
 
-@pytest.mark.everyday
-@pytest.mark.parametrize("name", ["fig_3_04_left", "fig_3_12_left", "fig_4_13"])
+@pytest.mark.parametrize(
+    "name", ["fig_3_04_left", "fig_3_12_left", pytest.param("fig_4_13", marks=pytest.mark.everyday)]
+)
 def test_presets_generated_are_those_of_the_command(page: Any, root: Path, name: str, tmp_path: Path) -> None:
     (title,) = [preset.title for preset in presets() if preset.name == f"thesis/{name}"]
     page.get_by_role("button", name="Presets").click()
@@ -192,18 +170,6 @@ def test_a_script_in_a_title_is_not_run(page: Any) -> None:
     assert page.evaluate("window.hit") is None
 
 
-def test_a_killed_renderer_is_started_again(page: Any, running: Running) -> None:
-    rest(page)
-    for pid in children(running.process.pid):
-        if "spawn_main" in Path(f"/proc/{pid}/cmdline").read_text():
-            os.kill(pid, signal.SIGKILL)
-    box(page, "camera.focal_length").fill("21")
-    box(page, "camera.focal_length").blur()
-    page.locator("#message", has_text="signal 9").wait_for(timeout=20000)
-    page.wait_for_function("studio.values['camera.focal_length'] === 21 && studio.revision > 0", timeout=30000)
-    rest(page)
-
-
 def test_a_hostile_page_gets_nothing(running: Running) -> None:
     attack = """async (origin) => {
       const opens = (url) => new Promise((done) => {
@@ -217,8 +183,7 @@ def test_a_hostile_page_gets_nothing(running: Running) -> None:
         await reads(`${origin}/`, { credentials: "include" }),
         await reads(`${origin}/texture?tab=x&kind=png`, { method: "POST", body: "x" })];
     }"""
-    with chromium() as browser:
-        context = browser.new_context()
+    with chromium() as context:
         context.new_page().goto(running.address)  # the cookie is there
         hostile = context.new_page()
         hostile.route("http://evil.example/**", lambda route: route.fulfill(body="<p>hello", content_type="text/html"))

@@ -76,24 +76,6 @@ def test_images_of_presets_leave_those_of_others(session: Document) -> None:
     assert Path(name).read_bytes() == (EXAMPLES / "thesis" / "road.png").read_bytes()
 
 
-@pytest.mark.parametrize(
-    ("name", "path", "value"),
-    [
-        ("fig_3_04_left", "object.0.distance", 230.0),
-        ("fig_3_04_right", "object.0.slope_x", 1.5),
-        ("fig_3_05_left", "object.0.slope_y", 0.7),
-        ("fig_3_05_right", "object.0.slope_y", 1.0),
-        ("fig_3_12_left", "object.0.radius", 30.0),
-        ("fig_4_06", "object.0.motion.angular_velocity", [0.0, 5.0, 0.0]),
-        ("fig_4_06", "sequence.frames", 3),
-        ("fig_4_02", "sequence.samples", 5),
-    ],
-)
-def test_presets_have_the_numbers_of_their_captions(session: Document, name: str, path: str, value: object) -> None:
-    load_preset(session, f"thesis/{name}")
-    assert session.known(path) == value
-
-
 def test_the_method_of_the_thesis_is_a_switch(session: Document) -> None:
     before = session.table
     assert not is_as_the_thesis(session)

@@ -166,7 +166,7 @@ async def pixels(renderer: RendererProcess) -> None:
     (frame,) = clsco.render(scene, device="pocl")
     found = await renderer.inspect(Question(scene, 0, 20, 15))
     assert found["values"]["depth"] == float(frame.depth[15, 20])  # type: ignore[index]
-    assert 0.0 < found["seconds"] < 1.0
+    assert found["seconds"] > 0.0
     measured = await renderer.inspect(Question(scene, 0, 20, 15, measures=True))
     expected = figures_of(clsco.response(scene, 20, 15, device="pocl"), 20, 15)
     assert measured == {"x": 20, "y": 15, "response": expected}

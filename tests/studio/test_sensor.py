@@ -28,23 +28,22 @@ def test_the_panel_has_all_keys(tmp_path: Path) -> None:
     assert (labels["sensor.seed"], labels["sensor.noise_seed"]) == ("Seed of the sensor", "Seed of the noise")
 
 
-@pytest.mark.parametrize(("view", "name"), [("raw", "raw"), ("noise", "noise_sigma")])
 @pytest.mark.parametrize("mosaic", ["none", "rggb"])
-def test_views(view: str, name: str, mosaic: str) -> None:
+def test_views(mosaic: str) -> None:
     scene = SCENE.replace("sensor.mosaic", mosaic)
-    frame = clsco.render_frame(scene, truth=truth_of(view))
-    data = frame.arrays()[name]
-    exact = picture_of(frame, scene, view, EXACT, (12, 8), 0.0)
-    assert (exact.encoding, exact.size) == (FLOAT32, (12, 8))
-    np.testing.assert_array_equal(np.frombuffer(exact.payload, "<f4").reshape(data.shape), data)
-    dragging = picture_of(frame, scene, view, DRAGGING, (12, 8), 0.0)
-    assert dragging.encoding == (FLOAT32 if view == "raw" else FLOAT16)
+    frame = clsco.render_frame(scene, truth=(*truth_of("raw"), *truth_of("noise")))
+    for view, name, encoding in (("raw", "raw", FLOAT32), ("noise", "noise_sigma", FLOAT16)):
+        data = frame.arrays()[name]
+        exact = picture_of(frame, scene, view, EXACT, (12, 8), 0.0)
+        assert (exact.encoding, exact.size) == (FLOAT32, (12, 8))
+        np.testing.assert_array_equal(np.frombuffer(exact.payload, "<f4").reshape(data.shape), data)
+        assert picture_of(frame, scene, view, DRAGGING, (12, 8), 0.0).encoding == encoding
 
 
-@pytest.mark.parametrize("view", ["raw", "noise"])
-def test_without_a_sensor_a_view_says_so(view: str) -> None:
+def test_without_a_sensor_a_view_says_so() -> None:
     scene = SCENE.replace("sensor", None)
-    frame = clsco.render_frame(scene, truth=truth_of(view))
-    with pytest.raises(SceneError) as caught:
-        picture_of(frame, scene, view, EXACT, (12, 8), 0.0)
-    assert str(caught.value) == f"view: {view} belongs to scenes with a sensor, which has a panel; got none"
+    frame = clsco.render_frame(scene, truth=(*truth_of("raw"), *truth_of("noise")))
+    for view in ("raw", "noise"):
+        with pytest.raises(SceneError) as caught:
+            picture_of(frame, scene, view, EXACT, (12, 8), 0.0)
+        assert str(caught.value) == f"view: {view} belongs to scenes with a sensor, which has a panel; got none"

@@ -243,15 +243,6 @@ def test_semi_axes_are_linked_where_wanted(session: Document) -> None:
     assert session.known("object.0.semi_axes") == [30.0, 20.0, 50.0]
 
 
-def test_boxes_are_one_object(session: Document) -> None:
-    session.patch("object.0.shape", "box")
-    session.add_object("sphere")
-    session.patch("object.1.radius", 12.0)
-    assert session.known("object.0.size") == [40.0, 30.0, 30.0]
-    assert session.known("object.1.radius") == 12.0
-    assert session.known("object.1.center") == [0.0, 0.0, 280.0]
-
-
 def test_reset_leaves_the_image(session: Document) -> None:
     session.patch("object.0.texture", "siemens_star")
     changes = {

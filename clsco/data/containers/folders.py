@@ -7,25 +7,13 @@ from __future__ import annotations
 
 import os
 import zipfile
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
-from clsco.data.containers.base import (
-    LARGEST_META,
-    ShardReader,
-    decoded,
-    described,
-    members,
-    meta_bytes,
-    npy_array,
-    npy_bytes,
-    npy_size,
-    parsed_meta,
-    split_name,
-    stored_size,
-    whole,
-)
-from clsco.data.record import Record, is_wanted
+from clsco.data.containers.base import MemberReader, Members, members, meta_bytes, npy_bytes, translate_errors
+from clsco.data.record import Record
 from clsco.files.archives import member_bytes, open_archive
 from clsco.resources import open_regular, read_regular
 
@@ -40,29 +28,23 @@ def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
             (folder / name).write_bytes(content)
 
 
-class FolderReader(ShardReader):
+class FolderReader(MemberReader):
     """Records of a folder of folders."""
 
+    kind = "sample"
+
     def __init__(self, path: Path) -> None:
-        with whole(path, "folder"), os.scandir(path) as entries:
+        with translate_errors(path, "folder"), os.scandir(path) as entries:
             keys = sorted(entry.name for entry in entries if entry.is_dir(follow_symlinks=False))
         super().__init__(path, keys)
 
-    def record(self, index: int, wanted: Collection[str] | None = None) -> Record:
-        """Read the files that are wanted."""
-        folder = self.path / self.keys[index]
-        with whole(folder, "sample"):
-            meta = parsed_meta(folder, read_regular(folder / "meta.json", LARGEST_META))
-            names = [each.name for each in folder.iterdir()]
-            found = {split[0]: name for name in names if (split := split_name(name)) is not None}
-            arrays = {}
-            for name in meta["arrays"]:  # whose order is that of the record
-                if name in found and is_wanted(name, wanted):
-                    extension = found[name].removeprefix(f"{name}.")
-                    about = described(folder, meta, name)
-                    content = read_regular(folder / found[name], stored_size(about))
-                    arrays[name] = decoded(folder, extension, content, about)
-        return Record(self.keys[index], arrays, meta)
+    def _place(self, index: int) -> Path:
+        return self.path / self.keys[index]
+
+    @contextmanager
+    def _members(self, index: int) -> Iterator[Members]:
+        folder = self._place(index)
+        yield [each.name for each in folder.iterdir()], lambda name, most: read_regular(folder / name, most)
 
 
 def write_npz(path: Path, records: Iterable[Record], raw: bool = False) -> None:
@@ -83,25 +65,20 @@ def write_npz(path: Path, records: Iterable[Record], raw: bool = False) -> None:
                 archive.writestr(entry, part, compresslevel=1)
 
 
-class NpzReader(ShardReader):
+class NpzReader(MemberReader):
     """Records of a folder of NPZ files."""
 
-    def __init__(self, path: Path) -> None:
-        with whole(path, "folder"), os.scandir(path) as entries:
-            found = (entry.name for entry in entries if entry.is_file(follow_symlinks=False))
-            keys = sorted(name.removesuffix(".npz") for name in found if name.endswith(".npz"))
-        super().__init__(path, keys)
+    kind = "NPZ"
 
-    def record(self, index: int, wanted: Collection[str] | None = None) -> Record:
-        """Read the members that are wanted."""
-        path = self.path / f"{self.keys[index]}.npz"
-        with whole(path, "NPZ"), open_regular(path) as file, open_archive(file) as archive:
-            meta = parsed_meta(path, member_bytes(archive, "meta.json", LARGEST_META))
-            arrays = {}
-            for member in archive.namelist():
-                name = member.removesuffix(".npy")
-                if name != member and is_wanted(name, wanted):
-                    about = described(path, meta, name)
-                    dtype, shape = about["dtype"], about["shape"]
-                    arrays[name] = npy_array(member_bytes(archive, member, npy_size(dtype, shape)), dtype, shape)
-        return Record(self.keys[index], arrays, meta)
+    def __init__(self, path: Path) -> None:
+        with translate_errors(path, "folder"), os.scandir(path) as entries:
+            names = [entry.name for entry in entries if entry.is_file(follow_symlinks=False)]
+        super().__init__(path, sorted(name.removesuffix(".npz") for name in names if name.endswith(".npz")))
+
+    def _place(self, index: int) -> Path:
+        return self.path / f"{self.keys[index]}.npz"
+
+    @contextmanager
+    def _members(self, index: int) -> Iterator[Members]:
+        with open_regular(self._place(index)) as file, open_archive(file) as archive:
+            yield archive.namelist(), partial(member_bytes, archive)

@@ -8,7 +8,15 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from pathlib import Path
 
-from clsco.data.containers.base import LARGEST_META, ShardReader, confined_arrays, meta_bytes, parsed_meta, whole
+from clsco.data.containers.base import (
+    LARGEST_META,
+    ShardReader,
+    chosen,
+    confined_arrays,
+    meta_bytes,
+    parsed_meta,
+    translate_errors,
+)
 from clsco.data.record import Record
 from clsco.errors import import_extra, require_extra
 from clsco.files.decoder_process import run_decoder
@@ -41,15 +49,15 @@ class Hdf5Reader(ShardReader):
 
     def __init__(self, path: Path) -> None:
         require_extra(path, *NEEDS)
-        with whole(path, "HDF5 file"), open_regular(path) as file:
+        with translate_errors(path, "HDF5 file"), open_regular(path) as file:
             about, _ = run_decoder(f"{_FILE}:keys", file, 0)
         super().__init__(path, about["keys"])
 
-    def record(self, index: int, wanted: Collection[str] | None = None) -> Record:
-        """Read the datasets that are wanted."""
+    def record(self, index: int, names: Collection[str] | None = None) -> Record:
+        """Read the datasets of these arrays."""
         key = self.keys[index]
-        with whole(self.path, "HDF5 file"), open_regular(self.path) as file:
+        with translate_errors(self.path, "HDF5 file"), open_regular(self.path) as file:
             _, (text,) = run_decoder(f"{_FILE}:meta", file, LARGEST_META, key=key)
-            meta = parsed_meta(self.path, text.tobytes())
-            arrays = confined_arrays(f"{_FILE}:arrays", file, meta, wanted, key=key)
+            meta, layout = parsed_meta(self.path, text.tobytes())
+            arrays = confined_arrays(f"{_FILE}:arrays", file, chosen(layout, names), key=key)
         return Record(key, arrays, meta)

@@ -19,17 +19,17 @@ from clsco.data.containers.base import (
     Layout,
     ShardReader,
     blocks,
+    chosen,
     decoded,
-    described,
     is_png,
     meta_bytes,
     parsed_meta,
     png_bytes,
     record_bytes,
     stored_size,
-    whole,
+    translate_errors,
 )
-from clsco.data.record import Record, is_wanted
+from clsco.data.record import Record
 from clsco.errors import import_extra, require_extra
 from clsco.files.atomic import raise_file_error
 from clsco.files.decoder_process import run_decoder
@@ -119,41 +119,40 @@ class _Column(NamedTuple):
 
 
 class ParquetReader(ShardReader):
-    """Records of a Parquet file; the row group that was read last is kept."""
+    """Records of a Parquet file; the row group that was read last stays in memory."""
 
     def __init__(self, path: Path) -> None:
-        self._kept: tuple[int, dict[str, _Column]] | None = None
-        self._places: list[tuple[int, int]] = []
+        self._group: tuple[int, dict[str, _Column]] | None = None
+        self._rows: list[tuple[int, int]] = []  # of each record the row group, and the row in it
         require_extra(path, *NEEDS)
-        with whole(path, "Parquet file"), open_regular(path) as file:
+        with translate_errors(path, "Parquet file"), open_regular(path) as file:
             about, _ = run_decoder(f"{_FILE}:layout", file, MOST_KEYS)
             for number, (size, rows) in enumerate(about["groups"]):
                 if size > LARGEST or rows > MOST_ROWS:
                     rule = f"row groups must have at most {LARGEST} bytes and {MOST_ROWS} rows"
                     raise_file_error(path, rule, f"{size} and {rows}")
-                self._places += [(number, row) for row in range(rows)]
+                self._rows += [(number, row) for row in range(rows)]
         self._names, keys = tuple(map(str, about["names"])), about["keys"]
-        if len(keys) != len(self._places) or not all(isinstance(key, str) for key in keys):
-            raise_file_error(path, "must have a key in each row", f"{len(keys)} of {len(self._places)}")
+        if len(keys) != len(self._rows) or not all(isinstance(key, str) for key in keys):
+            raise_file_error(path, "must have a key in each row", f"{len(keys)} of {len(self._rows)}")
         super().__init__(path, keys)
 
-    def record(self, index: int, wanted: Collection[str] | None = None) -> Record:
-        """Read the columns that are wanted."""
-        group, row = self._places[index]
-        names = tuple(name for name in self._names if name not in ("key", "meta") and is_wanted(name, wanted))
-        with whole(self.path, "Parquet file"):
-            if self._kept is None or self._kept[0] != group:
-                self._kept = (group, self._columns(group, ["meta"], MOST_META))
-            columns = self._kept[1]
-            meta = parsed_meta(self.path, bytes(columns["meta"].row(row)))
-            shapes = {name: described(self.path, meta, name) for name in names}
+    def record(self, index: int, names: Collection[str] | None = None) -> Record:
+        """Read the columns of these arrays."""
+        group, row = self._rows[index]
+        with translate_errors(self.path, "Parquet file"):
+            if self._group is None or self._group[0] != group:
+                self._group = (group, self._columns(group, ["meta"], MOST_META))
+            columns = self._group[1]
+            meta, layout = parsed_meta(self.path, bytes(columns["meta"].row(row)))
+            layout = {name: about for name, about in chosen(layout, names).items() if name in self._names}
             rows = len(columns["meta"].places) - 1
-            if missing := [name for name in names if name not in columns]:
-                most = rows * sum(stored_size(shapes[name]) for name in missing)
+            if missing := [name for name in layout if name not in columns]:
+                most = rows * sum(stored_size(*layout[name]) for name in missing)
                 if most > LARGEST:
                     raise ValueError(f"{rows} rows of {most // rows} bytes in a row group")
                 columns |= self._columns(group, missing, most)
-            arrays = {name: self._array(columns[name], row, rows, shapes[name]) for name in names}
+            arrays = {name: self._array(columns[name], row, rows, *about) for name, about in layout.items()}
         return Record(self.keys[index], arrays, meta)
 
     def _columns(self, group: int, names: Sequence[str], most: int) -> dict[str, _Column]:
@@ -162,14 +161,15 @@ class ParquetReader(ShardReader):
         pairs = zip(names, arrays[::2], arrays[1::2], strict=True)
         return {name: _Column(places, values) for name, places, values in pairs}
 
-    def _array(self, column: _Column, row: int, rows: int, about: dict[str, Any]) -> NDArray[Any]:
-        dtype, shape = about["dtype"], about["shape"]
+    def _array(
+        self, column: _Column, row: int, rows: int, dtype: np.dtype[Any], shape: tuple[int, ...]
+    ) -> NDArray[Any]:
         if is_png(dtype.name, shape):
-            return decoded(self.path, "png", bytes(column.row(row)), about)
+            return decoded(self.path, "png", bytes(column.row(row)), dtype, shape)
         if column.values.dtype != dtype or len(column.values) != rows * prod(shape):
             raise ValueError(f"{len(column.values)} values of {column.values.dtype} for {rows} of {dtype} {shape}")
         return np.array(column.values.reshape(rows, *shape)[row])
 
     def close(self) -> None:
-        """Let go of the row group."""
-        self._kept = None
+        """Free the row group."""
+        self._group = None

@@ -29,7 +29,7 @@ def layout(file: BinaryIO) -> tuple[dict[str, Any], list[NDArray[Any]]]:
 def columns(file: BinaryIO, group: int, names: Sequence[str]) -> tuple[dict[str, Any], list[NDArray[Any]]]:
     """Columns of a row group: of texts and pictures where each row's bytes begin and end, and these; of lists their
     number and values."""
-    found: list[NDArray[Any]] = []
+    arrays: list[NDArray[Any]] = []
     with parquet.ParquetFile(file) as opened:
         for name in names:
             table = opened.read_row_group(group, [name], use_threads=False)
@@ -39,12 +39,12 @@ def columns(file: BinaryIO, group: int, names: Sequence[str]) -> tuple[dict[str,
             if pyarrow.types.is_list(column.type):
                 while pyarrow.types.is_list(column.type):
                     column = column.flatten()
-                found += [np.array([len(column)], np.int64), column.to_numpy(zero_copy_only=False)]
+                arrays += [np.array([len(column)], np.int64), column.to_numpy(zero_copy_only=False)]
             else:
                 if column.null_count:
                     raise ValueError(f"{name} that is not there in each row")
                 column = column.cast(pyarrow.large_binary())
                 _, ends, content = column.buffers()
                 places = np.frombuffer(ends, np.int64)[column.offset : column.offset + len(column) + 1]
-                found += [places, np.frombuffer(content or b"", np.uint8)[: places[-1]]]
-    return {}, found
+                arrays += [places, np.frombuffer(content or b"", np.uint8)[: places[-1]]]
+    return {}, arrays

@@ -10,23 +10,14 @@ import os
 import re
 import tarfile
 from array import array as numbers
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from sys import intern
 from typing import BinaryIO
 
-from clsco.data.containers.base import (
-    LARGEST_META,
-    ShardReader,
-    decoded,
-    described,
-    members,
-    parsed_meta,
-    split_name,
-    stored_size,
-    whole,
-)
-from clsco.data.record import Record, is_wanted
+from clsco.data.containers.base import MemberReader, Members, members, translate_errors
+from clsco.data.record import Record
 from clsco.files.atomic import raise_file_error
 from clsco.resources import open_regular, read_at
 
@@ -44,7 +35,7 @@ def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
                 tar.addfile(entry, io.BytesIO(content))
 
 
-def _members(path: Path, file: BinaryIO) -> Iterator[tuple[str, int, int]]:
+def _headers(path: Path, file: BinaryIO) -> Iterator[tuple[str, int, int]]:
     """Name, first byte and size of each member of a tar of plain files, without reading their content.
 
     The headers that other writers put before a file are passed over where they say of times alone: `tarfile` takes
@@ -68,15 +59,17 @@ def _members(path: Path, file: BinaryIO) -> Iterator[tuple[str, int, int]]:
         place += -(-size // 512) * 512
 
 
-class TarReader(ShardReader):
-    """Records of a tar; its headers are read once, and no file stays open. 24 bytes per member are kept."""
+class TarReader(MemberReader):
+    """Records of a tar; its headers are read once, and no file stays open. 24 bytes per member stay in memory."""
+
+    kind = "tar"
 
     def __init__(self, path: Path) -> None:
         self._names: list[str] = []
         self._places, self._sizes, self._starts = numbers("q"), numbers("q"), numbers("q")
         keys: list[str] = []
-        with whole(path, "tar"), open_regular(path) as file:
-            for member, place, size in _members(path, file):
+        with translate_errors(path, "tar"), open_regular(path) as file:
+            for member, place, size in _headers(path, file):
                 key, _, name = member.partition(".")
                 if not keys or key != keys[-1]:
                     keys.append(key)
@@ -89,27 +82,18 @@ class TarReader(ShardReader):
         self._starts.append(len(self._names))
         super().__init__(path, keys)
 
-    def record(self, index: int, wanted: Collection[str] | None = None) -> Record:
-        """Read the members that are wanted."""
+    @contextmanager
+    def _members(self, index: int) -> Iterator[Members]:
         slots = {self._names[slot]: slot for slot in range(self._starts[index], self._starts[index + 1])}
-        with whole(self.path, "tar"), open_regular(self.path) as file:
+        if "meta.json" not in slots:
+            raise_file_error(self.path, f"sample {self.keys[index]} must have a meta.json", "none")
+        with open_regular(self.path) as file:
 
             def content(name: str, most: int) -> bytes:
                 size = self._sizes[slots[name]]
-                if size > most:
-                    raise ValueError(f"{size} bytes of {name}")
-                found = read_at(file, size, self._places[slots[name]])
-                if len(found) < size:
-                    raise ValueError("the end of the file")
-                return found
+                data = read_at(file, size, self._places[slots[name]]) if size <= most else b""
+                if len(data) < size:
+                    raise ValueError(f"{size} bytes of {name}, beyond its array or the end of the file")
+                return data
 
-            if "meta.json" not in slots:
-                raise_file_error(self.path, f"sample {self.keys[index]} must have a meta.json", "none")
-            meta = parsed_meta(self.path, content("meta.json", LARGEST_META))
-            arrays = {}
-            for name in slots:
-                found = split_name(name)
-                if found is not None and is_wanted(found[0], wanted):
-                    about = described(self.path, meta, found[0])
-                    arrays[found[0]] = decoded(self.path, found[1], content(name, stored_size(about)), about)
-        return Record(self.keys[index], arrays, meta)
+            yield slots, content

@@ -16,10 +16,11 @@ from clsco.data.containers.base import (
     ShardReader,
     block_size,
     blocks,
+    chosen,
     confined_arrays,
     meta_bytes,
     parsed_meta,
-    whole,
+    translate_errors,
 )
 from clsco.data.record import Record
 from clsco.errors import import_extra, require_extra
@@ -65,7 +66,7 @@ class ZarrReader(ShardReader):
 
     def __init__(self, path: Path) -> None:
         require_extra(path, *NEEDS)
-        with whole(path, "Zarr group"):
+        with translate_errors(path, "Zarr group"):
             for folder, folders, names in os.walk(path):
                 for each in (Path(folder, name) for name in (*folders, *names)):
                     if each.is_symlink() or not (each.is_file() or each.is_dir()):
@@ -78,9 +79,9 @@ class ZarrReader(ShardReader):
         self._ends, self._texts = ends.tolist(), texts.tobytes()
         super().__init__(path, [f"{number:09d}" for number in numbers.tolist()])
 
-    def record(self, index: int, wanted: Collection[str] | None = None) -> Record:
-        """Read a chunk of each array that is wanted."""
-        with whole(self.path, "Zarr group"), open_regular(self.path / "zarr.json") as file:
-            meta = parsed_meta(self.path, self._texts[self._ends[index] : self._ends[index + 1]])
-            arrays = confined_arrays(f"{_FILE}:arrays", file, meta, wanted, row=index)
+    def record(self, index: int, names: Collection[str] | None = None) -> Record:
+        """Read a chunk of each of these arrays."""
+        with translate_errors(self.path, "Zarr group"), open_regular(self.path / "zarr.json") as file:
+            meta, layout = parsed_meta(self.path, self._texts[self._ends[index] : self._ends[index + 1]])
+            arrays = confined_arrays(f"{_FILE}:arrays", file, chosen(layout, names), row=index)
         return Record(self.keys[index], arrays, meta)

@@ -18,7 +18,7 @@ from clsco.optics.pupils.hankel import DIRECT, HankelDiffracted
 from clsco.optics.pupils.pupil import Pupil
 from clsco.optics.pupils.ring import Ring
 from clsco.scene.model import Aperture, Camera, Psf
-from tests.slow import mostly_slow
+from tests.slow import combined, mostly_slow
 
 Array = NDArray[np.float64]
 MARGIN_RULE = "must leave at most 256 px of light outside of the rim of the blur"
@@ -59,19 +59,17 @@ def test_on_axis_it_is_a_squared_sinc(inner: float) -> None:
 @pytest.mark.parametrize("tent", [True, False])
 @pytest.mark.parametrize(
     ("unit", "radius"),
-    mostly_slow(
-        [(0.11, 0.0), (0.11, 1.0), (0.25, 3.3), (0.5, 0.0), (0.5, 4.5), (1.0, 1.0)],
-        [(0.5, 4.5), (1.0, 1.0)],
-    ),
+    mostly_slow([(0.11, 0.0), (0.11, 1.0), (0.25, 3.3), (0.5, 0.0), (0.5, 4.5), (1.0, 1.0)], [(1.0, 1.0)]),
 )
 def test_weights_are_those_of_hopkins_transfer_function(unit: float, radius: float, tent: bool) -> None:
     """By frequencies, where this goes by distances: nothing is shared but the definition."""
     assert difference(unit, radius, tent) < 1e-5
 
 
-@pytest.mark.parametrize("opening", [Circle(), Ring(0.5)])
-@pytest.mark.parametrize("tent", [True, False])
-@pytest.mark.parametrize("unit", [0.05, 0.5])
+@pytest.mark.parametrize(
+    ("unit", "tent", "opening"),
+    combined([0.05, 0.5], [True, False], [Circle(), Ring(0.5)], kept=[(0.5, True, Ring(0.5)), (0.05, False, Circle())]),
+)
 def test_light_is_kept_or_lost_by_the_tail(unit: float, tent: bool, opening: Pupil) -> None:
     for radius in (0.0, 0.7, 5.3):
         x, y = offsets(int(radius + waves(unit, opening).margin) + 2)
@@ -124,12 +122,12 @@ def test_many_radii_are_interpolated() -> None:
     lens, radii = waves(0.11), np.linspace(0.0, 3.0, DIRECT + 40)
     span = np.arange(4.0)
     for tent in (True, False):
-        many = lens.share(span[:, None, None], span[:, None], radii, tent)
-        few = np.stack([lens.share(span[:, None], span, np.asarray(r), tent) for r in radii], axis=-1)
+        many = lens.share(span[:, None, None], span[:, None], radii, tent)[..., ::8]
+        few = np.stack([lens.share(span[:, None], span, np.asarray(r), tent) for r in radii[::8]], axis=-1)
         assert np.abs(many - few).max() < 1e-7
 
 
-@pytest.mark.parametrize("unit", mostly_slow([0.02, 0.05, 0.11, 0.5, 2.0], [0.11, 2.0]))
+@pytest.mark.parametrize("unit", mostly_slow([0.02, 0.05, 0.11, 0.5, 2.0], [0.11]))
 def test_tables_are_as_good_as_those_of_discs(unit: float) -> None:
     psf = PointSpread(waves(unit, tail=0.1))
     table = psf_table(psf, 0.0, 4.0)

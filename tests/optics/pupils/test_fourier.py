@@ -50,7 +50,7 @@ def square(lens: Pupil, radius: float, tent: bool = True, offset: float = 0.0, f
     ("unit", "radius", "most"),
     mostly_slow(
         [(0.11, 0.0, 1e-4), (0.11, -3.3, 3e-4), (0.5, 4.5, 1e-4), (1.0, 1.0, 3e-5)],
-        [(0.11, 0.0, 1e-4), (0.5, 4.5, 1e-4)],
+        [(0.5, 4.5, 1e-4)],
     ),
 )
 def test_of_a_circle_it_is_hopkins_transfer_function(unit: float, radius: float, most: float, tent: bool) -> None:
@@ -117,8 +117,8 @@ def test_without_aberrations_it_turns_over_in_focus(opening: Pupil, tent: bool) 
 def test_it_is_the_opening_where_waves_are_short() -> None:
     """Also which way up it is, for either sign."""
     for opening in (Polygon(5, 10.0), image_pupil(np.eye(7) + np.tri(7))):
-        for radius in (5.0, -5.0):
-            lens = waves(0.1, opening, tail=0.02)
+        for radius in (4.0, -4.0):
+            lens = waves(0.1, opening, tail=0.03)
             found = square(lens, radius)
             half = len(found) // 2
             span = np.arange(-half, half + 1.0)
@@ -185,7 +185,11 @@ def test_defocus_of_a_polynomial_shifts_the_focus() -> None:
 
 
 @pytest.mark.parametrize(
-    ("unit", "wavefront"), [(0.05, FLAT), (0.11, FLAT), (0.5, Wavefront(((3, 1, 0.02),), 0.02)), (1.6, FLAT)]
+    ("unit", "wavefront"),
+    mostly_slow(
+        [(0.05, FLAT), (0.11, FLAT), (0.5, Wavefront(((3, 1, 0.02),), 0.02)), (1.6, FLAT)],
+        [(0.11, FLAT), (0.5, Wavefront(((3, 1, 0.02),), 0.02))],
+    ),
 )
 def test_tables_are_as_good_as_those_of_discs(unit: float, wavefront: Wavefront) -> None:
     psf = PointSpread(waves(unit, Polygon(5), wavefront, tail=0.1))
