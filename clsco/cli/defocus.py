@@ -23,9 +23,7 @@ _OTHER_IMAGES = (".bmp", ".gif", ".hdr", ".jpeg", ".jpg", ".npy", ".npz", ".pfm"
 _SECTION_OF = {
     **dict.fromkeys(("unit", "scale", "baseline", "offset", "near", "far"), "object"),
     **dict.fromkeys(("depth_kind", "no_depth", "soft_edges"), "object"),
-    **dict.fromkeys(("focal_length", "f_number", "aperture_diameter", "focus_distance"), "camera"),
-    **dict.fromkeys(("sensor_distance", "pixel_pitch"), "camera"),
-    **dict.fromkeys(("model", "edge", "occlusion"), "psf"),
+    **dict.fromkeys(("focal_length", "f_number", "focus_distance", "pixel_pitch"), "camera"),
 }
 
 
@@ -36,9 +34,8 @@ def scenes_from_files(
     """The scene of an image that has the depths of a map; several where keys of the camera have several values.
 
     image, depth: files of the same size. options: value by key, of the depth map (unit, scale, baseline, offset,
-    near, far, depth_kind, no_depth, soft_edges), of [camera] (focal_length, f_number, aperture_diameter,
-    focus_distance, sensor_distance, pixel_pitch) or of [psf] (model, edge, occlusion); None stands for a key that is
-    not given.
+    near, far, depth_kind, no_depth, soft_edges) or of [camera] (focal_length, f_number, focus_distance, pixel_pitch);
+    None stands for a key that is not given.
     overrides: as of `clsco.load_sweep`, after the options. layers: of the image and of the depth, where they are EXR
     files with several.
     Returns scenes with one object of shape depth_map, and absolute paths. Raises SceneError with a line per fault.
@@ -46,7 +43,7 @@ def scenes_from_files(
     item: dict[str, Any] = {"shape": "depth_map", "name": "image"}
     item |= {"texture": str(image.absolute()), "depth": str(depth.absolute())}
     item |= {f"{key}_layer": name for key, name in zip(("texture", "depth"), layers, strict=True) if name is not None}
-    tables: dict[str, dict[str, Any]] = {"object": item, "camera": {}, "psf": {}}
+    tables: dict[str, dict[str, Any]] = {"object": item, "camera": {}}
     for key, value in options.items():
         if value is not None:
             tables[_SECTION_OF[key]][key] = value
@@ -93,24 +90,11 @@ def prepare_image(scenes: Sequence[Scene], out: Path) -> None:
 
 
 def write_color(out: Path, frame: Frame, bits: int, transfer: str, color: Color = SRGB) -> None:
-    """Write the color of a frame to one file, in the format of its extension.
+    """Write the color of a frame to one file, in the format of its extension. Raises FileError.
 
-    Parameters
-    ----------
-    out : Path
-    frame : Frame
-    bits : {8, 16, 32}
-        Bits of the image that was blurred. A format holds codes of as many bits, at most its own; where it can, 32 bits
-        are linear float32.
-    transfer : {"srgb", "linear"}
-        Transfer curve of codes.
-    color : Color, optional
-        Color of the image that was blurred, and so of the file; its curve takes the place of "srgb".
-
-    Raises
-    ------
-    FileError
-        The file cannot be written.
+    bits: of the image that was blurred, 8, 16 or 32. A format holds codes of as many bits, at most its own; where it
+    can, 32 bits are linear float32. transfer: curve of codes. color: color space of the image that was blurred, and so
+    of the file; its curve takes the place of "srgb".
     """
     writer = writer_for(out)
     as_floats = writer.floats and (bits == 32 or not writer.code_bits)

@@ -10,25 +10,37 @@ from typing import Any
 
 import click
 
-from clsco.cli.options import PATH
+from clsco.cli.options import PATH, Names
 from clsco.cli.output import echo
 from clsco.errors import SceneError
+from clsco.resources import folder
+
+THESIS = "thesis/"  # beginning of the names of figures of the thesis, which are not listed
+
+
+def _files(place: Path) -> dict[str, Path]:
+    """The example files in a folder, by their names."""
+    files = {str(path.relative_to(place).with_suffix("")): path for path in sorted(place.rglob("*.toml"))}
+    return files | {path.stem: path for path in sorted(place.glob("*.png")) if _mask(path).is_file()}
+
+
+def _names() -> list[str]:
+    with as_file(folder("examples")) as place:
+        return list(_files(place))
 
 
 @click.command()
-@click.argument("names", metavar="[NAME]...", nargs=-1)
+@click.argument("names", metavar="[NAME]...", nargs=-1, type=Names(_names))
 @click.option("-o", "out", metavar="DIR", type=PATH, help="Folder for copies of these examples, with their images.")
 def examples(names: tuple[str, ...], out: Path | None) -> None:
     """List the example files, or copy some: scenes for clsco render, sets/NAME for clsco dataset make, and images with
     their masks for clsco inpaint."""
     from clsco.cli.tables import print_tables, table
-    from clsco.resources import folder
     from clsco.scene.text import shown
 
     with as_file(folder("examples")) as place:
-        files = {str(path.relative_to(place).with_suffix("")): path for path in sorted(place.rglob("*.toml"))}
-        files |= {path.stem: path for path in sorted(place.glob("*.png")) if _mask(path).is_file()}
-        known = {name: path for name, path in files.items() if not name.startswith("thesis/")}
+        files = _files(place)
+        known = {name: path for name, path in files.items() if not name.startswith(THESIS)}
         if unknown := [name for name in names if name not in files]:
             raise SceneError(f"examples: must be some of {', '.join(known)}; got {shown(unknown[0])}")
         if out is None:

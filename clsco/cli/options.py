@@ -1,98 +1,35 @@
-"""Options that commands share, with their parsers, and a group that turns errors into exit statuses."""
+"""Options that commands share, with their parsers."""
 
 from __future__ import annotations
 
 import os
 import re
-import signal
-import threading
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
 from functools import wraps
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
 import click
 from click.shell_completion import CompletionItem
 
-from clsco.cli.output import echo, visible_usage
 from clsco.cli.progress import FORM
-from clsco.errors import ClscoError, DeviceError, SceneError
+from clsco.errors import DeviceError, SceneError
 
 if TYPE_CHECKING:
     from clsco.engine.batch import Span
     from clsco.frame.truth_files import TruthFile
 
 Command = TypeVar("Command", bound=Callable[..., Any])
-USER_ERROR, NO_DEVICE, INTERRUPTED, TERMINATED = 1, 3, 130, 143
-
-
-class _TerminatedError(KeyboardInterrupt):
-    """SIGTERM, which ends a command as Ctrl-C does."""
-
-
-@contextmanager
-def _terminable() -> Iterator[None]:
-    """Have SIGTERM end the block as Ctrl-C does, so that nothing is left half-written."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def end(*_: object) -> NoReturn:
-        raise _TerminatedError
-
-    before = signal.signal(signal.SIGTERM, end)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
-class Commands(click.Group):
-    """A group whose commands end with one line per error and the exit status that belongs to it."""
-
-    def make_context(self, *args: Any, **options: Any) -> click.Context:
-        """Parse a command line."""
-        with visible_usage():
-            return super().make_context(*args, **options)
-
-    def invoke(self, ctx: click.Context) -> Any:
-        """Run a command; what the user can mend, Ctrl-C and SIGTERM end it without a traceback."""
-        try:
-            with visible_usage(), _terminable():
-                return super().invoke(ctx)
-        except _TerminatedError:
-            echo("terminated", err=True)
-            ctx.exit(TERMINATED)
-        except KeyboardInterrupt:
-            echo("interrupted", err=True)
-            ctx.exit(INTERRUPTED)
-        except MemoryError:
-            echo("error: memory: must hold the arrays of the scene; got too little of it", err=True)
-            ctx.exit(USER_ERROR)
-        except BrokenPipeError:
-            raise  # who reads the output has had enough, which click takes for an end
-        except OSError as error:
-            echo(f"error: {error.filename or 'output'}: must be writable; got {error.strerror}", err=True)
-            ctx.exit(USER_ERROR)
-        except ClscoError as error:
-            for message in error.messages if isinstance(error, SceneError) else (str(error),):
-                echo(f"error: {message}", err=True)
-            ctx.exit(NO_DEVICE if isinstance(error, DeviceError) else USER_ERROR)
 
 
 class Names(click.ParamType):  # type: ignore[type-arg] # before click 8.2 it takes none
-    """Names that a shell completes; what takes them checks them.
+    """Names that a shell completes; the command checks them.
 
-    Parameters
-    ----------
-    source : callable
-        Gives the names. It is called where a shell asks, as finding them takes imports.
-    many : bool
-        Several, with commas between them.
+    source: gives the names; it is called where a shell asks, as finding them takes imports. many: several, with commas
+    between them.
     """
 
     name = "name"
@@ -122,6 +59,12 @@ def attribute(place: str) -> Callable[[], Iterable[str]]:
 
 def _arrays() -> tuple[str, ...]:
     return "all", *attribute("clsco.frame.truth_files:ATTRIBUTES")()
+
+
+def _keys() -> list[str]:
+    from clsco.scene.schema import list_keys
+
+    return [f"{key}=" for key in list_keys()]
 
 
 def _types() -> list[str]:
@@ -210,7 +153,7 @@ PATH = _Path(path_type=Path)
 scene_argument = click.argument("scene", type=PATH)
 scenes_argument = click.argument("scenes", metavar="SCENE...", nargs=-1, required=True, type=PATH)
 set_option = click.option(
-    "--set", "overrides", metavar="KEY=VALUE", multiple=True,
+    "--set", "overrides", metavar="KEY=VALUE", multiple=True, type=Names(_keys),
     help="Set a key of the scene, such as camera.f_number=4 or object.0.radius=30; may be given again.",
 )  # fmt: skip
 ARRAYS = Names(_arrays, many=True)

@@ -11,17 +11,7 @@ from clsco.errors import visible
 
 
 def echo(text: str = "", *, err: bool = False, nl: bool = True) -> None:
-    """Print text to stdout or stderr.
-
-    Parameters
-    ----------
-    text : str
-        Lines.
-    err : bool
-        To stderr.
-    nl : bool
-        End with the end of a line.
-    """
+    """Print text to stdout, or to stderr; nl: end with the end of a line."""
     click.echo(visible(text, lines=True), err=err, nl=nl)
 
 

@@ -79,7 +79,7 @@ def _lines(total: int, what: str) -> Iterator[Callable[[], object]]:
     """Print a line of JSON at the beginning, at the end, and meanwhile every LINES_S seconds."""
     done, printed, last = 0, -1, 0.0
 
-    def say() -> None:
+    def print_line() -> None:
         nonlocal printed
         printed = done
         click.echo(json.dumps({"progress": what, "done": done, "total": total}), err=True)
@@ -89,14 +89,14 @@ def _lines(total: int, what: str) -> Iterator[Callable[[], object]]:
         done += 1
         if (now := time.monotonic()) > last + LINES_S:
             last = now
-            say()
+            print_line()
 
-    say()
+    print_line()
     try:
         yield advance
     finally:
         if printed != done:
-            say()
+            print_line()
 
 
 @contextmanager
@@ -136,10 +136,10 @@ def shares(quiet: bool) -> Iterator[Callable[[float], object]]:
     shown = 0
     with progress(100, quiet, "percent") as advance:
 
-        def reached(share: float) -> None:
+        def show_share(share: float) -> None:
             nonlocal shown
             while shown < int(100 * share):
                 advance()
                 shown += 1
 
-        yield reached
+        yield show_share

@@ -37,16 +37,7 @@ def check_tables(checked: Checked) -> list[RenderableType]:
     """Differences of one frame from the reference, and the time of each."""
     columns = ("output", "largest", "RMS", "unit", "row", "column", "above", "figure")
     rows = [
-        (
-            d.output,
-            f"{d.largest:.2e}",
-            f"{d.rms:.2e}",
-            d.unit,
-            f"{d.row}",
-            f"{d.column}",
-            f"{d.count}",
-            f"{d.figure:g}",
-        )
+        (d.output, f"{d.largest:.2e}", f"{d.rms:.2e}", d.unit, f"{d.row}", f"{d.column}", f"{d.count}", f"{d.figure:g}")
         for d in checked.differences
     ]
     view = f", {checked.eye} view," if checked.eye else ""
@@ -110,17 +101,7 @@ def device_tables(
     def yes(has: bool) -> str:
         return "yes" if has else "no"
 
-    columns = (
-        "",
-        "device",
-        "platform",
-        "kind",
-        "units",
-        "memory",
-        "double",
-        "64-bit atomics",
-        "exact division",
-    )
+    columns = ("", "device", "platform", "kind", "units", "memory", "double", "64-bit atomics", "exact division")
     rows = [
         (
             "*" if device == used else "", device.name, f"{device.platform} {device.driver}", device.kind,

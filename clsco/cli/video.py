@@ -46,13 +46,7 @@ def _rate(text: str) -> Fraction:
 @click.option("--speed", metavar="FACTOR", type=_rate, help="Play so many times as fast as the scene, such as 0.25.")
 @quiet_option
 def video(
-    folder: Path,
-    out: Path,
-    preset: str | None,
-    view: str,
-    fps: Fraction | None,
-    speed: Fraction | None,
-    quiet: bool,
+    folder: Path, out: Path, preset: str | None, view: str, fps: Fraction | None, speed: Fraction | None, quiet: bool
 ) -> None:
     """Make a clip of the frames in DIR, which clsco render wrote.
 

@@ -19,7 +19,7 @@ _END = b"PK\x05\x06"  # of an archive: 22 bytes and a comment of up to 65535
 
 
 class NpyHeader(NamedTuple):
-    """Read the header of an NPY: type and shape of its array, and where that begins."""
+    """Header of an NPY: type and shape of its array, and the offset of its first byte."""
 
     shape: tuple[int, ...]
     fortran: bool

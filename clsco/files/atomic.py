@@ -18,21 +18,7 @@ _BLOCK = 2**18  # bytes that are read at once
 
 
 def raise_file_error(path: Path | str, rule: str, got: object, cause: Exception | None = None) -> NoReturn:
-    """Raise FileError with the one line `path: rule; got value`.
-
-    Parameters
-    ----------
-    path : Path or str
-    rule : str
-    got : object
-        The value; of an OSError its reason.
-    cause : Exception, optional
-        Chained to the error.
-
-    Raises
-    ------
-    FileError
-    """
+    """Raise FileError with the one line `path: rule; got value`; of an OSError the value is its reason."""
     where = str(path)
     if isinstance(got, OSError):
         got = got.strerror or got
@@ -42,21 +28,9 @@ def raise_file_error(path: Path | str, rule: str, got: object, cause: Exception 
 
 @contextlib.contextmanager
 def atomic_write(path: Path) -> Iterator[BinaryIO]:
-    """Open a file that gets its name only when all of it is on the disk; otherwise nothing is left.
+    """Open a file that gets its name only when all of it is on the disk; until then an older file stays.
 
-    Parameters
-    ----------
-    path : Path
-        An older file there stays until it is replaced.
-
-    Yields
-    ------
-    BinaryIO
-
-    Raises
-    ------
-    FileError
-        The folder, the disk or a codec fails.
+    Raises FileError where the folder, the disk or a codec fails; then nothing is left.
     """
     temporary = _temporary(path)
     try:
@@ -82,22 +56,7 @@ def atomic_write_bytes(path: Path, content: bytes) -> None:
 def atomic_folder(folder: Path, name: str) -> Iterator[Path]:
     """Open a hidden folder whose files move to `folder` when all of them are written; otherwise they are removed.
 
-    Parameters
-    ----------
-    folder : Path
-        Older files there stay until they are replaced.
-    name : str
-        Name of what the files make up.
-
-    Yields
-    ------
-    Path
-        The hidden folder.
-
-    Raises
-    ------
-    FileError
-        The folder cannot be written. Errors from inside name the files as if they were in `folder` already.
+    name: of what the files make up, for messages. Older files stay until they are replaced. Raises FileError.
     """
     temporary = _temporary(folder / name)
     try:

@@ -14,23 +14,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Pinhole:
-    """A camera and its pose: X_camera = rotation X_world + translation.
+    """A camera and its pose: X_camera = rotation X_world + translation, in mm.
 
-    World and camera have x to the right, y down, z into the scene, as OpenCV and COLMAP have it.
-
-    Attributes
-    ----------
-    columns, rows : int
-        px.
-    focal : float
-        Focal length of both axes, px.
-    center : (float, float)
-        Column and row of the principal point, px; centers of pixels are integers.
-    rotation : ndarray of float64, (3, 3)
-    translation : ndarray of float64, (3,)
-        mm.
-    distortion : tuple of float, optional
-        k1, k2, p1, p2, k3 of OpenCV; none if not given.
+    World and camera have x to the right, y down, z into the scene, as OpenCV and COLMAP have it. columns, rows, focal
+    and center (column and row of the principal point; centers of pixels are integers): px. distortion: k1, k2, p1, p2,
+    k3 of OpenCV, or ().
     """
 
     columns: int
@@ -59,23 +47,11 @@ def _quaternion(rotation: Array) -> Array:
 
 
 def colmap_texts(images: Iterable[tuple[str, Pinhole]]) -> dict[str, bytes]:
-    """A sparse model of COLMAP as text, without points.
+    """A sparse model of COLMAP without points: content of cameras.txt, images.txt and points3D.txt.
 
-    Parameters
-    ----------
-    images : iterable of (str, Pinhole)
-        Name of each image, and its camera.
-
-    Returns
-    -------
-    dict of str to bytes
-        Content of cameras.txt, images.txt and points3D.txt.
-
-    Notes
-    -----
-    COLMAP has the centers of pixels at halves, so its principal point is half a pixel farther right and down. Lengths
-    are in mm, as COLMAP has no unit. A camera with distortion is one of FULL_OPENCV, whose k4 to k6 are 0. Validated by
-    pycolmap, and by points that are projected into the frame.
+    images: name and camera of each image. COLMAP has the centers of pixels at halves, so its principal point is half a
+    pixel farther right and down. Lengths are in mm, as COLMAP has no unit. A camera with distortion is one of
+    FULL_OPENCV, whose k4 to k6 are 0. Validated by pycolmap, and by points that are projected into the frame.
     """
     cameras: dict[str, int] = {}
     lines = ["# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, from world to camera, mm; then a line of no points"]

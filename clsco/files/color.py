@@ -47,22 +47,10 @@ _CICP_SRGB, _CICP_BT709_PRIMARIES = 13, 1
 class Color:
     """Color space of an image file; by default sRGB, of which nothing need be said.
 
-    Attributes
-    ----------
-    name : str
-        As the profile calls itself, printable.
-    icc : bytes
-        The ICC profile; b"" for none.
-    chunks : tuple of (bytes, bytes)
-        Chunks of a PNG that stand for a profile: kind and content.
-    channels : {0, 1, 3}
-        Channels of images that the profile is for; 0 for any.
-    curve : Curve, optional
-        Curve of its codes; None for that of sRGB.
-    chromaticities : tuple of float, optional
-        x and y of white, red, green and blue; None where they are not known, or nothing need be said.
-    note : str
-        Note on what could not be taken from the file, in one line; "" where all was.
+    name: as the profile calls itself, printable. icc: the ICC profile, or b"". chunks: kind and content of chunks of a
+    PNG that stand for a profile. channels: of images that the profile is for, 0 for any. curve: of its codes, None for
+    that of sRGB. chromaticities: x and y of white, red, green and blue, None where they are unknown or those of sRGB.
+    note: one line on what could not be read, or "".
     """
 
     name: str = "sRGB"

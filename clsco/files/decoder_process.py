@@ -36,7 +36,7 @@ _COMMAND = "from clsco.files.decoder_process import serve; serve()"
 _PIPE = 2**20  # bytes, where the system lets a user choose
 _MOST_LINE = 2**24  # bytes of a reply beside its arrays
 
-Found = tuple[dict[str, Any], list[NDArray[Any]]]
+Output = tuple[dict[str, Any], list[NDArray[Any]]]
 
 
 class _Serving:
@@ -84,29 +84,14 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_serving.forget)
 
 
-def run_decoder(function: str, file: BinaryIO, most: int, **options: Any) -> Found:
-    """Call a function on a file in the process with limits.
+def run_decoder(function: str, file: BinaryIO, most: int, **options: Any) -> Output:
+    """Call a function on a file in the process with limits; returns what it returns.
 
-    Parameters
-    ----------
-    function : str
-        "module:name" of one that takes an opened file and `options`, and gives a mapping for JSON and arrays.
-    file : BinaryIO
-        Opened by its path. The function gets the same file opened again, at its first byte.
-    most : int
-        Bytes of all arrays. The function may take four times as many and 256 MiB of memory, and 20 s of the
-        processor's time and one more for each 32 MiB.
-    **options
-        For JSON.
+    function: "module:name" of one that takes an opened file and `options` (for JSON), and gives a mapping for JSON and
+    arrays. It gets the same file opened again, at its first byte. most: bytes of all arrays; it may take four times as
+    many and 256 MiB of memory, and 20 s of the processor's time and one more for each 32 MiB.
 
-    Returns
-    -------
-    (dict, list of ndarray)
-
-    Raises
-    ------
-    ValueError
-        The function failed, ended its process, or exceeded a limit; says which.
+    Raises ValueError where it failed, ended its process, or exceeded a limit; the message says which.
     """
     about, seconds = os.fstat(file.fileno()), SECONDS + most / RATE
     memory = MEMORY + FACTOR * most
@@ -120,7 +105,7 @@ def run_decoder(function: str, file: BinaryIO, most: int, **options: Any) -> Fou
         killer.daemon = True
         killer.start()
         try:
-            answer = _answer(process, json.dumps(request).encode(), most)
+            answer = _exchange(process, json.dumps(request).encode(), most)
         except (EOFError, OSError):
             status = _serving.end()
             limits = f"{memory >> 20} MiB and {seconds:.0f} s"
@@ -136,8 +121,8 @@ def run_decoder(function: str, file: BinaryIO, most: int, **options: Any) -> Fou
     return answer
 
 
-def _answer(process: subprocess.Popen[bytes], request: bytes, most: int) -> Found | str:
-    """Read the answer of the process, a text for an error.
+def _exchange(process: subprocess.Popen[bytes], request: bytes, most: int) -> Output | str:
+    """Send a request to the process and read its answer, a text for an error.
 
     Raises EOFError where the process ends, ValueError for any other content.
     """
@@ -161,7 +146,7 @@ def _answer(process: subprocess.Popen[bytes], request: bytes, most: int) -> Foun
             if not (count := process.stdout.readinto(left)):  # type: ignore[attr-defined]
                 raise EOFError
             left = left[count:]
-    return reply["found"], arrays
+    return reply["facts"], arrays
 
 
 def _bytes(array: NDArray[Any]) -> memoryview:
@@ -174,13 +159,13 @@ def serve() -> None:
     calls, answers = sys.stdin.buffer, sys.stdout.buffer
     while line := calls.readline():
         try:
-            reply, arrays = _called(json.loads(line))
+            reply, arrays = _call_function(json.loads(line))
         except MemoryError:
             reply, arrays = {"error": "more memory than its size allows"}, []
         except Exception as error:
             reply, arrays = {"error": " ".join(str(error).split()) or type(error).__name__}, []
         else:
-            reply = {"found": reply, "arrays": [(array.dtype.str, array.shape) for array in arrays]}
+            reply = {"facts": reply, "arrays": [(array.dtype.str, array.shape) for array in arrays]}
         answers.write(json.dumps(reply).encode() + b"\n")
         for array in arrays:
             answers.write(_bytes(np.ascontiguousarray(array)))
@@ -188,7 +173,7 @@ def serve() -> None:
         del arrays
 
 
-def _called(call: Mapping[str, Any]) -> Found:
+def _call_function(call: Mapping[str, Any]) -> Output:
     module, _, name = call["function"].partition(":")
     _unlimit()  # what is imported is no decoder's
     function = getattr(importlib.import_module(module), name)

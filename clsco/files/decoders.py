@@ -60,23 +60,9 @@ _FIRST_BYTES = {
 def open_format(
     path: str | os.PathLike[str], formats: Mapping[str, str] = IMAGE_FORMATS
 ) -> Iterator[tuple[BinaryIO, str]]:
-    """Open a file as the format that its extension and first bytes name.
+    """Open a file as the format that its extension and first bytes name: the file at its first byte, and the format.
 
-    Parameters
-    ----------
-    path : path
-    formats : mapping
-        Format by extension, as in `IMAGE_FORMATS`.
-
-    Yields
-    ------
-    (BinaryIO, str)
-        The file at its first byte, and the format.
-
-    Raises
-    ------
-    FileError
-        In place of any error of the file or of a codec.
+    formats: format by extension. Raises FileError in place of any error of the file or of a codec.
     """
     path = Path(path)
     kind = formats.get(path.suffix.lower(), "")
@@ -95,10 +81,7 @@ def open_format(
         raise
     except OSError as error:
         raise_file_error(
-            path,
-            "must be a file that can be read" if error.errno else f"must be a whole {kind}",
-            error,
-            error,
+            path, "must be a file that can be read" if error.errno else f"must be a whole {kind}", error, error
         )
     except Exception as error:  # damage: each codec has its own exceptions for it, and none lists them
         raise_file_error(path, f"must be a whole {kind}", error, error)
@@ -158,24 +141,11 @@ def check_limits(path: Path, columns: int, rows: int) -> None:
 
 
 def decode_file(file: BinaryIO, kind: str, layer: str | None = None) -> NDArray[Any]:
-    """Decode an opened file whose header is within the limits, and turn it upright.
+    """Decode an opened file whose header is within the limits, and turn it upright: (rows, columns[, channels]) as
+    stored.
 
-    Parameters
-    ----------
-    file : BinaryIO
-    kind : str
-    layer : str, optional
-        Layer of an EXR, as for `clsco.files.layers.image_channels`.
-
-    Returns
-    -------
-    ndarray, (rows, columns[, channels])
-        Values as stored, row 0 on top.
-
-    Raises
-    ------
-    Exception
-        Any of the codecs', which `open_format` turns into a FileError.
+    layer: of an EXR, as for `clsco.files.layers.image_channels`. Raises whatever its codec raises, which `open_format`
+    turns into a FileError.
     """
     columns, rows = _stored_size(file, kind)
     orientation = read_tags(file, kind).orientation
@@ -328,19 +298,10 @@ def _exr_size(file: BinaryIO) -> tuple[int, int]:
 
 
 def exr_planes(file: BinaryIO, choose: Callable[[list[str]], list[str]], outside: float) -> dict[str, NDArray[Any]]:
-    """Decode channels of an EXR, of any of its parts.
+    """Decode channels of an EXR, of any of its parts: (rows, columns) of the display window by name.
 
-    Parameters
-    ----------
-    file : BinaryIO
-    choose : callable
-        Gives the names of those that are wanted from all, which are as `full_names` makes them.
-    outside : float
-        Value of pixels of the display window that are not in the data window of a part.
-
-    Returns
-    -------
-    dict of str to ndarray, (rows, columns) of the display window
+    choose: picks names from all, which are as `full_names` makes them. outside: value of pixels of the display window
+    that are not in the data window of a part.
     """
     parts, path = exr_parts(file), path_of(file)
     named = full_names(

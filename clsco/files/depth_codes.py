@@ -22,28 +22,10 @@ def _kitti_codes(values: NDArray[np.float64], valid: NDArray[np.bool_], where: s
 
 
 def kitti_depth_codes(depth: NDArray[np.floating], where: str = "depth") -> NDArray[np.uint16]:
-    """Codes of KITTI's depth: 256 per m.
+    """Codes of KITTI's depth, uint16 (rows, columns): 256 per m, 0 where nothing is.
 
-    Parameters
-    ----------
-    depth : ndarray of float, (rows, columns)
-        Planar Z in mm; +inf, where nothing is, becomes 0. Rounded to 1/256 m, which is 3.9 mm.
-    where : str
-        Place or name that messages begin with.
-
-    Returns
-    -------
-    ndarray of uint16, (rows, columns)
-        For `clsco.files.png.png_parts`.
-
-    Raises
-    ------
-    FileError
-        A depth rounds to 0 or to more than 255.996 m, is negative or no number.
-
-    Notes
-    -----
-    Validated by OpenCV.
+    depth: planar Z in mm, +inf where nothing is; rounded to 1/256 m, which is 3.9 mm. where: begins messages. Raises
+    FileError for a depth that rounds to 0 or to more than 255.996 m, is negative or no number. Validated by OpenCV.
     """
     if depth.ndim != 2:
         raise_shape_error(where, "(rows, columns)", depth)
@@ -54,30 +36,11 @@ def kitti_depth_codes(depth: NDArray[np.floating], where: str = "depth") -> NDAr
 def kitti_disparity_codes(
     disparity: NDArray[np.floating], valid: NDArray[np.bool_] | None = None, where: str = "disparity"
 ) -> NDArray[np.uint16]:
-    """Codes of KITTI's disparity: 256 per px.
+    """Codes of KITTI's disparity, uint16 (rows, columns): 256 per px, 0 where it is unknown.
 
-    Parameters
-    ----------
-    disparity : ndarray of float, (rows, columns)
-        px, column on the left less column on the right; rounded to 1/256 px.
-    valid : ndarray of bool, (rows, columns), optional
-        Other values, and those that are not finite, become 0. By default all are valid.
-    where : str
-        Place or name that messages begin with.
-
-    Returns
-    -------
-    ndarray of uint16, (rows, columns)
-        For `clsco.files.png.png_parts`.
-
-    Raises
-    ------
-    FileError
-        A valid disparity rounds to 0 or less, or to more than 255.996 px.
-
-    Notes
-    -----
-    Validated by OpenCV and by the steps of torchvision's reader.
+    disparity: px, column on the left less column on the right. valid: pixels that are known, by default all that are
+    finite. Raises FileError for one that rounds to 0 or less, or to more than 255.996 px. Validated by OpenCV and by
+    the steps of torchvision's reader.
     """
     if disparity.ndim != 2:
         raise_shape_error(where, "(rows, columns)", disparity)
@@ -86,24 +49,10 @@ def kitti_disparity_codes(
 
 
 def pfm_bytes(array: NDArray[np.floating], where: str = "array") -> bytes:
-    """A PFM file: float32, little endian, the bottom row first.
+    """A PFM file of (rows, columns[, 2 or 3]): float32, little endian, the bottom row first.
 
-    Parameters
-    ----------
-    array : ndarray of float, (rows, columns), (rows, columns, 3) or (rows, columns, 2)
-        Two channels get a third one of zeros, as the flow of FlyingThings has it. Any values: a reader of disparity
-        takes +inf for unknown.
-    where : str
-        Place or name that messages begin with.
-
-    Raises
-    ------
-    FileError
-        Any other shape.
-
-    Notes
-    -----
-    Validated by OpenCV, and by the steps of torchvision's reader.
+    Two channels get a third one of zeros, as the flow of FlyingThings has it. A reader of disparity takes +inf for
+    unknown. Raises FileError for other shapes. Validated by OpenCV, and by the steps of torchvision's reader.
     """
     if array.ndim == 3 and array.shape[2] == 2:
         array = np.dstack([array, np.zeros_like(array[..., 0])])

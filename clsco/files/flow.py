@@ -25,25 +25,11 @@ def _checked(where: str, flow: NDArray[np.floating], valid: NDArray[np.bool_] | 
 
 
 def flo_bytes(flow: NDArray[np.floating], valid: NDArray[np.bool_] | None = None, where: str = "flow") -> bytes:
-    """A .flo file of Middlebury.
+    """A .flo file of Middlebury: float32 without loss, 1e10 where a vector is unknown.
 
-    Parameters
-    ----------
-    flow : ndarray of float, (rows, columns, 2)
-        px, right and down. Stored as float32, without loss.
-    valid : ndarray of bool, (rows, columns), optional
-        Other vectors, and those that are not finite, are stored as unknown: 1e10. By default all are valid.
-    where : str
-        Place or name that messages begin with.
-
-    Raises
-    ------
-    FileError
-        A component of a valid vector has a size of 1e9 or more, which readers take for unknown.
-
-    Notes
-    -----
-    Validated by OpenCV's reader and by the steps of torchvision's.
+    flow: (rows, columns, 2), px, right and down. valid: vectors that are known, by default all that are finite. where:
+    begins messages. Raises FileError for a component of 1e9 or more, which readers take for unknown. Validated by
+    OpenCV's reader and by the steps of torchvision's.
     """
     known = _checked(where, flow, valid)
     beyond = known & (np.abs(flow) >= LARGEST_FLO).any(axis=-1)
@@ -57,30 +43,11 @@ def flo_bytes(flow: NDArray[np.floating], valid: NDArray[np.bool_] | None = None
 def kitti_flow_codes(
     flow: NDArray[np.floating], valid: NDArray[np.bool_] | None = None, where: str = "flow"
 ) -> NDArray[np.uint16]:
-    """Codes of KITTI's flow: red is 64 u + 32768, green 64 v + 32768, blue 1 where the vector is valid.
+    """Codes of KITTI's flow, uint16 (rows, columns, 3): 64 u + 32768, 64 v + 32768, and 1 where the vector is known.
 
-    Parameters
-    ----------
-    flow : ndarray of float, (rows, columns, 2)
-        px, right and down; rounded to 1/64 px.
-    valid : ndarray of bool, (rows, columns), optional
-        Other vectors, and those that are not finite, become (0, 0, 0). By default all are valid.
-    where : str
-        Place or name that messages begin with.
-
-    Returns
-    -------
-    ndarray of uint16, (rows, columns, 3)
-        For `clsco.files.png.png_parts`.
-
-    Raises
-    ------
-    FileError
-        A valid vector rounds to less than -512 px or more than 511.984375 px.
-
-    Notes
-    -----
-    Validated by OpenCV, which gives the channels as blue, green, red, and by the steps of torchvision's reader.
+    Arguments are those of `flo_bytes`; vectors are rounded to 1/64 px, unknown ones are (0, 0, 0). Raises FileError
+    below -512 px and above 511.984375 px. Validated by OpenCV, which gives the channels as blue, green, red, and by the
+    steps of torchvision's reader.
     """
     known = _checked(where, flow, valid)
     codes = np.rint(np.where(known[..., None], flow, 0.0).astype(np.float64) * KITTI_STEPS) + KITTI_ZERO

@@ -26,14 +26,8 @@ from clsco.files.transfer import encode
 class Picture:
     """An image as its file stores it: uint8 and uint16 codes, or float32 linear radiance (finite).
 
-    Attributes
-    ----------
-    data : ndarray, (rows, columns) or (rows, columns, 3)
-        Gray, or red, green, blue; row 0 on top.
-    color : Color
-        Color space of its codes.
-    below : int
-        Values below 0, which floats may have, as of a filter that rings.
+    data: (rows, columns[, 3]), row 0 on top. color: color space of its codes. below: number of values below 0, which
+    floats may have, as of a filter that rings.
     """
 
     data: NDArray[Any]
@@ -61,23 +55,13 @@ def read_image(
 ) -> Picture:  # fmt: skip
     """Read a gray or RGB image: PNG, JPEG, TIFF, EXR, PFM or NPY.
 
-    Parameters
-    ----------
-    path : path
-    hidden : ndarray of bool, (rows, columns), optional
-        Pixels that do not matter, and may hold any floats; none by default.
-    layer : str, optional
-        Layer of an EXR with several, as for `clsco.files.layers.image_channels`.
+    hidden: pixels (rows, columns) that may hold any floats; none by default. layer: of an EXR with several, as for
+    `clsco.files.layers.image_channels`.
 
-    Raises
-    ------
-    FileError
-        In one line, for everything that is not exactly one such image: no readable file, wrong extension, damaged, over
-        2^27 pixels or 65536 a side (refused from the header), transparent, CMYK, several pages, values that are
-        not finite. Also where TIFF and 16-bit color PNG lack the extra `formats`, and EXR the extra `exr`.
+    Raises FileError, in one line, for everything that is not exactly one such image: no readable file, wrong extension,
+    damaged, over 2^27 pixels or 65536 a side (refused from the header), transparent, CMYK, several pages, values that
+    are not finite. Also where TIFF and 16-bit color PNG lack the extra `formats`, and EXR the extra `exr`.
 
-    Notes
-    -----
     8 and 16 bits come as stored; palettes, bools and 1-, 2- and 4-bit grays become 8 bits, float16 and float64 become
     float32. Axes of length 1 before and behind the image in an NPY are dropped. PNG, JPEG and TIFF are turned upright
     by their orientation. Opaque alpha is dropped. Of an EXR the channels R G B or Y of one layer are read, in its
@@ -91,10 +75,7 @@ def read_image(
 
 
 def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
-    """Size of an image from its header alone.
-
-    Returns: as `read_image` would give them. Raises FileError for what the header shows.
-    """
+    """Columns and rows of an image, as `read_image` would give them, from its header alone. Raises FileError."""
     with open_format(path) as (file, kind):
         return read_size(file, kind)
 
@@ -102,16 +83,9 @@ def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
 def check_sizes(
     image: str, right: tuple[int, int], other: str, size: tuple[int, int], hint: str = "one of them lies on its side"
 ) -> None:  # fmt: skip
-    """Raise FileError where a mask or a depth map has not the size of its image.
+    """Raise FileError where a mask or a depth map has another size (columns, rows) than its image.
 
-    Parameters
-    ----------
-    image, other : str
-        Their names.
-    right, size : (int, int)
-        Columns and rows.
-    hint : str
-        Hint where rows and columns are exchanged.
+    image, other: their names. hint: added where rows and columns are exchanged.
     """
     if size != right:
         sizes = [f"{columns} x {rows}" for columns, rows in (right, size)]
@@ -122,14 +96,8 @@ def check_sizes(
 def check_same_size(image: str, other: str, size: tuple[int, int], formats: Mapping[str, str] = IMAGE_FORMATS) -> None:
     """Raise FileError where the file of a mask or a depth map has not the size of its image, or that cannot be read.
 
-    Parameters
-    ----------
-    image, other : str
-        Paths.
-    size : (int, int)
-        Columns and rows of the other file, upright.
-    formats : mapping
-        Formats of the other file, as for `clsco.files.decoders.open_format`.
+    image, other: paths. size: columns and rows of the other file, upright. formats: of the other file, as for
+    `clsco.files.decoders.open_format`.
     """
     _, turned, untagged = _turned_alone(image, other, formats)
     hint = f"{turned} is turned upright by its orientation tag, and {untagged} has none: turn it likewise"
@@ -185,38 +153,15 @@ def _as_stored(file: BinaryIO, data: NDArray[Any], hidden: NDArray[np.bool_] | N
 def write_png(
     path: str | os.PathLike[str], data: NDArray[np.uint8] | NDArray[np.uint16], color: Color = SRGB
 ) -> None:  # fmt: skip
-    """Write codes as a PNG of 8 or 16 bits.
-
-    Parameters
-    ----------
-    path : path
-    data : ndarray of uint8 or uint16, (rows, columns) or (rows, columns, 3)
-    color : Color, optional
-        Color space of the codes; by default nothing is said, which is sRGB.
-
-    Raises
-    ------
-    FileError
-        The file cannot be written.
-    """
+    """Write codes (rows, columns[, 3]) as a PNG of 8 or 16 bits in a color space. Raises FileError."""
     with atomic_write(Path(path)) as file:
         file.writelines(png_parts(data, color.png_chunks(data.ndim == 3)))
 
 
 def write_tiff(path: str | os.PathLike[str], data: NDArray[Any], color: Color = SRGB) -> None:
-    """Write an image as a TIFF with lossless compression.
+    """Write an image of uint8, uint16 or float32, (rows, columns[, 3]), as a TIFF with lossless compression.
 
-    Parameters
-    ----------
-    path : path
-    data : ndarray of uint8, uint16 or float32, (rows, columns) or (rows, columns, 3)
-    color : Color, optional
-        Color space whose ICC profile goes into the file, or one of its primaries.
-
-    Raises
-    ------
-    FileError
-        The extra `formats` is missing, or the file cannot be written.
+    color: its ICC profile goes into the file, or one of its primaries. Raises MissingDependencyError, FileError.
     """
     tifffile = import_extra(path, "tifffile", "formats")
     options: dict[str, Any] = {"photometric": "rgb" if data.ndim == 3 else "minisblack", "compression": "zlib"}
@@ -227,24 +172,10 @@ def write_tiff(path: str | os.PathLike[str], data: NDArray[Any], color: Color = 
 
 
 def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]], compressed: bool = False) -> None:
-    """Write named arrays as an NPZ, for np.load.
+    """Write named arrays as an NPZ, for np.load. Raises FileError.
 
-    Parameters
-    ----------
-    path : path
-    arrays : mapping of str to ndarray
-    compressed : bool
-        Compress floats as well.
-
-    Raises
-    ------
-    FileError
-        The file cannot be written.
-
-    Notes
-    -----
-    Masks and object numbers are compressed, floats by default are stored: 15 MB of truth (512 x 512, color) become
-    13.6 MB in 16 ms; compressing all of it leaves 7.1 MB after 210 to 450 ms. The same arrays give the same bytes.
+    Masks and object numbers are compressed, floats by default are stored: 15 MB of truth (512 x 512, color) become 13.6
+    MB in 16 ms; compressing all of it leaves 7.1 MB after 210 to 450 ms. The same arrays give the same bytes.
     """
     with atomic_write(Path(path)) as file, zipfile.ZipFile(file, "w") as archive:
         for name, array in arrays.items():
@@ -259,23 +190,12 @@ def write_exr(
     path: str | os.PathLike[str], *views: Mapping[str, NDArray[Any]], names: Sequence[str] = (),
     attributes: Sequence[Mapping[str, Any]] = (),
 ) -> None:  # fmt: skip
-    """Write named channels in an OpenEXR file with lossless compression: float16 as it is, uint16 as uint32, all
-    else as float32.
+    """Write named channels (rows, columns) in an OpenEXR file with lossless compression.
 
-    Parameters
-    ----------
-    path : path
-    *views : mapping of str to ndarray, (rows, columns)
-        Channels of each view; several views are parts with the attribute `view`, as OpenEXR has them since version 2.0.
-    names : sequence of str
-        Names of the views, "left" and "right" for stereo pairs; () for a single one.
-    attributes : sequence of mapping, optional
-        Standard attributes of each view, such as {"aperture": 2.8}.
-
-    Raises
-    ------
-    FileError
-        The extra `exr` is missing, or the file cannot be written.
+    float16 stays as it is, uint16 becomes uint32, all else float32. views: channels of each view; several are parts
+    with the attribute `view`, as OpenEXR has them since version 2.0. names: of the views, "left" and "right" for stereo
+    pairs; () for a single one. attributes: standard attributes of each view, such as {"aperture": 2.8}. Raises
+    MissingDependencyError, FileError.
     """
     exr = import_extra(path, "OpenEXR", "exr")
     header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
@@ -321,10 +241,7 @@ def write_json(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None
 
 
 def write_exr_image(path: str | os.PathLike[str], image: NDArray[np.floating], color: Color = SRGB) -> None:
-    """Write an image (rows, columns[, 3]) as the channels R G B; gray fills all three, which every reader shows.
-
-    Raises FileError: as `write_exr`.
-    """
+    """Write an image (rows, columns[, 3]) as the channels R G B; gray fills all three, which every reader shows."""
     planes = {name: image if image.ndim == 2 else image[..., n] for n, name in enumerate("RGB")}
     write_exr(path, planes, attributes=[color.exr_attributes()])
 
@@ -333,20 +250,10 @@ def write_exr_image(path: str | os.PathLike[str], image: NDArray[np.floating], c
 class ImageWriter:
     """Writer of images with one file extension.
 
-    Attributes
-    ----------
-    label : str
-        Name of the format with its article, for messages.
-    write : callable
-        Takes a path, an image (rows, columns[, 3]) of codes or of linear float32, and with `color_kinds` a color space.
-    code_bits : int
-        Most bits of codes that the format holds; 0: none.
-    floats : bool
-        The file holds linear float32.
-    needs : (str, str), optional
-        Module that it needs, and the extra of clsco that brings it.
-    color_kinds : tuple of str
-        Attributes of `Color` that it has a place for.
+    label: name of the format with its article, for messages. write: takes a path, an image (rows, columns[, 3]) of
+    codes or of linear float32, and with `color_kinds`, attributes of `Color` that the format has a place for, a color
+    space. code_bits: most bits of codes that the format holds; 0: none. floats: it holds linear float32. needs: a
+    module, and the extra of clsco that brings it.
     """
 
     label: str
@@ -388,23 +295,10 @@ def writer_for(path: Path) -> ImageWriter:
 def save_image(
     path: str | os.PathLike[str], image: NDArray[np.float32], bits: int = 16, color: Color = SRGB
 ) -> None:  # fmt: skip
-    """Write linear radiance to a file of any extension that holds images.
+    """Write an image (rows, columns[, 3]) of linear radiance in the format of its extension: PNG, TIFF or EXR.
 
-    Parameters
-    ----------
-    path : path
-        .png in sRGB codes, .tif, .tiff and .exr in linear float32.
-    image : ndarray of float32, (rows, columns[, 3])
-        1 = white; codes end at 0 and 1.
-    bits : {8, 16, 32}
-        Bits of codes; 32 makes 16.
-    color : Color, optional
-        Its primaries are those of the file.
-
-    Raises
-    ------
-    FileError
-        The extension is another one, the extra that the format needs is missing, or the file cannot be written.
+    bits: 8, 16 or 32, of the codes of a PNG. color: color space of the file. Raises FileError for another extension and
+    where the file cannot be written, and MissingDependencyError.
     """
     to, ending = Path(path), Path(path).suffix.lower()
     if ending not in WRITERS:

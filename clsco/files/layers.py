@@ -13,17 +13,9 @@ SHOWN = 20
 
 
 def full_names(parts: Sequence[tuple[str, Iterable[str]]]) -> list[dict[str, str]]:
-    """Names of channels by the names that they have in their part.
+    """Names of channels by the names that they have in their part, for each of (name of the part, its channels).
 
-    Parameters
-    ----------
-    parts : sequence of (str, iterable of str)
-        Name of each part, and of its channels.
-
-    Returns
-    -------
-    list of dict
-        One per part. Those of a file with one part are as they are.
+    Those of a file with one part are as they are.
     """
     if len(parts) == 1:
         return [{name: name for name in parts[0][1]}]
@@ -45,17 +37,8 @@ def list_names(names: Iterable[str]) -> str:
 def image_channels(names: Sequence[str], layer: str | None = None) -> list[str]:
     """The channels of an image: R G B or Y, and A if there is one.
 
-    Parameters
-    ----------
-    names : sequence of str
-    layer : str, optional
-        Its layer, or the end of its name; by default the only one, or that without a name or of a name in
-        `MAIN_LAYERS`.
-
-    Raises
-    ------
-    LookupError
-        With the rule, and what there is instead of one image.
+    layer: its layer, or the end of its name; by default the only one, or that without a name or of a name in
+    `MAIN_LAYERS`. Raises LookupError with the rule, and what there is instead of one image.
     """
     layers = _layers(names)
     images = [name for name, own in layers.items() if {"R", "G", "B"} <= own or ("Y" in own and not own & {"RY", "R"})]
@@ -81,13 +64,8 @@ def depth_channels(names: Sequence[str], layer: str | None = None) -> list[str]:
     """The channels that are equally likely to be the depth: the best of the kinds that are there, or none.
 
     Z; else that of a layer called depth; else any other Z or V, but no third component of a vector; else R G B or Y;
-    else the only channel there is.
-
-    Parameters
-    ----------
-    names : sequence of str
-    layer : str, optional
-        Its layer, the end of its name, or that of the channel itself; by default any.
+    else the only channel there is. layer: its layer, the end of its name, or that of the channel itself; by default
+    any.
     """
     if layer is not None:
         if layer in names:

@@ -14,24 +14,11 @@ VARIABLE = "MPLCONFIGDIR"
 
 
 def require_matplotlib(what: str, extra: str) -> None:
-    """Import matplotlib, which keeps its list of fonts in clsco's folder; to be called before its modules are imported.
+    """Import matplotlib, which keeps its list of fonts in clsco's folder; call it before importing modules of it.
 
     By itself it would take settings from a file `matplotlibrc` of the current folder, which may be a stranger's and can
-    have TeX run, and from the user's.
-
-    Parameters
-    ----------
-    what : str
-        Name of what needs it, for the message.
-    extra : str
-        Extra of clsco that brings it.
-
-    Raises
-    ------
-    MissingDependencyError
-        It is not installed.
-    ClscoError
-        There is no folder for its fonts.
+    have TeX run, and from the user's. what: begins messages. extra: of clsco that brings it. Raises
+    MissingDependencyError, or ClscoError where there is no folder for its fonts.
     """
     require_extra(what, "matplotlib", extra)
     try:

@@ -29,16 +29,8 @@ _ORIENTATION, _ICC = 0x0112, 0x8773  # in EXIF and TIFF
 class Tags:
     """Tags of an image file.
 
-    Attributes
-    ----------
-    orientation : int
-        1 to 8, as EXIF and TIFF count: how stored rows and columns lie in the upright image.
-    icc : bytes
-        Its ICC profile; b"" for none.
-    chunks : tuple of (bytes, bytes)
-        Kind and content of the chunks of a PNG that stand for a profile.
-    chromaticities : tuple of float
-        The attribute of an EXR; () for none.
+    orientation: 1 to 8, as EXIF and TIFF count. icc: its ICC profile, or b"". chunks: kind and content of the chunks of
+    a PNG that stand for a profile. chromaticities: the attribute of an EXR, or ().
     """
 
     orientation: int = 1

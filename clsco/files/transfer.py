@@ -53,24 +53,11 @@ Transfer = str | Curve
 
 
 def decode(data: NDArray[np.generic], transfer: Transfer) -> NDArray[np.float64]:
-    """Linear radiance of stored values.
+    """Linear radiance (float64, 1 = white) of stored values of any shape.
 
-    Parameters
-    ----------
-    data : ndarray, any shape
-        uint8 and uint16 are codes, 0 black and 255 or 65535 white; floats are linear already.
-    transfer : "srgb", "linear" or Curve
-        IEC 61966-2-1, piecewise, none, or another one; without effect on floats. A curve for red, green and blue needs
-        them in the last axis.
-
-    Returns
-    -------
-    ndarray of float64
-        Linear radiance of the same shape, 1 = white.
-
-    Notes
-    -----
-    Validated against the standard's formula for every code, and as the inverse of `encode`.
+    data: uint8 and uint16 are codes, 0 black and 255 or 65535 white; floats are linear already. transfer: "srgb" (IEC
+    61966-2-1), "linear", or a curve, which for red, green and blue needs them in the last axis. Validated against the
+    standard's formula for every code, and as the inverse of `encode`.
     """
     if data.dtype.kind == "f":
         return data.astype(np.float64)
@@ -106,23 +93,10 @@ def has_alpha(image: NDArray[np.generic]) -> bool:
 
 
 def encode(linear: NDArray[np.floating], bits: int, transfer: Transfer) -> NDArray[np.uint8] | NDArray[np.uint16]:
-    """Codes of linear radiance, rounded half up in code values; the inverse of `decode` for every code.
+    """Codes of 8 or 16 bits of linear radiance, rounded half up in code values; the inverse of `decode`.
 
-    Parameters
-    ----------
-    linear : ndarray of float32 or float64, any shape
-        1 = white; below 0 becomes 0, above 1 the largest code, NaN 0.
-    bits : {8, 16}
-    transfer : "srgb", "linear" or Curve
-        As for `decode`.
+    linear: float32 or float64 of any shape, 1 = white; below 0 and NaN become 0, above 1 the largest code.
 
-    Returns
-    -------
-    ndarray of uint8 or uint16
-        Codes of the same shape.
-
-    Notes
-    -----
     A code starts at the radiance of the half code below it, so no power is taken per pixel: the square root, along
     which sRGB codes are nearly even, finds a bin with at most one such start, and one comparison decides.
     """

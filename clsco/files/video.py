@@ -32,24 +32,10 @@ _BT709_PRIMARIES, _RGB_MATRIX, _BT709_MATRIX, _LIMITED, _FULL = 1, 0, 1, 1, 2
 
 @dataclass(frozen=True)
 class VideoPreset:
-    """Storage of a clip: container, codec and pixel format.
+    """Storage of a clip: FFmpeg's names of container, codec and pixel format, and options of the encoder.
 
-    Attributes
-    ----------
-    suffix : str
-        Extension of its files.
-    container, codec : str
-        FFmpeg's names.
-    pixels : str
-        FFmpeg's name of the pixel format.
-    bits : int
-        Per value.
-    options : dict
-        Options of the encoder.
-    gray : str
-        Pixel format of gray frames; "" where they are stored as color.
-    least : int
-        Columns and rows that the encoder needs.
+    suffix: extension of its files. bits: per value. gray: pixel format of gray frames; "" where they are stored as
+    color. least: columns and rows that the encoder needs.
     """
 
     suffix: str
@@ -170,44 +156,18 @@ def rate_of(interval: float, where: str, speed: Fraction = Fraction(1)) -> Fract
 
 
 def write_clip(
-    target: Path,
-    frames: Iterable[NDArray[Any]],
-    rate: Fraction,
-    preset: str,
-    transfer: str = "srgb",
-    comment: str = "",
+    target: Path, frames: Iterable[NDArray[Any]], rate: Fraction, preset: str, transfer: str = "srgb", comment: str = ""
 ) -> tuple[str, ...]:
     """Write frames as a video file that is whole or absent.
 
-    Parameters
-    ----------
-    target : Path
-    frames : iterable of ndarray, (rows, columns) or (rows, columns, 3)
-        Codes (uint8, uint16) or linear radiance (floats, 1 = white), which is clipped; of one shape and type.
-    rate : Fraction
-        Frames per second.
-    preset : str
-        One of `PRESETS`.
-    transfer : {"srgb", "linear"}
-        Transfer curve of the codes, and for floats.
-    comment : str
-        For the file's metadata, where the container has any.
+    frames: (rows, columns[, 3]) of one shape and type: codes (uint8, uint16) or linear radiance (floats, 1 = white),
+    which is clipped. rate: frames per second. preset: one of `PRESETS`. transfer: "srgb" or "linear", of the codes, and
+    for floats. comment: for the file's metadata, where the container has any.
 
-    Returns
-    -------
-    tuple of str
-        Changes that were made: 16 bits that became 8, sizes that were padded, a rate that readers of Matroska round.
+    Returns notes on changes: 16 bits that became 8, sizes that were padded, a rate that readers of Matroska round.
+    Raises MissingDependencyError without PyAV, and FileError for no frames, frames that differ or are not finite, and
+    where an encoder or the disk fails. Errors that `frames` raises pass as they are, and then nothing is left either.
 
-    Raises
-    ------
-    MissingDependencyError
-        PyAV is missing.
-    FileError
-        No frames, frames that differ or are not finite, an encoder or the disk fails. Errors that
-        `frames` raises pass as they are, and then nothing is left either.
-
-    Notes
-    -----
     The same frames give the same bytes with the same PyAV. Validated: pixels, rates and tags as read back through PyAV
     for each preset, and the bits of lossless ones (tests/files/test_video.py).
     """
@@ -221,7 +181,7 @@ def write_clip(
     try:
         remove_left(target.parent)
         with atomic_write(target) as file:  # by its name, as the index of an mp4 moves to its beginning
-            clip.encode(str(Path(file.name).absolute()), _alike(target, first, source))
+            clip.encode(str(Path(file.name).absolute()), _check_kinds(target, first, source))
     except _FromFramesError as error:
         raise error.error from None
     return (*clip.changes(preset), *_rounded_rate(target, rate))
@@ -255,7 +215,7 @@ def _showable(where: Path, frames: Iterable[NDArray[Any]]) -> Iterator[NDArray[A
         yield frame
 
 
-def _alike(where: Path, first: NDArray[Any], others: Iterator[NDArray[Any]]) -> Iterator[NDArray[Any]]:
+def _check_kinds(where: Path, first: NDArray[Any], others: Iterator[NDArray[Any]]) -> Iterator[NDArray[Any]]:
     """All frames, of which each must be like the first one; raises _FromFramesError."""
 
     def kind(frame: NDArray[Any]) -> str:

@@ -21,28 +21,16 @@ _OFFSETS = np.array([16, 128, 128])
 
 
 def yuv_planes(codes: NDArray[Any], bits: int, blocks: tuple[int, int] = (1, 1)) -> list[NDArray[Any]]:
-    """Luma and color differences of an image.
+    """Luma and color differences of an image: Y, Cb and Cr, uint8 or uint16 (rows, columns), rounded once.
 
-    Parameters
-    ----------
-    codes : ndarray of uint8 or uint16, (rows, columns) or (rows, columns, 3)
-        Not linear: of the transfer that the video states. Rows and columns are multiples of those in `blocks`.
-    bits : {8, 10}
-        Bits of the planes.
-    blocks : (int, int)
-        Rows and columns of pixels that share a color difference: (2, 2) for 4:2:0, (1, 2) for 4:2:2.
+    codes: uint8 or uint16 (rows, columns[, 3]), of the transfer that the video states. bits: 8 or 10, of the planes.
+    blocks: rows and columns of pixels that share a color difference, (2, 2) for 4:2:0, (1, 2) for 4:2:2; the image
+    consists of whole blocks.
 
-    Returns
-    -------
-    list of ndarray of uint8 or uint16, (rows, columns)
-        Y, Cb and Cr, rounded once.
-
-    Notes
-    -----
     Color differences lie where players take them to be, as in MPEG-2: on the left one of two columns, where they are
     the mean with weights 1 2 1, and midway between two rows. libswscale gives the same from codes of 8 bits, but luma
-    of 10 bits that it makes of 16 is too large by 1.7 codes, at most 3.8. Validated against the formula in float64,
-    and through decoders whose planes libswscale turns back.
+    of 10 bits that it makes of 16 is too large by 1.7 codes, at most 3.8. Validated against the formula in float64, and
+    through decoders whose planes libswscale turns back.
     """
     top, scale = np.iinfo(codes.dtype).max, 2 ** (bits - 8)
     if codes.ndim == 2:

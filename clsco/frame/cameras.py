@@ -29,24 +29,10 @@ BT709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)  # x and y of red, 
 def pinhole(scene: Scene, index: int, eye: Eye = "left") -> Pinhole:
     """The camera of a frame at the middle of its shutter, to which its ground truth belongs.
 
-    Parameters
-    ----------
-    scene : Scene
-        With its resolution.
-    index : int
-        Number of the frame.
-    eye : {"left", "right"}
-
-    Returns
-    -------
-    Pinhole
-        The world is the camera's own frame in its reference pose, with y down: (x, -y, z) of the scene.
-
-    Notes
-    -----
-    The focal length in px is s0 / p, `normalization_distance` over `pixel_pitch`, as x = s0 X / Z; of a zoom, that of
-    the middle of the shutter. Validated by points
-    of surfaces that it takes from a frame to the next one, and to the other view, where flow and disparity lead.
+    scene: with its resolution. The world is the camera's own frame in its reference pose, with y down: (x, -y, z) of
+    the scene. The focal length in px is s0 / p, `normalization_distance` over `pixel_pitch`, as x = s0 X / Z; of a
+    zoom, that of the middle of the shutter. Validated by points of surfaces that it takes from a frame to the next one,
+    and to the other view, where flow and disparity lead.
     """
     columns, rows = scene.camera.frame_size
     time = middle_time(scene.sequence, index)
@@ -67,24 +53,8 @@ def eye_of(frame: Frame) -> Eye:
 def mark_behind_lens(scene: Scene, frame: Frame, step: int) -> NDArray[np.bool_]:
     """Mark surface points of a frame that are not before the lens at the middle of the shutter `step` frames later.
 
-    Their flow is 0, as no pixel shows them.
-
-    Parameters
-    ----------
-    scene : Scene
-        With its resolution.
-    frame : Frame
-        With `depth`, `object_id`, and the flow to that frame.
-    step : {1, -1}
-        For `flow` or `flow_backward`.
-
-    Returns
-    -------
-    ndarray of bool, (rows, columns)
-
-    Notes
-    -----
-    Validated by a camera that flies past a sphere.
+    scene: with its resolution. frame: with `depth`, `object_id`, and the flow to that frame. step: 1 for `flow`, -1 for
+    `flow_backward`. Their flow is 0, as no pixel shows them. Validated by a camera that flies past a sphere.
     """
     flow = frame.flow if step == 1 else frame.flow_backward
     assert flow is not None
@@ -110,26 +80,12 @@ def frame_rate(interval: float) -> Fraction:
 
 
 def exr_attributes(scene: Scene, index: int, eye: Eye = "left") -> dict[str, Any]:
-    """Standard attributes of OpenEXR for a frame.
+    """Standard attributes of OpenEXR for a frame of a scene that has its resolution.
 
-    Parameters
-    ----------
-    scene : Scene
-        With its resolution.
-    index : int
-        Number of the frame.
-    eye : {"left", "right"}
-
-    Returns
-    -------
-    dict
-        `aperture` (f-number), `focus` (m), `chromaticities` (BT.709, as sRGB has it), `worldToCamera` (for row vectors,
-        mm) and `screenWindowWidth`; where time matters, `expTime` (s) and `framesPerSecond`.
-
-    Notes
-    -----
-    The camera of OpenEXR looks along +z with x to the left and y up, and sees the screen window at z = 1. The world is
-    that of `pinhole`. Validated by points of surfaces that these attributes project into the frame.
+    `aperture` (f-number), `focus` (m), `chromaticities` (BT.709, as sRGB has it), `worldToCamera` (for row vectors, mm)
+    and `screenWindowWidth`; where time matters, `expTime` (s) and `framesPerSecond`. The camera of OpenEXR looks along
+    +z with x to the left and y up, and sees the screen window at z = 1. The world is that of `pinhole`. Validated by
+    points of surfaces that these attributes project into the frame.
     """
     camera, lens = pinhole(scene, index, eye), camera_at(scene, middle_time(scene.sequence, index))
     matrix = np.eye(4)

@@ -15,23 +15,10 @@ PAPER, INK = (250, 250, 248), (20, 20, 20)
 def contact_sheet(
     rows: Sequence[Sequence[tuple[Picture, str]]], title: str = "", text: int = 12, lines: int = 1
 ) -> Picture:
-    """Draw pictures with a label below each, one row of them below the other.
+    """Draw pictures (rows, columns, 3) with a label below each, one row of them below the other.
 
-    Parameters
-    ----------
-    rows : sequence of sequences of (array, str)
-        Pictures (rows, columns, 3) and labels from left to right; each has as much room as the widest one.
-    title : str
-        Text above them.
-    text : int
-        Height of the text, px.
-    lines : int
-        Lines of a label.
-
-    Returns
-    -------
-    array
-        (rows, columns, 3).
+    rows: pictures and labels from left to right; each has as much room as the widest one. title: above them. text:
+    height of the text, px. lines: of a label.
     """
     from PIL import Image, ImageDraw, ImageFont
 

@@ -16,23 +16,11 @@ LEAST_SIDE = 2  # px, of frames that can be demosaiced
 
 
 def develop(raw: NDArray[np.uint16], sensor_model: SensorModel) -> NDArray[np.float32]:
-    """Light that codes stand for: (code - black) / (gain white), demosaiced where the sensor says so.
+    """Light that codes (rows, columns, planes) stand for: (code - black) / (gain white), 1 = white.
 
-    Parameters
-    ----------
-    raw : ndarray of uint16, (rows, columns, planes)
-    sensor_model : SensorModel
-
-    Returns
-    -------
-    ndarray of float32, (rows, columns[, 3])
-        1 = white. Noise is below 0, too. Of a mosaic in color that is not demosaiced, channels that a pixel has not
-        measured are 0; in gray light each pixel has measured all there is.
-
-    Raises
-    ------
-    MissingDependencyError
-        colour-demosaicing is missing, for `demosaic = "menon"`.
+    Returns float32 (rows, columns[, 3]), demosaiced where the sensor says so. Noise is below 0, too. Of a mosaic in
+    color that is not demosaiced, channels that a pixel has not measured are 0; in gray light each pixel has measured
+    all there is. Raises MissingDependencyError where `demosaic = "menon"` needs colour-demosaicing.
     """
     electrons = (raw.astype(np.float64) - sensor_model.sensor.black_level) / sensor_model.gain
     light = electrons / values_at_sites(sensor_model.white, sensor_model, raw.shape[:2])
@@ -69,16 +57,10 @@ def sensor_truth(
     light: NDArray[np.floating] | None,
     sensor_model: SensorModel,
 ) -> dict[str, NDArray[Any]]:
-    """Outputs of a sensor that are wanted, (rows, columns[, 3]), as `Frame` has them.
+    """Outputs of a sensor in `names`, some of `clsco.frame.frame.SENSOR_NAMES`, (rows, columns[, 3]).
 
-    Parameters
-    ----------
-    names : collection of str
-        Some of `clsco.frame.frame.SENSOR_NAMES`; others are passed by.
-    raw, saturated : ndarray (rows, columns, planes)
-    light : ndarray (rows, columns[, 3]), optional
-        Light of the exposure, for `electrons` and `noise_sigma`.
-    sensor_model : SensorModel
+    raw, saturated: (rows, columns, planes). light: of the exposure, (rows, columns[, 3]), for `electrons` and
+    `noise_sigma`.
     """
     arrays: dict[str, NDArray[Any]] = {}
     if "raw" in names:

@@ -195,23 +195,12 @@ def _truth_names(
 
 
 def frame_files(
-    index: int,
-    stereo: bool,
-    truth: Sequence[TruthFile] = (),
-    subframes: int = 0,
-    held: Collection[str] = ("color",),
+    index: int, stereo: bool, truth: Sequence[TruthFile] = (), subframes: int = 0, held: Collection[str] = ("color",)
 ) -> set[str]:
     """Names of the files of a frame besides its JSON file; a stereo pair has a PNG of each view.
 
-    Parameters
-    ----------
-    index : int
-    stereo : bool
-    truth : sequence of TruthFile
-    subframes : int
-        Time samples whose images are files, too.
-    held : collection of str
-        Arrays that the frame has, as they are called in files; without "color" it has no PNG.
+    subframes: time samples whose images are files, too. held: arrays that the frame has, as they are called in files;
+    without "color" it has no PNG.
     """
     eyes = ("left", "right") if stereo else ("",)
     pictured = eyes if "color" in held else ()
@@ -230,41 +219,19 @@ def write_frame(
 ) -> dict[str, Any]:  # fmt: skip
     """Write the files of a frame; frame_0000.json comes last and makes the frame complete.
 
-    Parameters
-    ----------
-    folder : path
-    views : sequence of Frame
-        One frame, or the left and the right one of a stereo pair, whose files are frame_0000_left.png and so on; an EXR
-        holds both, as the views left and right. Their sub-frames, if any, are frame_0000_sample_00.png and so on.
-    bits : {8, 16, 32}
-        Bits of the textures; 32 makes a PNG of 16.
-    transfer : {"srgb", "linear"}
-        Transfer curve of the PNG alone, which clips radiance below 0 and above 1; the others keep it.
-    truth : sequence of TruthFile
-        Each holds the color and all truth of the frame, or what it names of them, linear. What belongs to a scene
-        (`write_scene_files`) is left out.
-    about : mapping, optional
-        Content of the JSON file besides the frame's own metadata.
-    scene : Scene, optional
-        Scene that the frame shows, with its resolution: gives an EXR the attributes of its camera.
-    color : Color, optional
-        Color space of the PNG, whose curve takes the place of "srgb"; by default sRGB. Of another one the JSON file has
-        the name, and an EXR the chromaticities, as far as they are known.
+    views: one frame, or the left and the right one of a stereo pair, whose files are frame_0000_left.png and so on; an
+    EXR holds both, as the views left and right. Their sub-frames, if any, are frame_0000_sample_00.png and so on. bits:
+    8, 16 or 32, of the textures; 32 makes a PNG of 16. transfer: curve of the PNG alone, which clips radiance below 0
+    and above 1; the others keep it. truth: each file holds the color and all truth of the frame, or the arrays that it
+    names, linear; files of a scene (`write_scene_files`) are left out. about: content of the JSON file besides the
+    frame's own metadata. scene: with its resolution; gives an EXR the attributes of its camera. color: color space of
+    the PNG, whose curve takes the place of "srgb"; of another one than sRGB the JSON file has the name, and an EXR the
+    chromaticities.
 
-    Returns
-    -------
-    dict
-        Content of the JSON file: `about`, the metadata (of a pair `views` with that of each), `truth`, what files of it
-        hold where that is not all as it is, and `files`, file name to SHA-256.
-
-    Raises
-    ------
-    FileError
-        A file cannot be written, or values do not fit its format.
-
-    Notes
-    -----
-    All files get their names when all are on the disk; until then an older frame stays as it is.
+    Returns the content of the JSON file: `about`, the metadata (of a pair `views` with that of each), `truth`, where
+    files of it do not hold all, and `files`, file name to SHA-256. Raises FileError where a file cannot be written, or
+    values do not fit its format. All files get their names when all are on the disk; until then an older frame stays as
+    it is.
     """
     index, stereo = views[0].index, len(views) > 1
     by_eye = {frame.eye: frame for frame in views}
@@ -291,21 +258,7 @@ def write_frame(
 
 
 def write_scene_files(folder: str | os.PathLike[str], scene: Scene, truth: Sequence[TruthFile]) -> None:
-    """Write those files of ground truth that a scene has once, for all of its frames, rendered or not.
-
-    Parameters
-    ----------
-    folder : path
-        Folder of the frames.
-    scene : Scene
-        With its resolution.
-    truth : sequence of TruthFile
-
-    Raises
-    ------
-    FileError
-        A file cannot be written.
-    """
+    """Write files of ground truth that a scene, with its resolution, has once for all frames. Raises FileError."""
     for file in truth:
         known = TRUTH_FORMATS[file.format]
         if known.per == "scene":

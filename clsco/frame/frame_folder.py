@@ -34,21 +34,9 @@ _COMPONENTS = {"color": ((), (3,)), "sharp": ((), (3,)), "coc": ((), (3,)), "flo
 class FrameFolder:
     """Frames of one scene.
 
-    Attributes
-    ----------
-    folder : Path
-    numbers : range
-        Numbers of the frames, without a hole.
-    eyes : tuple of str
-        ("",), or ("left", "right") of stereo pairs.
-    interval : float
-        Seconds from frame to frame.
-    transfer : {"srgb", "linear"}
-        Transfer curve of the PNG files.
-    of : int
-        Frames that the scene has.
-    scenes : frozenset of str
-        Hashes of scenes, one where all frames were rendered from the same file.
+    numbers: of the frames, without a hole. eyes: ("",), or ("left", "right") of stereo pairs. interval: seconds from
+    frame to frame. transfer: curve of the PNG files, "srgb" or "linear". of: number of frames that the scene has.
+    scenes: hashes of scenes, one where all frames were rendered from the same file.
     """
 
     folder: Path
@@ -146,8 +134,8 @@ def read_frame_folder(folder: Path, only: range | None = None) -> FrameFolder:
         facts[number] = known = _known(content, path, faults)
         first = facts[min(facts)]
         if known[:3] != first[:3]:
-            rule = f"must have the interval, transfer and views of frame {min(facts)}, {_said(first)}"
-            faults.append(f"{path}: {rule}; got {_said(known)}")
+            rule = f"must have the interval, transfer and views of frame {min(facts)}, {_describe(first)}"
+            faults.append(f"{path}: {rule}; got {_describe(known)}")
         stem = path.with_suffix("").name
         for name in (f"{stem}_left.png", f"{stem}_right.png") if known[2] else (f"{stem}.png",):
             if not (folder / name).is_file():
@@ -215,5 +203,5 @@ def _known(content: Mapping[str, Any], path: Path, faults: list[str]) -> tuple[f
     return interval, transfer, scene.get("stereo") is not None, value("sequence", "frames", 1, is_count)
 
 
-def _said(known: tuple[float, str, bool, int]) -> str:
+def _describe(known: tuple[float, str, bool, int]) -> str:
     return f"{known[0]:g} s, {known[1]}, {'stereo' if known[2] else 'one view'}"

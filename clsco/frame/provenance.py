@@ -86,17 +86,8 @@ def _digests(item: HasInputs, known: Mapping[str, str]) -> dict[str, str]:
 def scene_sha256(scene: Scene, digests: Mapping[str, str] | None = None) -> str:
     """SHA-256 of what decides the image: all parameters, and the contents of textures and depths, without their paths.
 
-    Parameters
-    ----------
-    scene : Scene
-        With its resolution.
-    digests : mapping, optional
-        Digests of `file_digests`, where they are known.
-
-    Raises
-    ------
-    FileError
-        A file cannot be read.
+    scene: with its resolution. digests: of `file_digests`, where they are known. Raises FileError for a file that
+    cannot be read.
     """
     known = file_digests([scene]) if digests is None else digests
     content = dump(scene)
@@ -109,23 +100,8 @@ def scene_sha256(scene: Scene, digests: Mapping[str, str] | None = None) -> str:
 def record(scene: Scene, digests: Mapping[str, str] | None = None) -> dict[str, Any]:
     """Content of a frame's JSON file that comes from its scene.
 
-    Parameters
-    ----------
-    scene : Scene
-        With its resolution.
-    digests : mapping, optional
-        Digests of `file_digests`, where they are known.
-
-    Returns
-    -------
-    dict
-        The parameters as a scene file has them, with a description in place of an array; those derived from them in mm,
-        the units, the hashes and the version.
-
-    Raises
-    ------
-    FileError
-        A file cannot be read.
+    The parameters as a scene file has them, with a description in place of an array; those derived from them in mm, the
+    units, the hashes and the version. Arguments and errors are those of `scene_sha256`.
     """
     camera = scene.camera
     known = file_digests([scene]) if digests is None else digests
@@ -141,10 +117,7 @@ def record(scene: Scene, digests: Mapping[str, str] | None = None) -> dict[str, 
         "version": __version__,
         "scene_sha256": scene_sha256(scene, known),
         "scene": content,
-        "derived": {
-            "aperture_diameter": camera.aperture_diameter,
-            "sensor_distance": camera.sensor_distance,
-        },
+        "derived": {"aperture_diameter": camera.aperture_diameter, "sensor_distance": camera.sensor_distance},
         "textures_sha256": of("texture"),
         "depths_sha256": of("depth"),
         **({"apertures_sha256": pupils} if (pupils := of("image")) else {}),

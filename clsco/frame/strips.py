@@ -12,15 +12,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Strip:
-    """A strip of a frame, with the rows of sources around it.
-
-    Attributes
-    ----------
-    top, rows : int
-        First row in the frame, and number of rows.
-    above, below : int
-        Rows of the sources' grid before and after those.
-    """
+    """A strip of a frame: its first row and number of rows, and rows of the sources' grid above and below those."""
 
     top: int
     rows: int
@@ -39,20 +31,11 @@ class Strip:
 
 
 def cut_strips(rows: int, tallest: int, guard: int, reach: int, step: int = 1) -> tuple[Strip, ...]:
-    """Cut a frame into strips; the first one is the tallest.
+    """Cut a frame of so many rows into strips; the first one is the tallest.
 
-    Parameters
-    ----------
-    rows : int
-        Rows of the frame.
-    tallest : int
-        Rows of a strip at most: a multiple of BAND, or all rows.
-    guard : int
-        Rows of the apron before the first and after the last row of the frame.
-    reach : int
-        Distance in rows at which a source may still contribute to a pixel.
-    step : int
-        Grids begin at multiples of this many rows.
+    tallest: rows of a strip at most, a multiple of BAND or all rows. guard: rows of the apron before the first and
+    after the last row of the frame. reach: distance in rows at which a source may still contribute to a pixel. step:
+    grids begin at multiples of this many rows.
     """
     tops = range(0, rows, tallest)
     return tuple(make_strip(rows, top, min(top + tallest, rows), guard, reach, step) for top in tops)
@@ -70,20 +53,9 @@ def make_strip(rows: int, top: int, end: int, guard: int, reach: int, step: int 
 def with_apron(
     plane: NDArray[Any], strip: Strip, guard: int, outside: Literal["symmetric", "constant"] = "symmetric"
 ) -> NDArray[Any]:
-    """The part of an image that is on the grid of a strip, with an apron beyond the image's border.
+    """The part of an image (rows, columns[, channels]) that is on the grid of a strip, (height, width[, channels]).
 
-    Parameters
-    ----------
-    plane : ndarray (rows, columns[, channels])
-    strip : Strip
-    guard : int
-        Width of the apron, px.
-    outside : {"symmetric", "constant"}
-        In the apron is its mirror image, or 0.
-
-    Returns
-    -------
-    ndarray (height, width[, channels])
+    guard: width of the apron beyond the image's border, px, which holds its mirror image, or 0.
     """
     begin, end = strip.top - strip.above, strip.top + strip.rows + strip.below
     first, last = max(begin, 0), min(end, len(plane))
@@ -95,15 +67,8 @@ def with_apron(
 class Grid:
     """Sizes that buffers are made for: of a frame, or of the tallest of its strips, with the apron of sources.
 
-    Attributes
-    ----------
-    rows, columns : int
-        Size of the frame, or the strip, px.
-    guard : int
-        Width of the apron, px.
-    channels : int
-    height : int
-        Rows of the tallest grid of sources.
+    rows, columns: of the frame, or the strip, px. guard: width of the apron, px. height: rows of the tallest grid of
+    sources.
     """
 
     rows: int

@@ -31,16 +31,9 @@ OF_THE_IMAGE = frozenset({"color", "alpha", "subframes", "raw", "electrons", "no
 class TruthFile:
     """A file of ground truth, or one for each array, as a user names it.
 
-    Attributes
-    ----------
-    format : str
-        Key of `clsco.frame.files.TRUTH_FORMATS`.
-    names : tuple of str
-        Arrays in it, as they are called in files; () for all of them.
-    float16 : tuple of str
-        Arrays whose floats have 16 bits: 11 significant ones, and sizes up to 65504; ("all",) for all of them.
-    compressed : bool
-        Floats are compressed as well.
+    format: key of `clsco.frame.files.TRUTH_FORMATS`. names: arrays in it, as they are called in files; () for all of
+    them. float16: arrays whose floats have 16 bits (11 significant ones, and sizes up to 65504); ("all",) for all of
+    them. compressed: floats are compressed as well.
     """
 
     format: str
@@ -76,14 +69,7 @@ def to_float16(where: str, array: NDArray[Any]) -> NDArray[Any]:
 class Shot:
     """Content of a file of ground truth.
 
-    Attributes
-    ----------
-    views : sequence of Frame
-        Views in one file: a frame, or both views of a stereo pair.
-    scene : Scene or None
-        That they show, with its resolution.
-    color : Color
-        Color space whose primaries the radiance has.
+    views: a frame, or both views of a stereo pair. scene: with its resolution. color: color space of the radiance.
     """
 
     views: tuple[Frame, ...]
@@ -95,23 +81,11 @@ class Shot:
 class TruthFormat:
     """A format of ground truth.
 
-    Attributes
-    ----------
-    name : str
-        Name of its files: "{stem}_{array}.flo"; of a scene's its folder.
-    write : callable
-        Takes a path, what is written, and what of it is wanted; of a file `per` array that one name.
-    per : {"frame", "view", "array", "scene"}
-        Unit that has one file: both views of a stereo pair together, each view, each array of a view, or the whole
-        scene.
-    arrays : tuple of str, optional
-        Arrays that it can hold, as they are called in files; by default any.
-    besides : tuple of str
-        Attributes of a frame that it needs to know where its arrays hold.
-    options : tuple of str
-        "compressed" where its floats may be compressed, and "float16" where they may have 16 bits.
-    needs : (str, str), optional
-        Module that it needs, and the extra of clsco that brings it.
+    name: of its files, "{stem}_{array}.flo"; of a scene's its folder. write: takes a path, the content and the file
+    that a user named; of a file `per` array with that one name. per: both views of a stereo pair together ("frame"),
+    each view, each array of a view, or the whole scene have a file. arrays: that it can hold. besides: attributes of a
+    frame that say where its arrays hold. options: "compressed" where its floats may be compressed, "float16" where they
+    may have 16 bits. needs: a module, and the extra of clsco that brings it.
     """
 
     name: str
@@ -137,17 +111,8 @@ def array_names(truth: str | Iterable[str]) -> tuple[str, ...]:
 def parse_types(text: str, known: Mapping[str, Sequence[str]]) -> dict[str, str]:
     """Types in which arrays are stored, by name.
 
-    Parameters
-    ----------
-    text : str
-        Such as "color=float32,depth=float16"; "all=float16" is for every array that is not named and can have it.
-    known : mapping of str to sequence of str
-        Types that each array can have.
-
-    Raises
-    ------
-    SceneError
-        Anything else; one message for each.
+    text: such as "color=float32,depth=float16"; "all=float16" is for every array that is not named and can have it.
+    known: types that each array can have. Raises SceneError with a message for each fault.
     """
     types: dict[str, str] = {}
     faults = []
@@ -170,27 +135,11 @@ def parse_types(text: str, known: Mapping[str, Sequence[str]]) -> dict[str, str]
 
 
 def choose_files(truth: str, formats: str, types: str, known: Mapping[str, TruthFormat]) -> tuple[TruthFile, ...]:
-    """Files of ground truth that hold arrays in formats.
+    """Files of ground truth that hold arrays in formats; none without truth and formats.
 
-    Parameters
-    ----------
-    truth : str
-        Names of arrays, such as "depth,coc"; "all", and "" with formats, for all that they can hold.
-    formats : str
-        Formats with their options, such as "npz+compressed,exr"; by default "npz".
-    types : str
-        As `parse_types` takes them, float32 or float16.
-    known : mapping of str to TruthFormat
-
-    Returns
-    -------
-    tuple of TruthFile
-        None without truth and formats.
-
-    Raises
-    ------
-    SceneError
-        Other words; an array that no format can hold; a format that can hold none of the arrays.
+    truth: such as "depth,coc"; "all", and "" with formats, for all that they can hold. formats: with their options,
+    such as "npz+compressed,exr"; by default "npz". types: float32 or float16, as `parse_types` takes them. Raises
+    SceneError for other words, an array that no format can hold, and a format that can hold none of the arrays.
     """
     if not (truth or formats):
         if types:

@@ -103,15 +103,7 @@ def _colors(frames: Iterable[Frame | NDArray[Any]]) -> Iterator[NDArray[Any]]:
 
 @dataclass(frozen=True)
 class Playing:
-    """Speed at which a clip plays.
-
-    Attributes
-    ----------
-    fps : Fraction, optional
-        Frames per second; by default as the interval between frames says.
-    speed : Fraction
-        Without `fps`: how many times as fast as the scene.
-    """
+    """Speed at which a clip plays: frames per second, or how many times as fast as the scene."""
 
     fps: Fraction | None = None
     speed: Fraction = Fraction(1)
@@ -142,29 +134,11 @@ def write_folder_clip(
 ) -> list[str]:
     """Write the frames of a folder as a clip.
 
-    Parameters
-    ----------
-    target : Path
-    frames : FrameFolder
-    eye : str
-        One of the views of a stereo pair, as `FrameFolder.eyes` has them.
-    view : str
-        One of `VIEW_NAMES`: color, the PNG files; sharp, or both side by side (compare); depth, coc or flow as colors,
-        on one scale for the clip.
-    preset : str
-    playing : Playing
-    advance : callable
-        Called after each frame.
+    eye: one of `FrameFolder.eyes`. view: one of `VIEW_NAMES`: color, the PNG files; sharp, or both side by side
+    (compare); depth, coc or flow as colors, on one scale for the clip. advance: called after each frame.
 
-    Returns
-    -------
-    list of str
-        Notes for users: the rate, the scale of colors, and what `write_clip` changed.
-
-    Raises
-    ------
-    FileError
-        As `write_clip`, and where files are missing or damaged.
+    Returns notes for users: the rate, the scale of colors, and what `write_clip` changed. Raises FileError as
+    `write_clip`, and where files are missing or damaged.
     """
     where = str(frames.folder)
     facts = [f"{len(frames.numbers)} frames at {playing.about(frames.interval, where)}"]

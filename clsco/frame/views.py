@@ -26,18 +26,10 @@ _WHEEL = ((15, (255, 0, 0)), (6, (255, 255, 0)), (4, (0, 255, 0)), (11, (0, 255,
 
 @dataclass(frozen=True)
 class FrameView:
-    """An array as colors.
+    """An array, by its name in files, as colors.
 
-    Attributes
-    ----------
-    array : str
-        Its name in files.
-    extent : callable
-        The largest of these numbers over a clip make its scale.
-    paint : callable
-        Takes the array and the scale; gives 8-bit RGB.
-    label : callable
-        Says the scale.
+    extent: numbers of an array, of which the largest over a clip make its scale. paint: takes the array and the scale;
+    gives 8-bit RGB. label: says the scale.
     """
 
     array: str

@@ -167,17 +167,8 @@ def load_scene_depths(
 ) -> tuple[Array | None, ...]:  # fmt: skip
     """Inverse depth (rows, columns) in 1/mm of every object that is a depth map, None for others.
 
-    Parameters
-    ----------
-    scene : Scene
-        With its resolution.
-    load : callable, optional
-        Gives it for an object, by default from its file or array.
-
-    Raises
-    ------
-    FileError
-        A file cannot be read, has another size than the frame, or does not fit the camera; of several the first one.
+    scene: with its resolution. load: gives it for an object, by default from its file or array. Raises FileError for
+    the first file that cannot be read, has another size than the frame, or does not fit the camera.
     """
     of_map = load or _loaded
     return tuple(of_map(scene, item) if isinstance(item, DepthMap) else None for item in scene.objects)

@@ -59,15 +59,8 @@ class About(NamedTuple):
 class InputFiles:
     """Decoded files that scenes name. Safe to share between threads.
 
-    Parameters
-    ----------
-    limit : int
-        Most bytes that are kept in memory; the least recently used files go.
-
-    Notes
-    -----
-    A file is what it contains: a copy of it elsewhere is the same, and one that has changed is read again. So is an
-    array in memory.
+    limit: most bytes that are kept in memory; the least recently used files go. A file is what it contains: a copy of
+    it elsewhere is the same, and one that has changed is read again. So is an array in memory.
     """
 
     def __init__(self, limit: int = CACHE_BYTES) -> None:
@@ -76,13 +69,7 @@ class InputFiles:
 
     def textures(self, scene: Scene) -> tuple[Texture, ...]:
         """The textures of all objects in the size of the frame, each with the radiance of its file or pattern, times
-        the light of the aperture.
-
-        Raises
-        ------
-        FileError
-            As `clsco.inputs.textures.load_texture`.
-        """
+        the light of the aperture. Raises FileError as `clsco.inputs.textures.load_texture`."""
         loaded = load_scene_textures(scene, self.texture, lambda image: self.about(image).color)[1]
         if scene.aperture.exposure == "normalized":
             return loaded
@@ -91,15 +78,7 @@ class InputFiles:
     def maps(self, scene: Scene) -> Maps:
         """Inverse depth (rows, columns) in 1/mm of every object that is a depth map, None for others.
 
-        Parameters
-        ----------
-        scene : Scene
-            With its resolution.
-
-        Raises
-        ------
-        FileError
-            As `clsco.inputs.depth_maps.load_scene_depths`.
+        scene: with its resolution. Raises FileError as `clsco.inputs.depth_maps.load_scene_depths`.
         """
         return load_scene_depths(scene, self.map)
 
@@ -119,9 +98,7 @@ class InputFiles:
             return load_texture(source, transfer, size, to_srgb)
         key = ("texture", content, transfer, size, to_srgb and not drawn)
         cached = self.cache.get(
-            key,
-            lambda: self._texture(source, transfer, size, to_srgb, key),
-            lambda texture: texture.radiance.nbytes,
+            key, lambda: self._texture(source, transfer, size, to_srgb, key), lambda texture: texture.radiance.nbytes
         )
         return cached if cached.source == str(source) else replace(cached, source=str(source))
 

@@ -26,14 +26,7 @@ MOST_POINTS = 2**20  # of a frame, whose depths a share is taken of
 
 @dataclass(frozen=True)
 class Focus:
-    """Target of the focus: a point of the picture, or a share of its depths.
-
-    Attributes
-    ----------
-    on : (int, int) or float
-        Column and row, px, from 0 in the upper left corner; or the share of the picture that is nearer: 0 the nearest
-        depth, 0.5 the median, 1 the farthest.
-    """
+    """Target of the focus: a pixel (column, row), or the share of the picture that is nearer, 0 to 1."""
 
     on: tuple[int, int] | float
 
@@ -41,16 +34,8 @@ class Focus:
 def lens_line(scene: Scene, w: Array) -> str:
     """Range of the blur radius over a depth map, how much of it is in focus, and why it may not be intended.
 
-    Parameters
-    ----------
-    scene : Scene
-    w : ndarray of float64, (rows, columns)
-        Inverse depth, 1/mm; 0 where nothing is. Some pixel has one.
-
-    Returns
-    -------
-    str
-        Such as "R -0.1 to 33 px; in focus: 12 % of the picture". In focus is what has |R| of at most `SHARP`.
+    w: inverse depth (rows, columns), 1/mm; 0 where nothing is; some pixel has one. Such as "R -0.1 to 33 px; in focus:
+    12 % of the picture". In focus is what has |R| of at most `SHARP`.
     """
     seen = w[w > 0]
     near, far, camera = float(seen.max()), float(seen.min()), scene.camera
@@ -77,30 +62,10 @@ def _distance(w: float) -> str:
 def focus_scene(scene: Scene, files: InputFiles, focus: Focus) -> Scene:
     """The scene with a lens that is focused on the surface at a point, or on a share of the depths, at t = 0.
 
-    Parameters
-    ----------
-    scene : Scene
-        With its resolution.
-    files : InputFiles
-        That the depth maps are read by.
-    focus : Focus
-
-    Returns
-    -------
-    Scene
-        With a focus distance, or where that is infinite with the detector at the focal length.
-
-    Raises
-    ------
-    SceneError
-        The point is outside of the picture, nothing is there, it is within the focal length, or a depth map has blur
-        radii, whose depths follow from the focus.
-    FileError
-        A depth map cannot be read.
-
-    Notes
-    -----
-    Shares are of at most 2^20 pixels at equal steps. Validated on planes, spheres and depth maps of known depth.
+    scene: with its resolution. Its lens gets a focus distance, or where that is infinite the detector at the focal
+    length. Raises SceneError where the point is outside of the picture, nothing is there, it is within the focal
+    length, or a depth map has blur radii, whose depths follow from the focus; FileError where a depth map cannot be
+    read. Shares are of at most 2^20 pixels at equal steps. Validated on planes, spheres and depth maps of known depth.
     """
     columns, rows = scene.camera.frame_size
     if any(isinstance(item, DepthMap) and item.unit == "coc" for item in scene.objects):

@@ -39,21 +39,12 @@ def mipmap_floats(columns: int, rows: int, channels: int, sides: int) -> int:
 
 
 def mipmap(images: Sequence[Floats], out: Floats | None = None) -> list[Floats]:
-    """All levels of an image, or of the six of a cube map.
+    """All levels of an image (rows, columns, channels), or of the six of a cube map in the order of `SIDES`.
 
-    Parameters
-    ----------
-    images : sequence of ndarray of float32, (rows, columns, channels)
-        One, or six of one size in the order of `SIDES`.
-    out : ndarray of float32, (`mipmap_floats`,), optional
-        Gets the levels one after the other.
-
-    Returns
-    -------
-    list of ndarray of float32, (sides, rows, columns, channels)
-        Each level is the one before without what its texels cannot hold, by a cubic as wide as two of them: of no
-        second moment, so that what is interpolated between texels is no wider than the image. Around the sides of a
-        cube map are CUBE_BORDER texels of their neighbors.
+    out: `mipmap_floats` floats that get the levels one after the other. Returns each level, (sides, rows, columns,
+    channels): the one before without what its texels cannot hold, by a cubic as wide as two of them, of no second
+    moment, so that what is interpolated between texels is no wider than the image. Around the sides of a cube map are
+    CUBE_BORDER texels of their neighbors.
     """
     rows, columns, channels = images[0].shape
     if out is None:

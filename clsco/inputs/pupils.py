@@ -29,25 +29,9 @@ def load_point_spread(
 ) -> PointSpread:  # fmt: skip
     """Point spread of a PSF and an aperture, with the image of its pupil.
 
-    Parameters
-    ----------
-    psf : Psf
-    aperture : Aperture
-    transfer : {"srgb", "linear"}
-        Transfer of images with 8 and 16 bits, as for textures.
-    load : callable
-        `clsco.inputs.textures.picture_of`, or what stands for it.
-    camera : Camera, optional
-        Camera, which psf.model = "wave" needs.
-
-    Returns
-    -------
-    PointSpread
-
-    Raises
-    ------
-    FileError
-        The image of the aperture cannot be read, is no square or not gray, or lets no light pass.
+    transfer: of images with 8 and 16 bits, as for textures. load: `clsco.inputs.textures.picture_of`, or what stands
+    for it. camera: which psf.model = "wave" needs. Raises FileError where the image of the aperture cannot be read, is
+    no square or not gray, or lets no light pass.
     """
     source = aperture.inputs().get("image")
     if source is None:

@@ -108,12 +108,9 @@ def picture_of(source: TextureSource) -> Picture:
 def radiance_of(
     picture: Picture | str, transfer: str, size: tuple[int, int] | None = None, to_srgb: bool = False
 ) -> NDArray[np.float32]:  # fmt: skip
-    """Linear radiance of a picture, or of a built-in pattern by its name; see `load_texture`.
+    """Linear radiance of a picture, or of a built-in pattern by its name, (rows, columns[, 3]); see `load_texture`.
 
-    Returns
-    -------
-    ndarray of float32, (rows, columns) or (rows, columns, 3)
-        Not to be written to: several scenes may have it.
+    Not to be written to: several scenes may have it.
     """
     if isinstance(picture, str):
         rows, columns = size or (DEFAULT_SIDE, DEFAULT_SIDE)
@@ -224,25 +221,9 @@ def load_scene_textures(
     """Load the textures of all objects, each file once: in the size of the frame, or in their own where they lie on a
     surface; and in the primaries of sRGB, where images have different color profiles.
 
-    Parameters
-    ----------
-    scene : Scene
-    load : callable
-        `load_texture`, or what stands for it.
-    color : callable
-        `color_of`, or what stands for it.
-
-    Returns
-    -------
-    Scene
-        With its resolution, which the first object's texture gives where the scene does not.
-    tuple of Texture
-        One per object.
-
-    Raises
-    ------
-    FileError
-        As `load_texture`.
+    load, color: `load_texture` and `color_of`, or what stands for them. Returns the scene with its resolution, which
+    the first object's texture gives where the scene does not, and a texture per object. Raises FileError as
+    `load_texture`.
     """
     names = [item.textures() for item in scene.objects]
     columns, rows = scene.camera.resolution or texture_size(names[0][0])
@@ -263,21 +244,8 @@ def load_scene_textures(
 def find_stretched(scenes: Iterable[Scene]) -> list[str]:
     """Projected images of another aspect than the frame, each with the first object that has it; drawn ones have none.
 
-    Parameters
-    ----------
-    scenes : iterable of Scene
-        With their resolutions.
-
-    Returns
-    -------
-    list of str
-        Like "object[0].texture: is stretched from 640 x 480 to the frame's 512 x 512 px", each once. A side that is
-        rounded to a whole pixel does not count.
-
-    Raises
-    ------
-    FileError
-        As `texture_size`.
+    scenes: with their resolutions. Like "object[0].texture: is stretched from 640 x 480 to the frame's 512 x 512 px",
+    each once. A side that is rounded to a whole pixel does not count. Raises FileError as `texture_size`.
     """
     size_of, notes = cache(texture_size), dict[str, None]()
     for scene in scenes:
@@ -470,9 +438,4 @@ def _area_beyond(distance: Floats, normal_x: float | Floats, normal_y: float | F
     return np.asarray((integral(distance + narrow) - integral(distance - narrow)) / (2 * narrow))
 
 
-PATTERNS = {
-    "bricks": bricks,
-    "checkerboard": checkerboard,
-    "slanted_edge": slanted_edge,
-    "siemens_star": siemens_star,
-}
+PATTERNS = {"bricks": bricks, "checkerboard": checkerboard, "slanted_edge": slanted_edge, "siemens_star": siemens_star}

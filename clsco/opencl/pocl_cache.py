@@ -131,20 +131,6 @@ def exclusive() -> Iterator[None]:
                 _record(folder)
 
 
-def adopt(other: Path) -> int:
-    """Take over what PoCL has compiled into another folder of this process' children; how many programs were new."""
-    folder, count = _folder(), 0
-    with _locked(folder):
-        for program in sorted({_program(name) for name, _ in _names(other) if "/" in name}):
-            if not (folder / program).exists():
-                (folder / program).parent.mkdir(mode=0o700, exist_ok=True)
-                shutil.move(other / program, folder / program)
-                count += 1
-        if _is_ours(folder):
-            _record(folder)
-    return count
-
-
 def wipe_cache() -> Path | None:
     """Remove every compiled kernel from PoCL's cache folder and return the folder, None if there is none.
 

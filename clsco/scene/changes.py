@@ -116,15 +116,8 @@ def displace(data: dict[str, Any], key: str, value: Any) -> None:
 def dump(scene: Any) -> dict[str, Any]:
     """Content of the scene file that describes a scene, with all keys that apply to it written out.
 
-    Parameters
-    ----------
-    scene : Scene
-
-    Returns
-    -------
-    dict
-        Plain dicts, lists, strings, numbers and booleans, and the arrays of the scene as they are; `parse_scene` makes
-        an equal scene of them.
+    Plain dicts, lists, strings, numbers and booleans, and the arrays of the scene as they are; `parse_scene` makes an
+    equal scene of them.
     """
     data: dict[str, Any] = scene.model_dump(mode="json", by_alias=True, exclude_none=True)
     if scene.camera.f_number is not None:
@@ -157,15 +150,7 @@ def table_at(data: dict[str, Any], place: Sequence[str | int]) -> dict[str, Any]
 def given_keys(value: Any) -> Any:
     """Content of a scene file of the keys that were given, so that defaults follow from these again.
 
-    Parameters
-    ----------
-    value
-        A scene or a table of it, a list or mapping of them, or the value of a key.
-
-    Returns
-    -------
-    dict, list or any other value
-        Tables and lists; other values stay as they are.
+    value: a scene or a table of it, a list or mapping of them, or the value of a key, which stays as it is.
     """
     if isinstance(value, BaseModel):
         fields = type(value).model_fields

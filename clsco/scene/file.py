@@ -85,18 +85,7 @@ def load_scene(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
 
 
 def swept_keys(mapping: Mapping[str, Any]) -> list[tuple[Location, Any]]:
-    """Find keys that have a list or a range of values in place of one value.
-
-    Parameters
-    ----------
-    mapping : mapping
-        Content of a scene file, valid or not.
-
-    Returns
-    -------
-    list of (location, value)
-        In the order of the file.
-    """
+    """Find keys of a scene file, valid or not, that have a list or a range of values in place of one value."""
     swept: list[tuple[Location, Any]] = []
 
     def search(table: Any, model: type[BaseModel], location: Location) -> None:
@@ -134,18 +123,7 @@ def _is_vector(annotation: Any) -> bool:
 
 
 def absolute(scene: Scene, folder: Path) -> Scene:
-    """Make the paths of textures and depth maps absolute.
-
-    Parameters
-    ----------
-    scene : Scene
-    folder : Path
-        Start of relative paths.
-
-    Returns
-    -------
-    Scene
-    """
+    """Make the paths of textures and depth maps absolute; relative ones start at the folder."""
 
     def placed(item: Owner) -> Owner:
         return item.model_copy(update={key: str(folder / path) for key, path in item.files().items()})
@@ -168,19 +146,8 @@ def named_files(data: Mapping[str, Any]) -> Iterator[tuple[Location, str]]:
 
 
 def relocated(data: Mapping[str, Any], name: Callable[[Location, str], str]) -> dict[str, Any]:
-    """The content of a scene file whose files have other names.
-
-    Parameters
-    ----------
-    data : mapping
-        Stays as it is.
-    name : callable
-        Takes the place of a file and its name, and gives the other one.
-
-    Returns
-    -------
-    dict
-    """
+    """A copy of the content of a scene file whose files have other names; `name` takes the place of a file and its
+    name."""
     copy = dict(data)
     if isinstance(aperture := data.get("aperture"), Mapping):
         copy["aperture"] = dict(aperture)
@@ -266,22 +233,7 @@ def table_of(content: Any, where: str) -> Any:
 
 
 def scene_of(scene: SceneLike) -> Scene:
-    """Scene of any form that users may pass.
-
-    Parameters
-    ----------
-    scene : Scene, mapping, str or os.PathLike
-        A mapping as for `parse_scene`, a path as for `load_scene`.
-
-    Returns
-    -------
-    Scene
-
-    Raises
-    ------
-    SceneError
-        As `parse_scene` and `load_scene`, and for other types.
-    """
+    """Scene of any form that users may pass: a Scene, a mapping or the path of a file. Raises SceneError."""
     if isinstance(scene, Scene):
         return scene
     if isinstance(scene, str | os.PathLike):
@@ -292,42 +244,14 @@ def scene_of(scene: SceneLike) -> Scene:
 
 
 def psf_of(psf: PsfLike) -> Psf:
-    """PSF of any form that users may pass.
-
-    Parameters
-    ----------
-    psf : Psf, mapping, str or None
-        A mapping with the keys of [psf], or the name of a model; None: the default PSF.
-
-    Returns
-    -------
-    Psf
-
-    Raises
-    ------
-    SceneError
-        As `parse_scene`, and for other types.
-    """
+    """PSF of a Psf, a mapping with the keys of [psf], or the name of a model; None: the default. Raises SceneError."""
     return _section(Psf, psf, "psf", "model")
 
 
 def aperture_of(aperture: ApertureLike, psf: Psf) -> Aperture:
-    """Aperture of any form that users may pass, which a PSF can have.
+    """Aperture, of any form that users may pass, that a PSF can have. Raises SceneError.
 
-    Parameters
-    ----------
-    aperture : Aperture, mapping, str or None
-        A mapping with the keys of [aperture], or the name of a shape; None: a circle.
-    psf : Psf
-
-    Returns
-    -------
-    Aperture
-
-    Raises
-    ------
-    SceneError
-        As `parse_scene`, for other types, and where they do not go together.
+    aperture: Aperture, a mapping with the keys of [aperture], or the name of a shape; None: a circle.
     """
     section = _section(Aperture, aperture, "aperture", "shape")
     if section.rim:

@@ -1,98 +1,34 @@
-"""JSON Schema of scene files, for editors and other programs."""
+"""JSON Schema of scene files, for editors and other programs; `tests/scene/schema_file.py` writes it."""
 
 from __future__ import annotations
 
-import ast
-import sys
-from functools import cache
-from inspect import cleandoc, getsource
-from itertools import pairwise
-from typing import Any, get_args
+import json
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
 
-from pydantic import BaseModel
-
-from clsco.scene.file import MAX_OUTPUTS, SECTIONS, SWEEPABLE, holds_tables
-from clsco.scene.model import CameraMotion, ObjectMotion, Scene
-from clsco.scene.shapes import SHAPES
-
-_END = {"anyOf": [{"type": "number"}, {"type": "array", "items": {"type": "number"}}]}
-_RANGE_SCHEMA = {
-    "title": "Range",
-    "description": "Values at equal distances, both ends among them; one output each.",
-    "type": "object",
-    "properties": {
-        "from": {"description": "First value.", **_END},
-        "to": {"description": "Last value.", **_END},
-        "steps": {"description": "Number of values.", "type": "integer", "minimum": 2, "maximum": MAX_OUTPUTS},
-    },
-    "required": ["from", "to", "steps"],
-    "additionalProperties": False,
-}
+_FORMS_OF_VALUES = {"AxisAngle", "Range", "UnitQuaternion"}  # tables that stand for a single value
 
 
 def scene_schema() -> dict[str, Any]:
-    """JSON Schema (draft 2020-12) of a scene file.
-
-    Returns
-    -------
-    dict
-        Units stand in the descriptions. Keys that may be swept also take a list or a range of values.
-    """
-    schema = Scene.model_json_schema(by_alias=True)
-    definitions = schema["$defs"]
-    _describe(schema, Scene)
-    for model in _models(Scene):
-        _describe(definitions.get(model.__name__, {}), model)
-    for shape in SHAPES.values():
-        definition = definitions[shape.__name__]
-        definition["required"] = ["shape", *definition.get("required", [])]
-    swept: list[type[BaseModel]] = [CameraMotion, ObjectMotion, *(SECTIONS[name] for name in SWEEPABLE)]
-    for model in swept:
-        for key, entry in definitions[model.__name__]["properties"].items():
-            annotation = model.model_fields[key].annotation
-            if not holds_tables(annotation):
-                about = {name: entry.pop(name) for name in ("title", "description", "default") if name in entry}
-                several = {"type": "array", "items": entry, "minItems": 1, "description": "All of them in turn."}
-                choice = {"anyOf": [entry, several, {"$ref": "#/$defs/Range"}]}
-                definitions[model.__name__]["properties"][key] = about | choice
-    definitions["Range"] = _RANGE_SCHEMA
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "required": ["object"]}
+    """Read the JSON Schema (draft 2020-12) of a scene file."""
+    schema: dict[str, Any] = json.loads(Path(__file__).with_suffix(".json").read_text("utf-8"))
+    return schema
 
 
-def _models(root: type[BaseModel]) -> set[type[BaseModel]]:
-    """The models of a model's fields, at any depth."""
-    models: set[type[BaseModel]] = set()
-    waiting: list[Any] = [field.annotation for field in root.model_fields.values()]
-    while waiting:
-        part = waiting.pop()
-        waiting += get_args(part)
-        if isinstance(part, type) and issubclass(part, BaseModel) and part not in models:
-            models.add(part)
-            waiting += [field.annotation for field in part.model_fields.values()]
-    return models
+def list_keys() -> list[str]:
+    """List the keys of a scene as `--set` takes them: "camera.f_number", "object.0.radius"."""
+    schema = scene_schema()
 
+    def keys(properties: Mapping[str, Any], start: str) -> Iterator[str]:
+        for key, entry in properties.items():
+            models = dict.fromkeys(re.findall(r"#/\$defs/(\w+)", json.dumps(entry)))
+            tables = [schema["$defs"][name]["properties"] for name in models if name not in _FORMS_OF_VALUES]
+            is_array = any("items" in form for form in (entry, *entry.get("anyOf", ())))
+            for table in tables:
+                yield from keys(table, f"{start}{key}.0." if is_array else f"{start}{key}.")
+            if not tables:
+                yield start + key
 
-@cache
-def _classes(module: str) -> dict[str, ast.ClassDef]:
-    """The classes of a module in its source, which is parsed once: `inspect` parses it for each of its classes."""
-    return {
-        node.name: node for node in ast.parse(getsource(sys.modules[module])).body if isinstance(node, ast.ClassDef)
-    }
-
-
-def _describe(definition: dict[str, Any], model: type[BaseModel]) -> None:
-    """Give the properties of a schema what stands below the fields of its model.
-
-    pydantic would read the source at every start of a process (`use_attribute_docstrings`), which takes 25 ms.
-    """
-    for kind in reversed([kind for kind in model.__mro__ if issubclass(kind, BaseModel) and kind is not BaseModel]):
-        if all(field.description for field in kind.model_fields.values()):  # as of one that has no source
-            continue
-        for field, text in pairwise(_classes(kind.__module__)[kind.__name__].body):
-            if not (isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)):
-                continue
-            name = field.target.id
-            known = model.model_fields.get(name)
-            if known and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant):
-                key = str(known.validation_alias or known.alias or name)
-                definition["properties"][key]["description"] = cleandoc(str(text.value.value))
+    return list(dict.fromkeys(keys(schema["properties"], "")))

@@ -33,14 +33,8 @@ DEEPEST = 8  # tables and lists in each other: of a range of velocities of an ob
 
 @dataclass(frozen=True)
 class Sweep:
-    """Scenes of one file.
-
-    Attributes
-    ----------
-    labels : tuple of str
-        One per scene: its keys with their values, in a form that can name a folder; "" for the only scene of a file.
-    scenes : tuple of Scene
-    """
+    """Scenes of one file, with a label for each: its keys with their values, in a form that can name a folder; "" for
+    the only scene of a file."""
 
     labels: tuple[str, ...]
     scenes: tuple[Scene, ...]
@@ -117,19 +111,7 @@ def load_sweep(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
 
 
 def load_sweeps(paths: Sequence[Path], overrides: Sequence[str] = ()) -> list[tuple[Path, Sweep | SceneError]]:
-    """Read the sweeps of several files.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-    overrides : sequence of str
-        As for `load_sweep`.
-
-    Returns
-    -------
-    list of (Path, Sweep or SceneError)
-        The error of a file that is not valid in place of its sweep.
-    """
+    """Read the sweeps of several files, as `load_sweep`; in place of that of a file that is not valid is its error."""
     loaded: list[tuple[Path, Sweep | SceneError]] = []
     for path in paths:
         try:

@@ -11,18 +11,7 @@ from clsco.scene.file import MAX_DOTS
 
 
 def toml_text(table: Mapping[str, Any]) -> str:
-    """Text in TOML of nested tables.
-
-    Parameters
-    ----------
-    table : mapping
-        Content of a scene file: text, numbers, booleans, tables, and lists of any of them.
-
-    Returns
-    -------
-    str
-        Values of a table before the tables in it; `tomllib.loads` gives an equal mapping.
-    """
+    """Text in TOML of nested tables, with values before tables; `tomllib.loads` gives an equal mapping."""
     return "\n\n".join(part for part in _parts(table, "", "") if part) + "\n"
 
 

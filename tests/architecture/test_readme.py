@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import clsco
+from clsco.cli.images import defocus
 from clsco.cli.main import main
 from clsco.frame.frame import FILE_NAMES
 
@@ -81,7 +82,7 @@ def test_commands_and_outputs_are_all_named() -> None:
 
 def test_options_and_examples_of_files_exist() -> None:
     (command,) = (block for block in blocks("sh", "docs/depth_maps.md") if "clsco defocus" in block)
-    options = {name for option in main.commands["defocus"].params for name in option.opts}
+    options = {name for option in defocus.params for name in option.opts}
     table = re.findall(r"^\| [^|]+ \| `(--unit [^`]+)`", PAGES["docs/depth_maps.md"], re.MULTILINE)
     assert len(table) == 10
     used = set(re.findall(r"--[\w-]+", " ".join([command, *table])))

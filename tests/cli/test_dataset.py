@@ -257,8 +257,8 @@ def test_a_command_that_is_asked_to_end_leaves_no_stray_files(tmp_path: Path, nu
         assert process.poll() is None
         time.sleep(0.05)
     os.killpg(process.pid, number) if number == signal.SIGINT else process.send_signal(number)
-    _, told = process.communicate(timeout=60)
-    assert (process.returncode, told) == ((130, "interrupted\n") if number == signal.SIGINT else (143, ""))
+    _, errors = process.communicate(timeout=60)
+    assert (process.returncode, errors) == ((130, "interrupted\n") if number == signal.SIGINT else (143, ""))
     assert not list((tmp_path / "out").glob(".*"))
     assert all(
         (tmp_path / "out" / "data" / f"{path.stem}.tar").exists() for path in (tmp_path / "out").glob("manifest/*")

@@ -70,12 +70,12 @@ def test_files_are_filled_as_arrays_are(
     result = run(image, mask, "-o", tmp_path / "made" / out, "--method", "mean-median")
     assert result.exit_code == 0, result.output
     expected, report = clsco.inpaint(data, MISSING, method="mean-median", return_report=True)
-    found = read_image(tmp_path / "made" / out).data
+    pixels = read_image(tmp_path / "made" / out).data
     if out.endswith(".exr") and channels == 1:
-        assert (found[..., :1] == found).all()
-        found = found[..., 0]
-    assert found.dtype == expected.dtype
-    assert (found == expected).all()
+        assert (pixels[..., :1] == pixels).all()
+        pixels = pixels[..., 0]
+    assert pixels.dtype == expected.dtype
+    assert (pixels == expected).all()
     assert report.stages is not None
     for recorded in (
         f"{MISSING.sum()}",

@@ -8,15 +8,11 @@ from typing import Any
 
 import pytest
 from click.shell_completion import BashComplete
-from click.testing import CliRunner, Result
 
 from clsco.cli.main import main
 from clsco.scene import sweep
+from tests.command import clsco_
 from tests.scenes import PLANE, scene_file
-
-
-def clsco_(*words: object) -> Result:
-    return CliRunner().invoke(main, [str(word) for word in words])
 
 
 def test_messages_of_the_library_are_shown_on_demand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -25,32 +21,34 @@ def test_messages_of_the_library_are_shown_on_demand(tmp_path: Path, monkeypatch
     for name, value in (("handlers", []), ("propagate", True), ("level", logging.WARNING)):
         monkeypatch.setattr(logger, name, value)
 
-    def logged(*given: Any) -> Any:
+    def logged(*arguments: Any) -> Any:
         logger.info("read")
         logger.debug("all of it\x1b")
-        return load(*given)
+        return load(*arguments)
 
     monkeypatch.setattr(sweep, "load_sweeps", logged)
-    for words, said in ((), ""), (("-v",), "clsco: read\n"), (("-vv",), "clsco: read\nclsco: all of it\\x1b\n"):
+    for words, log in ((), ""), (("-v",), "clsco: read\n"), (("-vv",), "clsco: read\nclsco: all of it\\x1b\n"):
         result = clsco_(*words, "validate", scene)
-        assert (result.exit_code, result.stderr) == (0, said)
+        assert (result.exit_code, result.stderr) == (0, log)
 
 
 @pytest.mark.parametrize(
-    ("words", "found"),
+    ("words", "names"),
     [
         ("render --truth depth,no", ["depth,normal", "depth,noise_sigma"]),
         ("render --format npz,kitti_f", ["npz,kitti_flow"]),
         ("render --types depth=", ["depth=float32", "depth=float16"]),
         ("dataset make --format za", ["zarr", "zarr+raw"]),
         ("defocus --unit inv", ["inverse_mm", "inverse_m"]),
-        ("defocus --occlusion l", ["layered"]),
         ("video --preset ff", ["ffv1", "ffv1-16"]),
         ("inpaint --method t", ["texture"]),
+        ("render --set camera.f_", ["camera.f_number="]),
+        ("plan --set object.0.rad", ["object.0.radius="]),
+        ("examples sphere_", ["sphere_moving", "sphere_turning"]),
     ],
 )
-def test_a_shell_completes_names(words: str, found: list[str]) -> None:
-    *given, last = words.split()
+def test_a_shell_completes_names(words: str, names: list[str]) -> None:
+    *before, last = words.split()
     shell = BashComplete(main, {}, "clsco", "_CLSCO_COMPLETE")
-    completed = [item.value for item in shell.get_completions(given, last)]
-    assert [value for value in completed if not value.startswith("-")] == found
+    completed = [item.value for item in shell.get_completions(before, last)]
+    assert [value for value in completed if not value.startswith("-")] == names

@@ -7,16 +7,15 @@ import re
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
 
 from clsco import load_sweep
-from clsco.cli.main import main
 from clsco.cli.plan_tables import duration
 from clsco.cli.plan_time import SETTINGS, cheaper_settings
 from clsco.engine.probe import SECONDS, FrameTime
 from clsco.errors import DeviceError
 from clsco.opencl.session import Session
 from clsco.plan.prepare import Prepared, prepare
+from tests.command import clsco_
 from tests.scenes import scene_file
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -31,10 +30,6 @@ shape = "sphere"
 [object.motion]
 velocity = [3.0, 0.0, 0.0]
 """
-
-
-def clsco_(*words: object) -> Result:
-    return CliRunner().invoke(main, [str(word) for word in words])
 
 
 @pytest.fixture

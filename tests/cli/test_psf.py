@@ -45,10 +45,10 @@ def test_weights_and_axes_are_written(scene: Path, tmp_path: Path) -> None:
     assert code == 0
     assert text == f"{out}: circle, integrated: 2 places, 2 depths, 29 x 29 px, R -3.334 to 13.33 px\n"
     expected = clsco.psf(clsco.load_scene(scene, ["camera.f_number=2"]), [(3, 4.5), (39, 31)], [200, np.inf]).arrays()
-    with np.load(out) as found:
-        assert set(found.files) == set(expected)
+    with np.load(out) as arrays:
+        assert set(arrays.files) == set(expected)
         for name, array in expected.items():
-            np.testing.assert_array_equal(found[name], array)
+            np.testing.assert_array_equal(arrays[name], array)
 
 
 def test_a_picture_has_a_column_for_each_depth_with_the_same_scale(scene: Path, tmp_path: Path) -> None:
@@ -88,8 +88,8 @@ def test_what_is_refused(
     scene: Path, words: tuple[str, ...], code: int, message: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    found, text = run(scene, *words)
-    assert (found, message in text) == (code, True), text
+    status, text = run(scene, *words)
+    assert (status, message in text) == (code, True), text
     assert list(tmp_path.iterdir()) == [scene]
 
 
@@ -98,9 +98,9 @@ def test_wavelengths_are_channels(scene: Path, tmp_path: Path) -> None:
     waves = ("--set", "camera.f_number=8", "--set", "psf.model=wave", "--depths", "250", "--wavelengths")
     code, text = run(scene, "-o", out, *waves, "2000,4000")
     assert (code, text.count("2 channels")) == (0, 1)
-    with np.load(out) as found:
-        assert found["channel"].tolist() == ["2000 nm", "4000 nm"]
-        short, long = found["weights"].max(axis=(1, 2, 3, 4))
+    with np.load(out) as arrays:
+        assert arrays["channel"].tolist() == ["2000 nm", "4000 nm"]
+        short, long = arrays["weights"].max(axis=(1, 2, 3, 4))
     assert short > 1.2 * long
     code, text = run(scene, "-o", out, *waves, "2000,blue")
     assert "must be NM,NM,..., wavelengths in nm; got 2000,blue" in text

@@ -11,7 +11,8 @@ import clsco
 from clsco.files.images import read_image
 from clsco.files.transfer import encode
 from clsco.frame.files import read_complete
-from tests.cli.test_main import BALL, clsco_, names
+from tests.cli.test_main import BALL, names
+from tests.command import clsco_
 from tests.scenes import scene_file
 
 
@@ -55,11 +56,3 @@ def test_resume_makes_those_that_are_not_there(ball: Path, tmp_path: Path) -> No
     assert frames("--resume", "--subframes") == frames("--resume") == both
     (tmp_path / "frame_0000_sample_01.png").unlink()
     assert frames("--resume", "--subframes") > both
-
-
-def test_of_a_stereo_pair_each_view_has_its_own(tmp_path: Path) -> None:
-    scene = scene_file(tmp_path / "pair.toml", BALL.replace("[sequence]", "[stereo]\nbaseline = 4.0\n[sequence]"))
-    assert clsco_("render", scene, "-o", tmp_path / "out", "--subframes", "--frames", ":1").exit_code == 0
-    views = [f"frame_0000_{eye}" for eye in ("left", "right")]
-    found = [f"{view}{end}.png" for view in views for end in ("", *(f"_sample_0{number}" for number in range(3)))]
-    assert names(tmp_path / "out") == ["frame_0000.json", *found]

@@ -6,17 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 
-from clsco.cli.main import main
+from tests.command import clsco_
 from tests.scenes import PLANE, scene_file
 
 PLACE = 'distance = 300.0\ntexture = "texture.npy"\n'
 STACK = PLANE.replace("[camera]", "[camera]\nf_number = { from = 2, to = 4, steps = 3 }") + PLACE
-
-
-def clsco_(*words: object) -> Result:
-    return CliRunner().invoke(main, [str(word) for word in words])
 
 
 def messages(result: Result) -> list[str]:
@@ -59,8 +55,8 @@ def test_every_value_of_a_sweep_has_a_folder(stack: Path, still: Path, tmp_path:
     assert len(pictures) == 3  # each f-number has its own blur
     several = tmp_path / "several"
     assert clsco_("render", stack, still, "-o", several, "--frames", ":1").exit_code == 0
-    wanted = [*(f"stack/f_number_{number}" for number in (2, 3, 4)), "still"]
-    assert names(several) == [f"{place}/frame_0000.{suffix}" for place in wanted for suffix in ("json", "png")]
+    expected = [*(f"stack/f_number_{number}" for number in (2, 3, 4)), "still"]
+    assert names(several) == [f"{place}/frame_0000.{suffix}" for place in expected for suffix in ("json", "png")]
 
 
 def test_resume_renders_the_values_that_are_missing(stack: Path, tmp_path: Path) -> None:

@@ -10,14 +10,14 @@ import av
 import click
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 
 import clsco
 from clsco.cli import video
-from clsco.cli.main import main
 from clsco.errors import ArgumentError
 from clsco.files.images import read_image
 from clsco.files.video import PRESETS
+from tests.command import clsco_
 from tests.scenes import scene_file
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -36,10 +36,6 @@ velocity = [20.0, 0.0, 0.0]
 """
 
 
-def clsco_(*words: object) -> Result:
-    return CliRunner().invoke(main, [str(word) for word in words])
-
-
 def lines(result: Result, status: int) -> list[str]:
     assert result.exit_code == status, result.output
     assert result.exception is None or isinstance(result.exception, SystemExit)
@@ -56,8 +52,8 @@ def ball(scene: Path) -> Path:
     """Frames of a ball that moves, with their truth, and a clip."""
     folder = scene.parent / "out"
     result = clsco_("render", scene, "-o", folder, "--format", "npz,exr", "--video", "ffv1")
-    wanted = f"{folder}/clip.mkv: 4 frames at 25 frames per second, as sequence.interval = 0.04 s"
-    assert lines(result, 0) == [wanted]
+    expected = f"{folder}/clip.mkv: 4 frames at 25 frames per second, as sequence.interval = 0.04 s"
+    assert lines(result, 0) == [expected]
     return folder
 
 

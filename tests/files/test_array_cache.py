@@ -17,12 +17,12 @@ def test_arrays_come_back(tmp_path: Path) -> None:
     cache = ArrayCache(tmp_path)
     assert cache.get("key") is None
     cache.put("key", ARRAYS)
-    found = ArrayCache(tmp_path).get("key")
-    assert found is not None
-    assert found.keys() == ARRAYS.keys()
+    arrays = ArrayCache(tmp_path).get("key")
+    assert arrays is not None
+    assert arrays.keys() == ARRAYS.keys()
     for name, array in ARRAYS.items():
-        np.testing.assert_array_equal(found[name], array)
-        assert found[name].dtype == array.dtype
+        np.testing.assert_array_equal(arrays[name], array)
+        assert arrays[name].dtype == array.dtype
     assert cache.get("other") is None
     assert len(list(tmp_path.iterdir())) == 1
 

@@ -72,12 +72,12 @@ def test_frame_files_hold_the_frame(tmp_path: Path, channels: int) -> None:
             np.testing.assert_array_equal(truth[FILE_NAMES[name]], getattr(shown, name), strict=True)
 
     stored = OpenEXR.File(str(tmp_path / "frame_0003.exr"), separate_channels=True).channels()
-    wanted = exr_channels(shown.arrays())
-    assert set(stored) == set(wanted)
+    frame_channels = exr_channels(shown.arrays())
+    assert set(stored) == set(frame_channels)
     expected = "R G B A Z coc sharp.R sharp.G sharp.B N.X N.Y N.Z flow.u flow.v id mask filled missing hidden"
     assert set(stored) == set(expected.split())
     for name, channel in stored.items():
-        np.testing.assert_array_equal(channel.pixels, wanted[name].astype("f4"), strict=True)
+        np.testing.assert_array_equal(channel.pixels, frame_channels[name].astype("f4"), strict=True)
     assert shown.flow is not None
     np.testing.assert_array_equal(stored["flow.v"].pixels, shown.flow[..., 1])
     np.testing.assert_array_equal(stored["B"].pixels, shown.color.reshape(6, 8, -1)[..., -1])
@@ -119,14 +119,14 @@ def test_a_stereo_pair_has_files_of_each_view_and_one_exr(tmp_path: Path) -> Non
     parts = OpenEXR.File(str(tmp_path / "frame_0003.exr"), separate_channels=True).parts
     assert [part.name() for part in parts] == [part.header["view"] for part in parts] == ["left", "right"]
     for shown, part in zip(views, parts, strict=True):
-        wanted = exr_channels(shown.arrays())
+        frame_channels = exr_channels(shown.arrays())
         assert (
             set(part.channels)
-            == set(wanted)
+            == set(frame_channels)
             >= {"R", "Z", "flow.u", "flow_backward.v", "flow_occluded", "disparity", "occluded"}
         )
         for name, channel in part.channels.items():
-            np.testing.assert_array_equal(channel.pixels, wanted[name].astype("f4"), strict=True)
+            np.testing.assert_array_equal(channel.pixels, frame_channels[name].astype("f4"), strict=True)
         np.testing.assert_array_equal(part.channels["disparity"].pixels, shown.disparity, strict=True)
         stem = f"frame_0003_{shown.eye}"
         np.testing.assert_array_equal(read_image(tmp_path / f"{stem}.png").data, encode(shown.color, 8, "linear"))
@@ -147,10 +147,10 @@ def test_a_pair_is_written_together_or_not_at_all(tmp_path: Path, monkeypatch: p
     write = getattr(framefiles, broken)
     name = "frame_0003.exr" if broken == "write_exr" else f"frame_0003_right.{broken[-3:]}"
 
-    def last_fails(path: Path, *given: object, **options: object) -> None:
+    def last_fails(path: Path, *arguments: object, **options: object) -> None:
         if path.name == name:
             raise FileError(f"{path}: the file must be writable; got No space left on device")
-        write(path, *given, **options)
+        write(path, *arguments, **options)
 
     monkeypatch.setattr(framefiles, broken, last_fails)
     with pytest.raises(FileError) as caught:
@@ -249,12 +249,7 @@ def test_writing_shows_nothing_unfinished(tmp_path: Path, monkeypatch: pytest.Mo
 def test_unwritable_places(tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(b"")
     (tmp_path / "folder" / "inner").mkdir(parents=True)
-    for path in (
-        tmp_path / "none" / "a.png",
-        tmp_path / "file" / "a.png",
-        tmp_path / "folder",
-        tmp_path / "a\0.png",
-    ):
+    for path in (tmp_path / "none" / "a.png", tmp_path / "file" / "a.png", tmp_path / "folder", tmp_path / "a\0.png"):
         with pytest.raises(FileError, match="the file must be writable; got "):
             write_png(path, GRAY)
     with pytest.raises(FileError, match="the file must be writable; got Out of range float"):

@@ -34,8 +34,8 @@ def test_colmaps_text_holds_every_pose() -> None:
 
 def test_colmap_has_distortion_in_its_own_order() -> None:
     texts = colmap_texts([("a.png", replace(camera(TURNS[0]), distortion=(-0.25, 0.05, 0.01, -0.02, 0.5)))])
-    wanted = "1 FULL_OPENCV 64 48 2000.1 2000.1 32.0 24.0 -0.25 0.05 0.01 -0.02 0.5 0.0 0.0 0.0"
-    assert texts["cameras.txt"].decode().splitlines()[1] == wanted
+    expected = "1 FULL_OPENCV 64 48 2000.1 2000.1 32.0 24.0 -0.25 0.05 0.01 -0.02 0.5 0.0 0.0 0.0"
+    assert texts["cameras.txt"].decode().splitlines()[1] == expected
 
 
 def test_colmap_has_each_kind_of_camera_once() -> None:

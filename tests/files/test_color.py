@@ -14,15 +14,14 @@ import numpy as np
 import OpenEXR
 import pytest
 import tifffile
-from click.testing import CliRunner, Result
 from numpy.typing import NDArray
 from PIL import Image
 
-from clsco.cli.main import main
 from clsco.files.color import LARGEST_PROFILE, SRGB, Color, chunk_color, icc_color
 from clsco.files.images import WRITERS, read_image, write_png, write_tiff
 from clsco.files.transfer import CODES, decode, encode
 from clsco.inputs.textures import load_texture
+from tests.command import clsco_
 
 Array = NDArray[Any]
 WHITE = [0.3127, 0.329, 1.0]
@@ -56,9 +55,9 @@ def test_codes_decode_as_by_littlecms(name: str) -> None:
     ramp = np.repeat(CODES[None, :, None], 3, axis=2)
     linear = made(whitepoint=WHITE, primaries=primaries, gamma=1.0)
     options: Any = {"colorspace": "rgb", "outcolorspace": "rgb", "outdtype": "float32"}
-    wanted = imagecodecs.cms_transform(ramp, icc, linear, **options)
+    expected = imagecodecs.cms_transform(ramp, icc, linear, **options)
     # Its own float32, and 16 bits of the matrices, whose rows sum to 1 within 2e-5.
-    np.testing.assert_allclose(decode(ramp, curve_of(icc_color(icc, 3))), wanted, rtol=0, atol=3e-5)
+    np.testing.assert_allclose(decode(ramp, curve_of(icc_color(icc, 3))), expected, rtol=0, atol=3e-5)
 
 
 @pytest.mark.parametrize("bits", [8, 16])
@@ -127,10 +126,10 @@ PARAMETRIC = {
 @pytest.mark.parametrize("kind", PARAMETRIC)
 def test_parametric_curves_are_the_standards(kind: int) -> None:
     """ICC.1:2022, table 68."""
-    numbers, wanted = PARAMETRIC[kind]
+    numbers, expected = PARAMETRIC[kind]
     tag = para(kind, *numbers)
     color = icc_color(profile(tag, [len(tag)], b"GRAY", (b"kTRC",)), 1)
-    np.testing.assert_allclose(decode(CODES, curve_of(color)), wanted, rtol=0, atol=4e-5)  # numbers have 16 bits
+    np.testing.assert_allclose(decode(CODES, curve_of(color)), expected, rtol=0, atol=4e-5)  # numbers have 16 bits
 
 
 GAMMA, FALLING = curv(np.array([2.0 * 256 / 65535])), curv(np.array([0.0, 1.0, 0.5, 1.0]))
@@ -212,12 +211,12 @@ CHUNKS: dict[str, tuple[dict[bytes, bytes], bool, Array | None]] = {
 
 @pytest.mark.parametrize("name", CHUNKS)
 def test_chunks_of_a_png_stand_for_a_profile(name: str) -> None:
-    chunks, plain, wanted = CHUNKS[name]
+    chunks, plain, expected = CHUNKS[name]
     color = chunk_color(chunks)
     assert (color.is_plain, color.note) == (plain, "")
-    assert (color.curve is None) == (wanted is None)
-    if wanted is not None:
-        np.testing.assert_allclose(decode(CODES, color.transfer("srgb")), wanted, rtol=0, atol=1e-5)
+    assert (color.curve is None) == (expected is None)
+    if expected is not None:
+        np.testing.assert_allclose(decode(CODES, color.transfer("srgb")), expected, rtol=0, atol=1e-5)
 
 
 def test_a_curve_that_is_not_known_is_said() -> None:
@@ -264,10 +263,6 @@ def test_readers_find_profiles(tmp_path: Path, suffix: str, dtype: str, gray: bo
     np.testing.assert_array_equal(plain, decode(picture.data, "linear").astype(np.float32))
 
 
-def clsco_(*words: object) -> Result:
-    return CliRunner().invoke(main, [str(word) for word in words])
-
-
 @pytest.mark.parametrize("out", ["out.png", "out.tif"])
 def test_kept_pixels_look_the_same(tmp_path: Path, out: str) -> None:
     """Codes and profile stay those of the image, through `inpaint` and through a `defocus` that blurs nothing."""
@@ -284,8 +279,8 @@ def test_kept_pixels_look_the_same(tmp_path: Path, out: str) -> None:
         assert result.exit_code == 0, result.output
         assert "profile" not in result.output
         assert icc_in(tmp_path / out) == icc
-        kept = hole == 0 if "inpaint" in words else np.ones_like(hole, np.bool_)
-        np.testing.assert_array_equal(read_image(tmp_path / out).data[kept], codes[kept])
+        unchanged = hole == 0 if "inpaint" in words else np.ones_like(hole, np.bool_)
+        np.testing.assert_array_equal(read_image(tmp_path / out).data[unchanged], codes[unchanged])
 
 
 def test_frames_in_a_folder_have_the_profile(tmp_path: Path) -> None:

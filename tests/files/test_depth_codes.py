@@ -10,11 +10,7 @@ import pytest
 
 from clsco.errors import FileError
 from clsco.files.atomic import atomic_write_bytes
-from clsco.files.depth_codes import (
-    kitti_depth_codes,
-    kitti_disparity_codes,
-    pfm_bytes,
-)
+from clsco.files.depth_codes import kitti_depth_codes, kitti_disparity_codes, pfm_bytes
 from clsco.files.images import read_image, write_png
 from tests.files.readers import torchvision_kitti_disparity, torchvision_pfm
 
@@ -38,9 +34,9 @@ def test_kittis_disparity_is_read_by_opencv_and_torchvision(tmp_path: Path) -> N
     path = tmp_path / "a.png"
     write_png(path, kitti_disparity_codes(DISPARITY, ~NOTHING))
     codes = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    for found in (codes / 256, torchvision_kitti_disparity(path)):
-        np.testing.assert_array_equal(found == 0, NOTHING)
-        assert np.abs(found - DISPARITY)[~NOTHING].max() <= 1 / 512
+    for pixels in (codes / 256, torchvision_kitti_disparity(path)):
+        np.testing.assert_array_equal(pixels == 0, NOTHING)
+        assert np.abs(pixels - DISPARITY)[~NOTHING].max() <= 1 / 512
 
 
 LARGEST = 65535 / 256

@@ -42,8 +42,8 @@ def test_kitti_flow_is_read_by_opencv_and_torchvision(tmp_path: Path) -> None:
     assert not codes[~VALID].any()
     flow, valid = torchvision_kitti_flow(path)
     np.testing.assert_array_equal(valid, VALID)
-    for found in (flow, (np.dstack([red, green]) - 32768) / 64):
-        assert np.abs(found - FLOW)[VALID].max() <= 1 / 128
+    for vectors in (flow, (np.dstack([red, green]) - 32768) / 64):
+        assert np.abs(vectors - FLOW)[VALID].max() <= 1 / 128
 
 
 @pytest.mark.parametrize("value", [-512.0, -512 - 1 / 128, LARGEST, LARGEST + 0.0078, 0.0, -0.0, 1e-30])
@@ -76,9 +76,9 @@ def test_flow_that_is_no_number_is_unknown(tmp_path: Path) -> None:
     known = np.isfinite(flow).all(axis=-1)
     np.testing.assert_array_equal(kitti_flow_codes(flow)[..., 2] == 1, known)
     atomic_write_bytes(tmp_path / "a.flo", flo_bytes(flow))
-    found = torchvision_flo(tmp_path / "a.flo")
-    np.testing.assert_array_equal((found < 1e9).all(axis=-1), known)
-    np.testing.assert_array_equal(found[known], flow[known])
+    vectors = torchvision_flo(tmp_path / "a.flo")
+    np.testing.assert_array_equal((vectors < 1e9).all(axis=-1), known)
+    np.testing.assert_array_equal(vectors[known], flow[known])
 
 
 def test_flo_refuses_what_readers_take_for_unknown() -> None:

@@ -113,9 +113,9 @@ def test_reads_what_was_stored(
     path = tmp_path / f"image.{suffix}"
     save(path, data)
     picture = read_image(path)
-    wanted = data.astype(np.float32) if data.dtype.kind == "f" else data.astype(data.dtype.newbyteorder("="))
-    np.testing.assert_array_equal(picture.data, wanted, strict=True)
-    assert picture.bits == 8 * wanted.dtype.itemsize
+    expected = data.astype(np.float32) if data.dtype.kind == "f" else data.astype(data.dtype.newbyteorder("="))
+    np.testing.assert_array_equal(picture.data, expected, strict=True)
+    assert picture.bits == 8 * expected.dtype.itemsize
     assert picture.is_float == (data.dtype.kind == "f")
     assert image_size(path) == (shape[1], shape[0])
 
@@ -166,23 +166,23 @@ def test_a_transparent_color_that_no_pixel_has_is_none(tmp_path: Path, dtype: st
     assert refusal(tmp_path / "a.png").startswith("must be a whole PNG; got ")
 
 
-@pytest.mark.parametrize(("shape", "wanted"), [
+@pytest.mark.parametrize(("shape", "expected"), [
     ((1, 6, 7), (6, 7)), ((6, 7, 1), (6, 7)), ((1, 1, 6, 7), (6, 7)), ((1, 6, 7, 1), (6, 7)), ((1, 6, 7, 3), (6, 7, 3)),
     ((1, 7, 3), (1, 7, 3)), ((1, 1, 3), (1, 1, 3)), ((1, 1), (1, 1)), ((1, 1, 1, 1), (1, 1)), ((1, 7), (1, 7)),
 ])  # fmt: skip
 @pytest.mark.parametrize("suffix", ["npy", "npz"])
 def test_axes_of_length_1_around_an_image_are_dropped(
-    tmp_path: Path, shape: tuple[int, ...], wanted: tuple[int, ...], suffix: str
+    tmp_path: Path, shape: tuple[int, ...], expected: tuple[int, ...], suffix: str
 ) -> None:
     data = pixels("f4", shape)
     if suffix == "npz":
-        np.savez(tmp_path / "a.npz", other=np.zeros(3), depth=data[..., :1] if wanted[-1] == 3 else data)
-        if wanted[-1] != 3:
-            np.testing.assert_array_equal(read_depth(tmp_path / "a.npz"), data.reshape(wanted))
+        np.savez(tmp_path / "a.npz", other=np.zeros(3), depth=data[..., :1] if expected[-1] == 3 else data)
+        if expected[-1] != 3:
+            np.testing.assert_array_equal(read_depth(tmp_path / "a.npz"), data.reshape(expected))
         return
     np.save(tmp_path / "a.npy", data)
-    np.testing.assert_array_equal(read_image(tmp_path / "a.npy").data, data.reshape(wanted), strict=True)
-    assert image_size(tmp_path / "a.npy") == (wanted[1], wanted[0])
+    np.testing.assert_array_equal(read_image(tmp_path / "a.npy").data, data.reshape(expected), strict=True)
+    assert image_size(tmp_path / "a.npy") == (expected[1], expected[0])
 
 
 def test_bools_are_black_and_white(tmp_path: Path) -> None:

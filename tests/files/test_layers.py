@@ -8,14 +8,13 @@ from typing import Any
 import numpy as np
 import OpenEXR
 import pytest
-from click.testing import CliRunner, Result
 from numpy.typing import NDArray
 
-from clsco.cli.main import main
 from clsco.errors import FileError
 from clsco.files.images import image_size, read_image, write_png
 from clsco.files.layers import depth_channels, full_names, image_channels
 from clsco.inputs.depth_files import read_depth
+from tests.command import clsco_
 
 Array = NDArray[Any]
 RNG = np.random.default_rng(6)
@@ -80,7 +79,7 @@ def test_a_layer_that_is_not_there_is_refused(tmp_path: Path) -> None:
             read()
 
 
-@pytest.mark.parametrize(("names", "wanted", "found"), [
+@pytest.mark.parametrize(("names", "layer_name", "expected"), [
     (["R", "G", "B"], None, ["R", "G", "B"]),
     (["B", "G", "R", "A", "Z"], None, ["R", "G", "B", "A"]),
     (["Y"], None, ["Y"]),
@@ -93,16 +92,16 @@ def test_a_layer_that_is_not_there_is_refused(tmp_path: Path) -> None:
     (["R", "G"], None, "G R"),
     ([], None, "none"),
 ])  # fmt: skip
-def test_image_channels(names: list[str], wanted: str | None, found: list[str] | str) -> None:
-    if isinstance(found, list):
-        assert image_channels(names, wanted) == found
+def test_image_channels(names: list[str], layer_name: str | None, expected: list[str] | str) -> None:
+    if isinstance(expected, list):
+        assert image_channels(names, layer_name) == expected
     else:
         with pytest.raises(LookupError) as caught:
-            image_channels(names, wanted)
-        assert caught.value.args[1] == found
+            image_channels(names, layer_name)
+        assert caught.value.args[1] == expected
 
 
-@pytest.mark.parametrize(("names", "wanted", "found"), [
+@pytest.mark.parametrize(("names", "layer_name", "expected"), [
     (["R", "G", "B", "Z"], None, ["Z"]),
     (["depth.R", "depth.G", "depth.B"], "depth", ["depth.R", "depth.G", "depth.B"]),
     (["a.Z", "b.Z"], None, ["a.Z", "b.Z"]),
@@ -111,8 +110,8 @@ def test_image_channels(names: list[str], wanted: str | None, found: list[str] |
     (["a.X", "a.Y", "a.Z"], "a.Z", ["a.Z"]),
     (["a.Z"], "c", []),
 ])  # fmt: skip
-def test_depth_channels(names: list[str], wanted: str | None, found: list[str]) -> None:
-    assert depth_channels(names, wanted) == found
+def test_depth_channels(names: list[str], layer_name: str | None, expected: list[str]) -> None:
+    assert depth_channels(names, layer_name) == expected
 
 
 def test_parts_without_names_of_their_own_are_counted() -> None:
@@ -138,10 +137,6 @@ def test_windows_are_laid_into_the_display(tmp_path: Path, first: tuple[int, int
     np.testing.assert_array_equal(picture[inside], data[i[inside] - first[1], j[inside] - first[0]])
     np.testing.assert_array_equal(picture[~inside], 0)
     np.testing.assert_array_equal(depth, np.where(inside, picture[..., 1], np.nan))
-
-
-def clsco_(*words: object) -> Result:
-    return CliRunner().invoke(main, [str(word) for word in words])
 
 
 def test_commands_take_layers(tmp_path: Path) -> None:

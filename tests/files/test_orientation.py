@@ -12,14 +12,13 @@ import imagecodecs
 import numpy as np
 import pytest
 import tifffile
-from click.testing import CliRunner, Result
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
-from clsco.cli.main import main
 from clsco.errors import FileError
 from clsco.files.images import image_size, read_image, write_png, write_tiff
 from clsco.inputs.depth_files import read_depth
+from tests.command import clsco_
 
 Array = NDArray[Any]
 UPRIGHT = np.arange(6 * 9, dtype=np.uint8).reshape(6, 9) * np.uint8(4)
@@ -99,14 +98,14 @@ def test_every_reader_turns_pixels_upright(tmp_path: Path, name: str, orientatio
         path = tmp_path / f"image.{name}"
         SAVERS[name](path, np.stack([STORED[orientation](plane) for plane in np.atleast_3d(data).T.swapaxes(1, 2)], -1)
                      if data.ndim == 3 else STORED[orientation](data), orientation)  # fmt: skip
-        found = read_image(path).data
+        picture = read_image(path).data
         assert image_size(path) == (9, 6)
         if not name.endswith("jpg"):
-            np.testing.assert_array_equal(found, data, strict=True)
+            np.testing.assert_array_equal(picture, data, strict=True)
         else:  # which compresses
-            wanted = np.asarray(ImageOps.exif_transpose(Image.open(path)))
-            np.testing.assert_array_equal(found, wanted, strict=True)
-    assert found.flags.c_contiguous
+            expected = np.asarray(ImageOps.exif_transpose(Image.open(path)))
+            np.testing.assert_array_equal(picture, expected, strict=True)
+    assert picture.flags.c_contiguous
 
 
 def test_16_bits_and_depths_are_turned_as_well(tmp_path: Path) -> None:
@@ -134,10 +133,6 @@ def test_a_tag_of_a_wrong_length_is_no_tag(tmp_path: Path) -> None:
     (tmp_path / "a.png").write_bytes(whole[:at] + struct.pack(">I", 2**31) + whole[at + 4 :])
     with pytest.raises(FileError, match=r"must be a whole PNG; got the end of the file"):
         read_image(tmp_path / "a.png")
-
-
-def clsco_(*words: object) -> Result:
-    return CliRunner().invoke(main, [str(word) for word in words])
 
 
 def test_a_depth_map_as_the_sensor_had_it_is_found(tmp_path: Path) -> None:

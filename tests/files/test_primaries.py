@@ -90,11 +90,11 @@ def test_frames_are_as_by_littlecms(tmp_path: Path, name: str) -> None:
     called = icc_color(icc, 3).name
     line = f"frames are in sRGB, and colors of the profile {called} are converted to it"
     assert result.stderr.endswith(f"{tmp_path / 'photo.png'}: {line}\n")
-    frame, wanted = read_image(tmp_path / "out" / "frame_0000.png"), by_littlecms(PHOTO, icc)
+    frame, expected = read_image(tmp_path / "out" / "frame_0000.png"), by_littlecms(PHOTO, icc)
     assert frame.color.icc == b""
-    off = np.abs(frame.data.astype(int) - wanted)
+    off = np.abs(frame.data.astype(int) - expected)
     assert off.max() <= 1
-    assert np.abs(PHOTO.astype(int) - wanted).max() > 20  # taken as such
+    assert np.abs(PHOTO.astype(int) - expected).max() > 20  # taken as such
 
 
 def test_every_image_of_a_scene_is_converted_in_the_reference_too(tmp_path: Path) -> None:
@@ -105,9 +105,9 @@ def test_every_image_of_a_scene_is_converted_in_the_reference_too(tmp_path: Path
     loaded = load_scene_textures(scene)[1]
     for texture, mine, key in zip(loaded, InputFiles().textures(scene), ("Display P3", "Adobe RGB"), strict=True):
         np.testing.assert_array_equal(texture.radiance, mine.radiance)
-        wanted = decode(by_littlecms(PHOTO, PROFILES[key]), "srgb")
+        expected = decode(by_littlecms(PHOTO, PROFILES[key]), "srgb")
         inside = (texture.radiance >= 0) & (texture.radiance <= 1)
-        assert np.abs(texture.radiance - wanted)[inside].max() < 0.006  # of a code near white
+        assert np.abs(texture.radiance - expected)[inside].max() < 0.006  # of a code near white
         assert (texture.radiance < 0).any()  # outside of sRGB: kept until codes are written
     (reference,) = clsco.reference.render(scene)
     np.testing.assert_allclose(clsco.render_frame(scene).color, reference.color, atol=1e-5)
@@ -160,14 +160,14 @@ def test_primaries_of_chunks_are_as_by_littlecms(code: int) -> None:
     numbers = CICP_CHROMATICITIES[code]
     white, *primaries = ([*numbers[k : k + 2], 1.0] for k in range(0, 8, 2))
     icc = made(whitepoint=white, primaries=[n for primary in primaries for n in primary], gamma=1.0)
-    wanted = icc_color(icc, 3).to_srgb
-    assert wanted is not None
+    expected = icc_color(icc, 3).to_srgb
+    assert expected is not None
     found = chunk_color({b"cICP": bytes([code, 8, 0, 1])}).to_srgb
     chrm = struct.pack(">8I", *(round(1e5 * number) for number in numbers))
     by_chrm = chunk_color({b"gAMA": struct.pack(">I", 100000), b"cHRM": chrm}).to_srgb
     for matrix in (found, by_chrm):
         assert matrix is not None
-        np.testing.assert_allclose(matrix, wanted, rtol=0, atol=3e-4)  # a profile has 16 bits, D50 four digits
+        np.testing.assert_allclose(matrix, expected, rtol=0, atol=3e-4)  # a profile has 16 bits, D50 four digits
         np.testing.assert_allclose(matrix.sum(axis=1), 1.0, atol=1e-9)  # white stays
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from clsco.resources import open_regular, read_regular
+from clsco.resources import open_regular, processors, read_regular
 
 
 def got(path: Path | str, most: int = 100, *, follow: bool = False) -> str:
@@ -56,10 +56,10 @@ def test_a_file_that_grows_while_it_is_read(tmp_path: Path, monkeypatch: pytest.
     about = os.fstat
 
     def grown(handle: int) -> os.stat_result:
-        found = about(handle)
+        state = about(handle)
         with open(tmp_path / "a", "ab") as file:
             file.write(b"4567")
-        return found
+        return state
 
     monkeypatch.setattr(os, "fstat", grown)
     assert got(tmp_path / "a", 5) == "6 bytes, more than 5"
@@ -72,3 +72,26 @@ def test_no_handle_is_left(tmp_path: Path) -> None:
         got(tmp_path / "pipe")
         got(tmp_path)
     assert len(list(Path("/proc/self/fd").iterdir())) == before
+
+
+@pytest.mark.parametrize(
+    ("groups", "files", "count"),
+    [
+        ("0::/a/b\n", {"a/b/cpu.max": "max 100000\n", "a/cpu.max": "150000 100000\n"}, 2),
+        ("0::/a/b\n", {"cpu.max": "20000 100000\n"}, 1),
+        ("0::/\n", {"cpu.max": "max 100000\n"}, 64),
+        ("4:cpu,cpuacct:/x\n0::/\n", {"cpu/cpu.cfs_quota_us": "250000\n", "cpu/cpu.cfs_period_us": "100000\n"}, 3),
+        ("4:cpu:/\n", {"cpu/cpu.cfs_quota_us": "-1\n", "cpu/cpu.cfs_period_us": "100000\n"}, 64),
+        ("5:cpuset:/\nnonsense\n", {"cpu.max": "100000 100000\n"}, 64),
+    ],
+    ids=["above", "less than one", "no limit", "version 1", "version 1, no limit", "damaged"],
+)
+def test_a_quota_of_a_control_group_is_kept(
+    groups: str, files: dict[str, str], count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "list").write_text(groups)
+    for name, text in files.items():
+        (tmp_path / "mounted" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "mounted" / name).write_text(text)
+    monkeypatch.setattr(os, "process_cpu_count", lambda: 64, raising=False)
+    assert processors(tmp_path / "list", tmp_path / "mounted") == count

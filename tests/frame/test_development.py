@@ -32,11 +32,8 @@ def test_codes_are_light_again() -> None:
 
 
 def test_a_mosaic_that_is_not_demosaiced_has_what_was_measured() -> None:
-    found = develop(RAW, model_of(3, mosaic="gbrg", quantum_efficiency=(0.5, 1.0, 0.25)))
-    assert found.tolist() == [
-        [[0, 0, 0], [0, 0, 4.0]],
-        [[np.float32(-0.2), 0, 0], [0, 0.5, 0]],
-    ]
+    outputs = develop(RAW, model_of(3, mosaic="gbrg", quantum_efficiency=(0.5, 1.0, 0.25)))
+    assert outputs.tolist() == [[[0, 0, 0], [0, 0, 4.0]], [[np.float32(-0.2), 0, 0], [0, 0.5, 0]]]
     gray = develop(RAW, model_of(1, mosaic="gbrg", quantum_efficiency=(0.5, 1.0, 0.25)))
     assert gray.tolist() == [[0.0, 4.0], [np.float32(-0.2), 0.5]]
 
@@ -50,9 +47,9 @@ def test_an_even_color_is_found_again(method: str, mosaic: str) -> None:
     light = np.array([0.2, 0.6, 0.4])
     filters = np.tile(np.array(known.filters[0]).reshape(2, 2), (5, 6))
     codes = np.round(100 + 0.5 * light[filters] * np.array(known.scale)[filters]).astype(np.uint16)
-    found = develop(codes[..., None], known)
-    np.testing.assert_allclose(found, np.broadcast_to(light, found.shape), atol=2e-6)
-    assert found.dtype == np.float32
+    outputs = develop(codes[..., None], known)
+    np.testing.assert_allclose(outputs, np.broadcast_to(light, outputs.shape), atol=2e-6)
+    assert outputs.dtype == np.float32
 
 
 @pytest.mark.parametrize(("method", "name"), [("bilinear", "bilinear"), ("malvar", "Malvar2004")])
@@ -68,8 +65,8 @@ def test_colors_are_those_of_colour_demosaicing(method: str, name: str, filters:
 @pytest.mark.parametrize("method", ["bilinear", "malvar"])
 def test_gray_ramps_are_found_again(method: str) -> None:
     y, x = np.indices((9, 11))
-    found = demosaic(2.0 * x - y, (1, 0, 2, 1), method)[2:-2, 2:-2]
-    np.testing.assert_allclose(found, np.repeat((2.0 * x - y)[2:-2, 2:-2, None], 3, axis=2), atol=1e-12)
+    outputs = demosaic(2.0 * x - y, (1, 0, 2, 1), method)[2:-2, 2:-2]
+    np.testing.assert_allclose(outputs, np.repeat((2.0 * x - y)[2:-2, 2:-2, None], 3, axis=2), atol=1e-12)
 
 
 def test_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -94,10 +91,10 @@ def test_frames_that_are_too_small() -> None:
 def test_outputs_of_a_mosaic() -> None:
     known = model_of(3, mosaic="rggb", quantum_efficiency=(0.5, 1.0, 0.25), prnu=0.0, dsnu=0.0, dark_current=4.0)
     light = np.full((2, 2, 3), [0.1, 0.2, -0.4], np.float32)
-    found = sensor_truth(("raw", "electrons", "noise_sigma", "saturated", "depth"), RAW, RAW > 500, light, known)
-    np.testing.assert_allclose(found["electrons"], [[54, 204], [204, 4]], rtol=1e-6)
-    np.testing.assert_allclose(found["noise_sigma"] ** 2, found["electrons"] + 4 + 1 / 3, rtol=1e-6)
-    assert found["raw"].tolist() == RAW[..., 0].tolist()
-    assert found["saturated"].tolist() == [[False, True], [False, False]]
-    assert [array.dtype.name for array in found.values()] == ["uint16", "float32", "float32", "bool"]
+    outputs = sensor_truth(("raw", "electrons", "noise_sigma", "saturated", "depth"), RAW, RAW > 500, light, known)
+    np.testing.assert_allclose(outputs["electrons"], [[54, 204], [204, 4]], rtol=1e-6)
+    np.testing.assert_allclose(outputs["noise_sigma"] ** 2, outputs["electrons"] + 4 + 1 / 3, rtol=1e-6)
+    assert outputs["raw"].tolist() == RAW[..., 0].tolist()
+    assert outputs["saturated"].tolist() == [[False, True], [False, False]]
+    assert [array.dtype.name for array in outputs.values()] == ["uint16", "float32", "float32", "bool"]
     assert sensor_truth(("electrons", "raw"), RAW, RAW > 500, None, known).keys() == {"raw"}

@@ -10,15 +10,14 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 from numpy.typing import NDArray
 
 import clsco
-from clsco.cli.main import main
 from clsco.errors import FileError, MissingDependencyError
 from clsco.frame.files import TRUTH_FORMATS, files_of, frame_files, read_complete, require_truth_formats, write_frame
 from clsco.frame.frame import FILE_NAMES, Frame
 from clsco.scene.file import parse_scene
+from tests.command import clsco_
 from tests.files.readers import torchvision_flo, torchvision_kitti_flow, torchvision_pfm
 from tests.scenes import scene_file
 from tests.slow import mostly_slow
@@ -53,10 +52,6 @@ FRAME = Frame(
     disparity=np.where(MASK, 20 * RNG.random(SHAPE) + 1, 0).astype(np.float32),
 )
 SCENE = parse_scene({"camera": {"resolution": [8, 6]}, "object": [{"shape": "plane"}]})
-
-
-def clsco_(*words: object) -> Result:
-    return CliRunner().invoke(main, [str(word) for word in words])
 
 
 def flo(path: Path | str) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -96,9 +91,9 @@ def test_a_rendered_pair_is_read_by_everybody(tmp_path: Path) -> None:
                 np.testing.assert_array_equal(np.load(f"{base}_{in_file}.npy"), getattr(frame, name), strict=True)
         for name in ("flow", "flow_backward"):
             flow = getattr(frame, name)
-            found, valid = flo(f"{base}_{name}.flo")
+            vectors, valid = flo(f"{base}_{name}.flo")
             np.testing.assert_array_equal(valid, there)
-            for read in (found, cv2.readOpticalFlow(f"{base}_{name}.flo"), pfm(f"{base}_{name}.pfm")):
+            for read in (vectors, cv2.readOpticalFlow(f"{base}_{name}.flo"), pfm(f"{base}_{name}.pfm")):
                 np.testing.assert_array_equal(read[there], flow[there])
                 assert (read[~there] > 1e9).all()
             near, valid = torchvision_kitti_flow(Path(f"{base}_kitti_{name}.png"))
@@ -153,11 +148,11 @@ def test_frames_are_resumed_by_the_names_of_their_arrays(tmp_path: Path, more: s
 
 def test_a_scene_without_the_array_of_a_format_is_refused(tmp_path: Path) -> None:
     scene = scene_file(tmp_path / "plane.toml", '[camera]\nresolution = [12, 9]\n[[object]]\nshape = "plane"\n')
-    wanted = (
+    cases = (
         (("--format", "flo,kitti_disparity"), "disparity; got kitti_disparity"),
         (("--truth", "flow_backward", "--format", "flo"), "flow_backward; got flo:flow_backward"),
     )
-    for words, missing in wanted:
+    for words, missing in cases:
         result = clsco_("render", scene, "-o", tmp_path / "out", *words)
         assert (result.exit_code, result.stderr) == (1, f"error: {scene}: truth: the scene must have {missing}\n")
     assert not (tmp_path / "out").exists()
@@ -177,20 +172,20 @@ def test_what_does_not_fit_is_refused_and_nothing_is_left(
     tmp_path: Path, truth: str, name: str, value: float, message: str
 ) -> None:
     formats = "exr,flo" if truth == "flo" else f"exr,flo,{truth}"
-    wanted = files_of("", formats, "depth=float16" if truth == "npy" else "")
-    write_frame(tmp_path, (FRAME,), 8, "srgb", wanted, scene=SCENE)
+    truth_files = files_of("", formats, "depth=float16" if truth == "npy" else "")
+    write_frame(tmp_path, (FRAME,), 8, "srgb", truth_files, scene=SCENE)
     before = {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
     array = getattr(FRAME, name).copy()
     array[3, 2] = value
     mask = MASK.copy()
     mask[3, 2] = True
     with pytest.raises(FileError, match=message) as caught:
-        write_frame(tmp_path, (replace(FRAME, mask=mask, **{name: array}),), 8, "srgb", wanted, scene=SCENE)
+        write_frame(tmp_path, (replace(FRAME, mask=mask, **{name: array}),), 8, "srgb", truth_files, scene=SCENE)
     assert ".part" not in str(caught.value)
     assert {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()} == before  # the older frame, whole
     if not np.isnan(value) and name != "depth":  # it does not matter where nothing is
         mask[3, 2] = False
-        write_frame(tmp_path, (replace(FRAME, mask=mask, **{name: array}),), 8, "srgb", wanted, scene=SCENE)
+        write_frame(tmp_path, (replace(FRAME, mask=mask, **{name: array}),), 8, "srgb", truth_files, scene=SCENE)
 
 
 def test_a_failed_model_of_colmap_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -241,8 +236,8 @@ def test_what_gets_behind_the_lens_has_no_flow(tmp_path: Path) -> None:
     words = ("--truth", "flow,flow_backward,object_id,depth", "--format", "npz,flo,kitti_flow,pfm")
     result = clsco_("render", scene, "-o", tmp_path, *words)
     assert (result.exit_code, result.stderr) == (0, "")
-    with np.load(tmp_path / "frame_0000.npz") as found:
-        flow, ball = found["flow"], found["object_id"] == 0
+    with np.load(tmp_path / "frame_0000.npz") as arrays:
+        flow, ball = arrays["flow"], arrays["object_id"] == 0
     assert ball.sum() > 20
     assert not flow[ball].any()  # the arrays have 0 there
     assert not flow[15, 20].any()

@@ -101,8 +101,8 @@ def test_frames_of_different_scenes_are_refused(tmp_path: Path) -> None:
     frames(tmp_path, [0, 1])
     frames(tmp_path, [2], scene={"sequence": {"interval": 0.5}})
     (fault,) = faults(tmp_path)
-    wanted = "interval, transfer and views of frame 0, 0.04 s, linear, one view; got 0.5 s, srgb, one view"
-    assert fault == f"frame_0002.json: must have the {wanted}"
+    expected = "interval, transfer and views of frame 0, 0.04 s, linear, one view; got 0.5 s, srgb, one view"
+    assert fault == f"frame_0002.json: must have the {expected}"
 
 
 HOSTILE: list[tuple[bytes, str]] = [

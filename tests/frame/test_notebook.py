@@ -54,8 +54,8 @@ def test_the_extension_says_what_is_saved(ending: str, tmp_path: Path) -> None:
         with np.load(path) as saved:
             assert {name: saved[name].dtype for name in saved} == {"color": np.float32, "depth": np.float32}
         return
-    wanted = encode(frame.color, 8, "srgb") if ending.lower() == ".png" else frame.color
-    np.testing.assert_array_equal(read_image(path).data, wanted)
+    expected = encode(frame.color, 8, "srgb") if ending.lower() == ".png" else frame.color
+    np.testing.assert_array_equal(read_image(path).data, expected)
 
 
 def test_other_extensions_are_refused(tmp_path: Path) -> None:

@@ -34,7 +34,7 @@ def test_every_number_has_a_unit_or_needs_none(shape: str) -> None:
         sections["light"] = {"position": [1.0, 2.0, 3.0]}
     sections["sensor"] = {"iso": 200.0}
     scene = parse_scene({"object": [item], **sections})
-    found = units(scene)
+    values = units(scene)
     without = {"camera.f_number", "sequence.frames", "sequence.samples", "psf.silhouette_samples"}
     without |= {"psf.sigma_ratio", "psf.truncation", "object[0].coefficients", "object[0].axis", "object[0].scale"}
     without |= {"light.ambient", "aperture.squeeze", "aperture.rim"}
@@ -55,13 +55,13 @@ def test_every_number_has_a_unit_or_needs_none(shape: str) -> None:
 
     walk("", dump(scene))
     assert len(numbers) > 15
-    assert numbers - without <= set(found)
-    assert found["camera.focal_length"] == "mm"
-    assert found["object[0].motion.angular_velocity"] == found["camera.motion.angular_velocity"] == "deg/s"
-    assert (found["stereo.baseline"], found["stereo.toe_in"]) == ("mm", "deg")
-    assert found.get("light.position", "mm") == "mm"
-    assert [found[f"sensor.{key}"] for key in ("full_well", "dark_current", "temperature")] == ["e-", "e-/s", "degC"]
-    assert without & set(found) == set()
+    assert numbers - without <= set(values)
+    assert values["camera.focal_length"] == "mm"
+    assert values["object[0].motion.angular_velocity"] == values["camera.motion.angular_velocity"] == "deg/s"
+    assert (values["stereo.baseline"], values["stereo.toe_in"]) == ("mm", "deg")
+    assert values.get("light.position", "mm") == "mm"
+    assert [values[f"sensor.{key}"] for key in ("full_well", "dark_current", "temperature")] == ["e-", "e-/s", "degC"]
+    assert without & set(values) == set()
 
 
 def keys(**sections: Any) -> dict[str, str]:
@@ -99,8 +99,8 @@ def test_keys_without_use_are_those_given_and_no_others() -> None:
         "motion.warp": "no forward warp, as nothing moves",
         "fill.method": "only a forward warp leaves pixels missing",
     }
-    found = keys(item=moving, motion=forward, fill={"method": "none", "domain": "span"})
-    assert found == {"fill.domain": "fill.method is none"}
+    values = keys(item=moving, motion=forward, fill={"method": "none", "domain": "span"})
+    assert values == {"fill.domain": "fill.method is none"}
     assert keys(psf={"tilt": True, "silhouette_samples": 4}).keys() == {"psf.tilt", "psf.silhouette_samples"}
     assert keys(psf={"tilt": False, "silhouette_samples": 1}) == {}
     alone = prepare(parse_scene({"object": [still], "psf": {"tilt": True}}), Request(("depth",), color=False)).plan
@@ -174,10 +174,10 @@ def test_the_hash_and_the_record_have_the_content_of_depths(tmp_path: Path) -> N
     moved.mkdir()
     assert scene_sha256(parse_scene({"object": [files_of_a_map(moved), {"shape": "plane"}]})) == first
     scene = parse_scene({"object": [files_of_a_map(tmp_path), {"shape": "plane"}]})
-    found = record(scene)
-    assert list(found["depths_sha256"]) == [str(tmp_path / "z.npy")]
-    assert found["textures_sha256"] == {}
-    assert record(scene, file_digests([scene, scene])) == found
+    values = record(scene)
+    assert list(values["depths_sha256"]) == [str(tmp_path / "z.npy")]
+    assert values["textures_sha256"] == {}
+    assert record(scene, file_digests([scene, scene])) == values
     (tmp_path / "z.npy").unlink()
     with pytest.raises(FileError, match=r"z.npy: must be a file that can be read"):
         record(scene)

@@ -48,9 +48,9 @@ def test_arrays_go_to_the_formats_that_can_hold_them() -> None:
     assert files_of("depth,blur_radius") == (TruthFile("npz", ("depth", "coc")),)
     assert files_of("all") == files_of("", "npz") == (TruthFile("npz"),)
     assert files_of("", "npz,exr,npz") == (TruthFile("npz"), TruthFile("exr"))
-    found = files_of("flow,depth", "npz+compressed,flo,colmap,exr", "depth=float16")
-    assert list(map(str, found[:2])) == ["npz+depth=float16+compressed:depth,flow", "flo:flow"]
-    assert list(map(str, found[2:])) == ["colmap", "exr+depth=float16:depth,flow"]
+    loaded = files_of("flow,depth", "npz+compressed,flo,colmap,exr", "depth=float16")
+    assert list(map(str, loaded[:2])) == ["npz+depth=float16+compressed:depth,flow", "flo:flow"]
+    assert list(map(str, loaded[2:])) == ["colmap", "exr+depth=float16:depth,flow"]
     assert files_of("", "npy", "all=float16,depth=float32")[0].float16[:3] == ("color", "sharp", "coc")
     assert files_of("coc", "exr", "all=float16") == (TruthFile("exr", ("coc",), ("all",)),)
 
@@ -77,17 +77,17 @@ def test_arrays_that_no_format_can_hold_are_refused(words: tuple[str, ...], mess
 
 
 def arrays(path: Path) -> dict[str, Any]:
-    with np.load(path, allow_pickle=False) as found:
-        return dict(found)
+    with np.load(path, allow_pickle=False) as loaded:
+        return dict(loaded)
 
 
 def test_a_file_holds_what_is_named(tmp_path: Path) -> None:
     content = write_frame(
         tmp_path, (FRAME,), 8, "srgb", (TruthFile("npz", ("depth", "coc")), TruthFile("exr", ("mask", "flow")))
     )
-    found = arrays(tmp_path / "frame_0000.npz")
-    assert found.keys() == {"depth", "coc"}
-    np.testing.assert_array_equal(found["depth"], DEPTH, strict=True)
+    loaded = arrays(tmp_path / "frame_0000.npz")
+    assert loaded.keys() == {"depth", "coc"}
+    np.testing.assert_array_equal(loaded["depth"], DEPTH, strict=True)
     channels = OpenEXR.File(str(tmp_path / "frame_0000.exr"), separate_channels=True).channels()
     assert channels.keys() == {"flow.u", "flow.v", "mask"}
     assert content["truth"] == ["npz:depth,coc", "exr:mask,flow"]
@@ -96,15 +96,15 @@ def test_a_file_holds_what_is_named(tmp_path: Path) -> None:
 
 def test_floats_in_16_bits(tmp_path: Path) -> None:
     write_frame(tmp_path, (FRAME,), 8, "srgb", files_of("", "npz,exr", "all=float16"))
-    found = arrays(tmp_path / "frame_0000.npz")
+    loaded = arrays(tmp_path / "frame_0000.npz")
     for name in ("color", "depth", "coc", "flow"):
         exact = getattr(FRAME, "blur_radius" if name == "coc" else name)
-        assert found[name].dtype == np.float16
-        np.testing.assert_allclose(found[name], exact, rtol=2.0**-11, atol=2.0**-25)  # half of the 11th bit
-    assert np.isinf(found["depth"]).any()
-    assert (found["object_id"].dtype, found["mask"].dtype) == (np.int32, np.bool_)
+        assert loaded[name].dtype == np.float16
+        np.testing.assert_allclose(loaded[name], exact, rtol=2.0**-11, atol=2.0**-25)  # half of the 11th bit
+    assert np.isinf(loaded["depth"]).any()
+    assert (loaded["object_id"].dtype, loaded["mask"].dtype) == (np.int32, np.bool_)
     channels = OpenEXR.File(str(tmp_path / "frame_0000.exr"), separate_channels=True).channels()
-    np.testing.assert_array_equal(channels["Z"].pixels, found["depth"], strict=True)
+    np.testing.assert_array_equal(channels["Z"].pixels, loaded["depth"], strict=True)
     assert channels["A"].pixels.dtype == np.float16
     assert channels["id"].pixels.dtype == np.float32
     assert (channels["id"].pixels == 40000).all()
@@ -165,8 +165,8 @@ def test_render_writes_and_resumes_them(tmp_path: Path) -> None:
     assert render("--truth", "coc,depth", "--types", "all=float16")
     assert render("--truth", "coc,depth", "--types", "coc=float16")
     assert json.loads((out / "frame_0000.json").read_text("utf-8"))["truth"] == ["npz+coc=float16:depth,coc"]
-    found = arrays(out / "frame_0000.npz")
-    assert (found["coc"].dtype, found["depth"].dtype) == (np.float16, np.float32)
+    loaded = arrays(out / "frame_0000.npz")
+    assert (loaded["coc"].dtype, loaded["depth"].dtype) == (np.float16, np.float32)
     assert render("--truth", "all")
     assert not render("--format", "npz")
     assert "normal" in arrays(out / "frame_0000.npz")

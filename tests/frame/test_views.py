@@ -14,11 +14,11 @@ from clsco.frame.views import VIEWS, flow_colors, viridis
 
 def test_viridis_is_that_of_matplotlib() -> None:
     exact = 255 * np.array(matplotlib.colormaps["viridis"](np.arange(256)))[:, :3]
-    found = viridis(np.arange(256.0)[None], 0, 255)[0]
-    assert abs(found - exact).max() < 5.5
-    light = found @ np.array([0.2126, 0.7152, 0.0722])
+    painted = viridis(np.arange(256.0)[None], 0, 255)[0]
+    assert abs(painted - exact).max() < 5.5
+    light = painted @ np.array([0.2126, 0.7152, 0.0722])
     assert (np.diff(light) >= -0.5).all()
-    np.testing.assert_array_equal(viridis(np.array([[-9.0, 999.0]]), 0, 255)[0], found[[0, -1]])
+    np.testing.assert_array_equal(viridis(np.array([[-9.0, 999.0]]), 0, 255)[0], painted[[0, -1]])
 
 
 def color_of(x: float, y: float) -> list[int]:
@@ -41,9 +41,9 @@ def color_of(x: float, y: float) -> list[int]:
 def test_flow_has_the_color_wheel_of_middlebury() -> None:
     turns = np.linspace(0, 2 * np.pi, 97)
     flow = np.stack([np.cos(turns), np.sin(turns)], axis=-1)[None] * np.array([0.0, 0.3, 0.7, 1.0])[:, None, None] * 8
-    found = flow_colors(flow, 8.0)
-    wanted = np.array([[color_of(x / 8, y / 8) for x, y in row] for row in flow.tolist()])
-    assert abs(found - wanted).max() <= 1
+    painted = flow_colors(flow, 8.0)
+    expected = np.array([[color_of(x / 8, y / 8) for x, y in row] for row in flow.tolist()])
+    assert abs(painted - expected).max() <= 1
     right, down = flow_colors(np.array([[[8.0, 0.0], [0.0, 8.0]]]), 8.0)[0]
     assert right.tolist() == [255, 0, 0]
     assert (down > [240, 200, -1]).all()

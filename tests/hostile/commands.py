@@ -160,8 +160,6 @@ TABLE: Table = (
     ("defocus image.png depth.npy -o out.png --pixel-pitch {0}", ("0", "-1", "nan", "inf", "1e99"), 1, "pixel_pitch"),
     ("defocus image.png depth.npy -o out.png --focus-distance {0}", ("0", "-1", "nan", "-inf", "20"), 1,
         "focus_distance"),
-    ("defocus image.png depth.npy -o out.png --model {0}", ("", "disc", "Gaussian"), 1, "psf.model"),
-    ("defocus image.png depth.npy -o out.png --occlusion {0}", ("", "all", "visibility"), 1, "psf.occlusion"),
     ("defocus image.png depth.npy -o out.png --truth {0}", ("npz",), 2, "--truth"),
     ("inpaint {0} mask.npy -o out.png", NO_FILES[:20], 1, "{0}"),
     ("inpaint image.png {0} -o out.png", (*NO_FILES[:20], "small.npy", "gray_mask.npy", "full_mask.npy", "color.png"),

@@ -70,7 +70,7 @@ def test_frames_have_the_bits_of_files(name: str, tmp_path: Path) -> None:
 def test_the_reference_takes_arrays(name: str) -> None:
     scene = scene_with(name)
     for frame, exact in zip(clsco.render(scene), clsco.reference.render(scene), strict=True):
-        assert [found.count for found in compare(frame, exact)] == [0] * len(compare(frame, exact))
+        assert [loaded.count for loaded in compare(frame, exact)] == [0] * len(compare(frame, exact))
 
 
 def test_live_keeps_arrays_by_content() -> None:
@@ -80,17 +80,17 @@ def test_live_keeps_arrays_by_content() -> None:
         darker = scene.replace("object[0].texture", CODES // 2)
         same(live.render(darker), clsco.render_frame(darker))
         assert live.render(darker).color.mean() < 0.5 * live.render(scene).color.mean()
-        kept = live.files.cache.bytes
+        cached = live.files.cache.bytes
         same(live.render(scene.replace("object[0].texture", CODES.copy())), clsco.render_frame(scene))
-        assert live.files.cache.bytes == kept
+        assert live.files.cache.bytes == cached
 
 
 def test_a_texture_is_decoded_once() -> None:
     files = InputFiles()
     one, other = (clsco.Plane(texture=CODES.copy()).inputs()["texture"] for _ in range(2))
-    found = [files.texture(source, "srgb", (ROWS, COLUMNS)) for source in (one, other)]
-    assert found[0].radiance is found[1].radiance
-    assert files.texture(one, "linear", (ROWS, COLUMNS)).radiance is not found[0].radiance
+    loaded = [files.texture(source, "srgb", (ROWS, COLUMNS)) for source in (one, other)]
+    assert loaded[0].radiance is loaded[1].radiance
+    assert files.texture(one, "linear", (ROWS, COLUMNS)).radiance is not loaded[0].radiance
 
 
 def test_a_sweep_shares_its_arrays() -> None:

@@ -17,7 +17,6 @@ import OpenEXR
 import pytest
 import tifffile
 from numpy.typing import NDArray
-from PIL import Image
 
 from clsco.errors import FileError
 from clsco.files.images import check_sizes
@@ -71,19 +70,11 @@ def refusal(path: Path) -> str:
 FORMATS: dict[str, tuple[str, str, Callable[[Path, Array], object]]] = {
     "PNG 8": ("png", "u1", lambda path, data: path.write_bytes(imagecodecs.png_encode(data))),
     "PNG 16": ("png", "u2", lambda path, data: path.write_bytes(imagecodecs.png_encode(data))),
-    "PNG 16 by Pillow": ("PNG", "u2", lambda path, data: Image.fromarray(data).save(path)),
-    "TIFF u1": ("tif", "u1", tifffile.imwrite),
     "TIFF u2": ("tiff", "u2", tifffile.imwrite),
-    "TIFF u2, big endian": ("tif", "u2", lambda path, data: tifffile.imwrite(path, data, byteorder=">")),
     "TIFF i2": ("tif", "i2", tifffile.imwrite),
     "TIFF u4": ("tif", "u4", tifffile.imwrite),
-    "TIFF f2": ("tif", "f2", tifffile.imwrite),
     "TIFF f4": ("tif", "f4", tifffile.imwrite),
     "TIFF f4, big endian": ("tif", "f4", lambda path, data: tifffile.imwrite(path, data, byteorder=">")),
-    "TIFF f4, compressed": ("tif", "f4", lambda path, data: tifffile.imwrite(path, data, compression="zlib")),
-    "TIFF f4 by Pillow": ("tif", "f4", lambda path, data: Image.fromarray(data).save(path)),
-    "TIFF f8": ("tif", "f8", tifffile.imwrite),
-    "EXR f2": ("exr", "f2", lambda path, data: save_exr(path, {"Z": data})),
     "EXR f4": ("exr", "f4", lambda path, data: save_exr(path, {"Z": data})),
     "EXR u4": ("exr", "u4", lambda path, data: save_exr(path, {"Z": data})),
     "PFM": ("pfm", "f4", save_pfm),
@@ -109,14 +100,6 @@ def test_reads_the_numbers_that_a_file_stores(
     native = np.float64 if data.dtype.kind == "f" else data.dtype.newbyteorder("=")
     np.testing.assert_array_equal(read, data.astype(native), strict=True)
     assert read.flags.c_contiguous
-
-
-def test_a_pfm_begins_with_its_lowest_row(tmp_path: Path) -> None:
-    path = tmp_path / "depth.pfm"
-    path.write_bytes(b"Pf\n2 2\n-1.0\n" + struct.pack("<4f", 1, 2, 3, 4))
-    np.testing.assert_array_equal(read_depth(path), [[3, 4], [1, 2]])
-    path.write_bytes(b"Pf\n2 2\n1.0\n" + struct.pack(">4f", 1, 2, 3, 4))
-    np.testing.assert_array_equal(read_depth(path), [[3, 4], [1, 2]])
 
 
 @pytest.mark.parametrize("kind", ["png u1", "png u2", "tif u2", "tif f4", "pfm f4", "npy f8", "npz f4"])
@@ -201,9 +184,9 @@ def save_parts(path: Path, *parts: dict[str, Array], **last: Any) -> None:
 def test_reads_what_sintel_writes(tmp_path: Path) -> None:
     depth = np.array([[200.0, 350.0, np.inf], [500.0, 1e5, 20.0]], np.float32)
     (tmp_path / "depth.dpt").write_bytes(dpt_bytes(depth.astype(np.float64) / 1000))
-    found = read_depth(tmp_path / "depth.dpt")
-    np.testing.assert_array_equal(found, (depth.astype(np.float64) / 1000).astype(np.float32))
-    w = inverse_depth(found, DepthMap(depth="z.dpt", unit="m"), CAMERA).inverse_depth
+    depths = read_depth(tmp_path / "depth.dpt")
+    np.testing.assert_array_equal(depths, (depth.astype(np.float64) / 1000).astype(np.float32))
+    w = inverse_depth(depths, DepthMap(depth="z.dpt", unit="m"), CAMERA).inverse_depth
     np.testing.assert_allclose(w[:, :2], 1 / depth[:, :2], rtol=2.0**-23)
     (tmp_path / "depth.dpt").write_bytes(dpt_bytes(depth)[:-1])
     assert refusal(tmp_path / "depth.dpt").startswith(

@@ -42,10 +42,10 @@ def w_of(raw: Any, unit: str, **options: Any) -> Array:
     ("disparity", 480.0, Fraction(1, 4)),
 ])  # fmt: skip
 def test_units_against_exact_fractions(unit: str, value: float, meters: Fraction) -> None:
-    wanted = float(1 / (1000 * meters))
+    expected = float(1 / (1000 * meters))
     # Three roundings at most, of the product with the scale, of a factor and of the division: 2^-53 each.
-    np.testing.assert_allclose(w_of([value], unit), [wanted], rtol=3 * 2.0**-53)
-    np.testing.assert_allclose(w_of([value * 256], unit, scale=1 / 256), [wanted], rtol=3 * 2.0**-53)
+    np.testing.assert_allclose(w_of([value], unit), [expected], rtol=3 * 2.0**-53)
+    np.testing.assert_allclose(w_of([value * 256], unit, scale=1 / 256), [expected], rtol=3 * 2.0**-53)
 
 
 NAN, INF = np.nan, np.inf
@@ -180,20 +180,20 @@ def test_every_unit_tells_the_same_depth(
     camera = Camera(
         focal_length=focal_length, focus_distance=focal_length * focus, aperture_diameter=0.1, pixel_pitch=0.01
     )
-    wanted = 1 / millimeters
+    expected = 1 / millimeters
     value = {
         "mm": millimeters,
         "m": millimeters / 1000,
-        "inverse_mm": wanted,
-        "inverse_m": 1000 * wanted,
+        "inverse_mm": expected,
+        "inverse_m": 1000 * expected,
         "disparity": baseline * camera.normalization_distance / (camera.pixel_pitch * millimeters),
-        "coc": float(blur_radius(camera, wanted)),
+        "coc": float(blur_radius(camera, expected)),
     }[unit]
     keys: dict[str, Any] = {"baseline": baseline} if unit == "disparity" else {}
     values = values_of([value / scale], unit, camera, scale=scale, **keys)
     # Eight roundings of 2^-53 at most; of a radius, each is relative to the larger of K and w instead.
-    size = max(wanted, abs(Lens.of(camera).focus_power), 1 / focal_length) if unit == "coc" else wanted
-    assert values.inverse_depth[0, 0] == pytest.approx(wanted, rel=0, abs=8 * 2.0**-53 * size)
+    size = max(expected, abs(Lens.of(camera).focus_power), 1 / focal_length) if unit == "coc" else expected
+    assert values.inverse_depth[0, 0] == pytest.approx(expected, rel=0, abs=8 * 2.0**-53 * size)
     assert values.invalid == 0
 
 

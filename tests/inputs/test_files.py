@@ -19,18 +19,18 @@ from tests.scenes import scene_from
 @pytest.fixture
 def reads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Names of the files that are decoded."""
-    found: list[str] = []
+    loaded: list[str] = []
 
     def counted(read: Any) -> Any:
         def counting(path: str, *options: Any, **names: Any) -> Any:
-            found.append(Path(path).name)
+            loaded.append(Path(path).name)
             return read(path, *options, **names)
 
         return counting
 
     for module, name in ((images, "read_image"), (depth_files, "read_depth")):
         monkeypatch.setattr(module, name, counted(getattr(module, name)))
-    return found
+    return loaded
 
 
 def save(path: Path, value: float, settled: bool = True) -> str:
@@ -45,13 +45,13 @@ def save(path: Path, value: float, settled: bool = True) -> str:
 def test_a_file_is_decoded_once_by_its_content(tmp_path: Path, reads: list[str]) -> None:
     files = InputFiles()
     one, copy = save(tmp_path / "one.npy", 0.5), save(tmp_path / "copy.npy", 0.5)
-    found = [files.texture(path, "srgb", (6, 8)) for path in (one, copy, one)]
+    loaded = [files.texture(path, "srgb", (6, 8)) for path in (one, copy, one)]
     assert reads == ["one.npy"]
-    assert found[0].radiance is found[1].radiance is found[2].radiance
-    assert [texture.source for texture in found] == [one, copy, one]
-    assert found[0].content == found[1].content
+    assert loaded[0].radiance is loaded[1].radiance is loaded[2].radiance
+    assert [texture.source for texture in loaded] == [one, copy, one]
+    assert loaded[0].content == loaded[1].content
     with pytest.raises(ValueError, match="read-only"):
-        found[0].radiance[0, 0] = 1.0
+        loaded[0].radiance[0, 0] = 1.0
 
 
 @pytest.mark.parametrize("settled", [True, False])

@@ -53,12 +53,12 @@ def test_layers_are_what_arrays_of_them_are(folder: Path) -> None:
         for depth, of_depth in ((NEAR, "near"), (FAR, "far.Z")):
             scene = scene_of(folder, BOTH.format(name, of_depth))
             item = DepthMap(texture=image, depth=depth)
-            wanted = clsco.render_frame(scene.model_copy(update={"objects": (item,)}))
-            found = clsco.render_frame(scene)
-            np.testing.assert_array_equal(found.color, wanted.color)
-            np.testing.assert_array_equal(found.depth, wanted.depth)
+            expected = clsco.render_frame(scene.model_copy(update={"objects": (item,)}))
+            frame = clsco.render_frame(scene)
+            np.testing.assert_array_equal(frame.color, expected.color)
+            np.testing.assert_array_equal(frame.depth, expected.depth)
     (reference,) = clsco.reference.render(scene)
-    np.testing.assert_allclose(found.color, reference.color, atol=1e-5)
+    np.testing.assert_allclose(frame.color, reference.color, atol=1e-5)
 
 
 def test_layers_of_one_file_are_kept_apart(folder: Path) -> None:
@@ -115,10 +115,10 @@ def test_what_is_wrong_is_said_as_by_the_commands(folder: Path) -> None:
         ],
         '[[object]]\nshape = "plane"\ntexture = "a.png"\ntexture_layer = "near"\n': [f"object[0].texture: {no_exr}"],
     }
-    for text, wanted in cases.items():
+    for text, expected in cases.items():
         with pytest.raises(SceneError) as caught:
             prepare(scene_of(folder, text))
-        assert list(caught.value.messages) == wanted
+        assert list(caught.value.messages) == expected
 
 
 def test_arrays_have_no_layers() -> None:

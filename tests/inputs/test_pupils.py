@@ -38,9 +38,9 @@ def mask(side: int = 32) -> np.ndarray[Any, np.dtype[np.uint8]]:
 
 
 def pupil_of(image: Any) -> Image:
-    found = load_point_spread(Psf(), Aperture(shape="image", image=image)).pupil
-    assert isinstance(found, Image)
-    return found
+    loaded = load_point_spread(Psf(), Aperture(shape="image", image=image)).pupil
+    assert isinstance(loaded, Image)
+    return loaded
 
 
 def test_a_scene_names_a_file_beside_it(tmp_path: Path) -> None:

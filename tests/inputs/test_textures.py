@@ -41,9 +41,9 @@ def test_every_code_is_decoded_by_the_standard_and_comes_back(bits: int, transfe
     codes = np.arange(2**bits, dtype=f"u{bits // 8}")
     light = decode(codes, transfer)
     top = 2**bits - 1
-    wanted = [srgb_light(code / top) if transfer == "srgb" else code / top for code in range(2**bits)]
+    expected = [srgb_light(code / top) if transfer == "srgb" else code / top for code in range(2**bits)]
     # The same formula in two implementations of the power, each right to an ULP or two.
-    np.testing.assert_allclose(light, wanted, rtol=1e-15, strict=True)
+    np.testing.assert_allclose(light, expected, rtol=1e-15, strict=True)
     for dtype in (np.float32, np.float64):
         np.testing.assert_array_equal(encode(light.astype(dtype), bits, transfer), codes, strict=True)
 
@@ -61,9 +61,9 @@ def test_codes_change_halfway_between_them(bits: int, transfer: str, dtype: type
     np.testing.assert_array_equal(encode(below, bits, transfer), np.arange(top))
     generator = np.random.default_rng(5)
     light: Array = generator.random((50, 40, 3)).astype(dtype) ** 3
-    wanted = np.searchsorted(start, light.astype(np.float64), side="right")
-    assert 0.5 * top < np.ptp(wanted)
-    np.testing.assert_array_equal(encode(light, bits, transfer), wanted)
+    expected = np.searchsorted(start, light.astype(np.float64), side="right")
+    assert 0.5 * top < np.ptp(expected)
+    np.testing.assert_array_equal(encode(light, bits, transfer), expected)
 
 
 @BITS_AND_TRANSFERS
@@ -128,8 +128,8 @@ def test_resampling_passes_what_fits_and_removes_what_aliases(columns: int) -> N
     cycles = min(before, columns) / 32
     slow = 0.5 + 0.4 * np.cos(2 * np.pi * cycles * after / before)
     inner = slice(columns // 16, -columns // 16)
-    kept = resample(wave(cycles), (2, columns))[0]
-    np.testing.assert_allclose(kept[inner], slow[inner], atol=0.4 * 0.0016)
+    resampled = resample(wave(cycles), (2, columns))[0]
+    np.testing.assert_allclose(resampled[inner], slow[inner], atol=0.4 * 0.0016)
     if columns == 40:
         # 60 cycles in 40 columns would show as 20 with all of their contrast; the cubic leaves 0.5 %.
         fast = resample(wave(60), (2, columns))[0, 3:-3]
@@ -216,8 +216,8 @@ def test_siemens_star_has_exact_areas_and_grey_in_the_center() -> None:
 
     chosen = np.random.default_rng(4).permutation(i.size)[:4000]
     share = area_by_samples(bright, i[chosen], j[chosen])
-    wanted = 0.05 + 0.75 * share
-    error = np.abs(decode(codes, "srgb").ravel()[chosen] - wanted)
+    expected = 0.05 + 0.75 * share
+    error = np.abs(decode(codes, "srgb").ravel()[chosen] - expected)
     near = np.hypot(i[chosen], j[chosen]) < 20
     # Half a code 0.0045, 1 / 64 of 0.75 for a line among the samples; near the center 1 / 16, for up to three
     # lines.
@@ -258,9 +258,9 @@ def test_a_scene_gets_its_textures_and_its_size(tmp_path: Path) -> None:
     assert scene.camera.resolution == (30, 20)
     assert (texture.bits, texture.radiance.shape) == (16, (20, 30))
 
-    given = Scene.model_validate({"object": [still], "camera": {"resolution": [40, 25]}})
-    scene, (texture,) = load_scene_textures(given)
-    assert scene == given
+    sized = Scene.model_validate({"object": [still], "camera": {"resolution": [40, 25]}})
+    scene, (texture,) = load_scene_textures(sized)
+    assert scene == sized
     assert (texture.bits, texture.radiance.shape) == (16, (25, 40))
     scene, (texture,) = load_scene_textures(Scene.model_validate({"object": [plane]}))
     assert scene.camera.resolution == (512, 512)
@@ -300,15 +300,15 @@ def test_a_projected_image_of_another_aspect_is_stretched(
     items["lying"] = Plane(distance=300.0, texture=array, texture_mapping="surface", texture_size=(9.0, 3.0))
     names = ("pattern", "projected", "lying", "projected")  # the same image again is one
     scene = Scene(camera=Camera(resolution=frame), objects=tuple(items[name] for name in names))
-    found = find_stretched([scene, scene])
-    assert found == ([f"{line} from {size} to the frame's {other} px"] if is_stretched else [])
+    notes = find_stretched([scene, scene])
+    assert notes == ([f"{line} from {size} to the frame's {other} px"] if is_stretched else [])
 
 
 def test_backgrounds_and_depth_maps_are_stretched_as_well() -> None:
     array = np.zeros((480, 640), np.float32)
     items = Background(texture=array), DepthMap(depth=np.full((8, 8), 300.0), texture=array[:, :600])
-    found = find_stretched([Scene(camera=Camera(resolution=(8, 8)), objects=items)])
-    assert [line[: line.index(" to")] for line in found] == [
+    notes = find_stretched([Scene(camera=Camera(resolution=(8, 8)), objects=items)])
+    assert [line[: line.index(" to")] for line in notes] == [
         "object[0].texture: is stretched from 640 x 480",
         "object[1].texture: is stretched from 600 x 480",
     ]

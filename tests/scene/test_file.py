@@ -17,6 +17,7 @@ from clsco.scene.model import DepthMap, Sphere
 from clsco.scene.schema import scene_schema
 from clsco.scene.shapes import SHAPES
 from clsco.scene.sweep import load_sweep
+from tests.scene.schema_file import generate_schema
 from tests.scenes import scene_file
 
 EXAMPLES = sorted(p for p in (Path(__file__).parents[2] / "examples").rglob("*.toml") if p.parent.name != "sets")
@@ -119,11 +120,7 @@ def test_textures_are_sought_beside_the_scene_file(ball: Path, tmp_path: Path, m
         (["psf.tilt=false"], "psf.tilt", False),
         (["psf.model=pillbox"], "psf.model", "pillbox"),
         (["motion.warp=inverse"], "motion.warp", "inverse"),
-        (
-            ["motion.warp=inverse", "motion.texture_filter=nearest", "motion.warp=forward"],
-            "motion.warp",
-            "forward",
-        ),
+        (["motion.warp=inverse", "motion.texture_filter=nearest", "motion.warp=forward"], "motion.warp", "forward"),
     ],
 )
 def test_overrides(ball: Path, overrides: list[str], path: str, expected: Any) -> None:
@@ -260,7 +257,7 @@ def test_dump_spells_out_what_applies() -> None:
 
 def test_schema_documents_every_key() -> None:
     schema = scene_schema()
-    json.dumps(schema, allow_nan=False)
+    assert schema == json.loads(json.dumps(generate_schema(), allow_nan=False)), "python -m tests.scene.schema_file"
     assert schema["required"] == ["object"]
     assert list(schema["properties"]) == [
         "title",

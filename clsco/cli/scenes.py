@@ -1,0 +1,194 @@
+"""Commands that read scenes: `clsco demo`, `plan`, `check`, `schema` and `validate`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from clsco.cli.inputs import first_scene, report_scenes
+from clsco.cli.options import (
+    PATH,
+    device_option,
+    memory_option,
+    no_color_option,
+    precision_option,
+    quiet_option,
+    require_device,
+    require_opencl,
+    scene_argument,
+    scenes_argument,
+    set_option,
+    truth_options,
+)
+from clsco.cli.output import echo
+from clsco.cli.render import request_for, require_uncolored
+from clsco.errors import DeviceError, MissingDependencyError, SceneError
+
+if TYPE_CHECKING:
+    from clsco.cli.plan_time import Setting
+    from clsco.frame.truth_files import TruthFile
+    from clsco.opencl.session import Session
+
+
+@click.command()
+@click.option("-o", "out", metavar="DIR", type=PATH, default=Path("demo"), show_default=True, help="Folder.")
+@device_option
+@quiet_option
+def demo(out: Path, device: str | None, quiet: bool) -> None:
+    """Render some of the example scenes, and a sheet that shows them and their ground truth."""
+    require_device(device)
+    from clsco.cli.demo import write_contact_sheet
+    from clsco.cli.progress import progress
+    from clsco.engine import batch
+    from clsco.frame.truth_files import TruthFile
+    from clsco.plan.prepare import prepare
+    from clsco.scene.examples import EXAMPLES, example
+
+    files = (TruthFile("npz"),)
+    scenes = {name: prepare(example(name), request_for(files)) for name in EXAMPLES}
+    jobs = {
+        name: batch.prepare(each, out / name, range(each.scene.sequence.frames), files, False)
+        for name, each in scenes.items()
+    }
+    shown = {}
+    with progress(sum(len(job.frames) for job in jobs.values()), quiet) as advance:
+        for job, frames in batch.run(list(jobs.values()), device):
+            shown[job.folder.name] = frames  # the last one of a sequence
+            advance()
+    write_contact_sheet(out / "contact_sheet.png", shown)
+    place = click.format_filename(out)
+    echo(f"{place}/contact_sheet.png: all scenes, and the ground truth of some")
+    echo(f"{place}/NAME/frame_0000.png, .npz, .json: image, truth and parameters; NAME is one of")
+    echo(f"  {', '.join(jobs)}")
+
+
+@click.command()
+@scene_argument
+@set_option
+@truth_options
+@no_color_option
+@memory_option
+@device_option
+@click.option("--json", "machine", is_flag=True, help="Print passes, bytes and predicted seconds as JSON.")
+def plan(
+    scene: Path,
+    overrides: tuple[str, ...],
+    files: tuple[TruthFile, ...],
+    no_color: bool,
+    memory: int | None,
+    device: str | None,
+    machine: bool,
+) -> None:
+    """Report what rendering a scene takes, and how long, which is measured on a part of a frame.
+
+    Without OpenCL it reports all but the time.
+    """
+    require_uncolored(files, no_color)
+    session, used = _session_of_plan(device)
+    request = request_for(files, memory=memory, color=not no_color)
+    first = first_scene(scene, overrides, request, None if session is None else session.device, machine)
+    report_scenes(scene, ("",), [first], close=True)
+    from clsco.cli.plan_tables import plan_tables, planned_values
+    from clsco.cli.tables import print_tables
+
+    time, cheaper = None, list[tuple["Setting", float]]()
+    if session is not None:
+        from clsco.cli.plan_time import cheaper_settings
+        from clsco.engine.probe import measure_frame
+
+        time = measure_frame(session, first)
+        cheaper = cheaper_settings(session, first, time)
+    if machine:
+        echo(json.dumps(planned_values(first.plans, used, time, cheaper), indent=2))
+    else:
+        print_tables(*plan_tables(first.plans, used, time, cheaper))
+
+
+def _session_of_plan(device: str | None) -> tuple[Session | None, str]:
+    """The session that a plan is measured in, with the device; or none, and why, where no device was asked for."""
+    try:
+        require_opencl()
+        from clsco.opencl.session import session_for
+
+        session = session_for(device)
+    except (DeviceError, MissingDependencyError) as error:
+        if device is not None:
+            raise
+        return None, f"none: {str(error).removeprefix('device: ')}"
+    return session, str(session.device)
+
+
+@click.command()
+@scene_argument
+@click.option(
+    "--rays", metavar="N", type=click.IntRange(min=0), default=2**16, show_default=True,
+    help="Most rays of a pixel; 0: the reference alone, without the extra.",
+)  # fmt: skip
+@click.option(
+    "--seconds", metavar="S", type=click.FloatRange(min=0.0), default=20.0, show_default=True,
+    help="Time for all rays, which ends at a standard error of 1e-3 of white.",
+)  # fmt: skip
+@click.option(
+    "-o", "out", metavar="OUT", type=PATH, help="File: .json for all figures, .png for a picture of the pixels tried."
+)
+@set_option
+@device_option
+@precision_option
+def check(
+    scene: Path,
+    rays: int,
+    seconds: float,
+    out: Path | None,
+    overrides: tuple[str, ...],
+    device: str | None,
+    precision: str | None,
+) -> None:
+    """Compare frames with the NumPy reference, output by output, and with rays through the real lens.
+
+    Fails where color differs from the reference by more than 1e-5 of white (in single precision, by more than 1e-4 in
+    more than 1 of 500 pixels), or pixels from rays by more than 0.01 of white and 5 standard errors. Rays need the
+    extra check.
+    """
+    from clsco.cli.check_scene import check_scene, require_report
+
+    if out is not None:
+        require_report(out)
+    if rays:
+        from clsco.truth import require_rays
+
+        require_rays()
+    first = first_scene(scene, overrides, request_for((), precision=precision))
+    require_device(device)
+    check_scene(scene, first.scene, (rays, seconds), out, device, precision)
+
+
+@click.command()
+def schema() -> None:
+    """Print the JSON Schema of a scene file."""
+    from clsco.scene.schema import scene_schema
+
+    echo(json.dumps(scene_schema(), indent=2))
+
+
+@click.command()
+@scenes_argument
+def validate(scenes: tuple[Path, ...]) -> None:
+    """Check scene files and their textures without rendering: reports valid files, and all faults of the others."""
+    from clsco.plan.prepare import prepare_files
+    from clsco.scene.sweep import load_sweeps
+
+    faults: list[str] = []
+    for loaded in load_sweeps(scenes):
+        try:
+            ((path, labels, prepared),) = prepare_files([loaded])
+        except SceneError as error:
+            faults.extend(error.messages)
+            continue
+        count = f", {len(labels)} scenes" if labels != ("",) else ""
+        echo(f"{click.format_filename(path)}: valid{count}")
+        report_scenes(path, labels, prepared, close=True)
+    if faults:
+        raise SceneError(faults)

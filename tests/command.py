@@ -1,0 +1,12 @@
+"""The command as tests call it."""
+
+from __future__ import annotations
+
+from click.testing import CliRunner, Result
+
+from clsco.cli.main import main
+
+
+def clsco_(*words: object) -> Result:
+    """Run the command with these words."""
+    return CliRunner().invoke(main, [str(word) for word in words])
