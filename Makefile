@@ -19,8 +19,8 @@ test: .venv/dev.stamp
 QUICK := tests/scene tests/files tests/frame tests/inputs tests/hostile/test_listed.py \
 	tests/data/test_distribution.py tests/data/test_hostile_distributions.py \
 	tests/studio/test_forms.py tests/studio/test_session.py tests/studio/test_store.py
-quick:
-	$(MAKE) test TESTS="$(QUICK)"
+quick: .venv/dev.stamp
+	$(BIN)/python -m pytest -q -n auto --dist worksteal $(QUICK)
 
 # Each kernel alone, beside its counterpart of the reference.
 test-kernels:
