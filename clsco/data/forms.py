@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -91,7 +92,7 @@ def _deep(entry: Any) -> bool:
 
 
 @dataclass(frozen=True)
-class Form:
+class Form(ABC):
     """Distribution of one value, or of `size` numbers."""
 
     size: int | None
@@ -101,24 +102,37 @@ class Form:
         """Number of random words that a draw takes."""
         return self.size or 1
 
-    def value(self, words: Words, split: int) -> Any:  # noqa: ARG002, files depend on the split
+    @abstractmethod
+    def value(self, words: Words, split: int) -> Any:
         """The value that words give in a sample of a split, as a scene file has it."""
+
+    @abstractmethod
+    def extremes(self) -> tuple[Any, ...]:
+        """The lowest and the highest value, or all that there are, as a scene file has them."""
+
+
+@dataclass(frozen=True)
+class NumberForm(Form):
+    """Distribution of one number, or of `size` of them."""
+
+    def value(self, words: Words, split: int) -> Any:  # noqa: ARG002, files depend on the split
         numbers = self._numbers(words).tolist()
         return numbers if self.size else numbers[0]
 
     def extremes(self) -> tuple[Any, ...]:
-        """The lowest and the highest value, or all that there are, as a scene file has them."""
         return tuple([end] * self.size if self.size else end for end in self._ends())
 
+    @abstractmethod
     def _numbers(self, words: Words) -> NDArray[Any]:
-        raise NotImplementedError
+        """A number for each word."""
 
+    @abstractmethod
     def _ends(self) -> tuple[Any, ...]:
-        raise NotImplementedError
+        """The lowest and the highest number."""
 
 
 @dataclass(frozen=True)
-class Uniform(Form):
+class Uniform(NumberForm):
     """{ uniform = [low, high] }"""
 
     low: float
@@ -153,7 +167,7 @@ class LogUniform(Uniform):
 
 
 @dataclass(frozen=True)
-class Normal(Form):
+class Normal(NumberForm):
     """{ normal = [mean, deviation], clip = [low, high] }: values beyond an end become that end."""
 
     mean: float
@@ -178,7 +192,7 @@ class Normal(Form):
 
 
 @dataclass(frozen=True)
-class Integers(Form):
+class Integers(NumberForm):
     """{ integers = [low, high] }, both ends among them."""
 
     low: int

@@ -12,7 +12,7 @@ from clsco.engine.renderer import Renderer
 from clsco.frame.strips import Strip
 from clsco.opencl.session import Session
 from clsco.plan.memory import fitted, limit_of
-from clsco.plan.passes import Kind
+from clsco.plan.passes import ONCE_A_FRAME, Kind
 from clsco.plan.plan import Plan
 from clsco.plan.prepare import Prepared
 
@@ -26,12 +26,14 @@ _Part = tuple[Kind, bool | None]  # a kind of pass, for still sources, for the o
 
 @dataclass(frozen=True)
 class _FramePart:
-    """A run of the passes, by its number, on a part of a strip; still: as `clsco.engine.film.Step` has it."""
+    """A run of the passes, by its number, on a part of a strip; still: as `clsco.engine.film.Step` has it; last: of its
+    strip, which alone has the passes of `ONCE_A_FRAME`."""
 
     strip: Strip
     number: int
     part: Strip
     still: bool | None
+    last: bool
 
 
 @dataclass(frozen=True)
@@ -105,15 +107,14 @@ def _measure_view(session: Session, prepared: Prepared, plan: Plan, seconds: flo
     of_kinds: dict[Kind, float] = {}
     everything = _steps(Film(frame, index))
     for (kind, still), time in spent.items():
-        alike = [[step for step in some if step.still == still] for some in (everything, steps)]
-        scale = _rows(alike[0], kind) / _rows(alike[1], kind)
+        scale = _rows(everything, kind, still) / _rows(steps, kind, still)
         of_kinds[kind] = of_kinds.get(kind, 0.0) + scale * time
     if renderer.plan.truth:
         clock.lap()
         renderer.truth.of_frame(index, film.events)
         of_kinds["ground truth"] = clock.lap()
     renderer.scene.release()
-    return of_kinds, _rows(steps, "blur") / _rows(everything, "blur")
+    return of_kinds, sum(step.part.rows for step in steps) / sum(step.part.rows for step in everything)
 
 
 def _in_bands(plan: Plan) -> Plan:
@@ -157,7 +158,9 @@ def _steps(film: Film) -> list[_FramePart]:
         for turn, number in enumerate((*last, first, *between)):
             if turn == len(rounds):
                 rounds.append([])
-            rounds[turn].append(_FramePart(strip, number, parts[number], film.steps[number].still))
+            rounds[turn].append(
+                _FramePart(strip, number, parts[number], film.steps[number].still, number == [*parts][-1])
+            )
     return [step for one in rounds for step in one]
 
 
@@ -174,8 +177,9 @@ def _run_steps(
     spent: dict[_Part, float] = {}
     for step in _steps(film):
 
-        def note(kind: Kind, still: bool | None = step.still) -> None:
-            spent[kind, still] = spent.get((kind, still), 0.0) + clock.lap()
+        def note(kind: Kind, step: _FramePart = step) -> None:
+            if step.last or kind not in ONCE_A_FRAME:
+                spent[kind, step.still] = spent.get((kind, step.still), 0.0) + clock.lap()
 
         if step.still not in warm:
             renderer.add(film, step.strip, step.number)
@@ -188,6 +192,7 @@ def _run_steps(
     return film, spent, done
 
 
-def _rows(steps: list[_FramePart], kind: Kind) -> int:
-    """Rows that the passes of a kind go over in steps."""
-    return sum(step.part.height if kind in BY_HEIGHT else step.part.rows for step in steps)
+def _rows(steps: list[_FramePart], kind: Kind, still: bool | None) -> int:
+    """Rows that the passes of a kind go over in those steps of `still` sources that have them."""
+    parts = [step.part for step in steps if step.still == still and (step.last or kind not in ONCE_A_FRAME)]
+    return sum(part.height if kind in BY_HEIGHT else part.rows for part in parts)

@@ -6,7 +6,8 @@ from time import process_time
 
 import pytest
 
-from clsco.engine.probe import measure_frame
+from clsco.constants import BAND
+from clsco.engine.probe import _Clock, measure_frame
 from clsco.engine.sequence import render_prepared
 from clsco.opencl.session import Session
 from clsco.plan.prepare import prepare
@@ -39,3 +40,14 @@ def test_views_are_measured_each(session: Session) -> None:
     assert left > 0.0 < right
     kind, share = time.longest
     assert share == sum(view[kind] for view in time.views) / time.seconds
+
+
+@pytest.mark.processor
+@pytest.mark.parametrize("seconds", [0.0, 1e9])
+def test_time_goes_by_the_runs_of_a_pass(session: Session, monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
+    monkeypatch.setattr(_Clock, "lap", lambda clock: 1.0)
+    prepared = prepare(MOVING.replace("sensor", {}), device=session.device)
+    (passes,) = measure_frame(session, prepared, seconds).views
+    strips = prepared.plan.rows // BAND
+    assert passes["sensor"] == strips
+    assert passes["blur"] == passes["accumulate"] == strips * (prepared.plan.subframes + prepared.plan.divided)
