@@ -247,7 +247,7 @@ def choose_silhouettes(scene: Scene, psf: PointSpread, rays: bool, seen: Predict
         return Choice(0, "silhouette_samples = 1")
     if not rays:
         return Choice(0, "a depth map has whole pixels" if is_static_map(scene) else WHOLE_PIXELS, key)
-    if scene.psf.occlusion == "layered" and not _hides_nothing(scene):
+    if scene.psf.occlusion == "layered" and not hides_nothing(scene):
         return Choice(0, "depth layers have whole pixels", key)
     if fills_view(scene, seen.nearest) and not needs_detail(scene, psf, seen.largest):
         return Choice(0, "no silhouette in sight", key)
@@ -263,7 +263,7 @@ def choose_occlusion(
     wanted = scene.psf.occlusion
     if wanted == "none":
         return Choice("none", 'occlusion = "none"'), together, ()
-    if _hides_nothing(scene):
+    if hides_nothing(scene):
         return Choice("none", "one object", key), together, ()
     if wanted == "layered" or not rays:
         return Choice("layered"), together, ()
@@ -276,7 +276,7 @@ def choose_occlusion(
     return Choice("none", "no object hides another within its blur", key), found, extents
 
 
-def _hides_nothing(scene: Scene) -> bool:
+def hides_nothing(scene: Scene) -> bool:
     """True if the lens sees all that the pinhole sees: a single surface, without an inside and not of a map."""
     return len(scene.objects) == 1 and scene.is_analytic and not is_hollow(scene.objects[0])
 

@@ -14,6 +14,7 @@ from clsco.optics.motion import Eye
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.pupils.circle import Circle
 from clsco.optics.rays import ray_slopes
+from clsco.plan.decisions import hides_nothing
 from clsco.plan.predict import is_forward
 from clsco.scene.model import Scene
 
@@ -28,7 +29,8 @@ def elliptic_spread(scene: Scene, psf: PointSpread | None, eye: Eye) -> PointSpr
     psf = psf or scene_point_spread(scene)
     off = ellipticity_of(scene)
     plain = type(psf.pupil) is Circle and psf.edge == "integrated" and not psf.rims
-    by_rays = scene.is_analytic and scene.psf.occlusion != "layered" and not is_forward(scene, eye)
+    layered = scene.psf.occlusion == "layered" and not hides_nothing(scene)
+    by_rays = scene.is_analytic and not layered and not is_forward(scene, eye)
     return replace(psf, stretched=BEYOND * off) if plain and by_rays and off > ROUND else psf
 
 

@@ -73,7 +73,8 @@ def _plane_of_rays(plan: ReferencePlan, textures: tuple[Texture, ...], time: flo
         if psf.silhouette_samples > 1:
             bounds, grid = [cutting_bounds(item) for item in view.scene.objects], padded_grid(view.scene.camera, guard)
             known = view.scene.camera, view.surfaces, bounds, group, *grid
-            small = small_members(*known).any(axis=0) | hidden_by_small(*known)
+            w = np.where(cast.label > 0, cast.inverse_depth, 0.0)
+            small = small_members(*known).any(axis=0) | hidden_by_small(*known, w)
             marked = silhouettes_of(view, group, guard, cast.label) | small
             several = marked if cast.parts is None else marked | (cast.parts > 0)
             finer = trace_subpixels(view, group, guard, marked, cast) if several.any() else None

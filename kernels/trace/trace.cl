@@ -189,7 +189,7 @@ __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *su
 #endif
 #if SMALL && SUBPIXELS
     const ulong small = small_members(grid, surfaces, group, FRAME_ROW(grid, y), x - grid.guard);
-    if (small || is_hidden_by_small(grid, surfaces, group, FRAME_ROW(grid, y), x - grid.guard))
+    if (small || is_hidden_by_small(grid, surfaces, group, FRAME_ROW(grid, y), x - grid.guard, hit ? depth[at] : 0))
         record.w = as_float(SMALL_WITHIN - (int)popcount(small));
 #endif
     if (source)

@@ -20,7 +20,7 @@ from tests.scenes import reference_frames, rendered, scene_from
 COUNT = 60  # of the scenes
 FIGURE = 1e-5  # of white
 ROOM = 1 << 20  # bytes for a plan that has to be widened
-ON_EDGES = 0.01  # pixels by edges without sub-pixel sources, which in single precision are on the other side in places
+ON_EDGES = 1e-4  # of white, over the frame: of cells that single precision has beyond an edge, however far they blur
 METHODS = ("gather", "scatter", "tiles")
 Draw = Callable[[float, float], float]
 Tables = dict[str, Any]
@@ -176,8 +176,7 @@ def test_device_against_reference(number: int) -> None:
     assert np.abs(frame.color - exact.color).max() < limit_of(wanted)
     assert [each for each in compare(frame, exact) if not (each.agrees or each.output == "color")] == []
     (single,) = rendered(wanted, truth=(), method=method_of(number, wanted), precision="single")
-    (color,) = compare(single, exact)
-    assert color.count <= ON_EDGES * color.pixels
+    assert np.abs(single.color - exact.color).mean() < ON_EDGES
 
 
 @pytest.mark.slow

@@ -180,6 +180,11 @@ def test_ellipses_against_rays_through_the_lens(hidden: bool) -> None:
     assert error.max() < (1.5e-2 if hidden else 6e-3)
 
 
+def test_a_single_surface_has_ellipses_whatever_hides() -> None:
+    for occlusion in ("visibility", "layered", "none"):
+        assert prepare(scene(WALL, lens=D, psf={"occlusion": occlusion})).plan.psf.stretched > 0.0
+
+
 def test_tiles_make_no_ellipses() -> None:
     with pytest.raises(clsco.SceneError, match="ellipses"):
         clsco.render_frame(scene(WALL, lens=D), method="tiles")

@@ -29,13 +29,15 @@ CARD |= {"texture": "siemens_star"}
 TUBE = {"shape": "cylinder", "center": [6.0, 3.0, 220.0], "radius": 10.0, "axis": [0.3, 0.12, 1.0]}
 TUBE |= {"bounds": [[-60.0, 60.0], [-60.0, 60.0], [-25.0, 25.0]], "texture": "bricks"}
 WALL = {"shape": "plane", "distance": 380.0, "texture": "checkerboard"}
+NARROW = {"shape": "rectangle", "center": [4.0, 0.0, 285.0], "size": [8.0, 8.0], "rotation": [0.0, 89.5, 0.0]}
 GOING = {"velocity": [6.0, -4.0, 12.0], "angular_velocity": [5.0, 20.0, -10.0]}
 TRUTH_ONLY = {**PLAIN, "occlusion": "none"}
 SCENES: dict[str, dict[str, Any]] = {
     "row": {"object": [BALL, COLUMN, WALL]},
     "card, gaussian": {"object": [CARD, WALL], "psf": {"model": "gaussian", "sigma_ratio": 0.4}},
     "card in a ball, area": {"object": [BALL | {"center": [0.0, 0.0, 205.0]}, CARD, WALL], "psf": {"edge": "area"}},
-    "row, sampled": {"object": [BALL, COLUMN, WALL], "psf": {"edge": "sampled", "silhouette_samples": 2}},
+    # What is narrow and behind a surface takes nothing of it.
+    "row, sampled": {"object": [BALL, COLUMN, NARROW, WALL], "psf": {"edge": "sampled", "silhouette_samples": 2}},
     "tube": {"object": [TUBE, WALL], "psf": {"silhouette_samples": 2}},
     "renormalize": {
         "object": [BALL | {"center": [0.0, 0.0, 205.0]}, CARD, WALL],

@@ -115,13 +115,15 @@ def small_members(
 
 def hidden_by_small(
     camera: Camera, surfaces: Sequence[PlacedSurface], bounds: Sequence[Bounds | None], group: OcclusionGroup,
-    row: NDArray[np.int64], column: NDArray[np.int64],
+    row: NDArray[np.int64], column: NDArray[np.int64], inverse_depth: Array,
 ) -> NDArray[np.bool_]:  # fmt: skip
-    """True (...) of pixels that a small occluder is in, or so near that whole pixels would see an edge of it."""
-    found = np.zeros(np.broadcast(row, column).shape, dtype=bool)
+    """True (...) of pixels that a small occluder before their sources is in, or so near that whole pixels would see an
+    edge of it; inverse_depth (...): of the sources, 0 without one, 1/mm."""
+    rays, found = pixel_ray(camera, row, column), np.zeros(inverse_depth.shape, dtype=bool)
     for k, (surface, ends) in enumerate(zip(surfaces, bounds, strict=True)):
         if group.occluders >> k & 1:
-            found |= is_small(camera, surface, ends, row, column, SMALL_REACH)
+            nearest = outline_plane(surface, rays)[0] if surface.canonical.q.any() else surface.seen.w[1]
+            found |= (nearest > inverse_depth) & is_small(camera, surface, ends, row, column, SMALL_REACH)
     return found
 
 
