@@ -12,7 +12,8 @@ import numpy as np
 import clsco
 from clsco import reference
 from clsco.cli.check import compare
-from clsco.frame.frame import (
+from clsco.frame.frame import Frame
+from clsco.frame.outputs import (
     LENS_NAMES,
     MAPPING_NAMES,
     MOTION_NAMES,
@@ -20,7 +21,6 @@ from clsco.frame.frame import (
     SENSOR_NAMES,
     STEREO_NAMES,
     TRUTH_NAMES,
-    Frame,
 )
 from clsco.plan.device import DeviceFacts
 from clsco.plan.plan import Plan, make_plan

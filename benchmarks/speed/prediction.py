@@ -22,7 +22,7 @@ from benchmarks.speed.photographic_frames import scene_of
 from clsco import Scene, load_sweep
 from clsco.engine.probe import measure_frame
 from clsco.engine.sequence import render_prepared
-from clsco.frame.frame import ALL_TRUTH, truth_names
+from clsco.frame.outputs import ALL_TRUTH, truth_names
 from clsco.opencl.session import Session, session_for
 from clsco.plan.prepare import Prepared, prepare
 from clsco.plan.request import Request

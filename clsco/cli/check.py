@@ -12,38 +12,13 @@ from numpy.typing import NDArray
 
 from clsco import reference
 from clsco.engine.sequence import render
-from clsco.frame.frame import ALL_TRUTH, SENSOR_NAMES, Frame
+from clsco.frame.frame import Frame
+from clsco.frame.outputs import ALL_TRUTH, OUTPUTS, SENSOR_NAMES
 from clsco.optics.sensor import camera_word, sensor_model
 from clsco.reference.sensor.sensor import sensor_outputs
 from clsco.scene.model import Scene
 
-# Output -> unit, and the figure up to which it agrees: float32 of values of their size, and for color what an
-# 8-bit image could never show (1/255 is 400 times more). Masks and numbers agree exactly. In single precision
-# figures are ten times as large, and one pixel in LEAST_AGREEING may be on the other side of an edge.
-FIGURES: dict[str, tuple[str, float]] = {
-    "color": ("of white", 1e-5),
-    "sharp": ("of white", 1e-5),
-    "depth": ("relative", 1e-6),
-    "blur_radius": ("px", 1e-4),
-    "normal": ("", 1e-5),
-    "flow": ("px", 1e-4),
-    "mask": ("", 0.0),
-    "filled": ("", 0.0),
-    "missing": ("", 0.0),
-    "object_id": ("", 0.0),
-    "hidden": ("", 0.0),
-    "flow_backward": ("px", 1e-4),
-    "flow_occluded": ("", 0.0),
-    "uv": ("relative beyond 1", 1e-5),
-    "disparity": ("px", 1e-4),
-    "occluded": ("", 0.0),
-    "raw": ("DN", 0.0),
-    "electrons": ("e-", 0.0),
-    "noise_sigma": ("e-", 0.0),
-    "saturated": ("", 0.0),
-    "row_time": ("s", 0.0),
-    "throughput": ("", 1e-6),
-}
+# Single precision has ten times the figures, and may have one pixel in so many on the other side of an edge.
 LEAST_AGREEING = 500
 
 
@@ -91,8 +66,8 @@ class Checked:
 def difference(output: str, got: NDArray[Any], expected: NDArray[Any], single: bool = False) -> Difference:
     """Compare two arrays (rows, columns[, channels]); equal infinities agree, and NaN never does. single: the
     precision."""
-    unit, figure = FIGURES[output]
-    figure *= 10.0 if single else 1.0
+    about = OUTPUTS[output]
+    unit, figure = about.measure or about.unit, about.figure * (10.0 if single else 1.0)
     values, exact = np.asarray(got, np.float64), np.asarray(expected, np.float64)
     with np.errstate(invalid="ignore"):  # infinity minus infinity
         error = np.abs(values - exact)

@@ -58,7 +58,7 @@ def attribute(place: str) -> Callable[[], Iterable[str]]:
 
 
 def _arrays() -> tuple[str, ...]:
-    return "all", *attribute("clsco.frame.truth_files:ATTRIBUTES")()
+    return "all", *attribute("clsco.frame.outputs:ATTRIBUTES")()
 
 
 def _keys() -> list[str]:

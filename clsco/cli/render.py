@@ -98,7 +98,7 @@ def require_uncolored(files: tuple[TruthFile, ...], no_color: bool) -> None:
         return
     if not files:
         raise click.UsageError("--no-color: needs --truth, as nothing else is written")
-    from clsco.frame.truth_files import OF_THE_IMAGE
+    from clsco.frame.outputs import OF_THE_IMAGE
 
     for file in files:
         if named := [name for name in file.names if name in OF_THE_IMAGE]:

@@ -9,7 +9,7 @@ import numpy as np
 from clsco.engine.defocus import defocus
 from clsco.engine.inpaint import inpaint
 from clsco.engine.warm import run_near
-from clsco.frame.frame import ALL_TRUTH
+from clsco.frame.outputs import ALL_TRUTH
 from clsco.opencl.session import session_for
 from clsco.plan.prepare import prepare
 from clsco.plan.request import Request

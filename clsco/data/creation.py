@@ -19,7 +19,8 @@ from clsco.data.record import parse_stored
 from clsco.data.sets import DataSet, Status, check_resumable, finish
 from clsco.data.storage import open_storage
 from clsco.errors import ClscoError, DeviceError, SceneError
-from clsco.frame.truth_files import ATTRIBUTES, OF_THE_IMAGE, array_names
+from clsco.frame.outputs import ATTRIBUTES, OF_THE_IMAGE
+from clsco.frame.truth_files import array_names
 from clsco.resources import machine_bytes
 from clsco.scene.text import shown
 

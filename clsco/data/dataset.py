@@ -18,13 +18,14 @@ from clsco.data.card import CARD
 from clsco.data.containers import ShardReader, container_named
 from clsco.data.draws import shuffled
 from clsco.data.manifest import files_by_split, files_of, parsed_part
-from clsco.data.record import ABOUT, PICTURES, Record, is_named
+from clsco.data.record import PICTURES, Record, is_named
 from clsco.data.sets import DataSet, open_set
 from clsco.data.storage import Storage, checked_key, open_storage, remove_path
 from clsco.errors import MissingDependencyError, SceneError
 from clsco.files.atomic import raise_file_error
 from clsco.frame.contact_sheet import contact_sheet, split_into_rows
 from clsco.frame.notebook import html_to_show
+from clsco.frame.outputs import ATTRIBUTES
 from clsco.frame.views import Picture
 
 if TYPE_CHECKING:
@@ -317,8 +318,8 @@ def open(data: str | os.PathLike[str], split: str | None = None, arrays: Iterabl
         raise SceneError(f"split: must be one of {', '.join(files)}; got {split}")
     chosen = [each for name, listed in files.items() if split in (None, name) for each in listed]
     names = None if arrays is None else frozenset([arrays] if isinstance(arrays, str) else arrays)
-    if unknown := sorted(name for name in names or () if name.rpartition(".")[2] not in ABOUT):
-        raise SceneError(f"arrays: must be some of {', '.join(ABOUT)}; got {unknown[0]}")
+    if unknown := sorted(name for name in names or () if name.rpartition(".")[2] not in ATTRIBUTES):
+        raise SceneError(f"arrays: must be some of {', '.join(ATTRIBUTES)}; got {unknown[0]}")
     shards = _Shards(storage.where, data_set.identity.format, sorted(chosen, key=_shard))
     return Dataset(card, shards, names, range(sum(count for _, count in chosen)))
 

@@ -17,40 +17,14 @@ from clsco.files.color import exr_color
 from clsco.files.images import save_image, write_npz
 from clsco.files.ranges import check_values
 from clsco.files.transfer import decode, encode
-from clsco.frame.frame import FILE_NAMES, Frame
+from clsco.frame.frame import Frame
 from clsco.frame.notebook import codes_to_show, html_to_show
+from clsco.frame.outputs import ATTRIBUTES, FILE_NAMES, OUTPUTS
 from clsco.frame.truth_files import FLOATS, parse_types, to_float16
 
 if TYPE_CHECKING:
     from clsco.data.distribution import Sample
 
-# What an array holds, by its name in files: unit and convention.
-ABOUT = {
-    "color": ("1 = white", "radiance, blurred by defocus and motion; linear, or codes of the transfer curve"),
-    "sharp": ("1 = white", "radiance, all in focus; linear, or codes of the transfer curve"),
-    "depth": ("mm", "planar Z at the pixel center, +inf where nothing is"),
-    "coc": ("px", "signed radius of the blur, positive behind the focal surface"),
-    "mask": ("", "True where a surface is"),
-    "filled": ("", "0 known, 1 filled, 2 could not be filled"),
-    "missing": ("", "True where the forward warp left the pixel missing in a time sample"),
-    "object_id": ("", "position in the scene's objects, -1 none"),
-    "normal": ("", "unit vector in the camera frame, x right, y up, z into the scene"),
-    "flow": ("px", "x right, y down, to the next frame"),
-    "hidden": ("", "True where the point is hidden in the reference pose"),
-    "flow_backward": ("px", "x right, y down, to the frame before"),
-    "flow_occluded": ("", "True where the point is not visible in the next frame"),
-    "uv": ("images", "place in the image of the texture, right and up from the lower left corner"),
-    "disparity": ("px", "column in the left view less column in the right one, 0 where nothing is"),
-    "occluded": ("", "True where the point is not visible in the other view"),
-    "raw": ("DN", "codes of the sensor, with all noise"),
-    "electrons": ("e-", "electrons to be expected, without noise"),
-    "noise_sigma": ("e-", "standard deviation of (raw - black level) / gain"),
-    "saturated": ("", "True where the full well or the largest code was reached"),
-    "throughput": ("", "share of the light of the middle of the frame that the lens gives the pixel"),
-    "row_time": ("s", "middle of the exposure of each row, or column, since the reference pose"),
-    "alpha": ("", "share of the light that comes from surfaces"),
-    "subframes": ("1 = white", "linear radiance of each time sample"),
-}
 CODES = {"uint8": 8, "uint16": 16}
 PICTURES = ("color", "sharp")  # what codes can hold
 # Of a frame's metadata what depends on its scene alone, not on memory, devices or clocks.
@@ -200,7 +174,7 @@ def parse_stored(text: str) -> dict[str, str]:
     Images can be codes, uint8 or uint16 (default), or linear floats; what else is in floats can be float32 (default) or
     float16. Raises SceneError for anything else; one message for each.
     """
-    known = {name: (*FLOATS, *(CODES if name in PICTURES else ())) for name in ABOUT}
+    known = {name: (*FLOATS, *(CODES if name in PICTURES else ())) for name in ATTRIBUTES}
     return parse_types(text, known)
 
 
@@ -259,7 +233,7 @@ def _stored(
     where: str, name: str, array: NDArray[Any], dtype: str | None, transfer: str
 ) -> tuple[NDArray[Any], dict[str, Any]]:
     """An array in the type that it is stored in, and what describes it."""
-    unit, convention = ABOUT[name]
+    output = OUTPUTS[ATTRIBUTES[name]]
     more: dict[str, Any] = {}
     if dtype in CODES:
         bits = CODES[dtype]
@@ -271,5 +245,5 @@ def _stored(
         array = encode(array, bits, transfer)
     elif dtype == "float16":
         array = to_float16(where, array)
-    about = {"dtype": array.dtype.name, "shape": list(array.shape), "unit": unit, "convention": convention}
+    about = {"dtype": array.dtype.name, "shape": list(array.shape), "unit": output.unit, "convention": output.about}
     return np.ascontiguousarray(array), about | more

@@ -25,7 +25,7 @@ from clsco.engine.sequence import render_prepared
 from clsco.errors import FileError, KernelError, MissingDependencyError, SceneError
 from clsco.files.atomic import file_digests
 from clsco.frame.frame import Frame
-from clsco.frame.truth_files import ATTRIBUTES
+from clsco.frame.outputs import ATTRIBUTES
 from clsco.inputs.files import InputFiles
 from clsco.opencl.device import Device
 from clsco.opencl.session import session_on

@@ -21,9 +21,10 @@ from clsco.frame.files import (
     write_frame,
     write_scene_files,
 )
-from clsco.frame.frame import FILE_NAMES, IMAGE_NAMES, Frame
+from clsco.frame.frame import Frame
+from clsco.frame.outputs import ATTRIBUTES, FILE_NAMES, IMAGE_NAMES
 from clsco.frame.provenance import file_digests, record
-from clsco.frame.truth_files import ATTRIBUTES, TruthFile
+from clsco.frame.truth_files import TruthFile
 from clsco.opencl.session import Session, session_for
 from clsco.plan.prepare import Prepared, PreparedFile
 from clsco.resources import remove_left

@@ -12,7 +12,8 @@ from typing import SupportsIndex, TypedDict, Unpack
 from clsco.engine.renderer import Renderer, expose
 from clsco.engine.shrinking import Shrinking
 from clsco.errors import DeviceError, SceneError
-from clsco.frame.frame import ALL_TRUTH, IMAGE_NAMES, SENSOR_NAMES, Frame, truth_names
+from clsco.frame.frame import Frame
+from clsco.frame.outputs import ALL_TRUTH, IMAGE_NAMES, SENSOR_NAMES, truth_names
 from clsco.opencl.session import DeviceLike, Session, session_for
 from clsco.passes.tables import forget_others
 from clsco.passes.trace import KeptHits, LatestHits

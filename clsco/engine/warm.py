@@ -9,7 +9,7 @@ from dataclasses import replace
 from clsco.engine.renderer import Renderer, expose
 from clsco.engine.sequence import casts_for_lenses
 from clsco.errors import ClscoError
-from clsco.frame.frame import ALL_TRUTH
+from clsco.frame.outputs import ALL_TRUTH
 from clsco.inputs.files import InputFiles
 from clsco.opencl.session import Session
 from clsco.optics.visibility import OcclusionGroup

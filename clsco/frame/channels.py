@@ -8,18 +8,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-_COMPONENTS = {
-    "color": ("", "RGB"),
-    "sharp": ("sharp.", "RGB"),
-    "normal": ("N.", "XYZ"),
-    **{name: (f"{name}.", "uv") for name in ("flow", "flow_backward", "uv")},
-}
-_SENSOR = ("raw", "electrons", "noise_sigma", "saturated")
-_OTHER_NAMES = {"depth": "Z", "object_id": "id", "alpha": "A"}
+from clsco.frame.outputs import ATTRIBUTES, OUTPUTS
 
 
-def _split(layer: str, names: str, array: NDArray[Any]) -> dict[str, NDArray[Any]]:
-    return {layer + name: array if array.ndim == 2 else array[..., n] for n, name in enumerate(names)}
+def _layer_channels(name: str, array: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    """Channels of an array of two or three axes, by its name in files."""
+    row = OUTPUTS[ATTRIBUTES[name]]
+    layer = name if row.layer is None else row.layer
+    if array.ndim == 2 and not row.letters:
+        return {layer: array}
+    letters = row.letters if array.ndim == 2 or len(row.letters) == array.shape[2] else "RGB"
+    prefix = f"{layer}." if layer else ""
+    return {prefix + letter: array if array.ndim == 2 else array[..., k] for k, letter in enumerate(letters)}
 
 
 def exr_channels(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
@@ -34,13 +34,10 @@ def exr_channels(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     for name, array in arrays.items():
         if name == "subframes":
             for number, image in enumerate(array):
-                channels |= _split(f"sample_{number:02d}.", "RGB", image)
-        elif name in _COMPONENTS:
-            channels |= _split(*_COMPONENTS[name], array)
-        elif name in _SENSOR or (name == "coc" and array.ndim == 3):
-            channels |= _split(f"{name}.", "RGB" if array.ndim == 3 else "Y", array)
-        elif array.ndim == 2:
-            channels[_OTHER_NAMES.get(name, name)] = array
+                shown = _layer_channels("color", image)
+                channels |= {f"sample_{number:02d}.{letter}": plane for letter, plane in shown.items()}
+        elif array.ndim > 1:
+            channels |= _layer_channels(name, array)
     if "color" in arrays:
         channels.setdefault("A", np.ones(arrays["color"].shape[:2], arrays["color"].dtype))
     return channels

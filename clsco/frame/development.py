@@ -57,7 +57,7 @@ def sensor_truth(
     light: NDArray[np.floating] | None,
     sensor_model: SensorModel,
 ) -> dict[str, NDArray[Any]]:
-    """Outputs of a sensor in `names`, some of `clsco.frame.frame.SENSOR_NAMES`, (rows, columns[, 3]).
+    """Outputs of a sensor in `names`, some of `clsco.frame.outputs.SENSOR_NAMES`, (rows, columns[, 3]).
 
     raw, saturated: (rows, columns, planes). light: of the exposure, (rows, columns[, 3]), for `electrons` and
     `noise_sigma`.

@@ -24,8 +24,9 @@ from clsco.files.images import write_exr, write_json, write_npz, write_png, writ
 from clsco.files.transfer import encode
 from clsco.frame.cameras import all_pinholes, exr_attributes, eye_of, mark_behind_lens
 from clsco.frame.channels import exr_channels
-from clsco.frame.frame import ALL_TRUTH, FILE_NAMES, IMAGE_NAMES, Frame
-from clsco.frame.truth_files import ATTRIBUTES, Shot, TruthFile, TruthFormat, choose_files
+from clsco.frame.frame import Frame
+from clsco.frame.outputs import ALL_TRUTH, ATTRIBUTES, FILE_NAMES, IMAGE_NAMES, OUTPUTS, SENSOR_NAMES
+from clsco.frame.truth_files import Shot, TruthFile, TruthFormat, choose_files
 from clsco.optics.motion import Eye
 from clsco.resources import read_regular
 from clsco.scene.model import Scene
@@ -119,6 +120,9 @@ def _known(shot: Shot, file: TruthFile) -> NDArray[np.bool_]:
     return frame.mask & ~mark_behind_lens(shot.scene, frame, 1 if name == "flow" else -1)
 
 
+_WITHOUT = (*SENSOR_NAMES, "subframes")
+# One channel or three of floats for each pixel, and vectors.
+_FLOATS = tuple(FILE_NAMES[name] for name, each in OUTPUTS.items() if each.dtype is np.float32 and name not in _WITHOUT)
 _FLOWS, _WHERE_FLOW_HOLDS = ("flow", "flow_backward"), ("mask", "depth", "object_id")
 # By name, one row for each format: `clsco render --format` takes its names from here.
 LARGEST_JSON = 2**22  # bytes; 64 objects with all of their keys take a fiftieth
@@ -126,11 +130,7 @@ TRUTH_FORMATS = {
     "npz": TruthFormat("{stem}.npz", _write_npz, options=("float16", "compressed")),
     "exr": TruthFormat("{stem}.exr", _write_exr, "frame", options=("float16",), needs=("OpenEXR", "exr")),
     "npy": TruthFormat("{stem}_{array}.npy", _write_npy, "array", options=("float16",)),
-    "pfm": TruthFormat(
-        "{stem}_{array}.pfm", _write_pfm, "array",
-        ("color", "sharp", "depth", "coc", "normal", *_FLOWS, "uv", "disparity", "throughput", "alpha"),
-        _WHERE_FLOW_HOLDS,
-    ),
+    "pfm": TruthFormat("{stem}_{array}.pfm", _write_pfm, "array", _FLOATS, _WHERE_FLOW_HOLDS),
     "flo": TruthFormat("{stem}_{array}.flo", _write_flo, "array", _FLOWS, _WHERE_FLOW_HOLDS),
     "kitti_flow": TruthFormat("{stem}_kitti_{array}.png", _write_kitti_flow, "array", _FLOWS, _WHERE_FLOW_HOLDS),
     "kitti_disparity": TruthFormat(

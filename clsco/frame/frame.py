@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,39 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.errors import ArgumentError, SceneError
+from clsco.errors import ArgumentError
 from clsco.frame.channels import exr_channels
 from clsco.frame.notebook import codes_to_show, html_to_show, png_to_show
+from clsco.frame.outputs import FILE_NAMES
 
-TRUTH_NAMES = ("sharp", "depth", "blur_radius", "mask", "filled", "missing", "object_id", "normal", "flow", "hidden")
-MOTION_NAMES = ("flow_backward", "flow_occluded")  # besides, where something moves
-MAPPING_NAMES = ("uv",)  # besides, where a texture lies on a surface
-STEREO_NAMES = ("disparity", "occluded")  # besides, of a stereo pair
-SENSOR_NAMES = ("raw", "electrons", "noise_sigma", "saturated")  # besides, of the image of a sensor
-ROLLING_NAMES = ("row_time",)  # besides, where rows or columns are exposed one after another
-LENS_NAMES = ("throughput",)  # besides, where the lens does not give all of the frame the same light
-ALL_TRUTH = (*TRUTH_NAMES, *MOTION_NAMES, *MAPPING_NAMES, *STEREO_NAMES, *ROLLING_NAMES, *LENS_NAMES, *SENSOR_NAMES)
 GREEN = 1  # channel that stands for all, where one must
-IMAGE_NAMES = ("alpha", "subframes")  # besides, of the image, by name only
-FILE_NAMES = {name: name for name in ("color", *ALL_TRUTH, *IMAGE_NAMES)} | {"blur_radius": "coc"}
-"""Names of the arrays in files, by attribute."""
-
-
-def truth_names(truth: str | Iterable[str]) -> tuple[str, ...]:
-    """Names of outputs besides color that users give: some of `ALL_TRUTH` and `IMAGE_NAMES`, one of them, or "all".
-
-    "all" is `ALL_TRUTH`. Raises SceneError for other names.
-    """
-    if truth == "all":
-        return ALL_TRUTH
-    if not isinstance(truth, Iterable):
-        raise SceneError(f"truth: must be names of outputs; got {truth!r}")
-    names = tuple(dict.fromkeys([truth] if isinstance(truth, str) else truth))
-    for name in names:
-        if name not in FILE_NAMES or name == "color":
-            known = ", ".join((*ALL_TRUTH, *IMAGE_NAMES))
-            raise SceneError(f'truth: must be "all" or some of {known}; got {name!r}')
-    return names
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -97,6 +70,10 @@ class Frame:
         pairs, as `occluded`.
     occluded : bool (rows, columns)
         The point is not visible in the other view: an occluder hides it, or it is outside the frame.
+    row_time : float64 (rows,), or (columns,) if columns are exposed one after another, s
+        Middle of the exposure of each row since t = 0. Only with a rolling shutter.
+    throughput : float32 (rows, columns)
+        Light of the pixel as a share of that in the middle of the frame. Only with vignetting or rims.
     raw : uint16 (rows, columns[, 3]), DN
         Codes of the sensor, with all noise; of a mosaic one for each pixel. Only with a sensor, as `electrons`,
         `noise_sigma` and `saturated`, which have the same shape.
@@ -107,10 +84,6 @@ class Frame:
         noise, PRNU, DSNU and rounding, without hot pixels and where nothing is saturated.
     saturated : bool (rows, columns[, 3])
         The full well or the largest code was reached.
-    row_time : float64 (rows,), or (columns,) if columns are exposed one after another, s
-        Middle of the exposure of each row since t = 0. Only with a rolling shutter.
-    throughput : float32 (rows, columns)
-        Light of the pixel as a share of that in the middle of the frame. Only with vignetting or rims.
     alpha : float32 (rows, columns)
         Share of a pixel's light that comes from surfaces, blurred as `color`: `color` has this associated
         (premultiplied) alpha. The background is no surface.
@@ -140,12 +113,12 @@ class Frame:
     uv: NDArray[np.float32] | None = None
     disparity: NDArray[np.float32] | None = None
     occluded: NDArray[np.bool_] | None = None
+    row_time: NDArray[np.float64] | None = None
+    throughput: NDArray[np.float32] | None = None
     raw: NDArray[np.uint16] | None = None
     electrons: NDArray[np.float32] | None = None
     noise_sigma: NDArray[np.float32] | None = None
     saturated: NDArray[np.bool_] | None = None
-    row_time: NDArray[np.float64] | None = None
-    throughput: NDArray[np.float32] | None = None
     alpha: NDArray[np.float32] | None = None
     subframes: NDArray[np.float32] | None = None
     eye: str = ""

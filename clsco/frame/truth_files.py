@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from clsco.errors import SceneError
 from clsco.files.color import SRGB, Color
 from clsco.files.ranges import check_values
-from clsco.frame.frame import ALL_TRUTH, FILE_NAMES, Frame
+from clsco.frame.frame import Frame
+from clsco.frame.outputs import ALL_TRUTH, FILE_NAMES
 from clsco.scene.model import Scene
 
 ALL = "all"

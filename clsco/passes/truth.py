@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.frame.frame import MOTION_NAMES, STEREO_NAMES
+from clsco.frame.outputs import MOTION_NAMES, OUTPUTS, RAY_OUTPUTS, STEREO_NAMES
 from clsco.frame.strips import Strip
 from clsco.opencl.buffers import allocate, download_into
 from clsco.optics.depth_truth import MapPoints, map_flow, map_normal, map_occluded, map_stereo
@@ -27,16 +27,10 @@ from clsco.passes.placed import PlacedScene, TimeSample
 from clsco.passes.static_image import StaticMap
 from clsco.passes.trace import everything, ray_target
 from clsco.passes.warp import ForwardWarp
-from clsco.plan.buffers import OF_LINES, TRUTH_BUFFERS, truth_buffers
+from clsco.plan.buffers import OF_LINES, truth_buffers
 from clsco.plan.plan import Plan
 from clsco.scene.model import Camera
 
-BOOLEAN = ("hidden", "occluded", "flow_occluded")
-# What outputs are where no surface is; the background keeps its radiance and its blur.
-NOTHING: dict[str, float] = {
-    "mask": False, "depth": np.inf, "object_id": -1, "normal": 0.0, "flow": 0.0, "hidden": False,
-    "flow_backward": 0.0, "flow_occluded": False, "uv": 0.0, "disparity": 0.0, "occluded": False,
-}  # fmt: skip
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -135,7 +129,7 @@ class GroundTruth:
     ) -> None:  # fmt: skip
         """Enqueue the rays of a strip, or of so many columns and rows of it from `origin` on."""
         grid = camera_grid(camera, self.plan.guard_px, self.scene.real, strip, self.plan.scene.camera)
-        out = (buffers["mask"], *(buffers.get(name) for name in TRUTH_BUFFERS))
+        out = (buffers["mask"], *(buffers.get(name) for name in RAY_OUTPUTS))
         local = PIXELS if size[0] > 1 else PIXELS[::-1]
         self.target.run("ground_truth", size, local, events, grid, *arguments, *out, origin=origin)
 
@@ -203,18 +197,18 @@ class GroundTruth:
         if self.plan.background is None:
             return np.zeros((), np.bool_)
         beyond = np.asarray(found["object_id"] == self.plan.background)
-        for name in NOTHING.keys() & found.keys():
-            found[name][beyond] = NOTHING[name]
+        for name, array in found.items():
+            if (empty := OUTPUTS[name].empty) is not None:
+                array[beyond] = empty
         return beyond
 
     def _arrays(self, names: Sequence[str]) -> Arrays:
         plan = self.plan
-        out: Arrays = {"mask": np.empty((plan.rows, plan.columns), np.bool_)}
-        for name in names:
-            kind, count = TRUTH_BUFFERS[name]
-            depth = count or plan.channels
+        out: Arrays = {}
+        for name in ("mask", *names):
+            depth = OUTPUTS[name].components or plan.channels
             shape = (plan.rows, plan.columns) if depth == 1 else (plan.rows, plan.columns, depth)
-            out[name] = np.empty(shape, np.bool_ if name in BOOLEAN else kind)
+            out[name] = np.empty(shape, OUTPUTS[name].dtype)
         return out
 
     def _download(self, strip: Strip, buffers: dict[str, Any], out: Arrays) -> None:

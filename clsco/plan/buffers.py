@@ -30,6 +30,7 @@ from clsco.constants import (
     TAP_LANES,
     WIDE_LANES,
 )
+from clsco.frame.outputs import OUTPUTS, RAY_OUTPUTS
 from clsco.frame.strips import Grid
 from clsco.inputs.mipmaps import mipmap_floats
 from clsco.inputs.textures import mapped_size
@@ -62,21 +63,6 @@ SHARED = (
     "statistics", "value", "coc", "valid", "source", "depth", "label", "pixels", "sub_label", "sub_source", "sub_value",
     "sub_depth", "share", "sharper",
 )  # fmt: skip
-# Outputs that ground_truth writes, with what one pixel of each takes: dtype and components (0: the channels).
-TRUTH_BUFFERS: dict[str, tuple[type[np.generic], int]] = {
-    "object_id": (np.int32, 1),
-    "depth": (np.float32, 1),
-    "blur_radius": (np.float32, 1),
-    "normal": (np.float32, 3),
-    "flow": (np.float32, 2),
-    "hidden": (np.uint8, 1),
-    "sharp": (np.float32, 0),
-    "disparity": (np.float32, 1),
-    "occluded": (np.uint8, 1),
-    "flow_backward": (np.float32, 2),
-    "flow_occluded": (np.uint8, 1),
-    "uv": (np.float32, 2),
-}
 # Outputs that are 0 where nothing moves and there is one view.
 OF_MOTION = ("flow", "hidden")
 # Outputs that a rolling shutter has from those that rays give.
@@ -97,7 +83,7 @@ def ray_truth(scene: Scene, wanted: Collection[str], is_forward: bool) -> tuple[
         asked -= {*OF_MOTION}
     if scene.rolls and asked & {*OF_LINES}:
         asked = (asked - {*OF_LINES}) | {"depth", "object_id"}
-    return tuple(name for name in TRUTH_BUFFERS if name in asked)
+    return tuple(name for name in RAY_OUTPUTS if name in asked)
 
 
 def bands_at_a_time(rows: int, cores: int) -> int:
@@ -445,8 +431,6 @@ def map_buffers(grid: Grid, scene: Scene | None = None) -> Sizes:
 
 
 def truth_buffers(names: Collection[str], grid: Grid) -> Sizes:
-    """Outputs of ground truth (of TRUTH_BUFFERS) with the mask, of one strip; they are there only while it is made."""
-    pixels = grid.rows * grid.columns
-    kinds = {name: TRUTH_BUFFERS[name] for name in names}
-    sizes = {name: np.dtype(kind).itemsize * (n or grid.channels) * pixels for name, (kind, n) in kinds.items()}
-    return {"mask": pixels} | sizes
+    """Outputs of ground truth by rays with the mask, of one strip; they are there only while it is made."""
+    pixels, made = grid.rows * grid.columns, (OUTPUTS[name] for name in ("mask", *names))
+    return {each.name: np.dtype(each.dtype).itemsize * (each.components or grid.channels) * pixels for each in made}

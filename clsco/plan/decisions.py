@@ -6,15 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 from clsco.errors import SceneError
-from clsco.frame.frame import (
-    ALL_TRUTH,
-    LENS_NAMES,
-    MAPPING_NAMES,
-    MOTION_NAMES,
-    ROLLING_NAMES,
-    SENSOR_NAMES,
-    STEREO_NAMES,
-)
+from clsco.frame.outputs import ALL_TRUTH, OUTPUTS, SENSOR_NAMES, Group
 from clsco.optics.exposure import subframes_of
 from clsco.optics.lens_path import widest_camera
 from clsco.optics.motion import Eye
@@ -45,13 +37,14 @@ MOTION_KEYS = (*(f"sequence.{key}" for key in EXPOSURE_KEYS), "motion.rotation")
 FILL_KEYS = tuple(f"fill.{key}" for key in Fill.model_fields)
 SPREAD_KEYS = ("psf.tilt", "psf.occlusion", "psf.border")  # of light that leaves its pixel
 OPENING_KEYS = tuple(f"aperture.{key}" for key in Aperture.model_fields if key != "exposure")
-POSSIBLE: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
-    (STEREO_NAMES, lambda scene: scene.stereo is not None, "there is one view"),
-    (MOTION_NAMES, lambda scene: scene.moves, "nothing moves"),
-    (MAPPING_NAMES, lambda scene: scene.has_mapped_textures, "no texture lies on a surface"),
-    (SENSOR_NAMES, lambda scene: scene.sensor is not None, "there is no sensor"),
-    (LENS_NAMES, lambda scene: scene.darkens or bool(scene.aperture.rim), "the lens darkens nothing"),
-    (ROLLING_NAMES, lambda scene: scene.rolls, "all rows are exposed at once"),
+# Groups of outputs that not every scene has.
+POSSIBLE: tuple[tuple[Group, Callable[[Scene], bool], str], ...] = (
+    ("stereo", lambda scene: scene.stereo is not None, "there is one view"),
+    ("motion", lambda scene: scene.moves, "nothing moves"),
+    ("surfaces", lambda scene: scene.has_mapped_textures, "no texture lies on a surface"),
+    ("sensor", lambda scene: scene.sensor is not None, "there is no sensor"),
+    ("lens", lambda scene: scene.darkens or bool(scene.aperture.rim), "the lens darkens nothing"),
+    ("readout", lambda scene: scene.rolls, "all rows are exposed at once"),
 )
 
 
@@ -327,7 +320,8 @@ def choose_truth(
     scene: Scene, asked: tuple[str, ...], color: bool = True
 ) -> tuple[Choice[tuple[str, ...]], Choice[bool]]:
     """Outputs besides color and alpha, of those that a scene can have; and whether any others are left out."""
-    impossible = {name: why for names, can, why in POSSIBLE if not can(scene) for name in names}
+    reasons = {group: why for group, can, why in POSSIBLE if not can(scene)}
+    impossible = {name: reasons[row.group] for name, row in OUTPUTS.items() if row.group in reasons}
     impossible |= {} if color else dict.fromkeys(SENSOR_NAMES, "no image is made")
     taken = tuple(name for name in asked if name != "alpha" and name not in impossible)
     others = [name for name in ALL_TRUTH if name not in taken and name not in impossible]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.constants import BAND, MERGED_SIDE, TAP_LANES
-from clsco.frame.frame import SENSOR_NAMES
+from clsco.frame.outputs import SENSOR_NAMES
 from clsco.frame.strips import Grid, Strip, make_strip
 from clsco.optics.exposure import frame_exposure, subframes_of
 from clsco.optics.lens_path import lens_at

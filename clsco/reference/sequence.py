@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.frame.frame import MAPPING_NAMES, MOTION_NAMES, SENSOR_NAMES, Frame
+from clsco.frame.frame import Frame
+from clsco.frame.outputs import MAPPING_NAMES, MOTION_NAMES, SENSOR_NAMES
 from clsco.inputs.depth_maps import load_scene_depths
 from clsco.inputs.pupils import scale_radiance, scene_point_spread
 from clsco.inputs.textures import Texture as TextureImage

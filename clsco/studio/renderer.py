@@ -434,7 +434,7 @@ class _RenderWorker:
 
     def _frame_of(self, number: int, question: Question) -> _Known:
         """The frame that is asked about, with all of its ground truth."""
-        from clsco.frame.frame import ALL_TRUTH
+        from clsco.frame.outputs import ALL_TRUTH
         from clsco.plan.prepare import prepare
 
         if self._known is None or self._known.asked != question.frame:

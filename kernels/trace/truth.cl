@@ -1,6 +1,7 @@
 // The ground truth of a frame: what rays of a pinhole meet at pixel centers, at the middle of the exposure. Twin:
 // ground_truth of clsco/reference/trace/truth.py. Host: clsco/passes/truth.py, for all scenes of analytic surfaces.
-// Outputs that are not wanted are null: one program makes any of them.
+// Outputs, `by_rays` in clsco/frame/outputs.py and in its order, are null where nobody wants them: one program makes
+// any of them.
 
 // Place of a hit in the image in the pose `other`: column, row, and its depth there over its depth here.
 static NOINLINE real3 moved_pixel(__constant surface_t *surface, const grid_t grid, __constant pose_t *other,
@@ -46,11 +47,11 @@ __kernel void ground_truth(const grid_t grid, const lens_t lens, __constant surf
                            __constant surface_t *still, __constant pose_t *next, const group_t group,
                            __global const float *texture OF_TEXTURE_MAPS OF_LIGHT, __constant surface_t *opposite,
                            __constant pose_t *there, const int to_left, __constant pose_t *previous,
-                           __constant surface_t *following, __global uchar *mask, __global int *object_id,
-                           __global float *depth, __global float *coc, __global float *normal, __global float *flow,
-                           __global uchar *hidden, __global float *sharp, __global float *disparity,
-                           __global uchar *occluded, __global float *flow_backward, __global uchar *flow_occluded,
-                           __global float *uv)
+                           __constant surface_t *following, __global uchar *mask, __global float *sharp,
+                           __global float *depth, __global float *coc, __global int *object_id, __global float *normal,
+                           __global float *flow, __global uchar *hidden, __global float *flow_backward,
+                           __global uchar *flow_occluded, __global float *uv, __global float *disparity,
+                           __global uchar *occluded)
 {
     const int column = get_global_id(0), row = grid.top + get_global_id(1);
     if (column >= grid.columns || row >= grid.top + grid.rows)

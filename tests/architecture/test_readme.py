@@ -14,7 +14,7 @@ import pytest
 import clsco
 from clsco.cli.images import defocus
 from clsco.cli.main import main
-from clsco.frame.frame import FILE_NAMES
+from clsco.frame.outputs import FILE_NAMES
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = {path.relative_to(ROOT).as_posix(): path.read_text("utf-8") for path in sorted((ROOT / "docs").glob("*.md"))}

@@ -14,7 +14,8 @@ import pytest
 import clsco
 from clsco.cli import check
 from clsco.files.images import read_image
-from clsco.frame.frame import MOTION_NAMES, TRUTH_NAMES, Frame
+from clsco.frame.frame import Frame
+from clsco.frame.outputs import MOTION_NAMES, TRUTH_NAMES
 from tests.cli.test_main import BALL, messages
 from tests.command import clsco_
 from tests.scenes import scene_file

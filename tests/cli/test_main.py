@@ -24,7 +24,8 @@ from clsco.engine import batch
 from clsco.errors import FileError
 from clsco.files.images import read_image
 from clsco.frame.files import read_complete
-from clsco.frame.frame import FILE_NAMES, MOTION_NAMES, TRUTH_NAMES, Frame
+from clsco.frame.frame import Frame
+from clsco.frame.outputs import FILE_NAMES, MOTION_NAMES, TRUTH_NAMES
 from clsco.opencl import device, self_test
 from clsco.plan.prepare import prepare
 from clsco.scene import examples

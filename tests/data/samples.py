@@ -15,7 +15,8 @@ from clsco.data.record import Record, make_record
 from clsco.data.sets import DataSet, finish
 from clsco.data.storage import open_storage
 from clsco.files.atomic import file_digests
-from clsco.frame.frame import FILE_NAMES, Frame
+from clsco.frame.frame import Frame
+from clsco.frame.outputs import FILE_NAMES
 from clsco.scene.file import parse_scene
 
 

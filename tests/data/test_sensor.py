@@ -11,7 +11,7 @@ import clsco
 import clsco.data
 from clsco.cli.main import main
 from clsco.data.record import make_record
-from clsco.frame.frame import SENSOR_NAMES
+from clsco.frame.outputs import SENSOR_NAMES
 from tests.data.distributions import SCENE, Load, messages
 
 TEXT = """

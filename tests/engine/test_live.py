@@ -15,7 +15,8 @@ import clsco
 from clsco.engine.film import Film
 from clsco.engine.live import Live
 from clsco.engine.renderer import Renderer
-from clsco.frame.frame import ALL_TRUTH, Frame
+from clsco.frame.frame import Frame
+from clsco.frame.outputs import ALL_TRUTH
 from clsco.opencl.device import choose
 from clsco.opencl.session import Session
 from clsco.passes.blur import Scatter, Target

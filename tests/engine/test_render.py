@@ -10,7 +10,8 @@ import pytest
 
 import clsco
 from clsco.errors import ClscoError, SceneError
-from clsco.frame.frame import ALL_TRUTH, TRUTH_NAMES, Frame
+from clsco.frame.frame import Frame
+from clsco.frame.outputs import ALL_TRUTH, TRUTH_NAMES
 from clsco.opencl.session import DeviceLike, Session
 
 SMALL = {"resolution": [24, 16], "pixel_pitch": 0.1}

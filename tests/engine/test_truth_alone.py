@@ -12,7 +12,7 @@ from click.testing import CliRunner, Result
 
 import clsco
 from clsco.cli.main import main
-from clsco.frame.frame import ALL_TRUTH
+from clsco.frame.outputs import ALL_TRUTH
 from clsco.plan.prepare import prepare
 from clsco.plan.request import Request
 from tests.slow import mostly_slow

@@ -24,7 +24,8 @@ from clsco.files.images import read_image, write_exr, write_json, write_npz, wri
 from clsco.files.transfer import encode
 from clsco.frame.channels import exr_channels
 from clsco.frame.files import files_of, frame_files, read_complete, write_frame
-from clsco.frame.frame import FILE_NAMES, TRUTH_NAMES, Frame
+from clsco.frame.frame import Frame
+from clsco.frame.outputs import FILE_NAMES, TRUTH_NAMES
 
 NPZ, BOTH = files_of("", "npz"), files_of("", "npz,exr")
 GRAY = np.arange(256, dtype=np.uint8).reshape(8, 32)

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 import clsco
 from clsco.errors import FileError, MissingDependencyError
 from clsco.frame.files import TRUTH_FORMATS, files_of, frame_files, read_complete, require_truth_formats, write_frame
-from clsco.frame.frame import FILE_NAMES, Frame
+from clsco.frame.frame import Frame
+from clsco.frame.outputs import FILE_NAMES
 from clsco.scene.file import parse_scene
 from tests.command import clsco_
 from tests.files.readers import torchvision_flo, torchvision_kitti_flow, torchvision_pfm

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,16 @@ from clsco.files.images import read_image
 from clsco.files.transfer import encode
 from clsco.frame.frame import Frame
 from clsco.frame.notebook import LARGEST_SHOWN, png_to_show
+from clsco.frame.outputs import OUTPUTS
 
 
 def made(color: tuple[int, ...] = (6, 8, 3), **more: object) -> Frame:
     values = np.linspace(0, 1, int(np.prod(color)), dtype=np.float32).reshape(color)
     return Frame(index=3, color=values, metadata={"f_number": 2.0, "bits": 8}, **more)  # type: ignore[arg-type]
+
+
+def test_every_array_of_a_frame_is_a_row_of_outputs() -> None:
+    assert list(OUTPUTS) == [each.name for each in fields(Frame) if each.name not in ("index", "eye", "metadata")]
 
 
 def test_a_frame_prints_as_one_line() -> None:

@@ -15,7 +15,8 @@ from click.testing import CliRunner
 from clsco.cli.main import main
 from clsco.errors import FileError, SceneError
 from clsco.frame.files import files_of, holds_truth, needed_truth, write_frame
-from clsco.frame.frame import ALL_TRUTH, Frame
+from clsco.frame.frame import Frame
+from clsco.frame.outputs import ALL_TRUTH
 from clsco.frame.truth_files import TruthFile
 from tests.scenes import PLANE, scene_file
 

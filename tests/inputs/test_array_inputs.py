@@ -11,7 +11,8 @@ import pytest
 
 import clsco
 from clsco.cli.check import compare
-from clsco.frame.frame import ALL_TRUTH, Frame
+from clsco.frame.frame import Frame
+from clsco.frame.outputs import ALL_TRUTH
 from clsco.frame.provenance import file_digests, record, scene_sha256
 from clsco.inputs.files import InputFiles
 from clsco.plan.prepare import prepare, prepare_sweep

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clsco.frame.frame import TRUTH_NAMES
+from clsco.frame.outputs import TRUTH_NAMES
 from clsco.opencl.buffers import copied, download, empty
 from clsco.opencl.program import build
 from clsco.opencl.session import Program, Session

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from clsco.constants import STATISTIC_SLOTS
-from clsco.frame.frame import STEREO_NAMES
+from clsco.frame.outputs import OUTPUTS, RAY_OUTPUTS, STEREO_NAMES
 from clsco.frame.strips import Strip
 from clsco.opencl.buffers import copied, download, empty, upload
 from clsco.opencl.program import build
@@ -25,7 +25,7 @@ from clsco.optics.quadrics import place
 from clsco.optics.visibility import OcclusionGroup
 from clsco.passes.pack import camera_grid, group_struct, lens_struct, pose_structs, psf_struct, surface_structs
 from clsco.passes.trace import EMPTY_STATISTICS, TRACE_FILES
-from clsco.plan.buffers import TRUTH_BUFFERS, source_bytes
+from clsco.plan.buffers import source_bytes
 from clsco.plan.choice import Choice
 from clsco.plan.plan import Plan, make_plan
 from clsco.records import Real, flat, structs
@@ -61,7 +61,7 @@ STILL = ObjectMotion()
 LENS = {"pixel_pitch": 0.12, "aperture_diameter": 25.0}
 SEQUENCE = Sequence(frames=2, interval=0.4, shutter=0.3)
 GUARD = 4
-MONO = tuple(name for name in TRUTH_BUFFERS if name not in STEREO_NAMES)
+MONO = tuple(name for name in RAY_OUTPUTS if name not in STEREO_NAMES)
 WHOLE, PARTLY_OCCLUDED, LIMB, PARTLY_LIMB = -1, -2, -7, -8  # in a source's last field, where it holds no slot
 
 
@@ -423,13 +423,13 @@ def truth_arguments(session: Session, plan: Plan, frame: int, strip: Strip | Non
 
 def truth_forms(plan: Plan, names: tuple[str, ...]) -> dict[str, tuple[Any, int]]:
     """Types of the mask and other outputs of ground_truth, and numbers in a pixel."""
-    forms = {name: (form[0], form[1] or plan.channels) for name, form in TRUTH_BUFFERS.items() if name in names}
+    forms = {name: (OUTPUTS[name].dtype, OUTPUTS[name].components or plan.channels) for name in names}
     return {"mask": (np.uint8, 1), **forms}
 
 
 def truth_outputs(buffers: dict[str, cl.Buffer]) -> dict[str, cl.Buffer | None]:
     """Outputs of ground_truth as it calls them; those that are not wanted are null."""
-    named = {"coc" if name == "blur_radius" else name: buffers.get(name) for name in TRUTH_BUFFERS}
+    named = {"coc" if name == "blur_radius" else name: buffers.get(name) for name in RAY_OUTPUTS}
     return {"mask": buffers["mask"], **named}
 
 
@@ -472,7 +472,7 @@ def test_ground_truth(session: Session, name: str, frame: int) -> None:
 @pytest.mark.parametrize(("eye", "items"), [("left", ROW), ("right", ROW), ("right", ROW[:2])])
 def test_ground_truth_of_a_stereo_pair(session: Session, eye: Eye, items: tuple[Object, ...]) -> None:
     plan = planned(scene(items, stereo=Stereo(baseline=12.0, toe_in=1.0)), 1, eye=eye)
-    assert_truth(session, plan, tuple(TRUTH_BUFFERS), 0)
+    assert_truth(session, plan, tuple(RAY_OUTPUTS), 0)
     if items != ROW:  # there is nothing behind them
         return
     occluded = truth_on_device(session, plan, ("disparity", "occluded"), 0)["occluded"]

@@ -23,7 +23,7 @@ from clsco.engine.defocus import defocus
 from clsco.engine.inpaint import inpaint
 from clsco.engine.sequence import render_sweep
 from clsco.errors import SceneError
-from clsco.frame.frame import ALL_TRUTH
+from clsco.frame.outputs import ALL_TRUTH
 from clsco.frame.strips import Strip
 from clsco.inputs.textures import Texture
 from clsco.opencl.buffers import upload

@@ -11,7 +11,7 @@ import pytest
 
 import clsco
 from clsco.errors import SceneError
-from clsco.frame.frame import TRUTH_NAMES
+from clsco.frame.outputs import TRUTH_NAMES
 from clsco.plan.plan import make_plan
 from clsco.plan.prepare import prepare
 from clsco.scene.model import Scene

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import clsco
-from clsco.frame.frame import TRUTH_NAMES
+from clsco.frame.outputs import TRUTH_NAMES
 from clsco.scene.model import Scene
 from tests.pipeline.common import CAMERA, PLAIN
 from tests.scenes import assert_agree, plan_of, reference_frames, rendered, scene_from

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 import clsco
-from clsco.frame.frame import TRUTH_NAMES, Frame
+from clsco.frame.frame import Frame
+from clsco.frame.outputs import TRUTH_NAMES
 from clsco.reference.sequence import render as reference
 from clsco.scene.file import parse_scene
 from tests.slow import mostly_slow

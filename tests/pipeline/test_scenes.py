@@ -16,7 +16,8 @@ from clsco import reference
 from clsco.files.images import read_image, write_png
 from clsco.files.transfer import decode
 from clsco.frame.files import write_frame
-from clsco.frame.frame import TRUTH_NAMES, Frame
+from clsco.frame.frame import Frame
+from clsco.frame.outputs import TRUTH_NAMES
 from clsco.plan.plan import Plan
 from clsco.scene.file import parse_scene
 from clsco.scene.model import Scene

@@ -23,7 +23,8 @@ from clsco.constants import BAND
 from clsco.data.distribution import load_distribution, scripted
 from clsco.engine.response import response
 from clsco.errors import SceneError
-from clsco.frame.frame import ALL_TRUTH, SENSOR_NAMES, Frame
+from clsco.frame.frame import Frame
+from clsco.frame.outputs import ALL_TRUTH, SENSOR_NAMES
 from clsco.frame.provenance import record
 from clsco.optics.sensor import camera_word, sensor_model
 from clsco.plan.prepare import prepare, with_resolution

@@ -15,7 +15,8 @@ import clsco
 from clsco.constants import BAND
 from clsco.engine.sequence import render_sweep
 from clsco.errors import SceneError
-from clsco.frame.frame import ALL_TRUTH, Frame
+from clsco.frame.frame import Frame
+from clsco.frame.outputs import ALL_TRUTH
 from clsco.frame.strips import cut_strips
 from clsco.opencl.device import choose
 from clsco.opencl.session import session_for

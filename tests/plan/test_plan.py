@@ -11,7 +11,7 @@ import pytest
 
 from clsco.constants import TAP_LANES
 from clsco.errors import SceneError
-from clsco.frame.frame import TRUTH_NAMES
+from clsco.frame.outputs import TRUTH_NAMES
 from clsco.optics.lens import LARGEST_BLUR, blur_radius, ray_step
 from clsco.optics.point_spread import point_spread
 from clsco.plan.device import ThisMachine

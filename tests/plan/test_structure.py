@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from clsco.constants import BAND
-from clsco.frame.frame import TRUTH_NAMES
+from clsco.frame.outputs import TRUTH_NAMES
 from clsco.optics.lens import Lens
 from clsco.optics.point_spread import point_spread
 from clsco.plan.device import ThisMachine
