@@ -42,7 +42,7 @@ def fill_biharmonic(
     direct solutions: a dense one (tests/kernels/test_biharmonic.py) and scikit-image's (benchmarks/inpainting).
     """
     real: Real = "double" if session.device.has_fp64 else "float"
-    features = {"CHANNELS": image.shape[2], "SAMPLED": 0, "GENERAL": 0, "WAVES": 0}
+    features = {"CHANNELS": image.shape[2]}
     program = build(session, ["inpainting/biharmonic.cl"], features, structs(real), real)
     return fill_in_tiles(image, missing, partial(_fill, session, program, real), progress)
 

@@ -42,7 +42,7 @@ def fill_texture(
     Raises ArgumentError where nothing is known, DeviceError. Validated against `clsco.reference.inpainting.fse`
     (tests/kernels/test_fse.py) and beside OpenCV's FSR (benchmarks/inpainting).
     """
-    features = {"CHANNELS": image.shape[2], "SAMPLED": 0, "GENERAL": 0, "WAVES": 0}
+    features = {"CHANNELS": image.shape[2]}
     program = build(session, ["inpainting/fse.cl"], features, structs("float"), "float")
     constants = [upload(session, table) for table in tables()]
     result = fill_in_tiles(image, missing, partial(_fill, session, program, constants), progress)

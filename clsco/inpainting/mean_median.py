@@ -39,10 +39,6 @@ Pixels = NDArray[np.int64]
 Progress = Callable[[float], object]
 
 KERNELS = ("inpainting/score.cl", "inpainting/mean_median.cl")
-FEATURES = dict.fromkeys(
-    ("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "CURVED", "FILTER", "SAMPLED", "GENERAL", "WAVES"), 0
-)
-FEATURES |= {"FILL_MEAN_MEDIAN": 1, "IMAGE": 1}
 MANY = 9  # neighbors: more than there are, of pixels that are not missing
 VECTORS, OWNERS = (8,), (1,)  # local sizes of kernels with a work-item per vector, or per segment
 ENTRIES = 64  # and, at most, of those with one per entry
@@ -134,7 +130,8 @@ def fill_mean_median(
 
 @lru_cache(maxsize=8)  # of a small image, to read the files would take a tenth of the time
 def _program(session: Session, channels: int, codes: bool) -> Program:
-    features = FEATURES | {"CHANNELS": channels, "CODES": codes, "ALONE": group_size(session) == 1}
+    features = {"CHANNELS": channels, "CODES": codes, "ALONE": group_size(session) == 1}
+    features |= {"FILL_MEAN_MEDIAN": True, "IMAGE": True}
     return build(session, KERNELS, features, structs("float"), "float")
 
 

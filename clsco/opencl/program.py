@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import logging
+import re
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from functools import cache
 from math import prod
 from typing import Any, Literal, TypeAlias
 
@@ -18,6 +18,7 @@ from clsco.constants import definitions
 from clsco.errors import DeviceError, KernelError
 from clsco.opencl import pace, source_text
 from clsco.opencl.device import failure
+from clsco.opencl.features import FEATURES
 from clsco.opencl.pieces import in_pieces
 from clsco.opencl.self_test import require_right_arguments
 from clsco.opencl.session import Program, Session
@@ -26,51 +27,9 @@ from clsco.resources import folder
 
 _LOG = logging.getLogger("clsco")
 Argument: TypeAlias = cl.Buffer | np.generic | NDArray[np.void] | None
-HEADERS = ("common/distortion.clh", "common/geometry.clh")
-# Built before all others: in OpenCL C 1.2, or for a processor in what its compiler makes more of.
-BUILTINS, CPU_BUILTINS = "common/builtins.clh", "common/cpu/builtins.clh"
-# On processors with PoCL before these, for its own header, which the option leaves out.
-POCL_DECLARATIONS, WITHOUT_HEADER = "common/cpu/pocl.clh", "-D_OPENCL_H_"
-# With the feature OCCLUDED, after one of two: taps one by one, or in the vectors of `gather`.
-SINGLE_TAPS, GATHERED_TAPS = "common/lanes.clh", "common/cpu/lanes.clh"
-TAP_BLOCKS = "common/cpu/blocks.clh"
-OCCLUSION_HEADERS = tuple(f"common/{name}.clh" for name in ("occluder", "visibility", "rims", "visibility_test"))
-SPREAD_HEADERS = ("common/chords.clh", "common/psf.clh", "common/source_visibility.clh")
-OF_SOURCES = ("discs", "quadrants", "shapes", "ellipses", "gaussians", "columns")
-GATHER_HEADERS = tuple(f"blur/cpu/{name}.clh" for name in ("vectors", "many", *OF_SOURCES, "spans"))
-# With the feature TEXTURED.
-MAPPING_HEADERS = ("common/angles.clh", *(f"trace/{name}.clh" for name in ("mapping", "footprint", "detail")))
-HEADERS_OF = {
-    "trace/trace.cl": (
-        "common/sources.clh",
-        *MAPPING_HEADERS,
-        "trace/light.clh",
-        "trace/texture.clh",
-        "trace/outline.clh",
-        "trace/small.clh",
-        "trace/still.clh",
-    ),
-    "trace/truth.cl": (*MAPPING_HEADERS, "trace/light.clh", "trace/texture.clh"),
-    "blur/blur.cl": ("common/sources.clh", *SPREAD_HEADERS),
-    "blur/cpu/gather.cl": (
-        "common/sources.clh",
-        *SPREAD_HEADERS,
-        *GATHER_HEADERS,
-    ),
-    "blur/tiles.cl": ("common/sources.clh", *SPREAD_HEADERS),
-    "sensor/sensor.cl": ("sensor/noise.clh",),
-    "inpainting/fill.cl": ("inpainting/lanes.clh", "inpainting/estimate.clh"),
-    "inpainting/mean_median.cl": ("inpainting/lanes.clh", "inpainting/estimate.clh"),
-    "inpainting/fse.cl": ("inpainting/lanes.clh",),
-}
-# What processors have in a form of their own.
-CPU_FORMS = {BUILTINS: CPU_BUILTINS, "inpainting/lanes.clh": "inpainting/cpu/lanes.clh"}
-
-
-@cache
-def _constants() -> tuple[str, ...]:
-    """Options that define the numbers of `clsco.constants`."""
-    return tuple(f"-D{name}={value}" for name, value in definitions().items())
+# Before all others: what OpenCL C 1.2 has, or compilers for processors make more of. And what PoCL's compiler gets in
+# place of its own header, which the option leaves out.
+BUILTINS, POCL_DECLARATIONS, WITHOUT_HEADER = "common/builtins.clh", "common/cpu/pocl.clh", "-D_OPENCL_H_"
 
 
 def build(
@@ -80,13 +39,13 @@ def build(
     structs: Mapping[str, np.dtype[Any]],
     real: Literal["double", "float"],
 ) -> Program:
-    """Build kernel files, after the shared headers, into a program; the same request gives the same program, although
-    files have changed since.
+    """Build kernel files, with those that they include, into a program; the same request gives the same program,
+    although files have changed since.
 
-    sources: names of files in kernels/, such as "trace/trace.cl". features: NAME -> small integer or bool, given to
-    the compiler as -DNAME=value; structure only, since each set of values is compiled anew. structs: C name
-    -> NumPy dtype, as `struct_text` takes them, nested ones after their parts. real: what `real` and `real2`
-    to `real16` mean.
+    sources: names of files in kernels/, such as "trace/trace.cl". features: NAME -> small integer or bool, of
+    `clsco.opencl.features.FEATURES`, by default 0; structure only, since each text that they choose is compiled anew.
+    structs: C name -> NumPy dtype, as `struct_text` takes them, nested ones after their parts. real: what `real` and
+    `real2` to `real16` mean.
 
     Defined for the kernels: the numbers of `clsco.constants`, real, real2, real3, real4, real8, real16, REAL_IS_DOUBLE,
     HAS_FP64, HAS_INT64_ATOMICS, VECTOR_WIDTH (floats of the device's widest vector, which may change the time and no
@@ -98,9 +57,9 @@ def build(
     with session.lock:
         if not session.programs and not session.device.is_pocl:
             require_right_arguments(session)
-        if request not in session.programs:
-            session.programs[request] = _program(session, sources, features, structs, real)
-        return session.programs[request]
+        if request not in session.requests:
+            session.requests[request] = _program(session, sources, features, structs, real)
+        return session.requests[request]
 
 
 def _program(
@@ -114,26 +73,25 @@ def _program(
     device = session.device
     if real == "double" and not device.has_fp64:
         raise DeviceError(f"precision: double needs a device with fp64, use single; got {device}")
-    headers = [BUILTINS, *HEADERS]
-    if features.get("OCCLUDED"):
-        gathers = features.get("GATHER")
-        headers += [GATHERED_TAPS if gathers else SINGLE_TAPS, *OCCLUSION_HEADERS, *[TAP_BLOCKS] * bool(gathers)]
-    others = dict.fromkeys(header for source in sources for header in HEADERS_OF.get(source, ()))
-    headers += (header for header in others if features.get("TEXTURED") or header not in MAPPING_HEADERS)
-    if device.kind == "cpu":
-        headers = [*[POCL_DECLARATIONS] * device.is_pocl, *(CPU_FORMS.get(header, header) for header in headers)]
-    text = source_text.program_text([*headers, *sources], structs, real, device.has_fp64, device.has_int64_atomics)
-    options = [*_constants()]
-    options += [f"-D{name}={int(value)}" for name, value in sorted(features.items())]
+    macros = dict.fromkeys(FEATURES, 0) | {name: int(value) for name, value in features.items()}
+    files = [*[POCL_DECLARATIONS] * device.is_pocl * (device.kind == "cpu"), BUILTINS, *sources]
+    facts = device.has_fp64, device.has_int64_atomics, macros | definitions(), device.kind == "cpu"
+    text = source_text.program_text(files, structs, real, *facts)
+    words = set(re.findall(r"\w+", text))
+    known = definitions() | {name: macros[name] for name in sorted(macros.keys() & words)}
+    options = [f"-D{name}={value}" for name, value in known.items()]
     options.append("-cl-std=CL1.2")
     if real == "float":  # else 0.5 is a double, and so is the arithmetic around it
         options.append("-cl-single-precision-constant")
     options.append(f"-DVECTOR_WIDTH={device.vector_width}")
     if device.correctly_rounded:
         options.append("-cl-fp32-correctly-rounded-divide-sqrt")
-    session.doing(f"compiling {', '.join(sources)}")
-    with session.compiling():
-        return _built(session, ", ".join(sources), text, options)
+    key = text, *options
+    if key not in session.programs:
+        session.doing(f"compiling {', '.join(sources)}")
+        with session.compiling():
+            session.programs[key] = _built(session, ", ".join(sources), text, options)
+    return session.programs[key]
 
 
 def kernel(program: Program, name: str) -> cl.Kernel:

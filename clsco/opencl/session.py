@@ -76,7 +76,9 @@ class Session:
         self.progress: Progress | None = None
         """Progress for another thread to look at. The host then runs ahead of the device by one time sample at most."""
         self.programs: dict[Hashable, Program] = {}
-        """Programs that `program.build` has built here, by its arguments."""
+        """Programs that were built here, by their texts and the compiler's options."""
+        self.requests: dict[Hashable, Program] = {}
+        """The same by the arguments of `program.build`; several may ask for one text."""
         self.compiled: set[tuple[cl.Kernel, tuple[int, ...], bool, bool]] = set()
         """Kernels and launch shapes that the driver has compiled already, kept by `program.launch`."""
         self.pace = Pace()
@@ -148,6 +150,7 @@ class Session:
             self.compiled.clear()
             self.pace.clear()
             self.programs.clear()
+            self.requests.clear()
 
     def __enter__(self) -> Self:
         return self

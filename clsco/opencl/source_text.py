@@ -1,11 +1,18 @@
-"""Texts of programs as compilers see them, and what compilers say of them."""
+"""Texts of programs as compilers see them, and what compilers say of them.
+
+A kernel file names the files that it needs, by `#include "common/sources.clh"` with the path below kernels/; on
+processors the file of that name in a folder `cpu` beside it takes its place, where there is one. What the features
+leave out of a text does not reach the compiler, so that requests for the same text are one program.
+"""
 
 from __future__ import annotations
 
 import os
+import re
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -27,8 +34,14 @@ def program_text(
     real: Literal["double", "float"],
     has_fp64: bool,
     has_int64_atomics: bool,
+    macros: Mapping[str, float] | None = None,
+    on_cpu: bool = False,
 ) -> str:
-    """The whole text that the compiler sees, with #line before each file, so that errors name it."""
+    """The whole text that the compiler sees, with #line before each file, so that errors name it.
+
+    macros: values by which the preprocessor chooses, such as those of features. Raises KernelError where a file is not
+    there.
+    """
     lines = ["#pragma OPENCL FP_CONTRACT OFF"]  # a * b + c as NumPy has it; fma where a kernel says fma
     # How wide vectors are passed is of no interest where every function is inlined, but PoCL counts on the terminal.
     # Compilers for GPUs do not know the warning, and count that.
@@ -42,17 +55,99 @@ def program_text(
     if has_int64_atomics:
         lines.append("#pragma OPENCL EXTENSION cl_khr_int64_base_atomics : enable")
         lines.append("#pragma OPENCL EXTENSION cl_khr_int64_extended_atomics : enable")
-    lines += [f"#define HAS_FP64 {int(has_fp64)}", f"#define HAS_INT64_ATOMICS {int(has_int64_atomics)}"]
-    lines.append(f"#define REAL_IS_DOUBLE {int(real == 'double')}")
+    given = {"HAS_FP64": has_fp64, "HAS_INT64_ATOMICS": has_int64_atomics, "REAL_IS_DOUBLE": real == "double"}
+    lines += [f"#define {name} {int(value)}" for name, value in given.items()]
     lines += [f"typedef {real}{width} real{width};" for width in ("", 2, 3, 4, 8, 16)]
     lines += [struct_text(name, dtype, structs) for name, dtype in structs.items()]
-    kernels = folder("kernels")
+    chosen = _Chosen(given | dict(macros or {}), on_cpu)
     for source in sources:
-        try:
-            lines += [f'#line 1 "{source}"', (kernels / source).read_text("utf-8")]
-        except FileNotFoundError as error:
-            raise KernelError(f"kernels: must hold every file that is asked for; got no {source}") from error
+        lines += chosen.lines(source)
     return "\n".join(lines)
+
+
+@dataclass
+class _Condition:
+    """A conditional of a text. active: the branch that is read now is in; done: the one that is in was found; left: the
+    compiler is left to decide, as a name in it is not known."""
+
+    active: bool
+    done: bool
+    left: bool = False
+
+
+@dataclass
+class _Chosen:
+    """Files as the preprocessor would leave them: conditions on known macros are decided, and each file is read once.
+
+    macros: by name; on_cpu: files in folders `cpu` come first; seen: files that were read.
+    """
+
+    macros: dict[str, float]
+    on_cpu: bool
+    seen: set[str] = field(default_factory=set)
+
+    def lines(self, source: str) -> list[str]:
+        """Lines of a file, blank where the text leaves some out, with those of the files that it includes; none of a
+        file that was read before."""
+        name = _cpu_form(source) if self.on_cpu else source
+        if name in self.seen:
+            return []
+        self.seen.add(name)
+        found, open_ones = [f'#line 1 "{name}"'], list[_Condition]()
+        for number, line in enumerate(_read(name).split("\n"), 1):
+            word, _, rest = line[1:].strip().partition(" ") if line.startswith("#") else ("", "", "")
+            active = all(one.active for one in open_ones)
+            if word in ("if", "ifdef", "ifndef", "elif", "else", "endif"):
+                found.append(self._decide(word, rest, line, open_ones, active))
+            elif word == "include" and active:
+                found += [*self.lines(rest.strip('"')), f'#line {number + 1} "{name}"']
+            else:
+                found.append(line if active else "")
+                joined = re.match(r"#define (\w+) (\(.*(?:&&|\|\|).*\))", found[-1])  # a name for several of them
+                if joined and (value := self._value(joined[2])) is not None:
+                    self.macros[joined[1]] = value
+        return found
+
+    def _decide(self, word: str, condition: str, line: str, open_ones: list[_Condition], active: bool) -> str:
+        """Take a line with a conditional into account; what the compiler gets of it."""
+        if word.startswith("if"):
+            value = self._value(condition) if word == "if" and active else None
+            left = active and value is None
+            open_ones.append(_Condition(bool(value) or left, bool(value) or not active, left))
+            return line if left else ""
+        here = open_ones[-1]
+        if word == "endif":
+            open_ones.pop()
+            return line if here.left and active else ""
+        if here.left:
+            return line
+        value = None if here.done else self._value(condition) if word == "elif" else 1.0
+        if value is None and not here.done:
+            here.active = here.done = here.left = True
+            return line.replace("elif", "if", 1)
+        here.active, here.done = bool(value), here.done or bool(value)
+        return ""
+
+    def _value(self, condition: str) -> float | None:
+        """Value of a condition, None where a name in it is not known."""
+        text = re.sub(r"//.*", "", condition)
+        if not self.macros.keys() >= set(re.findall(r"[A-Za-z_]\w*", text)):
+            return None
+        python = re.sub(r"!(?!=)", " not ", text.replace("&&", " and ").replace("||", " or "))
+        return float(eval(python.strip(), {"__builtins__": {}}, self.macros))  # a text of kernels, not of users
+
+
+def _cpu_form(source: str) -> str:
+    """Name of the file for processors, of one file."""
+    own = re.sub(r"[^/]+$", r"cpu/\g<0>", source)
+    return own if (folder("kernels") / own).is_file() else source
+
+
+def _read(source: str) -> str:
+    try:
+        return (folder("kernels") / source).read_text("utf-8")
+    except FileNotFoundError as error:
+        raise KernelError(f"kernels: must hold every file that is asked for; got no {source}") from error
 
 
 def struct_text(name: str, dtype: np.dtype[Any], structs: Mapping[str, np.dtype[Any]]) -> str:
@@ -66,12 +161,12 @@ def struct_text(name: str, dtype: np.dtype[Any], structs: Mapping[str, np.dtype[
         raise KernelError(f"struct {name}: must be a structured dtype with align=True; got {dtype}")
     names = {other: c_name for c_name, other in structs.items()}
     members = []
-    for field, entry in dtype.fields.items():
+    for member, entry in dtype.fields.items():
         base, shape = entry[0].base, entry[0].shape
         c_type = names.get(base) or _C_TYPES.get(base.str[1:])
         if c_type is None:
-            raise KernelError(f"struct {name}: fields must be numbers or known structs; got {field}: {base}")
-        members.append(f"{c_type} {field}{''.join(f'[{count}]' for count in shape)};")
+            raise KernelError(f"struct {name}: fields must be numbers or known structs; got {member}: {base}")
+        members.append(f"{c_type} {member}{''.join(f'[{count}]' for count in shape)};")
     check = f"typedef char {name}_has_the_size_of_its_dtype[sizeof({name}) == {dtype.itemsize} ? 1 : -1];"
     return f"typedef struct {{ {' '.join(members)} }} {name};\n{check}"
 

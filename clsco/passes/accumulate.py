@@ -10,11 +10,9 @@ from clsco.constants import SUMMED_PIXELS
 from clsco.opencl.buffers import copied, empty
 from clsco.opencl.program import build
 from clsco.opencl.session import Session
-from clsco.passes.blur import BLOCKS, PLAIN, Events, Plane, Target
+from clsco.passes.blur import BLOCKS, Events, Plane, Target
 from clsco.plan.buffers import Sizes
 from clsco.records import structs
-
-FEATURES = PLAIN | {"SAMPLED": 0, "GENERAL": 0, "WAVES": 0, "CHANNELS": 0, "SCAN_COLUMNS": 0}
 
 
 class FrameSum:
@@ -34,7 +32,7 @@ class FrameSum:
     """
 
     def __init__(self, session: Session, sizes: Sizes, by_columns: bool = False) -> None:
-        features = FEATURES | {"SCAN_COLUMNS": int(by_columns)}
+        features = {"SCAN_COLUMNS": by_columns}
         program = build(session, ["blur/accumulate.cl"], features, structs("float"), "float")
         self.target = Target(session, program, "float")
         self.local = (1, 1) if session.device.kind == "cpu" else BLOCKS  # there PoCL compiles it in a third of the time

@@ -43,27 +43,6 @@ FILES_OF: dict[Blur, tuple[str, ...]] = {
 
 UNITS_PER_TAP = 1 / 125  # of work (`clsco.opencl.pace`), were all sources as wide as the widest
 
-# Features of what casts rays at surfaces, which a blur does not, and of what only sources on surfaces have.
-PLAIN = dict.fromkeys(
-    (
-        "SEVERAL",
-        "QUADRATIC",
-        "LINEAR",
-        "NAPPE",
-        "BOUNDED",
-        "FILTER",
-        "SUBPIXELS",
-        "SMALL",
-        "OCCLUDED",
-        "LIMITED",
-        "CURVED",
-        "MERGED",
-        "SHARED",
-        "RAYS",
-    ),
-    0,
-)
-
 Events = list[tuple[str, cl.Event]]
 Maps = Literal["none", "wide", "float"]
 """Input of `prepare_sources`: none; a map of real, which may have gaps; a map of float without gaps."""
@@ -89,29 +68,25 @@ def blur_features(spec: BlurSpec, channels: int, fp64: bool, maps: Maps) -> dict
     """
     method, psf = spec.method, spec.psf
     scratch = band_scratch(psf, fp64) if method == "gather" else "none"
-    return (
-        PLAIN
-        | psf_features(psf)
-        | {
-            "CHANNELS": channels,
-            "TILT": int(spec.tilt and method != "convolve"),
-            "SUBPIXELS": spec.subpixels,
-            "SMALL": int(spec.small),
-            "OCCLUDED": spec.occluders,
-            "LIMITED": int(spec.limited),
-            "CURVED": spec.curved,
-            "MERGED": int(spec.merged > 0.0),
-            "SHARED": int(spec.shared),
-            "RAYS": int(spec.occluders > 0 and has_ray_means(psf)),
-            "GATHER": int(method == "gather"),
-            "BY_ROWS": int(scratch == "rows"),
-            "BY_COLUMNS": int(scratch == "columns"),
-            "SPANS": int(has_spans(spec, fp64)),
-            "SCATTER": int(method == "scatter"),
-            "RENORMALIZE": int(spec.border == "renormalize" and method != "none"),
-            "PREPARE": MAPS.index(maps) if method in MANY_RADII else 0,
-        }
-    )
+    return psf_features(psf) | {
+        "CHANNELS": channels,
+        "TILT": int(spec.tilt and method != "convolve"),
+        "SUBPIXELS": spec.subpixels,
+        "SMALL": int(spec.small),
+        "OCCLUDED": spec.occluders,
+        "LIMITED": int(spec.limited),
+        "CURVED": spec.curved,
+        "MERGED": int(spec.merged > 0.0),
+        "SHARED": int(spec.shared),
+        "RAYS": int(spec.occluders > 0 and has_ray_means(psf)),
+        "GATHER": int(method == "gather"),
+        "BY_ROWS": int(scratch == "rows"),
+        "BY_COLUMNS": int(scratch == "columns"),
+        "SPANS": int(has_spans(spec, fp64)),
+        "SCATTER": int(method == "scatter"),
+        "RENORMALIZE": int(spec.border == "renormalize" and method != "none"),
+        "PREPARE": MAPS.index(maps) if method in MANY_RADII else 0,
+    }
 
 
 @dataclass(frozen=True)

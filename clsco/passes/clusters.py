@@ -15,7 +15,7 @@ from clsco.opencl.buffers import allocate, download
 from clsco.opencl.program import build
 from clsco.opencl.session import Session
 from clsco.optics.depth_layers import LayerBounds, bins_of, depth_of_hidden, layer_bounds, levels_of
-from clsco.passes.blur import BLOCKS, PIXELS, PLAIN, Area, Image, Target
+from clsco.passes.blur import BLOCKS, PIXELS, Area, Image, Target
 from clsco.plan.buffers import cluster_buffers
 from clsco.plan.methods import BlurSpec
 from clsco.records import Real, Struct, structs
@@ -49,14 +49,7 @@ class Layers:
 
 def layered_program(session: Session, spec: BlurSpec, channels: int, real: Real) -> Target:
     """Target of layered.cl for images of so many channels; by itself, since nothing else changes its eleven kernels."""
-    features = PLAIN | {
-        "SAMPLED": 0,
-        "GENERAL": 0,
-        "WAVES": 0,
-        "CHANNELS": channels + 1,
-        "SCATTER": int(spec.method == "scatter"),
-        "RIMS": len(spec.psf.rims),
-    }
+    features = {"CHANNELS": channels + 1, "SCATTER": spec.method == "scatter", "RIMS": len(spec.psf.rims)}
     return Target(session, build(session, ["layered/layered.cl"], features, structs(real), real), real)
 
 

@@ -17,8 +17,6 @@ from clsco.plan.buffers import SUMS_BEYOND, Sizes
 from clsco.plan.methods import BlurSpec
 from clsco.records import Struct, structs
 
-SHAPES = ("SEVERAL", "QUADRATIC", "LINEAR", "NAPPE", "BOUNDED", "CURVED")
-FEATURES = dict.fromkeys((*SHAPES, "FILTER", "SAMPLED", "GENERAL", "WAVES", "CHANNELS"), 0)
 BITS = 56  # of a sum over a disc
 # What sums without DROPPED_BITS leave out is less than a unit of each row of a disc: (2 R + 1) 2^-29 of the brightest
 # source at most, 2e-7 at R = 60, and 1e-8 RMS. Of radiance above so many times white, sums of 64 bits keep that from
@@ -38,8 +36,7 @@ class Convolve(BlurredPlane):
 
     def __init__(self, target: Target, spec: BlurSpec, tallest: Grid, grid: Struct, sizes: Sizes) -> None:
         session, self.wide = target.session, spec.brightest > BRIGHTEST
-        features = FEATURES | {"WIDE_SUMS": self.wide}
-        program = build(session, ["blur/convolve.cl"], features, structs("float"), "float")
+        program = build(session, ["blur/convolve.cl"], {"WIDE_SUMS": self.wide}, structs("float"), "float")
         super().__init__(Target(session, program, target.real), spec, tallest, grid, sizes)
         self.across = empty(session, sizes["across"]) if "across" in sizes else None
         self.sums: cl.Buffer | None = None

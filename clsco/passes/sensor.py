@@ -15,11 +15,10 @@ from clsco.opencl.buffers import download, empty, upload_cached
 from clsco.opencl.program import build
 from clsco.opencl.session import Session
 from clsco.optics.sensor import SensorModel, reciprocals_of_counts, sensor_values
-from clsco.passes.blur import PLAIN, Events, Plane, Target
+from clsco.passes.blur import Events, Plane, Target
 from clsco.plan.buffers import Sizes, padded_columns
 from clsco.records import filled, structs
 
-FEATURES = PLAIN | {"SAMPLED": 0, "GENERAL": 0, "WAVES": 0, "CHANNELS": 0}
 RECIPROCALS = reciprocals_of_counts()
 
 
@@ -64,7 +63,7 @@ class FrameSensor:
     """
 
     def __init__(self, session: Session, sensor_model: SensorModel, sizes: Sizes) -> None:
-        features = FEATURES | {"FIXED_PATTERN": int(sensor_model.has_pattern)}
+        features = {"FIXED_PATTERN": sensor_model.has_pattern}
         program = build(session, ["sensor/sensor.cl"], features, structs("float"), "float")
         self.target, self.planes = Target(session, program, "float"), len(sensor_model.filters)
         self.code, self.saturated = (empty(session, sizes[name]) for name in ("code", "saturated"))

@@ -12,12 +12,10 @@ from clsco.opencl.buffers import Refilled
 from clsco.opencl.program import build
 from clsco.opencl.session import Session
 from clsco.optics.vignetting import throughput
-from clsco.passes.blur import BLOCKS, PLAIN, Events, Plane, Target
+from clsco.passes.blur import BLOCKS, Events, Plane, Target
 from clsco.records import structs
 from clsco.scene.lens import Vignetting as Kind
 from clsco.scene.model import Camera
-
-FEATURES = PLAIN | {"SAMPLED": 0, "GENERAL": 0, "CHANNELS": 0}
 
 
 @lru_cache(maxsize=2)
@@ -45,7 +43,7 @@ class Vignetting:
     """
 
     def __init__(self, session: Session, kind: Kind, colors: int, pixels: int) -> None:
-        program = build(session, ["blur/vignetting.cl"], FEATURES, structs("float"), "float")
+        program = build(session, ["blur/vignetting.cl"], {}, structs("float"), "float")
         self.target, self.kind, self.colors = Target(session, program, "float"), kind, colors
         self._buffer = Refilled(session, 4 * pixels)  # the kernels of the time sample before may still read it
         self._filled: NDArray[np.float32] | None = None

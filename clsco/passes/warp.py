@@ -63,12 +63,6 @@ def forward_features(plan: Plan, owned: bool) -> dict[str, int]:
     shape = {name: value for name, value in plan.features().items() if name in SHAPE_FEATURES}
     return shape | {
         "CURVED": curvature_of(plan.scene),
-        "FILTER": 0,
-        "SAMPLED": 0,
-        "GENERAL": 0,
-        "WAVES": 0,
-        "IMAGE": 0,
-        "CODES": 0,
         "OWNED": int(owned),
         "MAPPED": int(mapped),
         "FILL_AIT": int(fill.method == "ait"),

@@ -313,7 +313,6 @@ class Plan:
         scene, spec = self.scene, self.spec
         aimed = self.only is not None and scene.shifts_colors
         moved = (scene.is_displaced or self.eye_moved or aimed) and not self.forward
-        psf = psf_features(self.psf)
         return self._shapes | {
             "CHANNELS": self.channels,
             "OCCLUDED": int(spec.occluders > 0),
@@ -330,8 +329,7 @@ class Plan:
             "CURVED": curvature_of(scene),
             "MERGED": int(spec.merged > 0.0),
             "SHARED": int(spec.shared),
-            "RAYS": 0,
-            **{name: psf[name] for name in psf.keys() - {"DISC", "SEPARABLE", "RING", "FIELD"}},
+            **psf_features(self.psf),
         }
 
     @cached_property

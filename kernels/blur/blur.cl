@@ -13,9 +13,11 @@
 // scatter adds taps one by one in fixed point: any device, any order, the same bits; the oracle of the other methods.
 // The host picks it on a GPU where objects occlude each other; elsewhere it picks `gather` (cpu/gather.cl) on
 // processors, `tiles` (tiles.cl) on GPUs, and `convolve` (convolve.cl) for frames of one radius. renormalize and
-// prepare_sources serve all of them. Features: CHANNELS, TILT, SUBPIXELS, DISC (sampled, one weight), SEPARABLE
-// (weights are products of two), OCCLUDED (after common/visibility_test.clh); SCATTER, RENORMALIZE, PREPARE (of a
-// map with gaps, 2: of floats without): which kernels are wanted.
+// prepare_sources serve all of them.
+
+#include "common/geometry.clh"
+#include "common/sources.clh"
+#include "common/source_visibility.clh"
 
 #pragma OPENCL FP_CONTRACT ON
 

@@ -7,7 +7,9 @@
 // the other, which columns -dx and dx of the PSF have in common; a run keeps its weights in registers, and the sources
 // that they meet, while it goes down the image. Gaussians that are products are two such PSFs, one after the other.
 // Common columns and runs took R6 from 7.2 to 2.5 ns per pixel, sums over rectangles R20 from 39 to 11 and R60 from 250
-// to 29 (docs/lessons.md). Feature: WIDE_SUMS (sums of 64 bits instead of 32).
+// to 29 (docs/lessons.md).
+
+#include "common/geometry.clh"
 
 #define CONVOLVED_VECTORS (CONVOLVED_COLUMNS / WIDE_LANES)  // in each row of a work-item
 #define RUNS_IN_ONE_SUM 32  // runs that a float adds up before it goes into another sum

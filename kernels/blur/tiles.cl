@@ -5,8 +5,11 @@
 //
 // The group walks the sources around its tile row by row, a chunk of them at a time. Each of its work-items looks up
 // one source, and keeps it in local memory if it reaches the tile; then each adds, in the order of the sources, those
-// that reach its own pixel: no sums by atomics, same bits. Sources have no occluders here. Features:
-// CHANNELS, TILT, SUBPIXELS, DISC, SEPARABLE.
+// that reach its own pixel: no sums by atomics, same bits. Sources have no occluders here.
+
+#include "common/geometry.clh"
+#include "common/sources.clh"
+#include "common/source_visibility.clh"
 
 #pragma OPENCL FP_CONTRACT ON
 

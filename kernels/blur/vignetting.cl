@@ -1,6 +1,8 @@
 // Vignetting: I(x) = T(x) B(x), where B is the blurred image and T the share of the light of the middle that a pixel
 // gets. Host: clsco/passes/vignetting.py, for each time sample of a lens that darkens the frame.
 
+#include "common/geometry.clh"
+
 // Darkens a plane, whose channels are `apart` apart, its first pixel at `start`, and its rows `pitch`. In: share float
 // (frame_rows, columns), of the frame, of which the plane begins with row `top`. In and out: plane.
 __kernel void vignette(const int rows, const int columns, const int channels, __global float *restrict plane,

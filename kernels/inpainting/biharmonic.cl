@@ -3,6 +3,8 @@
 // row by row, `index` (rows, columns) their places in the list, -1 at pixels that are none. Vectors are (count,
 // CHANNELS). Sums have a fixed order. One work-item per unknown unless said otherwise.
 
+#include "common/geometry.clh"
+
 __constant int STEP_Y[4] = {-1, 1, 0, 0}, STEP_X[4] = {0, 0, -1, 1};
 
 // Value of a known pixel of an image, or of an unknown one of a vector; the other pointer is 0.

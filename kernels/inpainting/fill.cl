@@ -1,5 +1,5 @@
-// Missing pixels: which there are, and adaptive interpolation (thesis, 4.3.5). fill_mean_median.cl,
-// which is built after this file, has the other way of filling them. Twin: clsco/reference/inpainting/fill.py.
+// Missing pixels: which there are, and adaptive interpolation (thesis, 4.3.5). fill_mean_median.cl
+// has the other way of filling them. Twin: clsco/reference/inpainting/fill.py.
 //
 // On the padded grid, row-major:
 //   value    float (CHANNELS, height, width): radiance
@@ -15,14 +15,16 @@
 //            entries of done), and those of them inside the frame
 //
 // A sweep writes to missing pixels, which nobody reads before settle_sweep has made them valid: all of it reads what
-// was known before it, in any order. Features besides geometry.clh's: FILL_AIT, FILL_MEAN_MEDIAN, FILL_FAR,
-// DOMAIN_SURFACE.
+// was known before it, in any order.
 //
 // FILL_FAR: what a moving edge uncovers lies behind it, and is filled from the farther side only. The nearest pair of
 // known pixels on opposite sides of a missing one gives the depth of its surface: that of the farther of the two. Known
 // neighbors that are more than FAR_SLACK nearer than that do not serve, and a pixel that has only such ones waits for
 // others to be filled, until nothing else can be. In the gap that a growing surface leaves, at most WIDEST_GAP px to
 // each side, both sides are near, and serve; in a wider hole between two near things what lies farther behind serves.
+
+#include "common/geometry.clh"
+#include "inpainting/estimate.clh"
 
 #define FAR_SLACK 1.02f  // relative: a surface at 45 degrees changes less over two pixels of 0.5 degrees each
 

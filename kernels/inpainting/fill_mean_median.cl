@@ -1,6 +1,8 @@
-// Missing pixels of warped frames: mean/median filling (thesis, chapter 5). Built after fill.cl, which has the planes,
-// the lists and what the features mean; mean_median.cl does the same to images with a mask. Twin:
+// Missing pixels of warped frames: mean/median filling (thesis, chapter 5). fill.cl has the planes and the lists;
+// mean_median.cl does the same to images with a mask. Twin:
 // clsco/reference/inpainting/fill_mean_median.py.
+
+#include "common/geometry.clh"
 
 #if FILL_MEAN_MEDIAN
 // FILL_LANES pixels of a list, with the neighbors that serve them.

@@ -3,6 +3,9 @@
 // of them before the block: the weighted spectrum of what is there is taken apart into waves, the strongest first. On a
 // processor its arrays stay in the first cache. Twin: clsco/reference/inpainting/fse.py.
 
+#include "common/geometry.clh"
+#include "inpainting/lanes.clh"
+
 #define HALF (FSE_SIDE / 2)
 #define PIXELS (FSE_BLOCK * FSE_BLOCK)
 #define PITCH (FSE_SIDE + HALF)  // a spectrum's columns -HALF to FSE_SIDE - 1, so that a shifted one is read in a row

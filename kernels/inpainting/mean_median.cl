@@ -15,6 +15,9 @@
 // A sweep takes the new entries of the last list that has any: those of the list for k < minimum are there when no
 // missing pixel has more than k valid neighbors. Some may have been filled since, and stay.
 
+#include "common/geometry.clh"
+#include "inpainting/estimate.clh"
+
 #if ALONE  // one work-item at a time settles: on processors, where atomics take longer than all the rest
 #define COUNTED(p) ((*(p))++)
 #else

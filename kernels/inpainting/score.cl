@@ -1,6 +1,9 @@
 // Missing pixels: scores of mean and median of neighbors as estimates of known pixels (thesis, chapter 5). Twin:
 // clsco/reference/inpainting/score.py.
 
+#include "common/geometry.clh"
+#include "inpainting/estimate.clh"
+
 #if FILL_MEAN_MEDIAN
 
 // The value of WIDTH pixels, or with IMAGE as many values of pixels whose channels are side by side.

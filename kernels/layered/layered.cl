@@ -19,8 +19,8 @@
 //   layer_value float (CHANNELS, height, width): radiance and coverage; layer_coc, layer_valid: as coc and valid
 // All is whole numbers, or sums in a fixed order: the same bits every time. Seeds of 64 pixels of a row at once took
 // reach_hidden from 31 to 11 ns per pixel, vectors `push` from 14 to 4, columns of 16 column_seeds from 8 to 2.
-// Features: CHANNELS, of the image and 1; SCATTER, whether the blur adds in fixed
-// point.
+
+#include "common/geometry.clh"
 
 #pragma OPENCL FP_CONTRACT ON  // as where radiance is summed in the blur
 

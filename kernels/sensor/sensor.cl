@@ -7,6 +7,9 @@
 // with z of the standard normal distribution. Random numbers depend on (seed; pixel, noise_seed, frame, stream)
 // alone, so that neither strips, work-groups nor the order matter. A work-item has SENSED_PIXELS of a row.
 
+#include "common/geometry.clh"
+#include "sensor/noise.clh"
+
 // Vector of floats, of which the first n are read.
 static inline float16 first_lanes(__global const float *p, int n)
 {

@@ -1,12 +1,13 @@
 // Merges sources that are blurred widely and hidden in part: one in the place of MERGED_SIDE x MERGED_SIDE, where
-// these show one surface. Built after trace.cl, for frames with a tolerance (clsco/plan/approximation.py has the
+// these show one surface. For frames with a tolerance (clsco/plan/approximation.py has the
 // error); the reference has all sources. Host: clsco/passes/trace.py.
 //
 //     sum over the block of L_s w(x - x_s; R) V_s  ->  (sum of L_s) w(x - middle; R') V,   R'^2 = R^2 - added
 //
 // R' gives the light the variance that it had, and V has edges as soft as the block is wide. What is left is that discs
 // on a lattice do not add up to a plane: 2 H(1 / MERGED_SIDE) of the radiance. Spans take time by hidden sources.
-// Feature: MERGED.
+
+#include "trace/trace.cl"
 
 #if MERGED
 #define REACH (MERGED_SIDE / 2)

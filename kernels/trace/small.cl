@@ -1,5 +1,7 @@
 // Point sources of small surfaces, see small.clh. Host: clsco/passes/trace.py.
 
+#include "trace/trace.cl"
+
 #if SMALL && SUBPIXELS
 // Fills the slots of small surfaces. In: source, pixels. Out: sub_source, sub_value, sub_depth, as of trace_subpixels.
 __kernel void trace_small(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,

@@ -9,20 +9,17 @@
 //   depth   real (height, width): inverse depth
 //   texture float (textures, CHANNELS, frame_rows, columns); surface_t names its object's. Then mipmaps, float (sides,
 //           rows, columns, CHANNELS) per level, of textures that lie on surfaces: texture_map_t of an object has where
-// Features besides geometry.clh's: MOVED (not all is in its reference pose), TILT, SUBPIXELS (sources per axis in a
-// pixel at a silhouette, 0 none), SAMPLED, OCCLUDED, RIMS.
 // Square roots and floors as instructions took a plane from 36 to 12 ns per pixel, one cast for all lenses of a sweep
 // the prepass from 31 to 6 and 20 per lens.
 
-#define EDGE 128  // of a label: behind an odd number of surfaces, or more than what is hit may be in the pixel
+#include "common/geometry.clh"
+#include "common/visibility_test.clh"
+#include "common/sources.clh"
+#include "trace/texture.clh"
+#include "trace/small.clh"
+#include "trace/still.clh"
 
-#if ELLIPSES
-// Addition to the slopes of the tilt by the ellipse that a disc is on the ray of a bend.
-static float2 ellipse_tilt(const grid_t grid, bend_t bend)
-{
-    return (float2)((float)(grid.step * bend.widening.x), (float)(-grid.step * bend.widening.y));
-}
-#endif
+#define EDGE 128  // of a label: behind an odd number of surfaces, or more than what is hit may be in the pixel
 
 // Record of a hit, as the lens takes it; below 0 where none of its radiance reaches the lens, which is tested from the
 // hit `seen` of inverse depth seen_w. subpixel: the source is one of SUBPIXELS^2; small: of a small surface. In and

@@ -3,6 +3,9 @@
 // Outputs, `by_rays` in clsco/frame/outputs.py and in its order, are null where nobody wants them: one program makes
 // any of them.
 
+#include "common/geometry.clh"
+#include "trace/texture.clh"
+
 // Place of a hit in the image in the pose `other`: column, row, and its depth there over its depth here.
 static NOINLINE real3 moved_pixel(__constant surface_t *surface, const grid_t grid, __constant pose_t *other,
                                   real3 ray, real w)

@@ -17,7 +17,8 @@
 // first source wins. On CPUs (OWNED) a work-item owns a band of the padded grid and walks the sources that come there
 // in their order, without atomics: 5.3 -> 1.0 ns per pixel against atomics, which elsewhere find the same winners in
 // two passes. Targets by one floor and one division, vectorized: 42 -> 2.6 ns (docs/lessons.md).
-// Features besides geometry.clh's: OWNED, MAPPED, FILL_FAR (surfaces at several depths).
+
+#include "common/geometry.clh"
 
 // The position p of a source in px is snapped to 1/4096 px and then rounded half up, so that errors far below a step
 // cannot move it across a pixel's edge. Both roundings in one are floor(p + ROUNDING).

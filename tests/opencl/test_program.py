@@ -79,11 +79,9 @@ def kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "common/cpu").mkdir(parents=True)
     declared = resources.folder("kernels") / "common/cpu/pocl.clh"
     (tmp_path / "common/cpu/pocl.clh").write_text(declared.read_text("utf-8"))
-    for builtins in (program_module.BUILTINS, program_module.CPU_BUILTINS):
-        (tmp_path / builtins).write_text("")
-    (tmp_path / "common/distortion.clh").write_text("")
-    (tmp_path / "common/geometry.clh").write_text(HEADER)
-    (tmp_path / "work.cl").write_text(WORK)
+    (tmp_path / program_module.BUILTINS).write_text("")
+    (tmp_path / "header.clh").write_text(HEADER)
+    (tmp_path / "work.cl").write_text('#include "header.clh"\n' + WORK)
     monkeypatch.setattr(program_module, "folder", lambda name: tmp_path)
     monkeypatch.setattr(source_text, "folder", lambda name: tmp_path)
     return tmp_path
@@ -198,8 +196,8 @@ def test_a_build_error_names_file_and_line(session: Session, kernels: Path) -> N
 
 @pytest.mark.processor
 def test_a_header_error_names_the_header(session: Session, kernels: Path) -> None:
-    (kernels / "common/geometry.clh").write_text(HEADER.replace("2 * x;", "2 * y;"))
-    with pytest.raises(KernelError, match=r"geometry\.clh:3:"):
+    (kernels / "header.clh").write_text(HEADER.replace("2 * x;", "2 * y;"))
+    with pytest.raises(KernelError, match=r"header\.clh:3:"):
         built(session)
 
 
@@ -208,15 +206,59 @@ def test_compiler_warnings_stay_out_of_the_way_unless_asked_for(
 ) -> None:
     # A fresh name, since PoCL only gives a warning when it really compiles.
     name = f"odd_{kernels.name.replace('-', '_')}"
-    (kernels / "work.cl").write_text(f"#warning {name}\n{WORK}")
+    (kernels / "work.cl").write_text(f'#include "header.clh"\n#warning {name}\n{WORK}')
     monkeypatch.delenv("PYOPENCL_COMPILER_OUTPUT", raising=False)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         built(session)
-    (kernels / "work.cl").write_text(f"#warning {name} again\n{WORK}")
+    (kernels / "work.cl").write_text(f'#include "header.clh"\n#warning {name} again\n{WORK}')
     monkeypatch.setenv("PYOPENCL_COMPILER_OUTPUT", "1")
     with pytest.warns(cl.CompilerWarning, match=name):
         built(session, 1)
+
+
+CONDITIONS = """\
+#include "header.clh"
+#if ON && !OFF  // decided
+a
+#if defined(__AVX__)
+b
+#elif ON == 1
+c
+#endif
+#elif ON
+d
+#else
+e
+#include "missing.clh"
+#endif
+#define BOTH (ON && OFF)
+#if BOTH
+f
+#elif UNKNOWN
+g
+#else
+h
+#endif
+#include "header.clh"
+i
+"""
+
+
+def test_what_features_leave_out_does_not_reach_the_compiler(kernels: Path) -> None:
+    (kernels / "header.clh").write_text("of all\n")
+    (kernels / "cpu").mkdir()
+    (kernels / "work.cl").write_text(CONDITIONS)
+
+    def lines(on_cpu: bool) -> list[str]:
+        text = program_text(["work.cl"], {}, "float", False, False, {"ON": 1, "OFF": 0}, on_cpu)
+        return [line for line in text.split('#line 1 "work.cl"\n')[1].split("\n") if line]
+
+    left = ["#if defined(__AVX__)", "b", "#elif ON == 1", "c", "#endif", "#define BOTH (ON && OFF)"]
+    rest = ["#if UNKNOWN", "g", "#else", "h", "#endif", '#line 24 "work.cl"', "i"]
+    assert lines(False) == ['#line 1 "header.clh"', "of all", '#line 2 "work.cl"', "a", *left, *rest]
+    (kernels / "cpu/header.clh").write_text("of processors\n")
+    assert lines(True) == ['#line 1 "cpu/header.clh"', "of processors", '#line 2 "work.cl"', "a", *left, *rest]
 
 
 @pytest.mark.usefixtures("kernels")

@@ -12,7 +12,19 @@
 // Each work-item owns a band of BAND output rows and walks the sources that reach it in a fixed order, whole vectors of
 // taps at a time: no atomics, the same bits in every run. The host picks it on processors. Pointers to unaligned
 // vectors and contraction took it from 131 to 27 ns per pixel at R6 (docs/lessons.md).
-// Features: those of blur.cl; BAND; BY_ROWS (whole rows of sources: discs.clh) or BY_COLUMNS of them (columns.clh).
+
+#include "common/geometry.clh"
+#include "common/sources.clh"
+#include "common/source_visibility.clh"
+#include "blur/cpu/vectors.clh"
+#include "blur/cpu/many.clh"
+#include "blur/cpu/discs.clh"
+#include "blur/cpu/quadrants.clh"
+#include "blur/cpu/shapes.clh"
+#include "blur/cpu/ellipses.clh"
+#include "blur/cpu/gaussians.clh"
+#include "blur/cpu/columns.clh"
+#include "blur/cpu/spans.clh"
 
 #pragma OPENCL FP_CONTRACT ON
 
