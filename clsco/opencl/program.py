@@ -77,7 +77,7 @@ def _program(
     files = [*[POCL_DECLARATIONS] * device.is_pocl * (device.kind == "cpu"), BUILTINS, *sources]
     facts = device.has_fp64, device.has_int64_atomics, macros | definitions(), device.kind == "cpu"
     text = source_text.program_text(files, structs, real, *facts)
-    words = set(re.findall(r"\w+", text))
+    words = set(re.findall("[A-Z][A-Z_]+", text))
     known = definitions() | {name: macros[name] for name in sorted(macros.keys() & words)}
     options = [f"-D{name}={value}" for name, value in known.items()]
     options.append("-cl-std=CL1.2")

@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any, Literal
 
 import numpy as np
@@ -60,9 +61,7 @@ def program_text(
     lines += [f"typedef {real}{width} real{width};" for width in ("", 2, 3, 4, 8, 16)]
     lines += [struct_text(name, dtype, structs) for name, dtype in structs.items()]
     chosen = _Chosen(given | dict(macros or {}), on_cpu)
-    for source in sources:
-        lines += chosen.lines(source)
-    return "\n".join(lines)
+    return "\n".join([*lines, *(chosen.text(source) for source in sources)])
 
 
 @dataclass
@@ -86,27 +85,29 @@ class _Chosen:
     on_cpu: bool
     seen: set[str] = field(default_factory=set)
 
-    def lines(self, source: str) -> list[str]:
-        """Lines of a file, blank where the text leaves some out, with those of the files that it includes; none of a
-        file that was read before."""
+    def text(self, source: str) -> str:
+        """A file with those that it includes, and blank lines for what is left out; nothing of a file that was read."""
         name = _cpu_form(source) if self.on_cpu else source
         if name in self.seen:
-            return []
+            return ""
         self.seen.add(name)
-        found, open_ones = [f'#line 1 "{name}"'], list[_Condition]()
-        for number, line in enumerate(_read(name).split("\n"), 1):
-            word, _, rest = line[1:].strip().partition(" ") if line.startswith("#") else ("", "", "")
+        text, found, open_ones, end = _read(name), [f'#line 1 "{name}"\n'], list[_Condition](), 0
+        for line in _DIRECTIVE.finditer(text):
             active = all(one.active for one in open_ones)
-            if word in ("if", "ifdef", "ifndef", "elif", "else", "endif"):
-                found.append(self._decide(word, rest, line, open_ones, active))
-            elif word == "include" and active:
-                found += [*self.lines(rest.strip('"')), f'#line {number + 1} "{name}"']
-            else:
-                found.append(line if active else "")
-                joined = re.match(r"#define (\w+) (\(.*(?:&&|\|\|).*\))", found[-1])  # a name for several of them
-                if joined and (value := self._value(joined[2])) is not None:
-                    self.macros[joined[1]] = value
-        return found
+            between = text[end : line.start()]
+            found.append(between if active else "\n" * between.count("\n"))
+            word, condition, included, joined, sides = line.groups()
+            if joined:
+                if active and (value := self._value(sides)) is not None:
+                    self.macros[joined] = value
+                found.append(line[0] if active else "")
+            elif word:
+                found.append(self._decide(word, condition, line[0], open_ones, active))
+            elif active:
+                number = text.count("\n", 0, line.start()) + 2
+                found.append(f'{self.text(included)}\n#line {number} "{name}"')
+            end = line.end()
+        return "".join([*found, text[end:]])
 
     def _decide(self, word: str, condition: str, line: str, open_ones: list[_Condition], active: bool) -> str:
         """Take a line with a conditional into account; what the compiler gets of it."""
@@ -130,11 +131,23 @@ class _Chosen:
 
     def _value(self, condition: str) -> float | None:
         """Value of a condition, None where a name in it is not known."""
-        text = re.sub(r"//.*", "", condition)
-        if not self.macros.keys() >= set(re.findall(r"[A-Za-z_]\w*", text)):
-            return None
-        python = re.sub(r"!(?!=)", " not ", text.replace("&&", " and ").replace("||", " or "))
-        return float(eval(python.strip(), {"__builtins__": {}}, self.macros))  # a text of kernels, not of users
+        names, python = _in_python(condition)
+        return float(eval(python, {"__builtins__": {}}, self.macros)) if names <= self.macros.keys() else None
+
+
+# Conditionals, includes, and a name for several features.
+_DIRECTIVE = re.compile(
+    r"^#(?:(ifdef|ifndef|if|elif|else|endif) *(.*)|include \"(.*)\"|define (\w+) (\([^?\n]*(?:&&|\|\|)[^?\n]*\)).*)$",
+    re.MULTILINE,
+)
+
+
+@cache
+def _in_python(condition: str) -> tuple[frozenset[str], str]:
+    """Names in a condition of a kernel file, and the condition in Python."""
+    text = re.sub(r"//.*", "", condition)
+    python = re.sub(r"!(?!=)", " not ", text.replace("&&", " and ").replace("||", " or "))
+    return frozenset(re.findall(r"[A-Za-z_]\w*", text)), python.strip()
 
 
 def _cpu_form(source: str) -> str:
