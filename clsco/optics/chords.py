@@ -84,7 +84,7 @@ def chord_weights(
 
 
 def _parts(borders: Borders | None) -> list[tuple[float, Array | None]]:
-    """Convex parts of an opening: (1, None) for the whole, (-1, circle) for each hole in it."""
+    """Convex parts of an opening, each with its sign: (1, None) for the whole, (-1, circle) for each hole in it."""
     return [(1.0, None), *((-1.0, np.array(hole)) for hole in (borders.holes if borders else ()))]
 
 

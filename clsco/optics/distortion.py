@@ -184,7 +184,7 @@ class Distortion:
         return np.asarray((0.5 * (xx + yy) + half) / size - 1.0)
 
     def stretch_slope(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Relative change of `stretch` with the undistorted slopes, along x and y."""
+        """Relative change of `stretch` per unit of undistorted slope, along x and y."""
         (up, across), (_, slope, bend) = self.tangential, self._q(x * x + y * y)
         xx, xy, yy = self.jacobian(x, y)
         xxx, yyy = (6.0 * slope + 4.0 * x * x * bend) * x, (6.0 * slope + 4.0 * y * y * bend) * y

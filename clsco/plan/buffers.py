@@ -117,7 +117,7 @@ def ends_bytes(spec: BlurSpec, channels: int, columns: int) -> int:
 
 
 def source_bytes(sources: int, tilt: bool, marked: bool = False) -> int:
-    """Bytes of the planes of sources.clh; marked: with sub-pixel sources, or occluders."""
+    """Bytes of the planes of sources.clh; marked: True if there are sub-pixel sources or occluders."""
     return 4 * (1 + 2 * tilt + marked) * sources
 
 

@@ -24,8 +24,8 @@ BEYOND = 1.1  # times as much is planned for, for what is between places and in 
 
 
 def elliptic_spread(scene: Scene, psf: PointSpread | None, eye: Eye) -> PointSpread:
-    """The PSF of a scene, by default its own; in a distorted image with a margin for ellipses, if they are supported.
-    eye: view of the scene.
+    """The PSF of a scene (or `psf`); in a distorted image, if ellipses are supported, with the margin `stretched` for
+    them. eye: view of the scene.
     """
     psf = psf or scene_point_spread(scene)
     off = ellipticity_of(scene)

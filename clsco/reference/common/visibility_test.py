@@ -238,8 +238,8 @@ def cell_visibility(visibility: Visibility) -> Array:
 def tap_share(visibility: Visibility, cells: Array, dx: float | Array, dy: float | Array) -> Array:
     """Visible fraction (M,) of the lens for the tap (dx, dy) px from each source's pixel.
 
-    cells: (N, L, L) from `cell_visibility`. With a narrow lens, cells are weighted by the tap's response; with waves, a
-    tap beyond the blur's edge is moved to it, that of a pixel's source to BEYOND px outside of it.
+    cells: (N, L, L) from `cell_visibility`. With a narrow lens, cells are weighted by the tap's response. With waves, a
+    tap beyond the blur's edge is moved to the edge, or for a pixel's source to BEYOND px outside of it.
     """
     limit = NARROW_MIDDLE if visibility.waves or visibility.bent is not None else np.inf
     share = (

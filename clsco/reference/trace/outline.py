@@ -193,7 +193,9 @@ def mean_above(first: Array, last: Array) -> Array:
 
 
 def quarter_beside(top: Array, bottom: Array, row: NDArray[np.intp], column: NDArray[np.intp]) -> Array:
-    """Area (n,) of a quarter of squares, in row and column 0 or 1 (n,), left of lines from x = top to bottom (n,)."""
+    """Area (n,) of a quarter of unit squares, in row and column 0 or 1 (n,) of 2 x 2, on the left of straight lines
+    from x = top to x = bottom (n,).
+    """
     way = 0.5 * (bottom - top)
     first = top + row * way - 0.5 * column
     return np.asarray(0.5 * (mean_above(first, first + way) - mean_above(first - 0.5, first + way - 0.5)))
